@@ -96,7 +96,7 @@ def shown(run: RunFolder, bench: Bench, live: bool) -> Iterator[tuple[LivePage, 
         yield None
         return
     width, height = bench.scene.camera.sensor_px
-    scene, board = bench.scene, bench.table.target.board
+    scene, board = bench.scene, bench.board
     with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:  # as `rtpiv acquire --live` does
         print(page.url, flush=True)
         yield page, RunShown(page, run)

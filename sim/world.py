@@ -29,6 +29,7 @@ from tracer.scene.scene import Scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
+PRINTER = 7  # what is drawn for the printer is drawn by this beside the seed
 KEPT_FLOW_VIEWS = 2  # the glass in and out
 LATER_S = 1.0  # in the flow for each exposure that was made before this process began
 FLOW = "flow"  # what a flow run shows: no print, but light on particles
@@ -72,7 +73,7 @@ class World:
         self.lit = lit
         if lit is None and shows == FLOW:
             self.lit = LitFlow(exposures_before, LATER_S * exposures_before)
-        self._print = _print_of(bench, table.seed, shows)
+        self.print = _print_of(bench, table.seed, shows)
         self._sensor = Sensor(blur_px=table.blur_px)
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
         self._flow_cameras: dict[tuple[float, ...], FlowCamera] = {}
@@ -147,14 +148,26 @@ class World:
     def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Chessboard | ParticleSheet]:
         """Scene and print at the true places of their carriages."""
         scene, pose = arranged(self._bench, self.scene, true_mm, self._table.glass_off_mm)
-        if isinstance(self._print, Chessboard):
-            return scene, placed(self._print, pose)
-        return scene, placed(self._print, pose)
+        if isinstance(self.print, Chessboard):
+            return scene, placed(self.print, pose)
+        return scene, placed(self.print, pose)
+
+
+def _board_of(bench: Bench, seed: int) -> Chessboard:
+    """The board on paper, as large as its printer has made it: what was measured of it is not quite that."""
+    if bench.printed is None:
+        return Chessboard(bench.table.target.square_mm, bench.table.target.disc_mm)
+    rng = np.random.default_rng((seed, PRINTER))
+    x, y = (
+        s + sigma * rng.standard_normal()
+        for s, sigma in zip(bench.printed.scale, bench.printed.scale_sigma, strict=True)
+    )
+    return Chessboard(bench.board.square_mm, bench.board.disc_mm, scale=(x, y))
 
 
 def _print_of(bench: Bench, seed: int, shows: str) -> Chessboard | ParticleSheet:
     if shows == "chessboard":
-        return Chessboard(bench.table.target.square_mm, bench.table.target.disc_mm)
+        return _board_of(bench, seed)
     camera = bench.scene.camera
     px_per_mm = camera.focal_px / float(np.linalg.norm(camera.position_mm))
     width_mm, height_mm = (PRINT_MARGIN * side / px_per_mm for side in camera.sensor_px)

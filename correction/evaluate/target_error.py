@@ -155,7 +155,8 @@ def _error_of(
     outline = grid.to_mm(np.array([[0.0, 0.0], [grid.shape[1] - 1.0, grid.shape[0] - 1.0]]))
     index = board.corners_within(outline)
     expected = grid.to_px(board.corner_mm(index))
-    square = board.square_mm / grid.pitch_mm
+    across, up = board.sides_mm / grid.pitch_mm
+    square = max(across, up)
     window = np.ones((2 * int(0.3 * square) + 1,) * 2, np.uint8)
     inner = cv2.erode(whole.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     nearest = np.clip(np.rint(expected).astype(int), 0, np.array(grid.shape[::-1]) - 1)
@@ -174,7 +175,7 @@ def _error_of(
     fit = refine_corners(
         soft,
         expected[~known],
-        np.array([[square, 0.0], [0.0, -square]]),
+        np.array([[across, 0.0], [0.0, -up]]),
         sign=board.corner_sign(index[seen][~known]),
         mask=usable,
         search=CornerSearch(max_shift=MAX_SHIFT),

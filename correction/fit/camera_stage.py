@@ -36,13 +36,14 @@ from correction.fit.seen.measurement import (
 )
 from correction.fit.solve.contact import clear_of, pushed_apart
 from correction.fit.solve.solver import Solution
-from correction.fit.solve.unknowns import Unknowns, unknowns_of
+from correction.fit.solve.unknowns import Unknowns
 from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
 from tracer.scene.fit_section import FitCameraTable
 from tracer.scene.scene import Scene
 
 LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold any lens
+ON_BARE = ("camera.", "target", "print.")  # numbers that the bare target tells of
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
 
@@ -61,7 +62,7 @@ def find_camera(work: Progress) -> None:
 
 def _fit_camera(work: Progress, frames: Sequence[TargetFrame]) -> tuple[Unknowns, Solution]:
     """Find the bare target in more frames, one by one, and fit the camera to all there are."""
-    unknowns = work.unknowns.only(("camera.", "target", *work.walls))
+    unknowns = work.unknowns.only((*ON_BARE, *work.walls))
     for frame in frames:
         work.bare.append(bare_frame(frame, work.board, unknowns.camera(work.full), work.height_number(frame)))
         solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
@@ -93,8 +94,8 @@ def _follow_board(work: Progress, unknowns: Unknowns, solution: Solution) -> tup
     """Turn the nominal bench as the board shows it turned, if that explains the camera."""
     turn = turn_of_bench(work.nominal.camera, unknowns.camera(work.full), work.priors.camera)
     travel = (float(turn[0, 2]), float(turn[1, 2]), float(turn[2, 2]))
-    followed = unknowns_of(turned(work.nominal, turn), work.heights, work.priors, work.focal_free, travel)
-    other = followed.only(("camera.", "target", *work.walls))
+    followed = work.unknowns_of(turned(work.nominal, turn), work.priors, travel)
+    other = followed.only((*ON_BARE, *work.walls))
     again = work.fits.solve(other, np.zeros(len(other.names)), work.bare)
     if again.pull > PRIOR_LIMIT:
         return unknowns, solution
@@ -111,9 +112,9 @@ def lens_off_axis(work: Progress) -> str:
     free = {name: max(size, getattr(work.priors.camera, name)) for name, size in LENS_FREED.items()}
     camera = work.priors.camera.model_copy(update=free)
     priors = work.priors.model_copy(update={"camera": camera})
-    wider = unknowns_of(work.nominal, work.heights, priors, work.focal_free)
-    told = work.unknowns.only(("camera.", "target", *work.walls))
-    freed = wider.only(("camera.", "target", *work.walls))
+    wider = work.unknowns_of(work.nominal, priors)
+    told = work.unknowns.only((*ON_BARE, *work.walls))
+    freed = wider.only((*ON_BARE, *work.walls))
     before, after = (Adjustment().solve(one, one.free(one.start), work.bare) for one in (told, freed))
     rms, alone = (_bare_rms_px(work, one, fit.x) for one, fit in ((freed, after), (told, before)))
     numbers = 2 * sum(map(len, work.bare))

@@ -14,7 +14,7 @@ from correction.fit.seen.measurement import (
 )
 from correction.fit.seen.silhouettes import Outlines
 from correction.fit.seen.smear import Dispersion
-from correction.fit.solve.unknowns import unknowns_of
+from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.target import Chessboard
 from correction.target.board_search import SATURATED
 from correction.target.corners import saturated_fraction
@@ -48,7 +48,7 @@ class Progress:
         self.board, self.say, self.history = board, say, list[FitStep]()
         self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames]
         self.focal_free = len({f.height_mm for f in self.bare_frames}) >= 3
-        self.unknowns = unknowns_of(nominal, self.heights, priors, self.focal_free)
+        self.unknowns = self.unknowns_of(nominal, priors)
         self.full = self.unknowns.start
         self.bare: list[MeasuredFrame] = []
         self.behind: list[MeasuredFrame] = []
@@ -58,6 +58,10 @@ class Progress:
         self.explained = 0.0
         self.others: list[NDArray[np.float64]] = []
         self.found_saddles: dict[str, Saddles] = {}
+
+    def unknowns_of(self, nominal: Scene, priors: FitTable, travel: Vector3 = (0.0, 0.0, 1.0)) -> Unknowns:
+        """Number what is free around a nominal scene, with a target that the stage moves along `travel`."""
+        return unknowns_of(nominal, self.heights, priors, self.focal_free, travel, self.board.scale_sigma)
 
     def note(self, step: FitStep) -> None:
         """Remember a step and say it."""

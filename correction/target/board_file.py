@@ -7,21 +7,30 @@
     measured_mm: [189.7, 279.9]  # the same on paper, with a steel rule
 
 A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured, it
-is 1 to half a per cent: what printers differ by.
+is 1 to half a per cent: what printers differ by.  A bench names the file (`target: {board: board.yaml}`), a run
+keeps it.
 """
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from correction.errors import BoardError
+from correction.target.chessboard import Chessboard
 from ground.config import Pair, Table, read
 from ground.whole_file import whole_file
 
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
 UNMEASURED = 0.005  # by which printers stretch
+SIZES = {
+    "chessboard": ("square_mm", "disc_mm"),
+    "charuco": ("square_mm", "marker_mm", "squares", "dictionary", "origin_corner"),
+    "dots": ("pitch_mm", "dot_mm", "large_dot_mm"),
+    "particles": ("particles", "particle_mm", "seed", "size_mm"),
+}
 HEAD = "# What was printed, by `rtpiv target`; measured_mm: the bars in the margin on paper, along x and y\n"
 
 
@@ -64,6 +73,33 @@ class PrintedBoard(Table):
     measured_mm: Pair | None = None
     read_sigma_mm: Positive = READ_MM
 
+    @model_validator(mode="after")
+    def _has_its_sizes(self) -> "PrintedBoard":
+        missing = [key for key in SIZES[self.kind] if getattr(self, key) is None]
+        if missing:
+            raise ValueError(f"kind {self.kind} needs {', '.join(missing)}")
+        if self.measured_mm is not None and self.bars_mm is None:
+            raise ValueError(
+                "measured_mm says how long bars are on paper, so say bars_mm, how long they were drawn"
+            )
+        return self
+
+    def board(self) -> Chessboard:
+        """Return what is looked for in frames.
+
+        Raises
+        ------
+        BoardError
+            Nothing of this kind can be, or nobody can print it.
+        """
+        if self.kind != "chessboard":
+            raise BoardError(
+                f"a board of kind {self.kind} is printed, but not found in frames yet; calibrate with a chessboard"
+            )
+        assert self.square_mm is not None
+        assert self.disc_mm is not None
+        return Chessboard(self.square_mm, self.disc_mm, scale=self.scale, scale_sigma=self.scale_sigma)
+
     @property
     def scale(self) -> tuple[float, float]:
         """How much larger than drawn it is on paper, in x and in y."""
@@ -86,8 +122,12 @@ def read_board(path: Path | str) -> PrintedBoard:
     return read(path, PrintedBoard)
 
 
+def board_text(board: PrintedBoard) -> str:
+    """Text of a board file."""
+    return HEAD + yaml.safe_dump(board.model_dump(exclude_none=True), sort_keys=False, default_flow_style=None)
+
+
 def write_board(path: Path, board: PrintedBoard) -> None:
     """Write a board file whole; OSError names it if it cannot be written."""
-    said = board.model_dump(exclude_none=True)
     with whole_file(path) as stream:
-        stream.write((HEAD + yaml.safe_dump(said, sort_keys=False, default_flow_style=None)).encode())
+        stream.write(board_text(board).encode())

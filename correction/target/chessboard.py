@@ -1,6 +1,7 @@
 """The calibration target: a chessboard (`tracer.board`) whose discs mark its origin.
 
-Corner (i, j) is the point (i a, j a), the lower left corner of square (i, j) as the camera sees it upright.
+Corner (i, j) is the point (i a, j b), a and b the sides of a square on paper: the lower left corner of square
+(i, j) as the camera sees it upright.
 The pattern of the discs looks different after every quarter turn, so it fixes both the origin and the orientation;
 it cannot tell a mirror image, which no camera shows of a board in air.
 
@@ -8,7 +9,7 @@ Around a corner two edges cross.  What a fit may look at is a cross of arms alon
 the next corner (1 square away) and are thinner than the distance from an edge to a disc.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,11 +29,18 @@ QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
 class Chessboard(Board):
     """A chessboard target that can be found: a `Board`, and where its corners are.
 
+    Parameters
+    ----------
+    scale_sigma : (float, float)
+        Standard deviations of its scale on paper; 0 takes the squares to be as large as they are said to be.
+
     Raises
     ------
     BoardError
         A size is not positive, a disc does not leave room for the edges, or the discs look the same after a turn.
     """
+
+    scale_sigma: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
 
     def __post_init__(self) -> None:
         if not (self.square_mm > 0.0 and self.disc_mm > 0.0):
@@ -63,7 +71,12 @@ class Chessboard(Board):
 
     def corner_mm(self, index: ArrayLike) -> NDArray[np.float64]:
         """Positions (..., 2) [mm] of the corners with index (..., 2) int."""
-        return np.asarray(index, dtype=np.float64) * self.square_mm
+        return np.asarray(index, dtype=np.float64) * self.sides_mm
+
+    def stretched(self, by: ArrayLike) -> "Chessboard":
+        """Return the same board, its squares wider and higher by two factors (2,)."""
+        x, y = np.multiply(self.scale, by).tolist()
+        return replace(self, scale=(x, y))
 
     def corner_sign(self, index: ArrayLike) -> NDArray[np.int8]:
         """Return +1 for corners (..., 2) int whose square to +x, +y is bright, else -1 (...)."""
@@ -92,15 +105,15 @@ class Chessboard(Board):
         if len(outline) == 2:
             (x0, y0), (x1, y1) = outline
             outline = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-        low = np.ceil(outline.min(axis=0) / self.square_mm).astype(np.int64)
-        high = np.floor(outline.max(axis=0) / self.square_mm).astype(np.int64)
+        low = np.ceil(outline.min(axis=0) / self.sides_mm).astype(np.int64)
+        high = np.floor(outline.max(axis=0) / self.sides_mm).astype(np.int64)
         columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
         index = np.stack((columns.ravel(), rows.ravel()), axis=-1)
         return index[_inside(self.corner_mm(index), outline)]
 
     def shade(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Reflectance (...) of board points (..., 2) [mm]: 0 dark, 1 bright."""
-        points = np.asarray(points_mm, dtype=np.float64)
+        points = np.asarray(points_mm, dtype=np.float64) / self.scale  # as drawn
         squares = np.floor(points / self.square_mm).astype(np.int64)
         bright = self.is_bright(squares)
         for disc in self.discs:

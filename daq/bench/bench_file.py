@@ -14,7 +14,7 @@
       timeout_s: 5.0
     devices: {...}                       # any more, each with its `kind` and what that needs; a further camera
                                          # has a `scene` of its own
-    target: {square_mm: 2.5, disc_mm: 1.0}
+    target: {square_mm: 2.5, disc_mm: 1.0}  # or {board: board.yaml}, the file that `rtpiv target` has written
     keep_out: {...}                      # see daq.bench.keep_out; without it nothing but limits is judged
     simulation: {bench: "sim.bench:SimulatedBench", ...}   # what --simulate puts in place of the hardware
 
@@ -31,6 +31,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from correction.errors import BoardError
+from correction.target.board_file import PrintedBoard, read_board
 from daq.bench.bench_table import (
     CAMERA,
     GLASS,
@@ -105,9 +107,22 @@ def load_bench(path: Path | str) -> Bench:
             seen |= {} if own is None else {name: own}
     if table is not None and scene is not None:
         scene = _sent(document, ("camera",), table.camera, scene, wrong)
+    printed = None if table is None else _printed(document, table, wrong)
     if table is None or scene is None or wrong:
         raise ConfigError.joined(wrong)
-    return Bench(document.path.resolve(), document, table, scene, found, seen)
+    return Bench(document.path.resolve(), document, table, scene, found, seen, printed)
+
+
+def _printed(document: Document, table: BenchTable, wrong: list[ConfigError]) -> PrintedBoard | None:
+    """The board file that a bench names."""
+    named = table.target.board
+    printed = None if named is None else _tried(lambda: read_board(document.path.parent / named), wrong)
+    if printed is not None:
+        try:
+            printed.board()
+        except BoardError as error:
+            wrong.append(ConfigError(document.path, [Problem(document.line(("target", "board")), str(error))]))
+    return printed
 
 
 def _sent(

@@ -26,6 +26,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from correction.target import Chessboard
+from correction.target.board_file import PrintedBoard
 from daq.bench.keep_out import KeepOutTable
 from daq.bench.pairs_section import PairsSection
 from daq.bench.read_out import require_squares
@@ -154,11 +155,15 @@ class TargetSection(Table):
 
     square_mm: Positive = 2.5
     disc_mm: Positive = 1.0
+    board: Annotated[str, Field(min_length=1)] | None = (
+        None  # a board file beside the bench file: what it says holds
+    )
 
-    @property
-    def board(self) -> Chessboard:
-        """The board; BoardError if nobody can print it."""
-        return Chessboard(self.square_mm, self.disc_mm)
+    @model_validator(mode="after")
+    def _said_once(self) -> "TargetSection":
+        if self.board is not None and (more := self.model_fields_set - {"board"}):
+            raise ValueError(f"the board file says its sizes, so leave {', '.join(sorted(more))} out")
+        return self
 
 
 class BenchTable(Table):
@@ -253,6 +258,8 @@ class Bench:
         Devices besides stages and camera.
     scenes : mapping
         What further cameras see, by their names, where that is another scene than the bench's.
+    printed : PrintedBoard, optional
+        The board file it names.
     """
 
     path: Path
@@ -261,6 +268,13 @@ class Bench:
     scene: Scene
     more: Mapping[str, Device] = field(default_factory=dict)
     scenes: Mapping[str, Scene] = field(default_factory=dict)
+    printed: PrintedBoard | None = None
+
+    @property
+    def board(self) -> Chessboard:
+        """What hangs on the target's stage; BoardError if nobody can print it."""
+        target = self.table.target
+        return Chessboard(target.square_mm, target.disc_mm) if self.printed is None else self.printed.board()
 
     @property
     def cameras(self) -> dict[str, CameraSection]:
@@ -306,6 +320,8 @@ class Bench:
             controller.pop("identity", None)
         for device in tree.get("devices", {}).values():
             device.pop("port", None)
+        if self.printed is not None:
+            tree["target"] = self.printed.model_dump(exclude_none=True)
         del tree["scene"]  # its content is hashed by the scene itself, but for what moves with what
         walls = {body.name: body.carried for body in self.scene.bodies if body.room is not None}
         return digest(tree | {"walls": walls} if walls else tree)

@@ -129,7 +129,8 @@ class LivePage:
         self.rate_limiter = RateLimiter()
         self._orders: dict[str, Any] = {"token": self._token}
         if scene is not None and board is not None:
-            self._orders |= {"scene": dump_scene(scene), "board_mm": [board.square_mm, board.disc_mm]}
+            sizes = {"square_mm": board.square_mm, "disc_mm": board.disc_mm, "scale": board.scale}
+            self._orders |= {"scene": dump_scene(scene), "board": sizes}
         self._server: subprocess.Popen[bytes] | None = None
         self._input: IO[bytes] | None = None  # of a server that has its orders
         self._doing, self._over = "", threading.Event()

@@ -23,7 +23,6 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -307,7 +306,7 @@ def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
     return server, page
 
 
-def _look_at_scene(page: Page, text: str, board_mm: Sequence[float]) -> None:
+def _look_at_scene(page: Page, text: str, sizes: dict[str, Any]) -> None:
     """Draw what a scene says over its frames, and look whether it is so."""
     from correction.target import Chessboard
     from daq.live.monitors import begin, scene_told
@@ -317,7 +316,7 @@ def _look_at_scene(page: Page, text: str, board_mm: Sequence[float]) -> None:
     if scene is None:
         return
     page.lines = scene_lines(scene, whole=False)
-    page.monitors = begin(page.slot, scene, Chessboard(*board_mm))
+    page.monitors = begin(page.slot, scene, Chessboard(**sizes))
     while not (page.slot.is_watched and page.slot.number):  # the run has compiled then what folds are found with
         if page.slot.is_over:
             return
@@ -353,7 +352,7 @@ def _serve(server: Server, page: Page, orders: dict[str, Any]) -> None:
     threading.Thread(target=accept, name="page", daemon=True).start()
     _say({"port": page.port})
     if orders.get("scene"):
-        told = page, orders["scene"], orders["board_mm"]
+        told = page, orders["scene"], orders["board"]
         threading.Thread(target=_look_at_scene, args=told, name="scene", daemon=True).start()
     while not page.over:
         words = _next_words() or {"over": KILLED}

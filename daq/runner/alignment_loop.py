@@ -151,7 +151,7 @@ class AlignmentLoop:
             # where it is if it has gone the other way must be in sight too
             reach = 0.5 + 2.0 * float(np.hypot(*(glass - last.glass_mm)[:2]))
         expected = Expected(glass + put_up, camera + camera_put_up, board)
-        target = bench.table.target.board if self._table.target else None
+        target = bench.board if self._table.target else None
         seen = find_arrangement(self._frame(number), bench.scene, target, expected, reach, self._priors)
         return Look(glass, camera, seen)
 

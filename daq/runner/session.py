@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from correction.target.board_file import board_text
 from daq.atomic_write import write_text
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA, Bench, digest
@@ -193,7 +194,7 @@ def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable
     if not request.correct:
         return None
     scene = load_scene(request.scene) if request.scene is not None else bench.scene
-    dewarp = dewarp_of(request.target_clear, scene.camera, bench.table.target.board, request.dewarp_order)
+    dewarp = dewarp_of(request.target_clear, scene.camera, bench.board, request.dewarp_order)
     seen = [step for step in steps if step.on_plane]
     places = {glass_off_scene_mm(bench.table, step.targets_mm) for step in seen if step.view == BEHIND_GLASS}
     if len(places) == 1:
@@ -215,7 +216,7 @@ def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder
 
 def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
     """What run.json says of a camera's run."""
-    board = bench.table.target.board
+    board = bench.board
     scene_file = getattr(bench.table.camera, "scene", None) or bench.table.scene
     return {
         "name": plan.name,
@@ -227,6 +228,7 @@ def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
         "scene": dump_scene(bench.scene, load_priors(bench.path.parent / scene_file)),
         "square_mm": board.square_mm,
         "disc_mm": board.disc_mm,
+        **({} if bench.printed is None else {"board": board_text(bench.printed)}),
         "steps": [{"index": s.index, "tag": s.tag, "first_frame": s.first_frame, "frames": s.frames,
                    "view": s.view, "shows": s.shows, "on_plane": s.on_plane, "reference": s.reference,
                    "group": s.group, **_pulses_of(s)}

@@ -82,6 +82,7 @@ class RunFile(TypedDict):
     scene: str
     square_mm: Annotated[float, Field(gt=0.0, le=1e6)]
     disc_mm: NotRequired[Annotated[float, Field(gt=0.0, le=1e6)]]  # older runs do not say it
+    board: NotRequired[Text]  # board.yaml, if the bench names one
     steps: Annotated[list[PlannedStep], AfterValidator(_in_order)]
     cameras: NotRequired[
         Annotated[list[CameraName], Field(min_length=1, max_length=8)]

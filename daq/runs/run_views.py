@@ -7,7 +7,7 @@ target (`dewarp_of`).
 
 import os
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 from correction.errors import BoardError, CorrectionError
 from correction.maps.dewarp import Dewarp, fit_dewarp
 from correction.target import Chessboard
+from correction.target.board_file import PrintedBoard, read_board
 from daq.atomic_write import write_text
 from daq.errors import RunDamaged
 from daq.runs.acquired import read_acquired, run_of
@@ -68,7 +69,7 @@ def bench_scene(path: Path) -> str:
     return RunFolder.open(path).about["scene"]
 
 
-def load_kept(folder: RunFolder, what: Literal["bench", "scene", "plan"], load: Callable[[Path], T]) -> T:
+def load_kept(folder: RunFolder, what: Literal["bench", "scene", "plan", "board"], load: Callable[[Path], T]) -> T:
     """Load the text of a file that the run keeps in its record.
 
     Raises
@@ -172,7 +173,12 @@ def bench_table(folder: RunFolder) -> "BenchTable":
     return load_kept(folder, "bench", lambda file: read(file, BenchTable))
 
 
-def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: float | None = None) -> Chessboard:
+def board_of(
+    paths: Iterable[Path],
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
+    board: Path | None = None,
+) -> Chessboard:
     """Return the board of runs, of frames of runs, or of files that belong to none.
 
     Parameters
@@ -181,9 +187,13 @@ def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: flo
         Run folders and frames.
     square_mm, disc_mm : float, optional
         What somebody says of the board; otherwise squares are those of `Chessboard`, and discs as wide in them.
+    board : Path, optional
+        Or a board file that says it.
 
     Raises
     ------
+    ConfigError
+        The board file is wrong.
     BoardError
         Somebody says another thing than a run, or two runs differ.
     RunUnsuitable, RunDamaged
@@ -191,6 +201,10 @@ def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: flo
     """
     runs = {found.path: found for path in paths if (found := RunFolder(path) if is_run(path) else run_of(path))}
     said = {"square_mm": square_mm, "disc_mm": disc_mm}
+    files = {path: load_kept(run, "board", read_board) for path, run in runs.items() if "board" in run.about}
+    if files or board is not None:
+        sizes = [name for name, value in said.items() if value is not None]
+        return _printed(files if board is None else {board: read_board(board), **files}, list(runs), sizes)
     by = dict.fromkeys(said, "the options say")
     for path, run in runs.items():
         about = run.about
@@ -207,6 +221,18 @@ def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: flo
     usual = Chessboard()
     square = said["square_mm"] or usual.square_mm
     return Chessboard(square, said["disc_mm"] or usual.disc_mm / usual.square_mm * square)
+
+
+def _printed(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], sizes: Sequence[str]) -> Chessboard:
+    """The board of files that say the same; runs without one, or sizes said beside them, contradict it."""
+    (first, printed), *others = files.items()
+    for path in [path for path, other in others if other != printed]:
+        raise BoardError(f"{path}: has another board than {first}; take frames of one board at a time")
+    for path in [path for path in runs if path not in files]:
+        raise BoardError(f"{path}: keeps no board file, so {first} is not its board; leave that out")
+    if sizes:
+        raise BoardError(f"{first}: says how large the board is, so leave {' and '.join(sizes)} out")
+    return printed.board()
 
 
 def shows_light_sheet(frames: Iterable[Path]) -> bool:

@@ -148,6 +148,7 @@ def calibration_of(
     fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], board: Chessboard, seconds: float
 ) -> Calibration:
     """Compare nominal and fitted glass in both senses of Table 2, on the frame through glass at z = 0."""
+    board = board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
     senses: dict[str, list[RegionErrors]] = {}
     grids: dict[str, TargetError] = {}
     panels: list[Panel] = []

@@ -243,7 +243,7 @@ def _shown(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]"
     bench, given = run.bench, run.request.scene
     scene = bench.scene if given is None else load_scene(given)
     width, height = scene.camera.sensor_px
-    board = bench.table.target.board
+    board = bench.board
     with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:
         screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
         yield RunShown(page, run.folder, through_said(scene))

@@ -40,6 +40,7 @@ def calibrate(
     out: Named | None = None,
     square_mm: Positive | None = None,
     disc_mm: Positive | None = None,
+    board: Named | None = None,
     pictures: bool = True,
 ) -> SceneFit:
     """Fit a scene to frames of its target.
@@ -60,6 +61,8 @@ def calibrate(
         ``calibration.json``.
     square_mm, disc_mm : float, optional
         The board, of a folder that is no run (default 2.5, and 0.4 of a square): a run knows its own.
+    board : path, optional
+        Or its board.yaml, written by ``rtpiv target``, with the scale of the print.
     pictures : bool
         Draw pictures, after all else is written.
 
@@ -81,7 +84,7 @@ def calibrate(
     began = time.monotonic()
     folder = one_of(folder)
     nominal, priors = nominal_scene(folder, path_of(scene))
-    board = board_of([folder], square_mm, disc_mm)
+    target = board_of([folder], square_mm, disc_mm, path_of(board))
     frames = target_frames(folder, nominal.camera.shape)
     out = folder_for(out, "fit")
 
@@ -89,12 +92,12 @@ def calibrate(
         progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
     say(f"{counted(len(frames), 'frame')} of the target in {folder}")
-    fit = fit_scene(nominal, frames, board, priors, say)
+    fit = fit_scene(nominal, frames, target, priors, say)
     seconds = time.monotonic() - began
     say("standard deviation of the map")
     sigma = map_sigma(fit)
     say("errors before and after")
-    found = calibration_of(fit, sigma, frames, board, seconds)
+    found = calibration_of(fit, sigma, frames, target, seconds)
     out.mkdir(parents=True, exist_ok=True)
     save_fit(out / "fit.npz", fit)
     sigma.save(out / "map_sigma.npz")

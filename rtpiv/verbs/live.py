@@ -75,9 +75,7 @@ def live(
     height, width = loaded.scene.camera.shape
     believed = loaded.scene if scene is None else load_scene(Path(scene))
     with ExitStack() as stack:
-        page = stack.enter_context(
-            LivePage(BYTES_PER_PX * height * width, port, believed, loaded.table.target.board)
-        )
+        page = stack.enter_context(LivePage(BYTES_PER_PX * height * width, port, believed, loaded.board))
         screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
         screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
         page.say("making the correction; the first one on a computer compiles for about a minute")

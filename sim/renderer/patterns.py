@@ -98,7 +98,8 @@ class Chessboard(Board):
         """Reflectance (N,) at points (N, 2) of the board [mm]."""
         out = np.empty(len(points_mm), np.float32)
         discs = np.array(self.discs, np.float64).reshape(-1, 2)
-        chessboard(points_mm, self.square_mm, 0.5 * self.disc_mm, discs, self.dark, self.bright, out)
+        drawn_mm = points_mm / np.array(self.scale)
+        chessboard(drawn_mm, self.square_mm, 0.5 * self.disc_mm, discs, self.dark, self.bright, out)
         return out
 
 

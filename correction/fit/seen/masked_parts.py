@@ -131,7 +131,7 @@ def unlisted_parts(
     if not lattice:
         return ()
     index = np.concatenate(lattice)
-    bounds = index.min(axis=0) * board.square_mm, index.max(axis=0) * board.square_mm
+    bounds = board.corner_mm(index.min(axis=0)), board.corner_mm(index.max(axis=0))
     found: list[Unlisted] = []
     for name, image, pose in views:
         seen = in_target_frame(scene, pose)

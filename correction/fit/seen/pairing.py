@@ -116,10 +116,10 @@ def nearest_nodes(
     """Nearest lattice corner of the right kind (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
     towards = (pixel_rate @ bright[:, :, None])[:, :, 0]
     odd = np.where(towards[:, 0] * towards[:, 1] > 0.0, 1.0, 0.0)
-    x, y = point_mm.T / board.square_mm
+    x, y = (point_mm / board.sides_mm).T
     p = 2.0 * np.rint((x + y - odd) / 2.0) + odd
     q = 2.0 * np.rint((x - y - odd) / 2.0) + odd
-    return np.asarray(np.stack((p + q, p - q), axis=-1) * 0.5 * board.square_mm)
+    return np.asarray(np.stack((p + q, p - q), axis=-1) * 0.5 * board.sides_mm)
 
 
 def paired_residuals(
@@ -141,7 +141,8 @@ def distances(
     """Distances (N, 2) to the nearest corners [px], mm a px (N, 1), and the rays they come from."""
     corners = Corners(candidates.height_number, True, candidates.pixel, np.zeros_like(candidates.pixel), 1.0)
     rays = landed(unknowns, full, corners)
-    off = rays.point_mm - nearest_nodes(rays.point_mm, rays.pixel_rate, candidates.bright, board)
+    stretched = board.stretched(unknowns.stretch(full))
+    off = rays.point_mm - nearest_nodes(rays.point_mm, rays.pixel_rate, candidates.bright, stretched)
     spread = np.sqrt((rays.pixel_rate**2).sum(axis=(1, 2)))  # of a pixel, on the plane
     scale = np.maximum(spread, pitch_mm)[:, None]
     off[spread > SQUEEZED * pitch_mm] = np.nan

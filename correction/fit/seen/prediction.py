@@ -5,6 +5,9 @@ every sheet, exactly, with the local derivative: one square along the board's +x
 frame.  That is all a sub-pixel fit needs to know: window, orientation and shade follow from it.  Windows
 stay inside one branch, clear of the rim by a few pixels, because the scene is not yet exact.
 
+A print that is stretched more one way than the other has no square lattice: from the node beside it, each of its
+corners is found by Newton's method along traced rays.
+
 The corner fit knows straight and evenly curved edges.  Next to a fold the view also twists: the odd part of
 the landing point, (X(u + d) - X(u - d))/2 - h, that no affine frame explains grows with the cube of the
 window.  Windows are shortened until it is below TWIST_PX at their ends.  What is left of it displaces corners
@@ -40,6 +43,7 @@ RIM_PX = 2  # windows stay this far from the border of their branch
 WINDOW = 0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
 SHORTEST = 0.2  # the same where the view bends most; a corner that needs less, or LEAST_PX, is not asked
 TWIST_PX = 1.0  # cubic bending at the ends of a window that is allowed (from 3 px on corners err by 0.1-1 px)
+NEWTON, SETTLED_PX = 4, 1e-3  # steps, and how near the last must come
 PULLED = 0.06  # how much what is left of it pulls at corners, see above
 
 
@@ -144,12 +148,17 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
     within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
     away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)
     pixel = (found.pixel[seen] + 0.5) * times - 0.5
+    held = np.ones(len(pixel), bool)
+    if np.ptp(board.sides_mm):
+        node_mm, node_axes = grid.pitch_mm * index.astype(np.float64), axes / grid.pitch_mm
+        pixel, held = _moved_onto(seen_from_target, pixel, node_axes, node_mm, board.corner_mm(index))
+        axes *= board.sides_mm / grid.pitch_mm
     window, bent = _windows(seen_from_target, pixel, axes, board.square_mm)
     at = np.rint(found.pixel[seen]).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64) * times
     branches = tuple(found.branches)
     every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > RIM_PX)
-    return every.take((window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
+    return every.take(held & (window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
 
 
 def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float:
@@ -200,6 +209,26 @@ def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
     return replace(scene, camera=camera, bodies=tuple(body.moved(point) for body in scene.bodies))
 
 
+def _moved_onto(
+    scene: Scene,
+    pixel: NDArray[np.float64],
+    axes_px: NDArray[np.float64],
+    from_mm: NDArray[np.float64],
+    to_mm: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Pixels (N, 2) that show points `to_mm` (N, 2) near those that are seen at `pixel`, by px a mm (N, 2, 2).
+
+    Also whether each is still seen the same way (N,).
+    """
+    ways, moved, step = trace(scene, pixel).rays["key"], pixel, to_mm - from_mm
+    for _ in range(NEWTON):
+        moved = moved + (axes_px @ step[:, :, None])[:, :, 0]
+        rays = trace(scene, moved)
+        step = to_mm - rays.plane_mm
+    off_px = np.linalg.norm((axes_px @ step[:, :, None])[:, :, 0], axis=1)
+    return moved, np.asarray((rays.rays["key"] == ways) & (off_px < SETTLED_PX))  # False for NaN
+
+
 def _windows(
     scene: Scene, pixel: NDArray[np.float64], axes_px: NDArray[np.float64], square_mm: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -228,6 +257,6 @@ def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:
     rays = scene.camera.directions(border)
     x, y, z = scene.camera.position_mm
     reach = np.abs(np.array([x, y]) - z * rays[:, :2] / rays[:, 2:]).max()
-    half = int(np.ceil(WIDER * reach / board.square_mm))
-    a = board.square_mm
+    a = float(board.sides_mm.mean())
+    half = int(np.ceil(WIDER * reach / a))
     return PlaneGrid((-half * a, half * a), a, (2 * half + 1, 2 * half + 1))

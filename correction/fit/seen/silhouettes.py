@@ -236,7 +236,7 @@ def seen_outlines(
     rays = landed(unknowns, full, Corners(height_number, False, pixel, np.zeros_like(pixel), 1.0))
     node = nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board)
     at_node = np.linalg.norm(rays.point_mm - node, axis=1) < SAME * board.square_mm
-    found = {tuple(index) for index in np.rint(node[at_node] / board.square_mm).astype(np.int64).tolist()}
+    found = {tuple(index) for index in np.rint(node[at_node] / board.sides_mm).astype(np.int64).tolist()}
     hidden = np.array([tuple(index) not in found for index in bare.index.tolist()], dtype=np.bool_)
     corners = unknowns.pose(full, height_number).to_world(board.corner_mm(bare.index))
     free = np.array([f"{sphere.name}.x" in unknowns.names for sphere in unknowns.scene.spheres], dtype=np.bool_)

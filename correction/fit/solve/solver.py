@@ -1,8 +1,8 @@
 """Robust least squares over corners, with exact derivatives and without root finding.
 
-A corner measured at pixel u that shows lattice point X_k has the residual
+A corner measured at pixel u that shows lattice point X_k of a print stretched by s has the residual
 
-    e = W J^-1 (X(u; theta) - X_k),        J = dX/du,        W^T W = covariance^-1 of u
+    e = W J^-1 (X(u; theta) - s X_k),        J = dX/du,        W^T W = covariance^-1 of u
 
 the reprojection error in sigmas, to first order: tracing goes from pixels to the plane, so no inverse has to
 be iterated.  Its derivative is W J^-1 dX/dtheta (the missing term is proportional to the residual itself).
@@ -176,7 +176,7 @@ def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, by_w
 def free_rates(
     unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, rays: Landings
 ) -> NDArray[np.float64]:
-    """Derivatives (N, 2, P) [mm per sigma] of the landing points by the free vector."""
+    """Derivatives (N, 2, P) [mm per sigma] of the landing points, seen from their corners, by the free vector."""
     if not rays.recovered.any():
         return np.full((len(rays.status), 2, len(unknowns.names)), np.nan)
     camera, place = slice(len(CAMERA)), unknowns.place(corners.height_number)
@@ -191,14 +191,18 @@ def free_rates(
     turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
     turned[-3:] = left_jacobian(full[place][3:]) @ turned[-3:]
     count, _, numbers = rays.rate.shape
-    return np.asarray((rays.rate.reshape(-1, numbers) @ turned).reshape(count, 2, -1))
+    of_rays = (rays.rate.reshape(-1, numbers) @ turned).reshape(count, 2, -1)
+    # By the print too where the ray lands, not at its corner: a bench that grows with its print, which no frame
+    # tells, must move nothing, or noise beside the corners would shrink it.
+    on_print = rays.point_mm / unknowns.stretch(full)
+    return np.asarray(of_rays - on_print[:, :, None] * unknowns.columns[unknowns.printed])
 
 
 def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> Residuals:
     """Residuals of corners at the free vector x."""
     full = unknowns.full(x)
     rays = landed(unknowns, full, corners)
-    off = rays.point_mm - corners.node_mm
+    off = rays.point_mm - unknowns.stretch(full) * corners.node_mm
     rate = free_rates(unknowns, full, corners, rays)
     if isinstance(corners.whiten, float):
         return Residuals(off / corners.whiten, rate / corners.whiten)

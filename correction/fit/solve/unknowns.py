@@ -3,9 +3,10 @@
 All numbers of the bench stand in one FULL vector:
 
     camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
-                | 45 of each ball out of round | 6 of each height of the target
+                | 45 of each ball out of round | 6 of each height of the target | 2 of the print
 
-in the units of `tracer.strategies.sensitivity`.  The FREE vector x is shorter and in units of the prior's sigmas:
+in the units of `tracer.strategies.sensitivity`; the last two are by how much of itself the print is wider and
+higher than it was measured.  The FREE vector x is shorter and in units of the prior's sigmas:
 
     full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
 
@@ -42,6 +43,7 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
 from tracer.strategies.trace import world_from
 
 LENS = ("k1", "k2", "k3", "p1", "p2")
+PRINT = ("stretch_x", "stretch_y")
 SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target
 
 
@@ -101,6 +103,15 @@ class Unknowns:
     def all_shapes(self) -> slice:
         """Place of all harmonics in the full vector."""
         return slice(self.others.stop, self.others.stop + COUNT * len(self.uneven))
+
+    @property
+    def printed(self) -> slice:
+        """Place of the print's numbers in the full vector."""
+        return slice(len(self.start) - len(PRINT), len(self.start))
+
+    def stretch(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How many times wider and higher (2,) the print of a full vector is than it was measured."""
+        return np.asarray(1.0 + full[self.printed])
 
     def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
         """Shapes (45,) [mm] of a full vector by the numbers of the balls."""
@@ -248,6 +259,7 @@ def unknowns_of(
     priors: FitTable,
     focal_free: bool = False,
     travel: Vector3 = (0.0, 0.0, 1.0),
+    print_sigma: tuple[float, float] = (0.0, 0.0),
 ) -> Unknowns:
     """Number everything and decide what is free.
 
@@ -263,6 +275,8 @@ def unknowns_of(
         Whether the focal length is free if the section does not say: the bare target was seen at several heights.
     travel : (float, float, float)
         Unit vector along which the stage moves the target to its heights.
+    print_sigma : (float, float)
+        How well the width and height of the print are known, as shares of them.
     """
     heights = distinct_heights(heights_mm)
     start, columns, names = _Columns(), [], []
@@ -298,6 +312,7 @@ def unknowns_of(
             [*(height * along for along in travel), 0.0, 0.0, 0.0],
             [s * known_z for s in spread],
         )
+    start.add([f"print.{part}" for part in PRINT], [0.0] * len(PRINT), print_sigma)
     for place, spread_of in enumerate(start.sigmas):
         if spread_of > 0.0:
             column = np.zeros(len(start.names))

@@ -36,7 +36,7 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
             with files_bench(bench, files) as hardware:
                 Runner(hardware, [RunCamera(hardware, folder, corrections)], plan.steps).run()
             continue
-        with LivePage(12 * SIDE_PX**2, scene=bench.scene, board=bench.table.target.board) as page:
+        with LivePage(12 * SIDE_PX**2, scene=bench.scene, board=bench.board) as page:
             shown = RunShown(page, folder, "97 % is seen through glass")
 
             def look():

@@ -5,6 +5,7 @@ import pytest
 
 from correction.errors import BoardError
 from correction.target import Chessboard
+from correction.target.board_file import PrintedBoard, board_text, write_board
 from daq.errors import RunDamaged
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
@@ -71,3 +72,27 @@ def test_a_run_knows_its_board_and_nobody_contradicts_it(tmp_path):
 def test_lone_files_have_the_board_that_is_told(tmp_path):
     assert board_of([tmp_path / "a.tif"]) == Chessboard()
     assert board_of([tmp_path / "a.tif"], 5.0, 2.0) == Chessboard(5.0, 2.0)
+
+
+BOARD = PrintedBoard(
+    kind="chessboard", square_mm=3.0, disc_mm=1.2, bars_mm=[190.0, 280.0], measured_mm=[190.19, 279.72]
+)
+
+
+def test_a_run_keeps_its_board_file_and_the_scale_of_the_print(tmp_path):
+    said = {"square_mm": 3.0, "disc_mm": 1.2, "board": board_text(BOARD)}
+    run, other = (run_of(tmp_path, [("clear", 3.0, 3.0)], **more) for more in (said, {"square_mm": 3.0}))
+    found = board_of([run])
+    assert found.scale == pytest.approx((1.001, 0.999))
+    assert found.corner_mm((10, 10)) == pytest.approx((30.03, 29.97))
+    assert found.scale_sigma == pytest.approx((0.1 / 190.0, 0.1 / 280.0))
+    write_board(tmp_path / "same.yaml", BOARD)
+    write_board(tmp_path / "new.yaml", BOARD.model_copy(update={"measured_mm": [190.0, 280.0]}))
+    assert board_of([run], board=tmp_path / "same.yaml") == board_of([], board=tmp_path / "same.yaml") == found
+    for paths, told, words in (
+        ([run], {"board": tmp_path / "new.yaml"}, "another board"),
+        ([run, other], {}, "keeps no board file"),
+        ([run], {"square_mm": 3.0}, "leave square_mm out"),
+    ):
+        with pytest.raises(BoardError, match=words):
+            board_of(paths, **told)

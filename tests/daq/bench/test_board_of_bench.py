@@ -1,0 +1,71 @@
+"""The board file that a bench names: read with it, wrong with it, printed in its simulation."""
+
+import numpy as np
+import pytest
+import yaml
+
+from correction.target import Chessboard
+from correction.target.board_file import PrintedBoard, write_board
+from daq.bench.bench_file import load_bench
+from ground.errors import ConfigError
+from sim.bench import SimulatedBench
+from tests.daq.small_bench import write_bench
+
+PRINTED = PrintedBoard(
+    kind="chessboard", square_mm=5.0, disc_mm=2.0, bars_mm=[190.0, 280.0], measured_mm=[190.19, 279.72]
+)
+
+
+def bench_with(folder, target, printed=PRINTED):
+    """Write a bench whose target section is this."""
+    path = write_bench(folder)
+    tree = yaml.safe_load(path.read_text())
+    tree["target"] = target
+    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    if printed is not None:
+        write_board(folder / "board.yaml", printed)
+    return path
+
+
+def test_a_bench_has_the_board_of_its_file_with_the_scale_of_the_print(tmp_path):
+    bench = load_bench(bench_with(tmp_path, {"board": "board.yaml"}))
+    assert bench.board == Chessboard(5.0, 2.0, scale=PRINTED.scale, scale_sigma=PRINTED.scale_sigma)
+    same = load_bench(bench_with(tmp_path / "same", {"board": "board.yaml"}))
+    measured = PRINTED.model_copy(update={"measured_mm": [190.0, 280.0]})
+    other = load_bench(bench_with(tmp_path / "other", {"board": "board.yaml"}, measured))
+    assert bench.content_hash() == same.content_hash() != other.content_hash()
+
+
+@pytest.mark.parametrize(
+    ("target", "printed", "words"),
+    [
+        ({"board": "none.yaml"}, None, r"none\.yaml"),
+        ({"board": "board.yaml", "square_mm": 5.0}, PRINTED, "leave square_mm out"),
+        ({"board": "board.yaml"}, PRINTED.model_copy(update={"square_mm": None}), "needs square_mm"),
+        (
+            {"board": "board.yaml"},
+            PrintedBoard(kind="particles", particles=9, particle_mm=0.1, seed=1, size_mm=[9.0, 9.0]),
+            "kind particles",
+        ),
+    ],
+)
+def test_a_wrong_board_file_is_told_with_the_bench(tmp_path, target, printed, words):
+    with pytest.raises(ConfigError, match=words):
+        load_bench(bench_with(tmp_path, target, printed))
+
+
+def test_the_simulated_print_is_not_quite_as_large_as_it_was_measured(tmp_path):
+    def board(read_sigma_mm):
+        told = PRINTED.model_copy(update={"read_sigma_mm": read_sigma_mm})
+        bench = SimulatedBench(load_bench(bench_with(tmp_path, {"board": "board.yaml"}, told)), "chessboard")
+        try:
+            return np.array(bench.world.print.scale)
+        finally:
+            bench.close()
+
+    exact, doubted = board(1e-9), board(0.1)
+    assert exact == pytest.approx(PRINTED.scale, abs=1e-9)
+    off = (doubted - PRINTED.scale) / PRINTED.scale_sigma
+    assert (np.abs(off) > 1e-3).all()
+    assert (np.abs(off) < 4.0).all()
+    assert np.array_equal(doubted, board(0.1))
