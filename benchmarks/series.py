@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -88,12 +89,12 @@ def once(run: Path, out: Path, workers: int, chunk: int, warm: bool) -> None:
     given = series_input(run, out, piv_choice())
     if warm:
         few = pairs_of_series(run, pairs_of(run))
-        few = type(few)(few.pairs[:2], few.unseeded, few.alone, few.glass)
-        run_series("flow", out, few, given.method, 1, chunk)
+        few = replace(few, pairs=few.pairs[:2])
+        run_series(replace(given, given=few), 1, chunk)
         return
     watch = _Watch()
     wall = time.perf_counter()
-    run_series("flow", out, given.given, given.method, workers, chunk, watch if workers == 1 else None)
+    run_series(given, workers, chunk, watch if workers == 1 else None)
     wall = time.perf_counter() - wall
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     found: dict[str, Any] = {

@@ -1,8 +1,7 @@
 """`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Unpack
 
@@ -21,15 +20,11 @@ from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pictures.apart import Draw, drawing
 from rtpiv.analysis.recipe import SCENE_FILE, CorrectionRecipe
 from rtpiv.analysis.report.pair_folder import write_pair
-from rtpiv.analysis.series.clean_frames import make_light
-from rtpiv.analysis.series.evaluated import Evaluated
-from rtpiv.analysis.series.preview import evaluated_closely
-from rtpiv.analysis.series.run_series import SeriesBooks, run_series
+from rtpiv.analysis.series.chunk import Detailed
+from rtpiv.analysis.series.run_series import Evaluated, run_series
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput, series_input, tasks_of
-from rtpiv.analysis.series.series_mean import sigma_of
 from rtpiv.analysis.series.series_pairs import is_one_series
-from rtpiv.analysis.series.series_plan import jobs_of
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of, paths_of
@@ -128,21 +123,9 @@ def evaluate(
     how = PairMethod("", details, choice.settings, preparation, output.pictures)
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
-        name = run.resolve().name
-        out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, name))
+        out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, run.resolve().name))
         series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
-        books = run_series(name, out, series.given, series.method, workers)
-        show_series(screen, books)
-        show_through(screen, seen := load_scene(out / SCENE_FILE))
-        screen.print(where_lit(seen))
-        found: list[Evaluation] = []
-        failed: dict[str, str] = {}
-        if details.ask_more or output.vtk:
-            how = replace(how, sigma=sigma_of(out))
-            with drawing() as draw:
-                found, failed = _each(screen, _closely(series, books, how), partial(_kept, screen, draw, output))
-        _show_page(screen, series, books, output)
-        return Evaluated(books.pairs, {**books.failed, **failed}, tuple(found), books.folder, books.kept)
+        return _series(screen, series, how, output, workers)
     out = folder_for(out, USUAL)
     given = tasks_of(paths, out, scene, recipe, details.shift_mm, dt_us)
     if given.alone:
@@ -153,57 +136,74 @@ def evaluate(
         screen.print(note)
     corrections, how = PreparedCorrections(), replace(how, sigma=given.sigma)
 
-    def measured(task: Task) -> Evaluation:
+    def evaluated(task: Task) -> Detailed:
         prepared = corrections.of(task.scene, given.dewarp, limit=given.limit if task.scene.bodies else None)
-        return evaluate_task(task, prepared, how)
+        try:
+            found = evaluate_task(task, prepared, how)
+        except PairError as error:
+            return error
+        _write(draw, output, found)
+        return found
 
     with drawing() as draw:
-        jobs = [(task.name, partial(measured, task)) for task in given.tasks]
-        found, failed = _each(screen, jobs, partial(_kept, screen, draw, output))
-    return Evaluated(len(given.tasks), failed, tuple(found))
+        found, failed = _shown(screen, ((task.name, evaluated(task)) for task in given.tasks), len(given.tasks))
+    return Evaluated(len(given.tasks), failed, found)
 
 
-Job = tuple[str, Callable[[], Evaluation]]  # name of a pair, and what evaluates it
+def _series(
+    screen: Console, series: SeriesInput, how: PairMethod, output: EvaluationOutput, workers: int | None
+) -> Evaluated:
+    """Evaluate the pairs of a series, and each alone where more is asked of it; say and draw what came of it."""
+    found: dict[str, Detailed] = {}
+
+    def keep(tag: str, one: Detailed) -> None:
+        found[tag] = one
+        if isinstance(one, Evaluation):
+            _write(draw, output, one)
+
+    with drawing() as draw:
+        asked = how if how.details.ask_more or output.vtk else None
+        done = run_series(series, workers, closely=asked, on_pair=keep)
+        show_series(screen, done)
+        show_through(screen, seen := load_scene(series.out / SCENE_FILE))
+        screen.print(where_lit(seen))
+        in_order = [(pair.tag, found[pair.tag]) for pair in series.given.pairs if pair.tag in found]
+        details, failed = _shown(screen, in_order, len(in_order))
+    done = replace(done, details=details)
+    if output.pictures:
+        from rtpiv.analysis.report.series import write_series_page
+
+        write_series_page(series.out / "report.html", series, done, output.figures)
+    look = f"look at {series.out / 'report.html'}; " if output.pictures else ""
+    average = f"average with: rtpiv mean {series.out}"
+    screen.print(f"{look}{average}" if series.given.timed else look.removesuffix("; "))
+    return replace(done, failed={**done.failed, **failed})
 
 
-def _closely(given: SeriesInput, books: SeriesBooks, how: PairMethod) -> list[Job]:
-    """What evaluates every pair of a series that has vectors as a pair alone is."""
-    pairs, method = given.given.pairs, given.method
-    shape = method.scene.camera.shape
-    light = make_light(given.out, method.preparation.background, pairs, given.given.unseeded, shape)
-    jobs = [(job.pairs[0].tag, job) for job in jobs_of(given.out, pairs, method, light, 1)]
-    return [(tag, partial(evaluated_closely, job, how)) for tag, job in jobs if tag not in books.failed]
-
-
-def _kept(screen: Console, draw: Draw, output: EvaluationOutput, evaluation: Evaluation) -> None:
-    """Write the folder of a pair, say how well it was measured, and draw its page if it has pictures."""
+def _write(draw: Draw, output: EvaluationOutput, evaluation: Evaluation) -> None:
+    """Write the folder of a pair, and let its page be drawn if it has pictures."""
     write_pair(evaluation, output.vtk)
-    show_evaluation(screen, evaluation, page=evaluation.seen is not None)
     if evaluation.seen is not None:
         draw("rtpiv.analysis.report.pair_folder:write_pair_page", evaluation, output.figures)
 
 
-def _each(
-    screen: Console, jobs: Sequence[Job], keep: Callable[[Evaluation], None]
-) -> tuple[list[Evaluation], dict[str, str]]:
-    """Evaluate one pair after the other; one of several that cannot be is named and left out."""
-    found: list[Evaluation] = []
-    failed: dict[str, str] = {}
+def _shown(
+    screen: Console, pairs: Iterable[tuple[str, Detailed]], count: int
+) -> tuple[tuple[Evaluation, ...], dict[str, str]]:
+    """Say how well each pair was measured; one of several that cannot be is named and left out."""
+    found, failed = list[Evaluation](), dict[str, str]()
     last: PairError | None = None
-    for name, measured in jobs:
-        try:
-            evaluation = measured()
-        except PairError as error:
-            if len(jobs) == 1:
-                raise
-            last, failed[name] = error, str(error)
-            screen.print(f"{name} is left out: {error}", style="bold red")
+    for name, one in pairs:
+        if isinstance(one, Evaluation):
+            show_evaluation(screen, one, page=one.seen is not None)
+            found.append(one)
             continue
-        keep(evaluation)
-        found.append(evaluation)
+        last, failed[name] = one, str(one)
+        if count > 1:
+            screen.print(f"{name} is left out: {one}", style="bold red")
     if last is not None and not found:
         raise last
-    return found, failed
+    return tuple(found), failed
 
 
 def holds_series_of(folder: Path, name: str) -> bool:
@@ -212,14 +212,3 @@ def holds_series_of(folder: Path, name: str) -> bool:
         return SeriesFolder(folder).about["run"] == name
     except (RunUnsuitable, SeriesError):
         return False
-
-
-def _show_page(screen: Console, given: SeriesInput, books: SeriesBooks, output: EvaluationOutput) -> None:
-    """Write the page of a series, and say where it is and what comes next."""
-    out = given.out
-    if output.pictures:
-        from rtpiv.analysis.report.series import write_series_page
-
-        write_series_page(out / "report.html", given, books, output.figures)
-    look = f"look at {out / 'report.html'}; " if output.pictures else ""
-    screen.print(f"{look}average with: rtpiv mean {out}" if given.given.timed else look.removesuffix("; "))

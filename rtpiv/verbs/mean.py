@@ -13,12 +13,12 @@ from piv.errors import PairError
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
-from rtpiv.analysis.series.mean_file import ensemble_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE
 from rtpiv.analysis.series.series_input import series_input
-from rtpiv.analysis.series.series_mean import mean_of_series, scene_of, standing_of, write_mean_of_series
+from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, write_mean, write_statistics
+from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.output import folder_for, require_folder
@@ -99,7 +99,7 @@ def mean(
         else:
             folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
         given = series_input(path, folder, choice, scene, recipe, dt_us)
-        books = run_series(name, folder, given.given, given.method, workers)
+        books = run_series(given, workers)
         show_series(screen, books)
         series = given, books
     elif (path / FILE).is_file():
@@ -115,9 +115,10 @@ def mean(
             raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
     else:
         raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
-    found = mean_of_series(folder)
+    view = SeriesView(folder)
+    found = mean_of_series(view)
     if output.files:
-        write_mean_of_series(folder, found)
+        write_mean(view, found)
     by_ensemble = None
     if series is not None and ensemble is not None:
         given = series[0]
@@ -130,8 +131,8 @@ def mean(
     if output.files:
         from rtpiv.analysis.report.mean import write_mean_page
 
-        write_mean_page(folder / "mean.html", folder, found, output.figures, by_ensemble, series)
-    show_through(screen, scene_of(folder))
-    screen.print(where_lit(standing_of(folder)))
+        write_mean_page(folder / "mean.html", view, found, output.figures, by_ensemble, series)
+    show_through(screen, view.scene)
+    screen.print(where_lit(view.standing))
     show_mean(screen, found, folder / "mean.html" if output.files else None)
     return found

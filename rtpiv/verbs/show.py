@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for 
     from rtpiv.analysis.pairs.evaluation import Evaluation
     from rtpiv.analysis.report.tables import Row
     from rtpiv.analysis.series.mean_flow import MeanFlow
-    from rtpiv.analysis.series.run_series import SeriesBooks
+    from rtpiv.analysis.series.run_series import Evaluated
     from tracer.scene.scene import Scene
 
 HIGHEST = 0.99  # of all speeds of a mean: a few outliers are no flow
@@ -80,7 +80,7 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         screen.print(f"look at {evaluation.task.out / 'report.html'}")
 
 
-def show_series(screen: Console, books: "SeriesBooks") -> None:
+def show_series(screen: Console, books: "Evaluated") -> None:
     """Say what became of the pairs of a series."""
     done = f"{books.pairs - len(books.failed)} of {counted(books.pairs, 'pair')} have vectors"
     screen.print(done + (f"; {books.kept} of them had been evaluated before" if books.kept else ""))

@@ -29,11 +29,11 @@ from piv.statistics.merge_tree import merged_in_order
 from piv.statistics.moments import Moments
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.status import campaign_status
-from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
 from rtpiv.analysis.series.series_folder import marker_of
-from rtpiv.analysis.series.series_mean import mean_of_series, write_mean_of_series
+from rtpiv.analysis.series.series_mean import mean_of_series, mean_vectors, write_mean, write_statistics
 from rtpiv.analysis.series.series_plan import chunk_path
+from rtpiv.analysis.series.series_view import SeriesView
 
 STATISTICS, INDEX = "campaign.nc", "index.csv"
 HEAD = ("run", "chunk", "pairs", "without_vectors", "file", "bytes", "sha256", "key")
@@ -77,12 +77,13 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
             said_missing(missing), place=folder.path, cure=f"give: rtpiv campaign run -o {folder.path}"
         )
     names = [state.name for state in states]
-    means = [mean_of_series(folder.series(name).path) for name in names]
-    for name, mean in zip(names, means, strict=True):
-        write_mean_of_series(folder.series(name).path, mean)
+    views = [SeriesView(folder.series(name).path) for name in names]
+    means = [mean_of_series(view) for view in views]
+    for view, mean in zip(views, means, strict=True):
+        write_mean(view, mean)
     write_index(folder)
     merged = merged_means(names, means)
-    scenes = [folder.series(name).about["content"]["correction"] for name in names]
+    scenes = [view.about["content"]["correction"] for view in views]
     about = {"runs": " ".join(names), "corrections": " ".join(scenes), "rtpiv_version": version("rtpiv")}
     about["runs_apart_in_sigma"] = " ".join(f"{merged.apart[name]:.3f}" for name in names)
     write_statistics(folder.path / STATISTICS, mean_vectors(merged.mean, about))

@@ -36,7 +36,6 @@ from rtpiv.analysis.campaign.engines import Engine, Work
 from rtpiv.analysis.campaign.kernels_at_hand import pack_kernels
 from rtpiv.analysis.campaign.status import write_book
 from rtpiv.analysis.series.chunk import correction_of, results_of
-from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of
 from rtpiv.analysis.series.series_plan import ChunkJob
 
@@ -307,10 +306,8 @@ def _tasks(folder: CampaignFolder, kernels: Path | None) -> Iterator[ChunkTask]:
 
 def _make_shared(planned: PlannedRun) -> None:
     """Trace the scene once and gather the background once, before any worker asks for them."""
-    given, method = planned.given.given, planned.given.method
-    background, shape = method.preparation.background, method.scene.camera.shape
-    make_light(planned.given.out, background, given.pairs, given.unseeded, shape)
-    correction_of(planned.jobs[0].maps, method)
+    planned.given.light()
+    correction_of(planned.jobs[0].maps, planned.given.method)
 
 
 def _warmed(job: ChunkJob, kernels: Path | None) -> bool:

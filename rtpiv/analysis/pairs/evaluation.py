@@ -212,13 +212,39 @@ class PairMethod:
     pictures: bool = True
 
 
-def evaluate_task(
-    task: Task,
-    prepared: PreparedCorrection,
-    how: PairMethod,
-    clean: tuple[NDArray[Any], NDArray[Any]] | None = None,
-) -> Evaluation:
-    """Evaluate one pair.
+@dataclass(frozen=True, eq=False)
+class Correlated:
+    """A pair as it was correlated.
+
+    Parameters
+    ----------
+    raw : (ndarray, ndarray)
+        Its frames as acquired, of a series without their background.
+    first : (h, w) float32
+        Frame A corrected.
+    field : VectorField
+        Vectors of the corrected frames.
+    """
+
+    raw: tuple[NDArray[Any], NDArray[Any]]
+    first: NDArray[np.float32]
+    field: VectorField
+
+
+def correlated(
+    raw: tuple[NDArray[Any], NDArray[Any]],
+    corrected: tuple[NDArray[np.float32], NDArray[np.float32]],
+    corrector: Corrector,
+    settings: PivSettings,
+    preparation: Preparation,
+) -> Correlated:
+    """Correlate a pair of corrected frames; PairError or FrameError if they are no pair."""
+    ready_a, ready_b = (preparation.finished(each, corrector.recovered) for each in corrected)
+    return Correlated(raw, corrected[0], evaluate_pair(ready_a, ready_b, corrector.recovered, settings))
+
+
+def evaluate_task(task: Task, prepared: PreparedCorrection, how: PairMethod) -> Evaluation:
+    """Evaluate one pair: read, correct, correlate, and what is asked beyond that.
 
     Parameters
     ----------
@@ -228,8 +254,6 @@ def evaluate_task(
         Of the task's scene.
     how : PairMethod
         How.
-    clean : (ndarray, ndarray), optional
-        Its raw frames without their background, as a series has them; they are read if not given.
 
     Returns
     -------
@@ -241,20 +265,42 @@ def evaluate_task(
     PairError, FrameError, RunDamaged
         The frames cannot be read, or are no pair.
     """
-    settings, preparation, sigma, asked = how.settings, how.preparation, how.sigma, how.details
-    if preparation.background is not None and clean is None:
+    if how.preparation.background is not None:
         raise PairError(
-            f"{preparation.background} needs a series of pairs, and here are single ones; leave it out of prepare"
+            f"{how.preparation.background} needs a series of pairs, and here are single ones; leave it out of"
+            " prepare"
         )
-    scene = task.scene
-    frame_a, frame_b = clean or (read_acquired(path, scene.camera.shape) for path in task.frames)
+    corrector = prepared.corrector
+    frame_a, frame_b = (read_acquired(path, task.scene.camera.shape) for path in task.frames)
+    path_a, path_b = task.frames
+    corrected = _corrected(corrector, path_a, frame_a), _corrected(corrector, path_b, frame_b)
+    pair = correlated((frame_a, frame_b), corrected, corrector, how.settings, how.preparation)
+    return evaluated(task, prepared, how, pair)
+
+
+def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: Correlated) -> Evaluation:
+    """Say all that is asked of a pair which is correlated: errors, sigma of the map, routes, tracks.
+
+    Parameters
+    ----------
+    task : Task
+        The pair.
+    prepared : PreparedCorrection
+        Of the task's scene.
+    how : PairMethod
+        How it was correlated, and what is asked.
+    pair : Correlated
+        Its frames and vectors.
+
+    Raises
+    ------
+    PairError
+        The velocity route finds no vectors.
+    """
+    scene, settings, sigma, asked = task.scene, how.settings, how.sigma, how.details
+    (frame_a, frame_b), field = pair.raw, pair.field
     corrector = prepared.corrector
     grid = corrector.map.grid
-    corrected_a, corrected_b = (
-        _corrected(corrector, *named) for named in zip(task.frames, (frame_a, frame_b), strict=True)
-    )
-    ready_a, ready_b = (preparation.finished(each, corrector.recovered) for each in (corrected_a, corrected_b))
-    field = evaluate_pair(ready_a, ready_b, corrector.recovered, settings)
     regions = regions_of(field, corrector.map, scene)
     truth = None
     if task.shift_mm is not None:
@@ -276,7 +322,7 @@ def evaluate_task(
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
-    seen = before_after(frame_a, corrected_a, corrector, scene) if how.pictures else None
+    seen = before_after(frame_a, pair.first, corrector, scene) if how.pictures else None
     return Evaluation(
         task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
         no_tracks,

@@ -4,7 +4,6 @@ Across the rim, along lines, mass, convergence: profiles, steps at a rim, stream
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,8 +11,6 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from numpy.typing import NDArray
 
 from correction.evaluate.regions import MIDDLE, Region, Regions, regions_of
-from correction.fitted.prepared import prepare
-from correction.maps.corrector import Corrector
 from piv.statistics.derived import (
     Axis,
     PlaneField,
@@ -40,7 +37,7 @@ from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.history import BINS, History, history
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.series_folder import Chunks
-from rtpiv.analysis.series.series_mean import grid_of_series, scene_of, windows_of
+from rtpiv.analysis.series.series_view import SeriesView
 from tracer.scene.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -196,21 +193,16 @@ STEPS_HEAD = (
 )
 
 
-def corrector_of_mean(folder: Path) -> Corrector:
-    """How the frames of the series in a folder were corrected."""
-    return prepare(scene_of(folder), maps=folder / "maps", grid=grid_of_series(folder)).corrector
-
-
-def regions_of_mean(folder: Path, mean: MeanFlow, corrector: Corrector) -> Regions:
-    """Regions of the vectors of a mean, rows from the lowest y up, by the map of the series in a folder."""
-    known = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
-    seen = regions_of(known, corrector.map, scene_of(folder))
+def regions_of_mean(view: SeriesView, mean: MeanFlow) -> Regions:
+    """Regions of the vectors of a mean, rows from the lowest y up, by the map of its series."""
+    known = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
+    seen = regions_of(known, view.correction.corrector.map, view.scene)
     return Regions(seen.region[::-1], seen.radius[::-1])
 
 
-def flow_chapters(page: Page, folder: Path, mean: MeanFlow, regions: Regions) -> None:
-    """Add the chapters of the mean of the series in a folder."""
-    checks_of(page, mean, history(Chunks.of(folder), mean), scene_of(folder), regions)
+def flow_chapters(page: Page, view: SeriesView, mean: MeanFlow, regions: Regions) -> None:
+    """Add the chapters of the mean of a series."""
+    checks_of(page, mean, history(Chunks.of(view.folder), mean), view.scene, regions)
 
 
 def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions: Regions) -> None:

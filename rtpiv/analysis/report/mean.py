@@ -21,17 +21,16 @@ from rtpiv.analysis.light_sheet import FlowFrames, flow_frames, read_pairs
 from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
-from rtpiv.analysis.report.flow import corrector_of_mean, flow_chapters, regions_of_mean
+from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, through_lead
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
 from rtpiv.analysis.report.run import books_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
-from rtpiv.analysis.series.run_series import SeriesBooks
-from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.run_series import Evaluated
 from rtpiv.analysis.series.series_input import SeriesInput
-from rtpiv.analysis.series.series_mean import grid_of_series, scene_of, standing_of, windows_of
+from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.through_glass import through_glass
 from tracer.scene.scene_file import load_scene
 
@@ -41,11 +40,11 @@ NOT_KNOWN = {"timing error of dt": "not stated"}  # by whoever wrote the plan
 
 def write_mean_page(
     path: Path,
-    folder: Path,
+    view: SeriesView,
     mean: MeanFlow,
     figures: bool = False,
     ensemble: EnsembleFlow | None = None,
-    series: tuple[SeriesInput, SeriesBooks] | None = None,
+    series: tuple[SeriesInput, Evaluated] | None = None,
 ) -> None:
     """Write the page of a mean flow.
 
@@ -53,7 +52,7 @@ def write_mean_page(
     ----------
     path : Path
         Of the page.
-    folder : Path
+    view : SeriesView
         Of the series.
     mean : MeanFlow
         Its statistics.
@@ -61,34 +60,33 @@ def write_mean_page(
         Write every figure as SVG and as PNG.
     ensemble : EnsembleFlow, optional
         The same by ensemble correlation.
-    series : (SeriesInput, SeriesBooks), optional
+    series : (SeriesInput, Evaluated), optional
         What it was evaluated from, if that is at hand: frames and one pair are shown, and the run's books.
     """
-    about = SeriesFolder(folder).about
+    about, folder, scene = view.about, view.folder, view.scene
     page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
     if mean.doubt:
         page.warning(mean.doubt + ".")
-    corrector, scene = corrector_of_mean(folder), scene_of(folder)
-    regions = regions_of_mean(folder, mean, corrector)
+    corrector, regions = view.correction.corrector, regions_of_mean(view, mean)
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
     through_lead(page, through, scene, float(corrector.recovered.mean()))
     page.lead(*mean_lead(mean, regions))
-    _velocity_figures(page, folder, mean)
+    _velocity_figures(page, view, mean)
     page.tiles(mean_tiles(mean))
-    mean_chapters(page, folder, mean)
+    mean_chapters(page, view, mean)
     if series is not None and (shown := shown_pair(*series)) is not None:
         frames_chapter(page, shown)
         pair_chapter(page, series[0], shown)
-    flow_chapters(page, folder, mean, regions)
+    flow_chapters(page, view, mean, regions)
     if ensemble is not None:
-        ensemble_chapter(page, folder, ensemble)
+        ensemble_chapter(page, view, ensemble)
     left_out_chapter(page, mean)
     if series is not None:
         self_check_chapter(page, series[0])
         if is_run(series[0].run):  # frames of others have no books
             books_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene)
-    light_sheet_line(page, standing_of(folder))
+    light_sheet_line(page, view.standing)
     calibration_chapter(page, folder / FIT_FILE, scene)
     page.heading("Files")
     names = ("mean.nc", "mean_ensemble.nc", "scene.yaml", "series.json")
@@ -144,10 +142,10 @@ def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
     ]
 
 
-def _velocity_figures(page: Page, folder: Path, mean: MeanFlow) -> None:
+def _velocity_figures(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     """The mean and its random uncertainty, side by side."""
-    scene, grid = scene_of(folder), grid_of_series(folder)
-    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
+    scene, grid = view.scene, view.grid
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)[::-1]
     sigma = np.linalg.norm(mean.sigma_m_s, axis=-1)[::-1]
     with page.row():
@@ -158,10 +156,10 @@ def _velocity_figures(page: Page, folder: Path, mean: MeanFlow) -> None:
         page.figure("mean_sigma", figure, said, dense=True)
 
 
-def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
+def mean_chapters(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     """Add what the uncertainty of the mean leaves out, and the fluctuations."""
-    scene, grid = scene_of(folder), grid_of_series(folder)
-    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
+    scene, grid = view.scene, view.grid
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
     if not mean.effective.converged:
         page.warning("The series is too short for its slowest motion: the sigma of the mean is a lower limit.")
     if np.isnan(mean.dt_sigma_share):
@@ -178,7 +176,7 @@ def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
     )
 
 
-def ensemble_chapter(page: Page, folder: Path, flow: EnsembleFlow) -> None:
+def ensemble_chapter(page: Page, view: SeriesView, flow: EnsembleFlow) -> None:
     """The mean by ensemble correlation."""
     page.heading("By ensemble correlation")
     page.text(
@@ -187,7 +185,7 @@ def ensemble_chapter(page: Page, folder: Path, flow: EnsembleFlow) -> None:
     )
     field = image_field(flow.mean_m_s, flow.sigma_m_s, flow.px_per_m_s, flow.windows)
     speed = np.linalg.norm(flow.mean_m_s, axis=-1)[::-1]
-    figure = vector_figure(field, grid_of_series(folder), scene_of(folder), speed, "mean speed [m/s]")
+    figure = vector_figure(field, view.grid, view.scene, speed, "mean speed [m/s]")
     page.figure("mean_ensemble", figure, "Mean velocity by ensemble correlation.", dense=True)
 
 

@@ -1,29 +1,66 @@
 """The page of a series: what was done to its frames, one pair of it, and every pair that has no vectors."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from correction.grid import PlaneGrid
+from piv.correlation.vector_field import VectorField
+from piv.preprocessing.preparation import CORRECTED, RAW, Preparation
+from rtpiv.analysis.pairs.evaluation import correlated
 from rtpiv.analysis.pairs.pair_vectors import per_px
+from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
+from rtpiv.analysis.pictures.rasters import embedded, grey
 from rtpiv.analysis.recipe import SCENE_FILE
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
 from rtpiv.analysis.report.tables import mask_swatches
-from rtpiv.analysis.series.clean_frames import make_light
-from rtpiv.analysis.series.preview import Preview, preview
-from rtpiv.analysis.series.run_series import SeriesBooks
+from rtpiv.analysis.series.chunk import correction_of
+from rtpiv.analysis.series.clean_frames import clean_frames
+from rtpiv.analysis.series.run_series import Evaluated
 from rtpiv.analysis.series.series_input import SeriesInput
-from rtpiv.analysis.series.series_plan import jobs_of
+from rtpiv.analysis.series.series_plan import ChunkJob
 from tracer.scene.scene_file import load_scene
 
 SHOWN_PAIRS = 60
+DARKEST, BRIGHTEST = 1.0, 99.7  # percentiles of a frame that are shown black and white
 
 
-def write_series_page(path: Path, given: SeriesInput, books: SeriesBooks, figures: bool = False) -> None:
+@dataclass(frozen=True)
+class Preview:
+    """A pair of a series.
+
+    Parameters
+    ----------
+    tag : str
+        Names it.
+    dt_s : float or None
+        Time between its frames, if it is known.
+    seen : BeforeAfter
+        Frame A as acquired, after each step, and the mask.
+    steps : tuple of (str, str)
+        What each step is called, and what it does.
+    field : VectorField
+        Its vectors.
+    grid : PlaneGrid
+        Scale of the corrected image.
+    """
+
+    tag: str
+    dt_s: float | None
+    seen: BeforeAfter
+    steps: tuple[tuple[str, str], ...]
+    field: VectorField
+    grid: PlaneGrid
+
+
+def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures: bool = False) -> None:
     """Write the page of a series that was evaluated."""
     page = Page(f"{given.run.resolve().name}: a flow through glass", f"{books.pairs} pairs", twice=figures)
     shown = shown_pair(given, books)
@@ -35,18 +72,55 @@ def write_series_page(path: Path, given: SeriesInput, books: SeriesBooks, figure
     page.write(path)
 
 
-def shown_pair(given: SeriesInput, books: SeriesBooks) -> Preview | None:
+def shown_pair(given: SeriesInput, books: Evaluated) -> Preview | None:
     """The pair nearest to the middle of the series that has vectors."""
-    method, pairs = given.method, given.given.pairs
-    light = make_light(
-        given.out, method.preparation.background, pairs, given.given.unseeded, method.scene.camera.shape
-    )
-    jobs = jobs_of(given.out, pairs, method, light, 1)
+    jobs = given.jobs(1)
     middle = len(jobs) // 2
+    known = {one.task.name: one.field for one in books.details if one.by_velocity is None}
     for job in sorted(jobs, key=lambda job: abs(job.number - middle)):
-        if job.pairs[0].tag not in books.failed:
-            return preview(job)
+        if (tag := job.pairs[0].tag) not in books.failed:
+            return preview(job, known.get(tag))
     return None
+
+
+def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
+    """Look at the one pair of a job, whose vectors may be known; None if its frames cannot be read any more."""
+    method = job.method
+    prepared = correction_of(job.maps, method)
+    corrector = prepared.corrector
+    (pair,), (a,), (b,) = job.pairs, clean_frames(job, 0), clean_frames(job, 1)
+    bare = replace(job, method=replace(method, preparation=Preparation()), light=None)
+    (raw,) = clean_frames(bare, 0)
+    if isinstance(raw, str) or isinstance(a, str) or isinstance(b, str):
+        return None
+    both = corrector(a), corrector(b)
+    field = field or correlated((a, b), both, corrector, method.settings, method.preparation).field
+    corrected = both[0]
+    seen = before_after(raw, corrected, corrector, method.scene)
+    pictures: list[tuple[str, NDArray[Any]]] = [("as acquired", raw)]
+    background = method.preparation.background
+    if background is not None:
+        pictures.append(("without background", a))
+    if raw.shape != corrected.shape:
+        pictures = []
+    pictures.append(("corrected", corrected))
+    for name in method.preparation.steps:
+        if name in CORRECTED:
+            corrected = Preparation((name,)).finished(corrected, corrector.recovered)
+            pictures.append((name, corrected))
+    layers = [(name, embedded(grey(picture, _limits(picture)))) for name, picture in pictures]
+    named = {**RAW, **CORRECTED}
+    steps = tuple((name, named[name]) for name in method.preparation.steps)
+    mask = [layer for layer in seen.layers if layer[0] == "mask"]
+    return Preview(pair.tag, pair.dt_s, replace(seen, layers=(*layers, *mask)), steps, field, corrector.map.grid)
+
+
+def _limits(frame: NDArray[Any]) -> tuple[float, float]:
+    known = frame[np.isfinite(frame)]
+    if not known.size:
+        return 0.0, 1.0
+    low, high = np.percentile(known, (DARKEST, BRIGHTEST))
+    return float(low), float(max(high, low + 1e-6))
 
 
 def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
@@ -62,7 +136,7 @@ def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str
     return "{:.4f}, {:.4f} px".format(*both), said, ("", "u", "v"), rows
 
 
-def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> list[tuple[str, str, str]]:
+def series_tiles(given: SeriesInput, books: Evaluated, shown: Preview | None) -> list[tuple[str, str, str]]:
     """The figures that matter most: value, name, what it is measured against."""
     tiles = [(f"{books.pairs - len(books.failed)}", "pairs with vectors", f"of {books.pairs} pairs")]
     if given.given.timed:
@@ -76,7 +150,7 @@ def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) 
     return tiles
 
 
-def series_chapters(page: Page, given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> None:
+def series_chapters(page: Page, given: SeriesInput, books: Evaluated, shown: Preview | None) -> None:
     """Add what was done to the frames, one pair, the pairs left out, the scene and where all this comes from."""
     if shown is not None:
         frames_chapter(page, shown)
@@ -123,7 +197,7 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
 
 
-def _left_out(page: Page, given: SeriesInput, books: SeriesBooks) -> None:
+def _left_out(page: Page, given: SeriesInput, books: Evaluated) -> None:
     page.heading("Every pair accounted for")
     said = f"{books.pairs} pairs, {len(books.failed)} without vectors"
     page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")

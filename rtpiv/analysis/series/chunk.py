@@ -1,29 +1,27 @@
 """One chunk of a series: raw frames in, a file of vectors out.
 
-`evaluate_chunk` is what a worker runs: a pure function of its job, whoever calls it and however often.
+`evaluate_chunk` is what a worker runs: a pure function of its job, whoever calls it and however often.  Where more
+is asked of each pair than its vectors, `evaluate_chunk_closely` says that too, from the same correlation.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import Any
-
-from numpy.typing import NDArray
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
 from ground.whole_file import whole_file
-from piv.correlation.pair import evaluate_pair
-from piv.correlation.vector_field import VectorField
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import FrameError, PairError
 from piv.files.vector_file import vectors_netcdf
+from rtpiv.analysis.pairs.evaluation import Correlated, Evaluation, PairMethod, Task, correlated, evaluated
 from rtpiv.analysis.pairs.pair_vectors import PairResult, vectors_of_pairs
 from rtpiv.analysis.series.clean_frames import clean_frames
-from rtpiv.analysis.series.series_folder import Marker, write_marker
-from rtpiv.analysis.series.series_plan import ChunkJob, Method
+from rtpiv.analysis.series.series_folder import Marker, sound_content, write_marker
+from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair
 
 
 def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None) -> Marker:
@@ -45,29 +43,90 @@ def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None)
     FrameError
         Frames of one pulse are of several kinds of number.
     """
-    prepared = correction_of(job.maps, job.method)
+    beat = each_pair or (lambda: None)
+    correction_of(job.maps, job.method)
     results = []
-    if each_pair is not None:
-        each_pair()
+    beat()
     for result in results_of(job, len(job.pairs)):
         results.append(result)
-        if each_pair is not None:
-            each_pair()
+        beat()
+    return _kept(job, results)
+
+
+Detailed = Evaluation | PairError  # all that was asked of a pair, or why it cannot be had
+
+
+def evaluate_chunk_closely(job: ChunkJob, how: PairMethod) -> list[tuple[str, Detailed]]:
+    """Evaluate the pairs of a chunk and all that is asked of each alone; every pair is correlated once.
+
+    Parameters
+    ----------
+    job : ChunkJob
+        What to do; its file is written unless it is there and sound.
+    how : PairMethod
+        What is asked of each pair; it is correlated as the job says.
+
+    Returns
+    -------
+    list of (str, Evaluation or PairError)
+        By tag, of the pairs that have vectors.
+
+    Raises
+    ------
+    DiskError, FrameError
+        As `evaluate_chunk`.
+    """
+    prepared, method = correction_of(job.maps, job.method), job.method
+    how = replace(how, settings=method.settings, preparation=method.preparation)
+    results, found = [], list[tuple[str, Detailed]]()
+    for pair, seen in _correlated(job):
+        results.append(_result(pair, seen))
+        if isinstance(seen, str):
+            continue
+        out, shift_mm = job.folder / pair.tag, how.details.shift_mm
+        task = Task(pair.tag, pair.frames, method.scene, out, shift_mm, dt_s=pair.dt_s)
+        try:
+            found.append((pair.tag, evaluated(task, prepared, how, seen)))
+        except PairError as error:
+            found.append((pair.tag, error))
+    if sound_content(job.path, job.key) is None:
+        _kept(job, results)
+    return found
+
+
+def results_of(job: ChunkJob, most: int) -> Iterator[PairResult]:
+    """What becomes of the first `most` pairs of a chunk, one after the other; nothing is written."""
+    return (_result(pair, seen) for pair, seen in islice(_correlated(job), most))
+
+
+def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
+    """Each pair of a chunk correlated, or why it is not."""
+    corrector, method = correction_of(job.maps, job.method).corrector, job.method
+    for pair, a, b in zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True):
+        if isinstance(a, str) or isinstance(b, str):
+            yield pair, a if isinstance(a, str) else str(b)
+            continue
+        try:
+            both = corrector(a), corrector(b)
+            yield pair, correlated((a, b), both, corrector, method.settings, method.preparation)
+        except (PairError, FrameError) as error:
+            yield pair, str(error)
+
+
+def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:
+    found = seen if isinstance(seen, str) else seen.field
+    return PairResult(pair.tag, found, pair.dt_s, pair.dt_sigma_s, pair.time_s)
+
+
+def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
+    """Write the file of a chunk from what became of its pairs, then its marker."""
+    prepared = correction_of(job.maps, job.method)
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()}
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
     content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about))
     _keep(job.path, content)
     failed = {each.tag: each.found for each in results if isinstance(each.found, str)}
     return write_marker(job.path, job.key, content, len(results), failed)
-
-
-def results_of(job: ChunkJob, most: int) -> Iterator[PairResult]:
-    """What becomes of the first `most` pairs of a chunk, one after the other; nothing is written."""
-    prepared = correction_of(job.maps, job.method)
-    frames = zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True)
-    for pair, a, b in islice(frames, most):
-        found = _vectors(a, b, prepared, job.method)
-        yield PairResult(pair.tag, found, pair.dt_s, pair.dt_sigma_s, pair.time_s)
 
 
 def _keep(path: Path, content: bytes) -> None:
@@ -98,17 +157,3 @@ def windows_of(prepared: PreparedCorrection, method: Method) -> WindowGrid:
 @lru_cache(maxsize=2)
 def _corrections(maps: Path) -> PreparedCorrections:
     return PreparedCorrections(maps, kept=1)
-
-
-def _vectors(
-    a: NDArray[Any] | str, b: NDArray[Any] | str, prepared: PreparedCorrection, method: Method
-) -> VectorField | str:
-    """Vectors of a pair of clean raw frames, or why there are none."""
-    if isinstance(a, str) or isinstance(b, str):
-        return a if isinstance(a, str) else str(b)
-    corrector = prepared.corrector
-    try:
-        one, two = (method.preparation.finished(corrector(frame), corrector.recovered) for frame in (a, b))
-        return evaluate_pair(one, two, corrector.recovered, method.settings)
-    except (PairError, FrameError) as error:
-        return str(error)

@@ -8,9 +8,7 @@ job.  A sum of float32 depends on the order of adding, so parts are cut by the n
 order: no worker shows in any bit.
 """
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +22,6 @@ from daq.atomic_write import why
 from daq.errors import DiskError
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
-from ground.rows import thread_count
 from ground.terminal import progress
 from piv.correlation.prepare import prepared as prepared_pair
 from piv.correlation.windows import WindowGrid
@@ -34,12 +31,12 @@ from piv.statistics.ensemble_field import EnsembleField, ensemble_field, next_sw
 from piv.statistics.sweep import Sweep, sweep_with
 from rtpiv.analysis.pairs.pair_vectors import SeriesField
 from rtpiv.analysis.series.chunk import correction_of, windows_of
-from rtpiv.analysis.series.clean_frames import clean_frames, make_light
+from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, left_out_because
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput
-from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, SeriesPair, digest, jobs_of
-from rtpiv.analysis.series.workers import carried_out, worker_processes
+from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, digest
+from rtpiv.analysis.series.workers import carried_out, workers_for
 
 Floats = NDArray[np.float64]
 KIND = "sums of an ensemble correlation"
@@ -239,9 +236,7 @@ def _swept(
 ) -> EnsembleSums:
     """Sums of one sweep over all pairs; its parts' files are removed."""
     jobs = _parts(given, mean, sweep, number)
-    own = executor is None and len(jobs) > 1 and (workers or thread_count()) > 1
-    count = min(workers or thread_count(), len(jobs))
-    with worker_processes(count) if own else nullcontext(executor) as pool:
+    with workers_for(len(jobs), workers, executor) as pool:
         done = carried_out(sum_part, jobs, pool)
         for _ in progress(done, len(jobs), f"ensemble correlation, sweep {number}"):
             pass
@@ -262,7 +257,7 @@ def _parts(given: SeriesInput, mean: MeanFlow, sweep: Sweep, number: int) -> lis
     length = CHUNK_PAIRS
     while length * PARTS < len(pairs):
         length *= 2
-    chunks, parts = _jobs(given, CHUNK_PAIRS), _jobs(given, length)
+    chunks, parts = given.jobs(), given.jobs(length)
     per = length // CHUNK_PAIRS
     return [
         PartJob(
@@ -276,17 +271,10 @@ def _parts(given: SeriesInput, mean: MeanFlow, sweep: Sweep, number: int) -> lis
     ]
 
 
-def _jobs(given: SeriesInput, length: int, pairs: Sequence[SeriesPair] | None = None) -> list[ChunkJob]:
-    series = given.given
-    background, shape = given.method.preparation.background, given.method.scene.camera.shape
-    light = make_light(given.out, background, series.pairs, series.unseeded, shape)
-    return jobs_of(given.out, pairs or series.pairs, given.method, light, length)
-
-
 def _spread_px2(given: SeriesInput, mean: MeanFlow) -> float:
     """Variance of a particle image in the pair nearest to the middle of the series that is used."""
     left_out = {tag for tag, _ in mean.left_out}
-    jobs = [job for job in _jobs(given, 1) if job.pairs[0].tag not in left_out]
+    jobs = [job for job in given.jobs(1) if job.pairs[0].tag not in left_out]
     job = jobs[len(jobs) // 2]
     corrector = correction_of(job.maps, job.method).corrector
     frames = [next(clean_frames(job, pulse)) for pulse in (0, 1)]

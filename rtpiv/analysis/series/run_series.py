@@ -4,74 +4,101 @@ Whatever ends this program, the same command goes on where it stopped: chunks th
 the others come out with the same bytes as if nothing had happened.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TypeVar
 
 from ground.plain_words import counted
-from ground.rows import thread_count
 from ground.terminal import console, progress
 from piv.errors import PairError, SeriesError
+from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import SLIDING_MINIMUM
-from rtpiv.analysis.series.chunk import correction_of, evaluate_chunk
-from rtpiv.analysis.series.clean_frames import make_light
+from rtpiv.analysis.pairs.evaluation import Evaluation, PairMethod
+from rtpiv.analysis.pairs.pair_vectors import joined_vectors
+from rtpiv.analysis.series.chunk import Detailed, correction_of, evaluate_chunk, evaluate_chunk_closely
 from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder, sound_content
+from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_pairs import PairsOfSeries
-from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method, jobs_of
-from rtpiv.analysis.series.workers import carried_out, worker_processes
+from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method
+from rtpiv.analysis.series.series_view import SeriesView
+from rtpiv.analysis.series.workers import carried_out, workers_for
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class SeriesBooks:
-    """What became of the pairs of a series.
+class Evaluated:
+    """Pairs that were evaluated.
 
     Parameters
     ----------
-    folder : SeriesFolder
-        Where it lies.
     pairs : int
-        Pairs asked for.
+        How many were asked for.
+    failed : mapping of str to str
+        Those without vectors by name, and why.
+    details : tuple of Evaluation
+        What is known of single pairs beyond their vectors: of two frames, of pairs that a stage moved, and of
+        every pair where that was asked for (routes, tracks, a known shift).
+    series : SeriesFolder, optional
+        Where the vectors of pairs that are a time apart lie.
     kept : int
-        Of them those that an earlier call had evaluated.
-    failed : dict of str to str
-        Pairs without vectors by tag, and why.
+        Pairs that an earlier call had evaluated.
     """
 
-    folder: SeriesFolder
     pairs: int
-    kept: int
-    failed: dict[str, str]
+    failed: Mapping[str, str] = field(default_factory=dict)
+    details: tuple[Evaluation, ...] = ()
+    series: SeriesFolder | None = None
+    kept: int = 0
+
+    @cached_property
+    def vectors(self) -> Vectors:
+        """Vectors of all pairs as one dataset (t, y, x); of a long series read its chunks one by one instead."""
+        if self.series is None:
+            return joined_vectors([detail.vectors for detail in self.details])
+        keys = self.series.about["keys"]
+        return joined_vectors([self.series.vectors(number, key) for number, key in enumerate(keys)])
+
+    @property
+    def summary(self) -> str:
+        """How many pairs have vectors, in a line."""
+        return f"{self.pairs - len(self.failed)} of {self.pairs} pairs have vectors"
+
+    def __str__(self) -> str:
+        """How many pairs have vectors, and what each pair says that is known in detail."""
+        return "\n".join((self.summary, *map(str, self.details)))
+
+    def _repr_html_(self) -> str:
+        """Show a notebook how many pairs have vectors, and these."""
+        return f"<p>{self.summary}</p>{self.vectors._repr_html_()}"
 
 
 def run_series(
-    name: str,
-    out: Path,
-    given: PairsOfSeries,
-    method: Method,
+    series: SeriesInput,
     workers: int | None = None,
     chunk: int = CHUNK_PAIRS,
     executor: Executor | None = None,
-) -> SeriesBooks:
-    """Evaluate a series into a folder.
+    closely: PairMethod | None = None,
+    on_pair: Callable[[str, Detailed], None] = lambda tag, found: None,
+) -> Evaluated:
+    """Evaluate a series into its folder.
 
     Parameters
     ----------
-    name : str
-        Of the run.
-    out : Path
-        Folder of the series.
-    given : PairsOfSeries
-        Its pairs.
-    method : Method
-        How each is evaluated.
+    series : SeriesInput
+        Its pairs, how each is evaluated, and where.
     workers : int, optional
         Processes; default one a core.
     chunk : int
         Pairs a chunk, a power of two; no vector depends on it.
     executor : Executor, optional
         Whose workers are used instead, for instance those of a cluster that sees both folders.
+    closely : PairMethod, optional
+        What else is asked of each pair; its sigma is that of the series.
+    on_pair : callable
+        Given that of each pair by its tag, or why it cannot be had, as chunks become ready, in any order.
 
     Raises
     ------
@@ -82,32 +109,58 @@ def run_series(
     RunUnsuitable
         Another process evaluates into this folder.
     """
+    given, method, name = series.given, series.method, series.name
     if method.preparation.background == SLIDING_MINIMUM and len(given.pairs) < 2:
         raise PairError(
             "a sliding minimum compares frames of several pairs, and the run has one; use --prepare none"
         )
-    folder = SeriesFolder(out)
+    folder = SeriesFolder(series.out)
     with folder.alone():
-        shape = method.scene.camera.shape
-        light = make_light(out, method.preparation.background, given.pairs, given.unseeded, shape)
-        jobs = jobs_of(out, given.pairs, method, light, chunk)
+        jobs = series.jobs(chunk)
         about = about_series(name, given, method, jobs, chunk)
         _announce(folder, about)
         folder.begin(about)
         missing = [job for job in jobs if sound_content(job.path, job.key) is None]
-        if missing:
-            correction_of(missing[0].maps, method)  # traced once, before any worker asks for it
-            own = executor is None and len(missing) > 1 and (workers or thread_count()) > 1
-            count = min(workers or thread_count(), len(missing))
-            with worker_processes(count) if own else nullcontext(executor) as pool:
-                done = _pair_by_pair(carried_out(evaluate_chunk, missing, pool))
-                for _ in progress(done, sum(len(job.pairs) for job in missing), "pairs"):
-                    pass
+        if closely is None:
+            _carry_out(evaluate_chunk, missing, workers, executor)
+        else:
+            asked = replace(closely, sigma=SeriesView(series.out).sigma)
+
+            def take(found: list[tuple[str, Detailed]]) -> None:
+                for tag, one in found:
+                    on_pair(tag, one)
+
+            _carry_out(partial(evaluate_chunk_closely, how=asked), jobs, workers, executor, take)
         reasons = _failures(folder, jobs)
     if len(reasons) == len(given.pairs):
         raise PairError(f"no pair gave a vector; the first: {next(iter(reasons.values()))}")
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
-    return SeriesBooks(folder, len(given.pairs), kept, reasons)
+    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept)
+
+
+def _carry_out(
+    work: Callable[[ChunkJob], R],
+    jobs: Sequence[ChunkJob],
+    workers: int | None,
+    executor: Executor | None,
+    take: Callable[[R], object] = lambda result: None,
+) -> None:
+    """Do the jobs, on several cores if there are several, with a bar over pairs; `take` what each gives."""
+    if not jobs:
+        return
+    correction_of(jobs[0].maps, jobs[0].method)  # traced once, before any worker asks for it
+    with workers_for(len(jobs), workers, executor) as pool:
+        done = _pair_by_pair(carried_out(work, jobs, pool))
+        for result in progress(done, sum(len(job.pairs) for job in jobs), "pairs"):
+            if result is not None:
+                take(result)
+
+
+def _pair_by_pair(done: Iterator[tuple[ChunkJob, R]]) -> Iterator[R | None]:
+    """What each job gives, and None for each further pair of it."""
+    for job, result in done:
+        yield result
+        yield from [None] * (len(job.pairs) - 1)
 
 
 def _announce(folder: SeriesFolder, about: SeriesFile) -> None:
@@ -122,11 +175,6 @@ def _announce(folder: SeriesFolder, about: SeriesFile) -> None:
         )
     why = "; ".join(unlike.differences) or "its frames, or the times between them, are others"
     console().print(f"{folder.path}: {finished} will be made again: {why}", style="bold red")
-
-
-def _pair_by_pair(done: Iterator[ChunkJob]) -> Iterator[str]:
-    for job in done:
-        yield from (pair.tag for pair in job.pairs)
 
 
 def _failures(folder: SeriesFolder, jobs: Sequence[ChunkJob]) -> dict[str, str]:

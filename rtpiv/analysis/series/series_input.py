@@ -22,8 +22,9 @@ from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from rtpiv.analysis.pairs.evaluation import Task
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE, CorrectionRecipe, scene_sigma_beside
+from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
-from rtpiv.analysis.series.series_plan import Method
+from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Light, Method, jobs_of
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -157,6 +158,20 @@ class SeriesInput:
     out: Path
     given: PairsOfSeries
     method: Method
+
+    @property
+    def name(self) -> str:
+        """Of the run."""
+        return self.run.resolve().name
+
+    def light(self) -> Light | None:
+        """The background of the whole series, made if it is not there yet; raises as `make_light`."""
+        background, shape = self.method.preparation.background, self.method.scene.camera.shape
+        return make_light(self.out, background, self.given.pairs, self.given.unseeded, shape)
+
+    def jobs(self, chunk: int = CHUNK_PAIRS) -> list[ChunkJob]:
+        """Cut it into chunks of `chunk` pairs, a power of two, with the background that they need."""
+        return jobs_of(self.out, self.given.pairs, self.method, self.light(), chunk)
 
 
 def series_input(

@@ -1,34 +1,60 @@
-"""The statistics of a series from its folder to mean.nc.
+"""The statistics of a series from its folder to mean.nc: vectors of one time, in the layout of the pairs.
 
-What the fitted map is unsure of is added here, beside what more pairs would make surer: it needs the correction
-that the frames went through.
+What the fitted map is unsure of is added to the mean here, beside what more pairs would make surer.
+
+mean.nc, where rows begin at the lowest y:
+
+    u, v                          mean velocity [m s-1]
+    sigma_u, sigma_v              random standard uncertainty of the mean, by the effective samples
+    resolution                    standard uncertainty of u and of v by what windows do not resolve [m s-1]
+    dt_sigma_u, dt_sigma_v        by that of delta_t, one factor for all vectors (`delta_t_sigma_share`); missing
+                                  if nobody measured it
+    map_sigma_u, _v, _x, _y       by the fitted map: of the mean [m s-1] and of the place [mm]; no number of pairs
+                                  makes it smaller, so it is kept apart; missing where there was no fit
+    total_sigma_u, _v             all of these that are known, added as squares
+    n, n_effective_u, _v          vectors, and independent ones that they are worth
+    R_uu, R_vv, R_uv              Reynolds stresses without the noise of correlation [m2 s-2]; may be below 0
+    R_uu_measured, _vv_, _uv_     the same with it
+    noise_uu, noise_vv            what was taken off: the mean of sigma^2 of the vectors
+    sigma_R_uu, _vv, _uv          random standard uncertainty of the stresses
+    resolution_R_uu, _vv, _uv     by how much they may be too small, as windows do not resolve it: an upper limit
+    skewness_u, _v; lowest_u, _v, highest_u, _v
+    chc                           1 where there is a mean
+
+mean_ensemble.nc has of these u, v, sigma_u, sigma_v, dt_sigma_u, dt_sigma_v, the stresses R and sigma_R, and chc,
+with `correlation`, the share of the particles that stay.
 """
 
+import json
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from correction.fitted.map_sigma import vector_map_sigma
-from correction.fitted.prepared import PreparedCorrection, prepare
-from correction.fitted.scene_sigma import SceneSigma
-from correction.grid import PlaneGrid, grid_of
-from daq.runs.glass_place import with_glass_at
-from piv.correlation.windows import WindowGrid, window_grid
-from piv.errors import SeriesError
-from rtpiv.analysis.recipe import SCENE_FILE, scene_sigma_beside
-from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
+from daq.atomic_write import why
+from daq.errors import DiskError
+from piv.files.vector_file import SPEED, Vectors, write_vectors
+from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
-from rtpiv.analysis.series.series_folder import MEAN, Chunks, SeriesFolder
-from tracer.scene.scene import Scene
-from tracer.scene.scene_file import load_scene
+from rtpiv.analysis.series.series_folder import MEAN, Chunks
+from rtpiv.analysis.series.series_view import SeriesView
+
+STRESS = "m2 s-2"
+Floats = NDArray[np.float64]
+Named = dict[str, tuple[NDArray[Any], str]]  # values and their unit
 
 
-def mean_of_series(folder: Path) -> MeanFlow:
+def mean_of_series(view: SeriesView) -> MeanFlow:
     """Average a series; nothing is written but the maps that it needs.
 
     Parameters
     ----------
-    folder : Path
+    view : SeriesView
         Of the series.
 
     Raises
@@ -40,50 +66,13 @@ def mean_of_series(folder: Path) -> MeanFlow:
     ConfigError
         Its scene cannot be read.
     DiskError
-        The file cannot be written.
+        A map cannot be kept.
     """
-    mean = mean_flow(Chunks.of(folder))
-    through, sigma = scene_of(folder), sigma_of(folder)
+    mean, sigma = mean_flow(Chunks.of(view.folder)), view.sigma
     if isinstance(sigma, str):
-        mean = replace(mean, no_map_sigma=sigma)
-    else:
-        prepared = prepare(through, maps=folder / "maps", grid=grid_of_series(folder))
-        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma)
-    return mean
-
-
-def write_mean_of_series(folder: Path, mean: MeanFlow) -> None:
-    """Write the mean.nc of a series into its folder; DiskError if that fails."""
-    said = {
-        "run": SeriesFolder(folder).about["run"],
-        "scene_hash": scene_of(folder).content_hash(),
-        "rtpiv_version": version("rtpiv"),
-    }
-    write_statistics(folder / MEAN, mean_vectors(mean, said))
-
-
-def with_map_sigma(
-    mean: MeanFlow, prepared: PreparedCorrection, windows: WindowGrid, sigma: SceneSigma
-) -> MeanFlow:
-    """The same statistics with the map's uncertainty of their mean.
-
-    Parameters
-    ----------
-    mean : MeanFlow
-        The statistics.
-    prepared : PreparedCorrection
-        Correction that its frames went through.
-    windows : WindowGrid
-        Where its vectors lie on the corrected image.
-    sigma : SceneSigma
-        Uncertainty of the fitted scene.
-    """
-    found = vector_map_sigma(
-        image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows),
-        prepared.corrector.map,
-        prepared.scene,
-        sigma,
-    )
+        return replace(mean, no_map_sigma=sigma)
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
+    found = vector_map_sigma(field, view.correction.corrector.map, view.scene, sigma)
     return replace(
         mean,
         map_sigma_m_s=found.displacement_px[::-1] / mean.px_per_m_s,
@@ -91,46 +80,116 @@ def with_map_sigma(
     )
 
 
-def sigma_of(folder: Path) -> SceneSigma | str:
-    """What the fit of its scene is unsure of, for particles in its light sheet; or why that is not known."""
-    fitted, dewarped = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about["dewarped"]
-    sigma = scene_sigma_beside(folder / SCENE_FILE, fitted, dewarped, in_light_sheet=False)
-    return sigma if isinstance(sigma, str) else sigma.in_light_sheet(standing_of(folder))
+def write_mean(view: SeriesView, mean: MeanFlow) -> None:
+    """Write the mean.nc of a series into its folder; DiskError if that fails."""
+    said = {
+        "run": view.about["run"],
+        "scene_hash": view.scene.content_hash(),
+        "rtpiv_version": version("rtpiv"),
+    }
+    write_statistics(view.folder / MEAN, mean_vectors(mean, said))
 
 
-def scene_of(folder: Path) -> Scene:
-    """Scene that the camera of a series looked through, as particles in its light sheet are seen."""
-    return standing_of(folder).in_light_sheet()
+def mean_vectors(
+    mean: MeanFlow, about: Mapping[str, Any], more: Mapping[str, NDArray[Any]] | None = None
+) -> Vectors:
+    """Statistics of a series as vectors of one time.
+
+    Parameters
+    ----------
+    mean : MeanFlow
+        The statistics.
+    about : dict
+        Attributes.
+    more : mapping of str to ndarray, optional
+        Further numbers without a unit, (ny, nx).
+    """
+    said: dict[str, Any] = {
+        "delta_t": np.float64(mean.dt_s),
+        "px_per_mm": mean.px_per_mm,
+        "window_px": mean.window_px,
+        "step_px": mean.step_px,
+        "pairs_used": mean.used,
+        "left_out": json.dumps(dict(mean.left_out)),
+        "effective_samples": mean.effective.way,
+        "effective_samples_converged": int(mean.effective.converged),
+        "delta_t_sigma_share": np.float64(mean.dt_sigma_share),
+        "no_map_sigma": mean.no_map_sigma or "known",
+    }
+    beside = {name: (each, "1") for name, each in (more or {}).items()}
+    return _one_time(mean.x_mm, mean.y_mm, _variables(mean) | beside, said | dict(about))
 
 
-def standing_of(folder: Path) -> Scene:
-    """The same with the light sheet where it is."""
-    scene, about = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about
-    return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.bare()
+def ensemble_vectors(flow: EnsembleFlow, about: Mapping[str, Any]) -> Vectors:
+    """A mean by ensemble correlation as vectors of one time."""
+    found: Named = {"correlation": (flow.correlation, "1")}
+    for before, values, names, unit in (
+        ("", flow.mean_m_s, ("u", "v"), SPEED),
+        ("sigma_", flow.sigma_m_s, ("u", "v"), SPEED),
+        ("R_", flow.stresses_m2_s2, ("uu", "vv", "uv"), STRESS),
+        ("sigma_R_", flow.stress_sigma_m2_s2, ("uu", "vv", "uv"), STRESS),
+    ):
+        for number, name in enumerate(names):
+            found[before + name] = (values[..., number], unit)
+    if np.isfinite(flow.dt_sigma_share):
+        for number, name in enumerate(("u", "v")):
+            found[f"dt_sigma_{name}"] = (np.abs(flow.mean_m_s[..., number]) * flow.dt_sigma_share, SPEED)
+    found["chc"] = (np.asarray(np.isfinite(flow.mean_m_s).all(axis=-1), np.int8), "1")
+    said = {
+        "px_per_m_s": flow.px_per_m_s,
+        "window_px": flow.windows.size_px,
+        "step_px": flow.windows.step_px,
+        "pairs_used": flow.pairs,
+        "delta_t_sigma_share": np.float64(flow.dt_sigma_share),
+    }
+    return _one_time(flow.x_mm, flow.y_mm, found, said | dict(about))
 
 
-def grid_of_series(folder: Path) -> PlaneGrid:
-    """Nodes of its corrected frames; SeriesError if its file does not say."""
-    own = grid_of(scene_of(folder).camera)
-    said = SeriesFolder(folder).about["content"].get("grid")
-    if said is None:
-        return own
+def write_statistics(path: Path, vectors: Vectors) -> None:
+    """Write the statistics of a series as NetCDF, atomically; DiskError if they cannot be written."""
     try:
-        (x_mm, y_mm), (rows, columns) = said["origin_mm"], said["shape"]
-        return PlaneGrid((float(x_mm), float(y_mm)), float(said["pitch_mm"]), (int(rows), int(columns)))
-    except (KeyError, TypeError, ValueError):
-        raise _says_too_little(folder) from None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_vectors(path, vectors)
+    except OSError as error:
+        raise DiskError(f"{path}: {why(error)}; make room, then give the same command again") from error
 
 
-def _says_too_little(folder: Path) -> SeriesError:
-    return SeriesError(f"{folder}: series.json does not say how its pairs were evaluated; evaluate the run again")
+def _one_time(x_mm: Floats, y_mm: Floats, found: Named, about: Mapping[str, Any]) -> Vectors:
+    fields = {name: values[None] for name, (values, _) in found.items()}
+    return Vectors(x_mm, y_mm, np.zeros(1), fields, {}, {name: unit for name, (_, unit) in found.items()}, about)
 
 
-def windows_of(folder: Path) -> WindowGrid:
-    """Where the vectors of a series lie on its corrected image; SeriesError if its file does not say."""
-    content = SeriesFolder(folder).about["content"]
-    try:
-        side_px, overlap = int(content["settings"]["windows_px"][-1]), float(content["settings"]["overlap"])
-    except (KeyError, IndexError, TypeError, ValueError):
-        raise _says_too_little(folder) from None
-    return window_grid(grid_of_series(folder).shape, side_px, overlap)
+def _variables(mean: MeanFlow) -> Named:
+    moments = mean.moments
+    there = mean.count > 0
+    known = there[..., None]
+    found: Named = {
+        "n": (mean.count, "1"),
+        "chc": (there.astype(np.int8), "1"),
+        "resolution": (mean.resolution_m_s, SPEED),
+    }
+    apart: list[tuple[str, str, Floats, str]] = [
+        ("", "uv", mean.mean_m_s, SPEED),
+        ("sigma_", "uv", mean.sigma_m_s, SPEED),
+        ("total_sigma_", "uv", mean.total_sigma_m_s, SPEED),
+        ("n_effective_", "uv", mean.effective.samples, "1"),
+        ("skewness_", "uv", moments.skewness, "1"),
+        ("lowest_", "uv", np.where(known, moments.lowest, np.nan), SPEED),
+        ("highest_", "uv", np.where(known, moments.highest, np.nan), SPEED),
+    ]
+    if np.isfinite(mean.dt_sigma_share):
+        apart.append(("dt_sigma_", "uv", mean.dt_sigma_m_s, SPEED))
+    if mean.map_sigma_m_s is not None and mean.map_sigma_position_mm is not None:
+        apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, SPEED))
+        apart.append(("map_sigma_", "xy", mean.map_sigma_position_mm, "mm"))
+    for before, names, values, unit in apart:
+        for number, name in enumerate(names):
+            found[before + name] = (values[..., number], unit)
+    for number, name in enumerate(("uu", "vv", "uv")):
+        found[f"R_{name}"] = (mean.stresses_m2_s2[..., number], STRESS)
+        found[f"R_{name}_measured"] = (mean.noisy_stresses_m2_s2[..., number], STRESS)
+        found[f"sigma_R_{name}"] = (mean.stress_sigma_m2_s2[..., number], STRESS)
+        found[f"resolution_R_{name}"] = (mean.stress_resolution_m2_s2[..., number], STRESS)
+    for number, name in enumerate(("uu", "vv")):
+        found[f"noise_{name}"] = (moments.noise[..., number], STRESS)
+    return found

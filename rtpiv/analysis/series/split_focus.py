@@ -19,15 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, regions_of
-from correction.fitted.prepared import prepare
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.moments import Moments
-from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, too_few_of
-from rtpiv.analysis.series.series_folder import MEAN, SeriesFolder
-from rtpiv.analysis.series.series_mean import grid_of_series, mean_of_series, scene_of, windows_of
+from rtpiv.analysis.series.series_folder import MEAN
+from rtpiv.analysis.series.series_mean import mean_of_series, mean_vectors, write_statistics
+from rtpiv.analysis.series.series_view import SeriesView
 
 BESIDE, BEHIND = 1, 2  # values of `source`; 0 where there is no mean
 Floats = NDArray[np.float64]
@@ -70,29 +69,28 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     RunUnsuitable, ConfigError, DiskError
         As `mean_of_series`.
     """
-    if SeriesFolder(beside).about["keys"] == SeriesFolder(behind).about["keys"]:
+    first_view, view = SeriesView(beside), SeriesView(behind)
+    views = {"beside": first_view, "behind": view}
+    if first_view.about["keys"] == view.about["keys"]:
         raise SeriesError(
             f"{beside} and {behind} are the same vectors; give the run that was focused on the plane and the"
             " one focused behind the glass"
         )
-    for folder in (beside, behind):
-        if not SeriesFolder(folder).about["glass"]:
-            raise SeriesError(f"{folder}: was seen without glass; both runs have to look through it")
-    first, second = mean_of_series(beside), mean_of_series(behind)
-    scene = scene_of(behind)
-    view = windows_of(behind)
-    known = image_field(second.mean_m_s, second.sigma_m_s, second.px_per_m_s, view)
-    prepared = prepare(scene, maps=behind / "maps", grid=grid_of_series(behind))
-    region = regions_of(known, prepared.corrector.map, scene).region[::-1]
+    for each in views.values():
+        if not each.about["glass"]:
+            raise SeriesError(f"{each.folder}: was seen without glass; both runs have to look through it")
+    first, second = mean_of_series(first_view), mean_of_series(view)
+    known = image_field(second.mean_m_s, second.sigma_m_s, second.px_per_m_s, view.windows)
+    region = regions_of(known, view.correction.corrector.map, view.scene).region[::-1]
     joined = joined_mean(first, second, region)
     about: dict[str, Any] = {
-        "run": f"{SeriesFolder(beside).about['run']} and {SeriesFolder(behind).about['run']}",
-        "scene_hash": scene.content_hash(),
+        "run": " and ".join(each.about["run"] for each in views.values()),
+        "scene_hash": view.scene.content_hash(),
         "rtpiv_version": version("rtpiv"),
     }
-    for name, folder in (("beside", beside), ("behind", behind)):
-        about[f"{name}_run"] = SeriesFolder(folder).about["run"]
-        about[f"{name}_scene_hash"] = scene_of(folder).content_hash()
+    for name, each in views.items():
+        about[f"{name}_run"] = each.about["run"]
+        about[f"{name}_scene_hash"] = each.scene.content_hash()
     write_statistics(out / MEAN, mean_vectors(joined.mean, about, {"source": joined.source.astype(np.int8)}))
     return joined
 

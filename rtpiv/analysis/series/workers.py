@@ -16,16 +16,29 @@ from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 from daq.errors import RunInterrupted
+from ground.rows import thread_count
 
 Job = TypeVar("Job")
+R = TypeVar("R")
 ONE_THREAD = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 LEAVE_S = 10.0  # given to workers that were told to end
 
 
+@contextmanager
+def workers_for(jobs: int, workers: int | None, executor: Executor | None) -> Iterator[Executor | None]:
+    """Who does some jobs: `executor`; else processes, one a core or `workers`; None where one is enough."""
+    count = min(workers or thread_count(), jobs)
+    if executor is not None or count < 2:
+        yield executor
+        return
+    with worker_processes(count) as pool:
+        yield pool
+
+
 def carried_out(
-    function: Callable[[Job], object], jobs: Sequence[Job], executor: Executor | None
-) -> Iterator[Job]:
-    """Call ``function(job)`` for all jobs; yield each one that is done.
+    function: Callable[[Job], R], jobs: Sequence[Job], executor: Executor | None
+) -> Iterator[tuple[Job, R]]:
+    """Call ``function(job)`` for all jobs; yield each one that is done, and what it gave.
 
     Parameters
     ----------
@@ -45,14 +58,12 @@ def carried_out(
     """
     if executor is None:
         for job in jobs:
-            function(job)
-            yield job
+            yield job, function(job)
         return
     futures = {executor.submit(function, job): job for job in jobs}
     try:
         for future in as_completed(futures):
-            future.result()
-            yield futures[future]
+            yield futures[future], future.result()
     except BrokenExecutor:
         raise RunInterrupted(
             "a process that evaluates was killed, perhaps for want of memory; give the same command again, with"

@@ -30,10 +30,10 @@ from piv.files.frame_file import read_frame, write_frame
 from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import Chunks
-from rtpiv.analysis.series.series_mean import scene_of, windows_of
+from rtpiv.analysis.series.series_view import SeriesView
 from tests.daq.whole_run import make_whole_run
 from tests.fuzz.files import damage
-from tests.rtpiv.analysis.series.small_series import flow_run, given_of, method_of
+from tests.rtpiv.analysis.series.small_series import flow_run, given_of, method_of, series_of
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
 
@@ -182,8 +182,8 @@ def run_frame(folder):
 
 
 def series_read(folder):
-    chunks = Chunks.of(folder / "series")
-    list(chunks), windows_of(folder / "series"), scene_of(folder / "series")
+    chunks, view = Chunks.of(folder / "series"), SeriesView(folder / "series")
+    list(chunks), view.windows, view.scene
 
 
 def frame_read(name):
@@ -247,7 +247,7 @@ def write_originals(folder):
     shutil.copytree(make_whole_run(with_run).path, folder / "run")
     flow = flow_run(folder, 3)
     (folder / "series").mkdir()
-    run_series("flow", folder / "series", given_of(flow), method_of(folder / "series"), 1, 2)
+    run_series(series_of(folder / "series", given_of(flow), method_of(folder / "series")), 1, 2)
 
 
 def _write_frames(folder, rng):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
+from piv.correlation import pair
 from piv.files.vector_file import read_vectors
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.command_line.cli import DONE, USAGE, main
@@ -107,6 +108,20 @@ def test_every_pair_of_a_series_can_be_asked_for_more(run, tmp_path):
         one, all_of_them = read_vectors(folder / "vectors.nc"), read_vectors(chunk_path(tmp_path / "out", 0))
         for name in ("u", "v", "sigma_u", "flag"):
             assert one.fields[name][0].tobytes() == all_of_them.fields[name][place].tobytes()
+
+
+def test_a_pair_is_correlated_once_however_much_is_asked_of_it(run, tmp_path, mocker):
+    """Its vectors, its folder and the page of the series: all from one correlation; a whole chunk is kept."""
+    correlated = mocker.spy(pair, "prepared")
+    words = ["evaluate", str(run), *WINDOWS, "-o", str(tmp_path), "--vtk"]
+    assert main(words) == DONE
+    assert correlated.call_count == PAIRS
+    chunk = chunk_path(tmp_path, 0)
+    before = chunk.read_bytes(), chunk.stat().st_mtime_ns
+    assert main(words) == DONE
+    assert correlated.call_count == 2 * PAIRS
+    assert (chunk.read_bytes(), chunk.stat().st_mtime_ns) == before
+    assert len(list(tmp_path.glob("flow_*/vectors.vtk"))) == PAIRS
 
 
 def test_what_a_pair_cannot_have_is_one_sentence(run, tmp_path, capsys):

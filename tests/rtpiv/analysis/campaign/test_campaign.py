@@ -25,6 +25,7 @@ from rtpiv.analysis.campaign.status import campaign_status, read_books
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_path
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
+from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.split_focus import join_series
 from tests.rtpiv.analysis.campaign.small_campaign import Threads, content_of, planned, two_runs
 from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE
@@ -189,7 +190,7 @@ def test_days_with_cameras_of_their_own_fits_meet_on_one_grid(runs, tmp_path):
     run_campaign(folder, Threads())
     merged = merge_campaign(folder)
     assert merged.mean.used == 9
-    places = [mean_of_series(folder.series(name).path) for name in ("one", "two")]
+    places = [mean_of_series(SeriesView(folder.series(name).path)) for name in ("one", "two")]
     for name in ("x_mm", "y_mm"):
         np.testing.assert_array_equal(getattr(places[0], name), getattr(places[1], name))
     faster = np.nanmedian(places[1].mean_m_s[..., 0]) / np.nanmedian(places[0].mean_m_s[..., 0])
@@ -207,7 +208,7 @@ def test_runs_focused_apart_are_joined_out_of_their_campaign(runs, tmp_path):
     run_campaign(folder, Threads())
     joined = join_series(folder.series("one").path, folder.series("two").path, tmp_path / "joined")
     assert {1, 2} <= set(np.unique(joined.source))
-    behind = mean_of_series(folder.series("two").path).mean_m_s
+    behind = mean_of_series(SeriesView(folder.series("two").path)).mean_m_s
     np.testing.assert_array_equal(joined.mean.mean_m_s[joined.source == 2], behind[joined.source == 2])
 
 
@@ -279,7 +280,7 @@ def test_runs_that_saw_another_flow_are_told_apart(tmp_path):
     three = two_runs(tmp_path / "other", (6, 6), shift=lambda n: (2.3, -1.0))[0].rename(tmp_path / "three")
     folder = planned(tmp_path / "out", [one, two, three], chunk=8)
     run_campaign(folder, Threads())
-    means = [mean_of_series(folder.series(name).path) for name in ("one", "two", "three")]
+    means = [mean_of_series(SeriesView(folder.series(name).path)) for name in ("one", "two", "three")]
     apart = merged_means(("one", "three"), [means[0], means[2]]).apart
     assert min(apart.values()) > 3.0
     same = merged_means(("one", "two"), [means[0], means[1]])

@@ -1,6 +1,7 @@
 """A flow run as small as it can be: a bare camera over moving particles, with reflections that stand still."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
 from piv.correlation.settings import PivSettings
 from piv.preprocessing.preparation import Preparation
+from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_pairs import pairs_of_series
 from rtpiv.analysis.series.series_plan import Method
 from tests.daq.small_run import about_run, keep_frame, planned
@@ -99,3 +101,8 @@ def content_of(out):
 def markers(out):
     """Markers by number of their chunk."""
     return {int(file.stem): json.loads(file.read_bytes()) for file in (out / "chunks").glob("*.json")}
+
+
+def series_of(out, given, method, name="flow"):
+    """A series of a run that is called so, into a folder."""
+    return SeriesInput(Path(name), out, given, method)

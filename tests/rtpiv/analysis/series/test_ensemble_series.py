@@ -12,10 +12,10 @@ from piv.errors import SeriesError
 from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series import ensemble_series
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow, ensemble_flow, part_sums, sum_part
-from rtpiv.analysis.series.mean_file import ensemble_vectors, write_statistics
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_input import series_input
-from rtpiv.analysis.series.series_mean import mean_of_series
+from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, write_statistics
+from rtpiv.analysis.series.series_view import SeriesView
 from tests.rtpiv.analysis.series.small_series import flow_run
 
 PAIRS = 34  # three parts
@@ -29,8 +29,8 @@ def series(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ensemble")
     run = flow_run(folder, PAIRS, shift=lambda n: (2.0 + SWAY[n, 0], -1.0 + SWAY[n, 1]))
     given = series_input(run, folder / "series", piv_choice(first_window_px=32, final_window_px=16))
-    run_series("flow", given.out, given.given, given.method, 1)
-    return given, mean_of_series(given.out)
+    run_series(given, 1)
+    return given, mean_of_series(SeriesView(given.out))
 
 
 def bits(flow):

@@ -10,6 +10,7 @@ from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import mean_of_series
+from rtpiv.analysis.series.series_view import SeriesView
 from tests.rtpiv.analysis.series.small_series import SCENE, flow_run
 from tracer.scene.scene_file import load_scene
 
@@ -29,8 +30,8 @@ def mean_in(folder, run, sheet):
     save_arrays(folder / "fit.npz", KIND, header, {"scene_root": np.zeros((14, 1))})
     choice = piv_choice(final_window_px=16, first_window_px=32)
     given = series_input(run, folder / "series", choice, scene, CorrectionRecipe(sigma_limit_px=5.0))
-    run_series("flow", folder / "series", given.given, given.method, 1, 4)
-    return mean_of_series(folder / "series")
+    run_series(given, 1, 4)
+    return mean_of_series(SeriesView(folder / "series"))
 
 
 def test_scale_and_sigma_are_those_of_the_sheet(tmp_path):

@@ -19,11 +19,10 @@ from daq.runs.run_folder import RunFolder
 from piv.errors import PairError, SeriesError
 from rtpiv.analysis.series import clean_frames as clean
 from rtpiv.analysis.series.chunk import evaluate_chunk
-from rtpiv.analysis.series.evaluated import Evaluated
-from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import mean_flow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder, marker_path
+from rtpiv.analysis.series.series_mean import mean_vectors, write_statistics
 from rtpiv.analysis.series.series_pairs import is_flow, is_one_series
 from rtpiv.analysis.series.series_plan import chunk_path, jobs_of
 from tests.rtpiv.analysis.series.small_series import (
@@ -34,6 +33,7 @@ from tests.rtpiv.analysis.series.small_series import (
     given_of,
     markers,
     method_of,
+    series_of,
 )
 from tracer.strategies.sensitivity import CAMERA
 
@@ -62,12 +62,12 @@ def run(folder):
 @pytest.fixture(scope="module")
 def made(folder, run):
     """The series in chunks of 4, made here without any worker."""
-    return run_series("flow", folder / "made", given_of(run), method_of(folder, "sliding-minimum"), 1, 4)
+    return run_series(series_of(folder / "made", given_of(run), method_of(folder, "sliding-minimum")), 1, 4)
 
 
 def test_a_series_is_its_vectors_in_m_s_by_time(made):
     assert (made.pairs, made.kept) == (PAIRS, 0)
-    with netcdf_file(chunk_path(made.folder.path, 0), mmap=False) as file:
+    with netcdf_file(chunk_path(made.series.path, 0), mmap=False) as file:
         u, v, x_px = (np.array(file.variables[name][:]) for name in ("u", "v", "displacement_x"))
         good = file.variables["chc"][:] == 1
         unresolved = np.array(file.variables["resolution"][:])
@@ -95,7 +95,7 @@ def test_bad_pairs_are_named_left_out_and_counted(made, run):
     tags = [pair.tag for pair in given_of(run).pairs]
     assert set(made.failed) == {tags[3]}
     assert "does not agree with its checksum" in made.failed[tags[3]]
-    mean = mean_flow(Chunks.of(made.folder.path))
+    mean = mean_flow(Chunks.of(made.series.path))
     assert (mean.used, [tag for tag, _ in mean.left_out]) == (PAIRS - 2, [tags[3], tags[7]])
     assert "of its vectors were measured, and 100 % is usual" in mean.left_out[1][1]
     assert mean.count.max() == PAIRS - 2
@@ -110,20 +110,20 @@ def test_a_pair_between_damaged_ones_has_no_background_and_is_a_row(tmp_path):
     for pair in (0, 1, 2, 3, 5, 6, 7, 8):
         damaged = RunFolder(run).frame_path(2 * pair)
         damaged.write_bytes(damaged.read_bytes()[:-40] + bytes(40))
-    books = run_series("flow", tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum"), 1, 16)
+    books = run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum")), 1, 16)
     tags = [pair.tag for pair in given_of(run).pairs]
     assert sorted(books.failed) == tags[:9]
     assert "no frame within 4 pairs of it can be read" in books.failed[tags[4]]
-    mean = mean_flow(Chunks.of(books.folder.path))
+    mean = mean_flow(Chunks.of(books.series.path))
     assert (mean.used, len(mean.left_out)) == (3, 9)
 
 
 def test_errors_that_no_number_of_pairs_makes_smaller_are_kept_apart(made, tmp_path):
     """Of dt one factor for all vectors, of resolution what bends in the same way in all pairs."""
-    bare = mean_flow(Chunks.of(made.folder.path))
+    bare = mean_flow(Chunks.of(made.series.path))
     assert np.isnan(bare.dt_sigma_share)
     told = []
-    for content in Chunks.of(made.folder.path):
+    for content in Chunks.of(made.series.path):
         fields = [replace(field, dt_sigma_s=0.02 * field.dt_s) for field in content.fields]
         told.append(replace(content, fields=tuple(fields)))
     mean, twice = mean_flow(told), mean_flow(told + told)
@@ -151,42 +151,42 @@ def test_errors_that_no_number_of_pairs_makes_smaller_are_kept_apart(made, tmp_p
 def test_no_vector_depends_on_where_the_series_is_cut(folder, run, made, chunk):
     """A chunk reads the frames around it: the sliding minimum is that of the series, not of the chunk."""
     out = folder / f"cut{chunk}"
-    run_series("flow", out, given_of(run), method_of(folder, "sliding-minimum"), 1, chunk)
+    run_series(series_of(out, given_of(run), method_of(folder, "sliding-minimum")), 1, chunk)
     fields = [
-        [field for content in Chunks.of(path) for field in content.fields] for path in (out, made.folder.path)
+        [field for content in Chunks.of(path) for field in content.fields] for path in (out, made.series.path)
     ]
     assert len(fields[0]) == len(fields[1]) == PAIRS
     for one, other in zip(*fields, strict=True):
         assert one.tag == other.tag
         for name in ("velocity_m_s", "sigma_m_s", "displacement_px", "correlation", "flags"):
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
-    mean, same = (mean_flow(Chunks.of(path)) for path in (out, made.folder.path))
+    mean, same = (mean_flow(Chunks.of(path)) for path in (out, made.series.path))
     for name, values in mean.moments.to_arrays().items():
         assert values.tobytes() == same.moments.to_arrays()[name].tobytes()
 
 
 def test_two_processes_write_the_same_bytes_as_none(folder, run, made):
-    run_series("flow", folder / "two", given_of(run), method_of(folder, "sliding-minimum"), 2, 4)
-    assert content_of(folder / "two") == content_of(made.folder.path)
+    run_series(series_of(folder / "two", given_of(run), method_of(folder, "sliding-minimum")), 2, 4)
+    assert content_of(folder / "two") == content_of(made.series.path)
 
 
 def test_any_executor_writes_the_same_bytes(folder, run, made):
     with ThreadPoolExecutor(2) as pool:
         method = method_of(folder, "sliding-minimum")
-        run_series("flow", folder / "threads", given_of(run), method, chunk=4, executor=pool)
-    assert content_of(folder / "threads") == content_of(made.folder.path)
+        run_series(series_of(folder / "threads", given_of(run), method), chunk=4, executor=pool)
+    assert content_of(folder / "threads") == content_of(made.series.path)
 
 
 @pytest.fixture
 def copy(made, tmp_path):
     """A copy of the series, to be spoiled, and what it held."""
-    shutil.copytree(made.folder.path, tmp_path / "copy")
+    shutil.copytree(made.series.path, tmp_path / "copy")
     return tmp_path / "copy", content_of(tmp_path / "copy")
 
 
 def again(out, folder, run, *steps, chunk=4, **changed):
     method = method_of(folder, *(steps or ("sliding-minimum",)))
-    return run_series("flow", out, given_of(run), replace(method, **changed), 1, chunk)
+    return run_series(series_of(out, given_of(run), replace(method, **changed)), 1, chunk)
 
 
 def test_what_is_there_is_kept(copy, folder, run):
@@ -257,7 +257,7 @@ def test_vectors_of_another_run_are_not_replaced(copy, folder, tmp_path):
     out, before = copy
     other = flow_run(tmp_path, 2, shift=lambda n: (1.0, 0.0))
     with pytest.raises(SeriesError, match="3 finished chunks of another run, flow; choose another folder with -o"):
-        run_series("other", out, given_of(other), method_of(folder, "sliding-minimum"), 1, 4)
+        run_series(series_of(out, given_of(other), method_of(folder, "sliding-minimum"), "other"), 1, 4)
     assert content_of(out) == before
 
 
@@ -270,8 +270,8 @@ def test_what_the_map_is_too_unsure_of_is_left_out_of_every_pair(copy, folder, r
     sigma = SceneSigma(usual.scene.content_hash(), root)
     strict, lax = (replace(usual, limit=SigmaLimit(sigma, px)) for px in (0.5 * PX_PER_MM, 2.0 * PX_PER_MM))
     with pytest.raises(PairError, match="no pair gave a vector"):
-        run_series("flow", out, given_of(run), strict, 1, 4)
-    assert run_series("flow", out, given_of(run), lax, 1, 4).kept == 0
+        run_series(series_of(out, given_of(run), strict), 1, 4)
+    assert run_series(series_of(out, given_of(run), lax), 1, 4).kept == 0
     with_limit, without = (mean_flow(Chunks.of(where)) for where in (out, folder / "made"))
     np.testing.assert_array_equal(with_limit.mean_m_s, without.mean_m_s)
 
@@ -325,8 +325,8 @@ def test_other_frames_or_times_are_another_series(run, folder):
 
 
 def test_two_at_once_do_not_write_into_one_folder(made, folder, run):
-    with made.folder.alone(), pytest.raises(RunUnsuitable, match="another process evaluates into it"):
-        again(made.folder.path, folder, run)
+    with made.series.alone(), pytest.raises(RunUnsuitable, match="another process evaluates into it"):
+        again(made.series.path, folder, run)
 
 
 @pytest.mark.parametrize("steps", [("minimum",), ("mean", "cap"), ("pod", "min-max"), ("unseeded",), ()])
@@ -334,7 +334,7 @@ def test_every_preparation_measures_the_flow(tmp_path, steps):
     run = flow_run(tmp_path, 13, unseeded=3)
     given = given_of(run)
     assert (len(given.pairs), len(given.unseeded)) == (13, 3)
-    books = run_series("flow", tmp_path / "out", given, method_of(tmp_path, *steps), 1)
+    books = run_series(series_of(tmp_path / "out", given, method_of(tmp_path, *steps)), 1)
     assert not books.failed
     mean = mean_flow(Chunks.of(tmp_path / "out"))
     found = np.nanmedian(mean.mean_px, axis=(0, 1))
@@ -353,9 +353,9 @@ def test_backgrounds_that_a_run_cannot_give_are_one_sentence(tmp_path):
         (("unseeded",), "took no pairs without seeding"),
     ):
         with pytest.raises(PairError, match=words):
-            run_series("flow", tmp_path / "out", given_of(run), method_of(tmp_path, *steps), 1)
+            run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path, *steps)), 1)
     with pytest.raises(SeriesError, match="need 12 frames"):
-        run_series("flow", tmp_path / "out", given_of(run), method_of(tmp_path, "pod"), 1)
+        run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path, "pod")), 1)
 
 
 def test_a_run_without_one_good_pair_is_refused_with_a_reason(tmp_path):
@@ -364,14 +364,14 @@ def test_a_run_without_one_good_pair_is_refused_with_a_reason(tmp_path):
 
     run = flow_run(tmp_path, 2, spoiled={0: blind, 1: blind})
     with pytest.raises(PairError, match="no pair gave a vector; the first: frame A is constant"):
-        run_series("flow", tmp_path / "out", given_of(run), method_of(tmp_path), 1)
+        run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path)), 1)
     with pytest.raises(SeriesError, match="no pair of this series has a vector"):
         mean_flow(Chunks.of(tmp_path / "out"))
 
 
 def test_frames_of_another_size_cost_their_own_pair(tmp_path):
     run = flow_run(tmp_path, 4, spoiled={2: lambda a, b: (a[:-8], b)})
-    books = run_series("flow", tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum"), 1)
+    books = run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum")), 1)
     assert list(books.failed) == [given_of(run).pairs[2].tag]
     assert "is 96 x 88 px, the scene's camera 96 x 96 px" in next(iter(books.failed.values()))
 
@@ -397,7 +397,7 @@ def test_a_stream_whose_camera_has_no_clock_needs_to_be_told_the_time(tmp_path):
         given_of(run)
     given = given_of(run, DT_US)
     assert (given.pairs[0].dt_s, given.pairs[0].time_s) == (pytest.approx(DT_US * 1e-6), None)
-    run_series("stream", tmp_path / "out", given, method_of(tmp_path, "sliding-minimum"), 1)
+    run_series(series_of(tmp_path / "out", given, method_of(tmp_path, "sliding-minimum"), "stream"), 1)
     with netcdf_file(chunk_path(tmp_path / "out", 0), mmap=False) as file:
         assert file.variables["t"].units == b"pair"
         assert file.variables["t"][:].tolist() == list(range(11))
@@ -413,8 +413,8 @@ def test_a_stream_is_a_series_of_one_as_of_many(tmp_path, count):
 
 def test_pairs_of_an_unknown_time_have_displacements_and_no_mean(tmp_path):
     run = flow_run(tmp_path, 2, stream=True, timestamp_ns=lambda _: 0)
-    found = run_series("stream", tmp_path / "out", given_of(run, timed=False), method_of(tmp_path), 1)
-    vectors = Evaluated(2, series=found.folder).vectors
+    found = run_series(series_of(tmp_path / "out", given_of(run, timed=False), method_of(tmp_path), "stream"), 1)
+    vectors = found.vectors
     assert (vectors.kind, vectors.units["u"]) == ("displacement", "mm")
     assert np.nanmedian(vectors.fields["u"]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
     with pytest.raises(SeriesError, match="is not known, so they have no velocity"):
@@ -437,7 +437,7 @@ import resource, signal, sys
 from pathlib import Path
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.run_series import run_series
-from tests.rtpiv.analysis.series.small_series import given_of, method_of
+from tests.rtpiv.analysis.series.small_series import given_of, method_of, series_of
 folder = Path(sys.argv[1])
 method, given = method_of(folder), given_of(next(folder.glob("*_flow")))
 if sys.argv[2] == "chunk":
@@ -445,7 +445,7 @@ if sys.argv[2] == "chunk":
 resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))  # as a full disk: no file takes more
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 try:
-    run_series("flow", folder / "out", given, method, 1)
+    run_series(series_of(folder / "out", given, method), 1)
 except Exception as error:
     print(type(error).__name__, error)
 """

@@ -10,6 +10,7 @@ from scipy.io import netcdf_file
 from rtpiv.analysis.campaign.engines import LocalProcesses
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
+from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.rtpiv.analysis.campaign.small_campaign import Threads
 from tests.rtpiv.analysis.series.small_series import DT_US, SCENE, flow_run
@@ -44,7 +45,7 @@ def test_the_vectors_are_those_of_a_run_with_the_same_frames(recorded, tmp_path,
     more = (*WINDOWS, "--workers", "1", "--dt-us", str(DT_US), "--no-pictures")
     assert main(["evaluate", str(recorded / name), *scene, *out, *more]) == DONE
     assert vectors(tmp_path / "out") == vectors(recorded / "run")
-    assert mean_of_series(tmp_path / "out").used == PAIRS
+    assert mean_of_series(SeriesView(tmp_path / "out")).used == PAIRS
 
 
 def test_two_frames_with_a_time_have_velocities(recorded, tmp_path, capsys):

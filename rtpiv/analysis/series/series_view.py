@@ -1,0 +1,100 @@
+"""What a series was seen through, read from its folder: scene, grid, windows, and what its fit leaves open."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from correction.fitted.prepared import PreparedCorrection, prepare
+from correction.fitted.scene_sigma import SceneSigma
+from correction.grid import PlaneGrid, grid_of
+from daq.runs.glass_place import with_glass_at
+from piv.correlation.windows import WindowGrid, window_grid
+from piv.errors import SeriesError
+from rtpiv.analysis.recipe import SCENE_FILE, scene_sigma_beside
+from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+
+
+@dataclass(frozen=True)
+class SeriesView:
+    """The view of a series; each part is read when it is first asked for, and once.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the series.
+
+    Raises
+    ------
+    RunUnsuitable
+        The folder is no series, when anything is asked for.
+    SeriesError
+        Its file is damaged, or does not say how its pairs were evaluated.
+    ConfigError
+        Its scene cannot be read.
+    """
+
+    folder: Path
+
+    @cached_property
+    def about(self) -> SeriesFile:
+        """Contents of series.json."""
+        return SeriesFolder(self.folder).about
+
+    @cached_property
+    def fitted(self) -> Scene:
+        """The scene as its file says it."""
+        return load_scene(self.folder / SCENE_FILE)
+
+    @cached_property
+    def standing(self) -> Scene:
+        """The scene with the glass where it stood, and the light sheet where it is."""
+        if not self.about["glass"]:
+            return self.fitted.bare()
+        return with_glass_at(self.fitted, self.about["glass_place_mm"])
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The same as particles in its light sheet are seen."""
+        return self.standing.in_light_sheet()
+
+    @cached_property
+    def sigma(self) -> SceneSigma | str:
+        """What the fit of its scene is unsure of, for particles in its light sheet; or why that is not known."""
+        file, dewarped = self.folder / SCENE_FILE, self.about["dewarped"]
+        sigma = scene_sigma_beside(file, self.fitted, dewarped, in_light_sheet=False)
+        return sigma if isinstance(sigma, str) else sigma.in_light_sheet(self.standing)
+
+    @cached_property
+    def grid(self) -> PlaneGrid:
+        """Nodes of its corrected frames."""
+        said = self.about["content"].get("grid")
+        if said is None:
+            return grid_of(self.scene.camera)
+        try:
+            (x_mm, y_mm), (rows, columns) = said["origin_mm"], said["shape"]
+            return PlaneGrid((float(x_mm), float(y_mm)), float(said["pitch_mm"]), (int(rows), int(columns)))
+        except (KeyError, TypeError, ValueError):
+            raise self._says_too_little() from None
+
+    @cached_property
+    def windows(self) -> WindowGrid:
+        """Where its vectors lie on the corrected image."""
+        content: dict[str, Any] = self.about["content"]
+        try:
+            side_px, overlap = int(content["settings"]["windows_px"][-1]), float(content["settings"]["overlap"])
+        except (KeyError, IndexError, TypeError, ValueError):
+            raise self._says_too_little() from None
+        return window_grid(self.grid.shape, side_px, overlap)
+
+    @cached_property
+    def correction(self) -> PreparedCorrection:
+        """Correction of its frames, without a limit of sigma; its map is made or loaded."""
+        return prepare(self.scene, maps=self.folder / "maps", grid=self.grid)
+
+    def _says_too_little(self) -> SeriesError:
+        return SeriesError(
+            f"{self.folder}: series.json does not say how its pairs were evaluated; evaluate the run again"
+        )
