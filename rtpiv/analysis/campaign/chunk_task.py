@@ -16,7 +16,7 @@ from correction.errors import CorrectionError
 from daq.errors import DaqError
 from ground.errors import GroundError
 from piv.errors import PivError
-from rtpiv.analysis.campaign.lease import Held, take
+from rtpiv.analysis.campaign.lease import Held, clear, take
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.series_folder import sound_content
 from rtpiv.analysis.series.series_plan import ChunkJob
@@ -89,6 +89,7 @@ def carry_out(task: ChunkTask) -> Outcome:
 def _made(task: ChunkTask) -> Outcome:
     try:
         if sound_content(task.job.path, task.job.key) is not None:
+            clear(task.lease)
             return Outcome("kept")
         lease = None if task.beside else take(task.lease, task.over)
         if isinstance(lease, Held):

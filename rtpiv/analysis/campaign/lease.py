@@ -125,6 +125,16 @@ def take(path: Path, over: str | None = None) -> Lease | Held:
         return Lease(path, token)
 
 
+def clear(path: Path) -> None:
+    """Remove the lease of a chunk that is whole, whoever had it.
+
+    A worker that died between writing the chunk and giving its lease back has left it.  One that is still there,
+    as it makes the same chunk a second time, needs none: its bytes are the same.
+    """
+    with suppress(OSError):
+        path.unlink()
+
+
 def read_lease(path: Path) -> Held | None:
     """Who has a lease; None if nobody has."""
     beat_ns = 0

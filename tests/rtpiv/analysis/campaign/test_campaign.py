@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -258,6 +259,19 @@ def test_status_names_who_works_on_what(copy):
     assert sum(other.without_vectors.values()) == 1
     assert "does not agree with its checksum" in next(iter(other.without_vectors))
     assert (state.done, state.is_whole, other.is_whole) == (0, False, True)
+
+
+def test_the_lease_of_a_worker_that_died_after_its_chunk_is_whole_goes(copy):
+    """On this computer or on another, of which nobody can know; the chunk is kept."""
+    folder, held = copy
+    for number, (host, pid) in enumerate(((socket.gethostname(), 2**22 + 1), ("elsewhere", 7))):
+        lease = folder.lease("one", number)
+        take(lease)
+        lease.write_text(json.dumps(json.loads(lease.read_text()) | {"host": host, "pid": pid}))
+    books = run_campaign(folder, Threads(1))
+    assert (books.made, books.kept) == (0, CHUNKS)
+    assert not list((folder.path / "leases").iterdir())
+    assert content_of(folder.path) == held
 
 
 def test_two_clients_do_not_work_on_one_campaign(copy):
