@@ -32,11 +32,10 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.series import written_run
 from correction.fitted.prepared import prepare
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, read_books
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
 from rtpiv.analysis.campaign.engines import DaskWorkers, Engine, LocalProcesses, SlurmArrays
 from rtpiv.analysis.campaign.run_campaign import run_campaign
-from rtpiv.analysis.campaign.status import read_books
 from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series.chunk import results_of
 

@@ -10,13 +10,12 @@ from daq.errors import RunUsageError, Unfinished
 from ground.plain_words import counted
 from ground.rows import thread_count
 from ground.terminal import console
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, RunStatus, campaign_status
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, ask_for
 from rtpiv.analysis.campaign.campaign_trial import adopt, trial
 from rtpiv.analysis.campaign.engines import DaskWorkers, Engine, LocalProcesses, SlurmArrays
 from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, said_missing
 from rtpiv.analysis.campaign.run_campaign import PATIENCE_S, run_campaign
-from rtpiv.analysis.campaign.status import RunStatus, campaign_status
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.options.numbers import Count, Positive

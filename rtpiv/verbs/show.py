@@ -13,8 +13,8 @@ from rtpiv.analysis.digits import places
 
 if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
     from rtpiv.analysis.calibration import Calibration
+    from rtpiv.analysis.campaign.campaign_folder import RunStatus
     from rtpiv.analysis.campaign.campaign_plan import Forecast
-    from rtpiv.analysis.campaign.status import RunStatus
     from rtpiv.analysis.pairs.evaluation import Evaluation
     from rtpiv.analysis.report.tables import Row
     from rtpiv.analysis.series.mean_flow import MeanFlow

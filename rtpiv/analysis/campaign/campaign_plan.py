@@ -29,8 +29,8 @@ from rtpiv.analysis.campaign.campaign_folder import (
     CampaignFolder,
     HowAsked,
     choice_of,
+    read_books,
 )
-from rtpiv.analysis.campaign.status import read_books
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.recipe import SCENE_FILE, CorrectionRecipe
 from rtpiv.analysis.series.clean_frames import light_of

@@ -16,14 +16,10 @@ from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 from daq.errors import RunInterrupted, RunUsageError
-from rtpiv.analysis.campaign.chunk_task import ChunkTask, Outcome, carry_out
-from rtpiv.analysis.campaign.kernels_at_hand import work_elsewhere
 from rtpiv.analysis.series.workers import worker_processes
-
-Work = Callable[[ChunkTask], Outcome]
 
 
 class Engine(Protocol):
@@ -39,11 +35,7 @@ class Engine(Protocol):
 
     @property
     def is_elsewhere(self) -> bool:
-        """Whether its workers need compiled code that is brought to them."""
-        ...
-
-    def work(self, kernels: Path) -> Work:
-        """What its workers call with each task; `kernels` is the file of compiled code that they may need."""
+        """Whether its workers are no children of this process, and need compiled code that is brought to them."""
         ...
 
     def opened(self) -> AbstractContextManager[Executor]:
@@ -62,21 +54,11 @@ class LocalProcesses:
     """
 
     slots: int
+    is_elsewhere: ClassVar[bool] = False
 
-    @property
-    def is_elsewhere(self) -> bool:
-        """They are here."""
-        return False
-
-    def work(self, kernels: Path) -> Work:
-        """Make the chunk: these processes share the compiled code of this computer."""
-        return carry_out
-
-    @contextmanager
-    def opened(self) -> Iterator[Executor]:
+    def opened(self) -> AbstractContextManager[Executor]:
         """Start them; they end with this process, however it ends."""
-        with worker_processes(self.slots) as pool:
-            yield pool
+        return worker_processes(self.slots)
 
 
 CONNECT_S = 10
@@ -94,6 +76,7 @@ class DaskWorkers:
     """
 
     address: str
+    is_elsewhere: ClassVar[bool] = True
     _client: Any = field(default=None, repr=False)
     _counted: tuple[float, int] = field(default=(-1e9, 1), repr=False)
 
@@ -108,15 +91,6 @@ class DaskWorkers:
                 raise _lost(self.address) from error
             self._counted = time.monotonic(), count
         return count
-
-    @property
-    def is_elsewhere(self) -> bool:
-        """They may be."""
-        return True
-
-    def work(self, kernels: Path) -> Work:
-        """Make the chunk, with kernels and threads of its own."""
-        return work_elsewhere(kernels)
 
     @contextmanager
     def opened(self) -> Iterator[Executor]:
@@ -176,15 +150,7 @@ class SlurmArrays:
     slots: int
     options: Mapping[str, Any] = field(default_factory=dict)
     cluster: Literal["slurm", "local"] = "slurm"
-
-    @property
-    def is_elsewhere(self) -> bool:
-        """They are."""
-        return True
-
-    def work(self, kernels: Path) -> Work:
-        """Make the chunk, with kernels and threads of its own."""
-        return work_elsewhere(kernels)
+    is_elsewhere: ClassVar[bool] = True
 
     @contextmanager
     def opened(self) -> Iterator[Executor]:

@@ -23,7 +23,7 @@ import sys
 import tempfile
 import zipfile
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 from ground.whole_file import whole_file
@@ -76,11 +76,6 @@ def elsewhere(kernels: Path, task: ChunkTask) -> Outcome:
     """Carry a task out in a process that is not a child of the client: threads and kernels are seen to first."""
     _made_ready(kernels)
     return carry_out(task)
-
-
-def work_elsewhere(kernels: Path) -> partial[Outcome]:
-    """What a worker elsewhere calls with each task."""
-    return partial(elsewhere, kernels)
 
 
 @lru_cache(maxsize=1)

@@ -27,8 +27,7 @@ from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.merge_tree import merged_in_order
 from piv.statistics.moments import Moments
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
-from rtpiv.analysis.campaign.status import campaign_status
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
 from rtpiv.analysis.series.series_folder import marker_of
 from rtpiv.analysis.series.series_mean import mean_of_series, mean_vectors, write_mean, write_statistics

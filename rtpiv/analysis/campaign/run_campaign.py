@@ -23,18 +23,18 @@ from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from statistics import median
 
 from daq.atomic_write import why
 from daq.errors import DiskError, RunInterrupted
 from ground.terminal import progress
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, write_book
 from rtpiv.analysis.campaign.campaign_plan import PlannedRun, planned_runs
-from rtpiv.analysis.campaign.chunk_task import ChunkTask, Outcome, carry_out
-from rtpiv.analysis.campaign.engines import Engine, Work
-from rtpiv.analysis.campaign.kernels_at_hand import pack_kernels
-from rtpiv.analysis.campaign.status import write_book
+from rtpiv.analysis.campaign.chunk_task import ChunkTask, Outcome, Work, carry_out
+from rtpiv.analysis.campaign.engines import Engine
+from rtpiv.analysis.campaign.kernels_at_hand import elsewhere, pack_kernels
 from rtpiv.analysis.series.chunk import correction_of, results_of
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of
 from rtpiv.analysis.series.series_plan import ChunkJob
@@ -282,7 +282,8 @@ def run_campaign(folder: CampaignFolder, engine: Engine, patience_s: float = PAT
     with SeriesFolder(folder.path).alone():
         kept, made, failed = 0, 0, dict[tuple[str, int], str]()
         kernels = folder.path / KERNELS
-        hand_out = HandOut(engine, engine.work(kernels), patience_s)
+        work = partial(elsewhere, kernels) if engine.is_elsewhere else carry_out
+        hand_out = HandOut(engine, work, patience_s)
         pairs = sum(folder.series(asked["name"]).about["pairs"] for asked in folder.about["runs"])
         results = _recorded(folder, hand_out.results(_tasks(folder, kernels if engine.is_elsewhere else None)))
         for task, outcome in _pair_by_pair(results, pairs):

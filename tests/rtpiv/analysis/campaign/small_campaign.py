@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
-from rtpiv.analysis.campaign.chunk_task import carry_out
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from tests.rtpiv.analysis.series.small_series import SETTINGS, flow_run
 
@@ -19,9 +18,6 @@ class Threads:
     slots: int = 2
 
     is_elsewhere = False
-
-    def work(self, kernels):
-        return carry_out
 
     @contextmanager
     def opened(self):

@@ -16,13 +16,12 @@ from daq.errors import RunUnsuitable, Unfinished
 from ground.errors import ConfigError
 from piv.errors import SeriesError
 from rtpiv.analysis.campaign import campaign_plan
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, read_books
 from rtpiv.analysis.campaign.campaign_plan import forecast, forecasts, planned_runs
+from rtpiv.analysis.campaign.chunk_task import take
 from rtpiv.analysis.campaign.engines import LocalProcesses
-from rtpiv.analysis.campaign.lease import take
 from rtpiv.analysis.campaign.merge import merge_campaign, merged_means
 from rtpiv.analysis.campaign.run_campaign import run_campaign
-from rtpiv.analysis.campaign.status import campaign_status, read_books
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_path
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path

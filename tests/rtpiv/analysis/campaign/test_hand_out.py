@@ -12,8 +12,7 @@ import pytest
 
 from daq.errors import RunInterrupted
 from rtpiv.analysis.campaign import run_campaign as hand_out
-from rtpiv.analysis.campaign.chunk_task import ChunkTask, Outcome
-from rtpiv.analysis.campaign.lease import Held
+from rtpiv.analysis.campaign.chunk_task import ChunkTask, Held, Outcome
 from rtpiv.analysis.campaign.run_campaign import HandOut
 
 

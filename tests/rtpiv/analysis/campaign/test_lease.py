@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from rtpiv.analysis.campaign.lease import Held, Lease, read_lease, take
+from rtpiv.analysis.campaign.chunk_task import Held, Lease, read_lease, take
 
 HOUR_NS = 3600 * 10**9
 
