@@ -7,8 +7,7 @@ from pathlib import Path
 from daq.child import child
 from daq.errors import DaqError, RunUsageError
 from rtpiv.options.numbers import Count
-from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, require_folder
 from tracer.scene.scene_file import load_scene
 
 

@@ -21,8 +21,7 @@ from piv.files.frame_file import FRAME_ENDINGS
 from rtpiv.analysis.calibration import Calibration, calibration_of
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.options.numbers import Positive
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named, one_of, path_of
+from rtpiv.verbs.paths import Named, folder_for, one_of, path_of
 from rtpiv.verbs.show import show_calibration
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene

@@ -19,8 +19,7 @@ from rtpiv.analysis.campaign.run_campaign import PATIENCE_S, run_campaign
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named, paths_of
+from rtpiv.verbs.paths import Named, paths_of, require_folder
 from rtpiv.verbs.show import show_campaign, show_forecasts
 
 Action = Literal["plan", "run", "status", "merge"]

@@ -13,13 +13,11 @@ from daq.atomic_write import write_text
 from daq.errors import RunUsageError
 from ground.terminal import console
 from rtpiv.analysis.pictures.apart import drawing
-from rtpiv.analysis.views.candidates import candidates_of
+from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of
 from rtpiv.analysis.views.figures import ViewFigures
-from rtpiv.analysis.views.question import ViewQuestion
 from rtpiv.options.numbers import Positive
 from rtpiv.templates.scene_text import scene_text
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, folder_for
 
 SHOWN = 15  # rows of the table
 WRITTEN = 50  # scene files
@@ -113,7 +111,7 @@ def compare(
     if pictures and best:
         picture = out / "compare.png"
         with drawing() as draw:
-            draw("rtpiv.analysis.pictures.views:draw_views", picture, views, best, error_px)
+            draw("rtpiv.analysis.pictures.results:draw_views", picture, views, best, error_px)
     screen.print(f"compare.csv{', compare.png' if picture else ''} and {len(scenes)} scene files are in {out}")
     return Compared(views, best, tuple(scenes), picture)
 

@@ -32,8 +32,7 @@ from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.recipe import CorrectionRecipe, Resampling, scene_sigma_beside
 from rtpiv.analysis.through_glass import through_glass
 from rtpiv.analysis.views.arranged import little
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named, path_of, paths_of
+from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -250,7 +249,7 @@ def _draw(
     pattern = particles if shows_particles(frame) else Target(board)
     computed = seen(shown_small(scene, WIDEST_PX), pattern, samples=2)
     with drawing() as draw:
-        draw("rtpiv.analysis.pictures.overview:draw_overview", path, frame, computed, corrected, corrector.status)
+        draw("rtpiv.analysis.pictures.results:draw_overview", path, frame, computed, corrected, corrector.status)
 
 
 def _print(

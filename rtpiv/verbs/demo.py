@@ -12,8 +12,7 @@ from rtpiv.verbs.acquire import LiveFrames, acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.correct import correct
 from rtpiv.verbs.mean import mean
-from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, require_folder
 from rtpiv.verbs.report import report
 from rtpiv.verbs.trace import trace
 

@@ -26,8 +26,7 @@ from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput, series_input, tasks_of
 from rtpiv.analysis.series.series_pairs import is_one_series
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named, path_of, paths_of
+from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of
 from rtpiv.verbs.show import show_evaluation, show_series, show_through
 from tracer.scene.scene_file import load_scene
 

@@ -7,8 +7,7 @@ import rtpiv.example_files as example_files
 from daq.atomic_write import copy_whole, why
 from daq.errors import DiskError, RunUsageError
 from ground.terminal import console
-from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, require_folder
 
 
 def examples(folder: Named = Path("examples"), /) -> Path:

@@ -12,10 +12,8 @@ from daq.errors import DiskError, RunUsageError
 from ground.plain_words import counted
 from ground.terminal import console, progress_if_long
 from piv.files.vector_file import Vectors, read_vectors
-from rtpiv.analysis.export.formats import FORMATS
-from rtpiv.analysis.export.map_files import MAP_FORMATS
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named
+from rtpiv.analysis.export import FORMATS, MAP_FORMATS
+from rtpiv.verbs.paths import Named, folder_for
 from tracer.scene.scene_file import load_scene
 
 SCENES = (".yaml", ".yml")

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 
 from daq.atomic_write import write_text
 from ground.terminal import console
-from rtpiv.analysis.focus.scan import FocusScan, focus_scan
+from rtpiv.analysis.focus import FocusScan, focus_scan
 from rtpiv.analysis.report.focus import best_rows, said_of, write_focus_page
-from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named, one_of
+from rtpiv.verbs.paths import Named, one_of, require_folder
 from rtpiv.verbs.show import show_focus
 
 

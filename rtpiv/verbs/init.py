@@ -22,8 +22,7 @@ from rtpiv.templates.lab import Lab
 from rtpiv.templates.plan_texts import flow_plan, shift_plan, target_plan
 from rtpiv.templates.scene_text import scene_text
 from rtpiv.verbs.check import check_files
-from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, require_folder
 from rtpiv.verbs.schema import write_schemas
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit

@@ -5,8 +5,7 @@ from pathlib import Path
 from ground.terminal import console
 from rtpiv.analysis.series.series_folder import MEAN
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, folder_for
 
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
 

@@ -21,8 +21,7 @@ from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, 
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
-from rtpiv.verbs.output import folder_for, require_folder
-from rtpiv.verbs.paths import Named, one_of, path_of
+from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, require_folder
 from rtpiv.verbs.show import show_mean, show_series, show_through
 
 

@@ -1,10 +1,16 @@
-"""Files and folders as people name them: as text or as `Path`, one or several."""
+"""Files and folders as people name them, and the folder for results.
 
-from collections.abc import Sequence
+That is tried before work starts: nobody waits a minute to hear that it cannot be written to.
+"""
+
+import errno
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeAlias
 
-from daq.errors import RunUsageError
+from daq.errors import DiskError, RunUsageError
 from tracer.scene.scene import Scene
 
 Named: TypeAlias = str | Path
@@ -57,3 +63,68 @@ def one_of(named: Sequence[Named] | Named) -> Path:
     said = f"{len(runs)} runs of {plans[0]} are given; this is the newest {finished}one: {newest}"
     console().print(said, soft_wrap=True, highlight=False)
     return newest
+
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def folder_for(out: Path | str | None, usual: str, goes_on: Callable[[Path], bool] = lambda path: False) -> Path:
+    """Return the folder for results of a call that may not have named one: never one with other results in it.
+
+    Parameters
+    ----------
+    out : path or None
+        The folder that was named, which is taken as it is.
+    usual : str
+        Where results go if none was; with a number behind it, "trace-2", if something lies there already.
+    goes_on : callable, optional
+        Whether the work of this call has been begun in a folder, and goes on there.
+
+    Raises
+    ------
+    RunUsageError, DiskError
+        As `require_folder`.
+    """
+    if out is not None:
+        return require_folder(out)
+    number, folder = 1, Path(usual)
+    while folder.exists() and not goes_on(folder) and not (folder.is_dir() and not any(folder.iterdir())):
+        number += 1
+        folder = Path(f"{usual}-{number}")
+    return require_folder(folder)
+
+
+def require_folder(out: Path | str) -> Path:
+    """Return the folder for results if it can be written to; it is not made yet if it is not there.
+
+    Parameters
+    ----------
+    out : path
+        The folder.
+
+    Raises
+    ------
+    RunUsageError
+        It is a file, lies in one, or may not be written to; the message says where that begins.
+    DiskError
+        The disk is full.
+    """
+    out = Path(out)
+    try:
+        with suppress(FileNotFoundError):
+            out.lstat()  # a name that no folder can have is refused by the system
+        there = next(place for place in (out, *out.absolute().parents) if place.exists())
+        if not there.is_dir():
+            raise RunUsageError(
+                f"is a file, so {out} cannot hold results", place=there, cure="give another folder with -o"
+            )
+        with tempfile.TemporaryFile(dir=there) as probe:
+            probe.write(b"\0")
+            probe.flush()
+    except (OSError, ValueError) as error:
+        reason = str(getattr(error, "strerror", None) or error).lower()
+        if getattr(error, "errno", None) in FULL:
+            raise DiskError(reason, place=out, cure="make room, or give another folder with -o") from None
+        text = f"{out}: {reason}, so it cannot hold results; give another folder with -o"
+        raise RunUsageError(text) from None
+    return out

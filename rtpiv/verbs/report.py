@@ -25,8 +25,7 @@ from rtpiv.analysis.series.series_pairs import is_flow
 from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.mean import mean
-from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named, one_of, path_of
+from rtpiv.verbs.paths import Named, one_of, path_of, require_folder
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 

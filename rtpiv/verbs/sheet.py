@@ -9,8 +9,7 @@ from ground.plain_words import counted
 from ground.terminal import console
 from rtpiv.analysis.light_sheet import about_sheet, flow_frames, sheet_of
 from rtpiv.analysis.recipe import FIT_FILE, scene_sigma_beside
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named, file_of, paths_of
+from rtpiv.verbs.paths import Named, file_of, folder_for, paths_of
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
 
@@ -56,7 +55,7 @@ def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = N
     if scene.with_name(FIT_FILE).is_file():
         copy_whole(scene.with_name(FIT_FILE), folder / FIT_FILE)
     write_json(folder / "sheet.json", about_sheet(found, [str(path) for path in given]))
-    from rtpiv.analysis.pictures.light_sheet import draw_light_sheet
+    from rtpiv.analysis.pictures.results import draw_light_sheet
 
     rows, columns = fitted.camera.shape
     draw_light_sheet(folder / "sheet.png", found, (columns * found.views.pitch_mm, rows * found.views.pitch_mm))

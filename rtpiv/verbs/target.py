@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from daq.errors import RunUsageError
 from ground.terminal import console
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named, file_of
+from rtpiv.verbs.paths import Named, file_of, folder_for
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 

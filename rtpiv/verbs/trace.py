@@ -16,8 +16,7 @@ from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
 from rtpiv.analysis.views.arranged import little
-from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, folder_for
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene

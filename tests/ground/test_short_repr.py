@@ -17,7 +17,7 @@ VALUES = ("tracer.strategies.ray_map:RayMap", "tracer.scene.scene:Scene", "trace
           "correction.fit.judge.result:SceneFit", "correction.fit.seen.measurement:TargetFrame",
           "correction.fitted.map_sigma:MapSigma", "correction.evaluate.target_error:TargetError",
           "rtpiv.analysis.pairs.evaluation:Evaluation", "rtpiv.analysis.series.mean_flow:MeanFlow",
-          "rtpiv.analysis.series.split_focus:JoinedMean", "rtpiv.analysis.focus.scan:FocusScan")  # fmt: skip
+          "rtpiv.analysis.series.split_focus:JoinedMean", "rtpiv.analysis.focus:FocusScan")  # fmt: skip
 
 
 @short_repr

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rtpiv.analysis.focus.scan import FocusScan
+from rtpiv.analysis.focus import FocusScan
 from rtpiv.analysis.report.page import Page
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from correction.fit.solve.light import doubt_of
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.correction_map import build_correction_map
 from daq.errors import RunUsageError
+from rtpiv.analysis.views.candidates import ViewQuestion
 from rtpiv.analysis.views.figures import view_figures, with_sigma
-from rtpiv.analysis.views.question import ViewQuestion
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.templates.lab import Lab
 from rtpiv.verbs.acquire import acquire

@@ -16,7 +16,7 @@ from rtpiv.verbs import output
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.correct import correct
 from rtpiv.verbs.evaluate import evaluate
-from rtpiv.verbs.output import folder_for, require_folder
+from rtpiv.verbs.paths import folder_for, require_folder
 from rtpiv.verbs.trace import trace
 from tracer.scene.scene_file import load_scene
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from rtpiv.analysis.focus.blur import Spots, parts_of, spots_in
-from rtpiv.analysis.focus.scan import BestFocus, FocusScan, best_focus, trusted_px2
+from rtpiv.analysis.focus import BestFocus, FocusScan, Spots, best_focus, parts_of, spots_in, trusted_px2
 from sim.demo.scenes import at_size, named_scene
 
 

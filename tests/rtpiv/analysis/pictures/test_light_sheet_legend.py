@@ -1,6 +1,6 @@
 """A legend names each way to see a particle twice once, however many sides of folds it has."""
 
-from rtpiv.analysis.pictures.light_sheet import by_words
+from rtpiv.analysis.pictures.results import by_words
 
 
 def test_sides_of_a_fold_share_one_entry():

@@ -1,4 +1,8 @@
-"""Maps and masks of a scene for programs that know nothing of rtpiv: NetCDF, or plain TIFF.
+"""Vectors and maps written for other programs; each file whole or not there.
+
+Tecplot and most readers of its text know no NaN: what was not measured is 0 there, and 0 in `measured`.
+
+Maps and masks of a scene for programs that know nothing of rtpiv: NetCDF, or plain TIFF.
 
     NAME_correction.nc   for each node of the plane (y, x; y up, both axes rising) which pixel shows it
         pixel_u, pixel_v     acquired pixel of the best view [px]: column, row; 0, 0 is the upper left one
@@ -13,22 +17,71 @@ TIFF has a file for each array, the first row on top, as images lie: NAME_u.tif 
 NAME_status.tif says why it is not, NAME_x.tif and NAME_y.tif are the rays.  Where there is nothing stands NaN.
 """
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING
 from ground.whole_file import whole_file
 from piv.files.frame_file import write_frame
-from piv.files.vector_file import Variable, netcdf
+from piv.files.vector_file import Variable, Vectors, netcdf, write_vtk
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Branch
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.trace import RayStatus
+
+
+def write_tecplot(path: Path, vectors: Vectors) -> list[Path]:
+    """Write one text file with a zone for each time (``.dat``, POINT packing)."""
+    fields = vectors.everything
+    names = [*fields, "measured"]
+    shown = ", ".join(f'"{name}"' for name in ("x [mm]", "y [mm]", *(vectors.called(name) for name in names)))
+    y, x = np.meshgrid(vectors.y_mm, vectors.x_mm, indexing="ij")
+    text = io.StringIO()
+    text.write(f'TITLE = "{_title(vectors, path)}"\nVARIABLES = {shown}\n')
+    for number, time_s in enumerate(vectors.times.tolist()):
+        text.write(f'ZONE T="{number}", I={len(vectors.x_mm)}, J={len(vectors.y_mm)}, DATAPACKING=POINT,')
+        text.write(f" STRANDID=1, SOLUTIONTIME={time_s:.9g}\n")
+        columns = [x, y, *(np.nan_to_num(one[number]) for one in fields.values()), vectors.measured[number]]
+        np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g")
+    return _written(path.with_suffix(".dat"), text.getvalue().encode("utf-8"))
+
+
+def write_matlab(path: Path, vectors: Vectors) -> list[Path]:
+    """Write one file of arrays (H, W, T) with names as here (``.mat``, version 5, which every MATLAB reads)."""
+    arrays: dict[str, Any] = {name: np.moveaxis(one, 0, -1) for name, one in vectors.everything.items()}
+    arrays |= {"x_mm": vectors.x_mm, "y_mm": vectors.y_mm, "t_s": vectors.times}
+    stream = io.BytesIO()
+    units = {name: unit for name, unit in vectors.units.items() if unit}
+    scipy.io.savemat(
+        stream, {**arrays, "units": units, "title": _title(vectors, path)}, do_compression=True, oned_as="column"
+    )
+    return _written(path.with_suffix(".mat"), stream.getvalue())
+
+
+def _title(vectors: Vectors, path: Path) -> str:
+    """What a file is called: as it says itself, or by its name."""
+    return str(vectors.attributes.get("title") or path.stem).replace('"', "")
+
+
+def _written(path: Path, content: bytes) -> list[Path]:
+    with whole_file(path) as stream:
+        stream.write(content)
+    return [path]
+
+
+FORMATS: dict[str, Callable[[Path, Vectors], list[Path]]] = {
+    "matlab": write_matlab,
+    "paraview": write_vtk,
+    "tecplot": write_tecplot,
+}
+
 
 Variables = Mapping[str, tuple[NDArray[Any], str]]  # array and unit by name
 

@@ -1,1 +1,0 @@
-"""Vectors for other people's tools."""

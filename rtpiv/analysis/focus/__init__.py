@@ -1,1 +1,0 @@
-"""Where a view through glass is sharp, and which aperture makes all of it sharp."""
