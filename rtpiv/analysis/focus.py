@@ -20,7 +20,7 @@ from the ratio rho of the covariance at lag l to that at no lag.  Covariances ar
 place, whose noise differs: only what both show counts.  Shapes that are not Gaussian change the scale of s and not
 where it is smallest.
 
-Parts are told apart by what the line of sight meets: beside all glass, and rings behind each stack of balls.  A
+Parts differ by what the line of sight meets: beside all glass, and rings behind each stack of balls.  A
 pixel belongs behind those balls that its straight line of sight crosses; its radius is that of the ball nearest
 the camera, r = distance of the line from the centre / R.  Parts that are cut by a silhouette are left out, and a
 band around every ball as well: a wide pupil sees both sides of an edge.

@@ -88,7 +88,7 @@ class FirstUse:
         return (time.monotonic() - self._begun_s) * (share - through) / through
 
     def end(self) -> None:
-        """Let the helpers go: each ends as soon as nobody holds its other end."""
+        """Let the helpers go: each ends as soon as its other end is closed."""
         for helper in self._helpers:
             assert helper.stdin is not None
             helper.stdin.close()

@@ -166,7 +166,7 @@ def acquire(
 
 
 def require_lens(bench: Bench, plan: Plan) -> None:
-    """Refuse a focus scan through the pinhole that our simulated camera is unless told otherwise."""
+    """Refuse a focus scan through the pinhole that our simulated camera is by default."""
     simulation = bench.table.simulation or {}
     ours = str(simulation.get("bench", "")).startswith("sim.")
     if isinstance(plan.table, FocusPlan) and ours and simulation.get("aperture") is None:

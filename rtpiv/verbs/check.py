@@ -228,7 +228,7 @@ def _plan_said(path: Path, bench: Bench) -> str:
 
 
 def _cameras_of(run: Path) -> list[Path]:
-    """Runs of the further cameras in the folder of a run; what is wrong with its run.json is told with itself."""
+    """Runs of the further cameras in the folder of a run; none of a damaged one, which is named for itself."""
     try:
         names = RunFolder(run).about.get("cameras", [])
     except DaqError:

@@ -68,7 +68,7 @@ class WriteBehind:
             if error is None:
                 self._done()
         finally:
-            self._writer.shutdown(wait=True)  # what has begun is whole; of another error that one is told
+            self._writer.shutdown(wait=True)  # what has begun is whole; another error is raised as it is
 
 
 DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
@@ -239,7 +239,7 @@ def _draw(
     corrected: NDArray[np.float32],
     corrector: Corrector,
 ) -> None:
-    """Draw a frame as acquired, computer-generated (as large as it is drawn: nobody sees more), corrected."""
+    """Draw a frame as acquired, computer-generated (no larger than it is drawn), corrected."""
     from rtpiv.analysis.pictures.patterns import Particles, Target, seen, shows_particles
     from rtpiv.analysis.pictures.rasters import WIDEST_PX
     from rtpiv.analysis.through_glass import shown_small

@@ -1,7 +1,7 @@
 """`rtpiv laser`: switch lasers off from anywhere, see whether one is, or align with weak pulses.
 
 `off` goes to every laser that a bench file of the lab or a running process names.  It first writes the bytes that
-switch off, past any program that holds the port, as the watchdog does; then it opens the box, if nobody holds it,
+switch off, past any program that holds the port, as the watchdog does; then it opens the box, if it is free,
 and reads back. `state` opens it too, and opening switches off what runs: nobody who watches it would be there.
 """
 

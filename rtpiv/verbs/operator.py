@@ -98,7 +98,7 @@ def operator_of(name: str | None, simulate: bool) -> Operator:
 
 
 def require_person(person: Operator, steps: Sequence[Step]) -> None:
-    """Refuse steps that need light if nobody can arm the laser; RunUsageError before anything moves."""
+    """Refuse steps that need light where the laser cannot be armed; RunUsageError before anything moves."""
     if isinstance(person, NoOperator) and any(step.pulses is not None for step in steps):
         person.confirmation_code("", "")
 

@@ -1,6 +1,6 @@
 """Files and folders as people name them, and the folder for results.
 
-That is tried before work starts: nobody waits a minute to hear that it cannot be written to.
+That is tried before work starts, so that a folder which cannot be written to costs no minute of work.
 """
 
 import errno

@@ -276,7 +276,7 @@ def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
 
 
 def would_be_lost(folder: Path, chunks: int, differences: Sequence[str]) -> str:
-    """What a person is told whose wish would replace finished chunks."""
+    """Why a campaign is refused that would replace finished chunks."""
     return (
         f"{folder}: {counted(chunks, 'finished chunk')} would be made anew: {'; '.join(differences)};"
         " choose another folder with -o, or delete this one"

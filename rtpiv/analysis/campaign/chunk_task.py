@@ -151,7 +151,7 @@ def clear(path: Path) -> None:
 
 
 def read_lease(path: Path) -> Held | None:
-    """Who has a lease; None if nobody has."""
+    """Who has a lease; None if it is free."""
     beat_ns = 0
     try:
         beat_ns = path.stat().st_mtime_ns

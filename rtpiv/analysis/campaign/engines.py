@@ -99,7 +99,7 @@ class DaskWorkers:
         Raises
         ------
         RunUsageError
-            Dask is not installed, or nobody answers at this address.
+            Dask is not installed, or no scheduler answers at this address.
         """
         try:
             from distributed import Client

@@ -63,7 +63,7 @@ def pack_kernels(path: Path) -> int:
             count += 1
     with whole_file(path) as stream:
         stream.write(buffer.getvalue())
-    path.chmod(0o644)  # workers run what it holds: nobody else may write it
+    path.chmod(0o644)  # workers run what it holds: no other user may write it
     return count
 
 
@@ -96,7 +96,7 @@ def _made_ready(kernels: Path) -> None:
 
 
 def is_only_mine(path: Path) -> bool:
-    """Whether nobody but this user (and root) can have written a file whose content is run as code.
+    """Whether only this user (and root) can have written a file whose content is run as code.
 
     Raises
     ------

@@ -195,7 +195,7 @@ class HandOut:
         return outcome
 
     def _void(self, name: Name, outcome: Outcome) -> str | None:
-        """Token of a lease that nobody has touched for `patience_s`, by our clock; None if it may be alive."""
+        """Token of a lease that has not been touched for `patience_s`, by our clock; None if it may be alive."""
         held, now_s = outcome.held, time.monotonic()
         assert held is not None
         token, beat_ns, since_s = self._seen.get(name, ("", -1, now_s))

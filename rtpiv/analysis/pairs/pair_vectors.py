@@ -81,7 +81,7 @@ class SeriesField:
     time_s : float
         Since the first pair of the run; its number there if the camera has no clock.
     dt_s, dt_sigma_s : float
-        Time between its frames and the standard deviation of that, NaN if nobody measured it.
+        Time between its frames and the standard deviation of that, NaN if it was not measured.
     velocity_m_s, sigma_m_s : (ny, nx, 2) float64
         u to the right and v UP, and their random standard uncertainty.
     resolution_m_s : (ny, nx) float64
@@ -320,8 +320,8 @@ def _by_place(result: PairResult, shape: tuple[int, int], pitch_mm: float, timed
     field, scale = result.found, per_px(pitch_mm, result.dt_s if timed else None)
     nothing = np.full(shape, np.nan)
     if isinstance(field, str):
-        masked, nobody = np.full(shape, VectorFlag.MASKED, np.int8), np.zeros(shape, np.int8)
-        return dict.fromkeys(MEASURED, nothing) | {"chc": nobody, "flag": masked}
+        masked, none = np.full(shape, VectorFlag.MASKED, np.int8), np.zeros(shape, np.int8)
+        return dict.fromkeys(MEASURED, nothing) | {"chc": none, "flag": masked}
     values = {
         "u": field.u_px * scale,
         "v": -field.v_px * scale,

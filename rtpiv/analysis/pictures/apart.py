@@ -6,7 +6,7 @@ imports what the verb draws with, and waits.  What is then to be drawn is sent t
 "module:name", and arguments, which are data.  Errors come back and are raised where the verb waits.
 
 Nothing depends on the child: where there is none (one core, no fork, another thread already, a verb called from
-Python), or where it was killed, pictures are drawn by whoever asks.  It ends when nobody holds the other end.
+Python), or where it was killed, pictures are drawn by whoever asks.  It ends when the other end is closed.
 """
 
 import multiprocessing
@@ -78,7 +78,7 @@ class Apart:
         return True
 
     def end(self) -> None:
-        """Let it go; what it still draws nobody wants."""
+        """Let it go; what it still draws is not waited for."""
         self._end.close()
         self._process.terminate()
         self._process.join()
@@ -138,7 +138,7 @@ def _carry_out(job: Job) -> None:
 
 def _draw_what_comes(jobs: Connection, others: Connection, modules: Sequence[str]) -> None:
     """Be the child."""
-    others.close()  # else it would never hear that nobody holds the other end
+    others.close()  # else it would never see the other end closed
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     compile_news.watch = compile_news.complain = compile_news.make_helper = compile_news.helper = None

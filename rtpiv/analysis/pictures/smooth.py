@@ -1,7 +1,7 @@
 """What the test of the model looks at: the smooth part of the residuals, path by path through the glass.
 
 Corners scatter; a model that is wrong bends.  Every panel shows one path, a ball or a chain of them, its arrows
-scaled by themselves and as many as can be told apart: a field that turns or points outwards is a ball that is not
+scaled by themselves and as many as can be seen apart: a field that turns or points outwards is a ball that is not
 the sphere of the file, or a board that is not flat; arrows that point anywhere are noise.
 """
 

@@ -49,7 +49,7 @@ Floats = NDArray[np.float64]
 def vector_figure(
     field: VectorField, grid: PlaneGrid, scene: Scene, colour: Floats, label: str, limit: float | None = None
 ) -> Figure:
-    """Draw vectors, as many as can be told apart, over a coloured background, on the plane in mm.
+    """Draw vectors, as many as can be seen apart, over a coloured background, on the plane in mm.
 
     Parameters
     ----------

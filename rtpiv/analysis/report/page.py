@@ -74,7 +74,7 @@ class Page:
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
     def warning(self, text: str) -> None:
-        """Add a paragraph that nobody overlooks."""
+        """Add a paragraph that stands out."""
         self._parts.append(f'<p class="warning">{html.escape(text)}</p>')
 
     def lead(self, value: str, name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -324,7 +324,7 @@ def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
 
 
 def _ratio(signal_to_noise: float) -> str:
-    """Ratio of a frame, whose noise may be too small to be told from its particles."""
+    """Ratio of a frame, whose noise may be too small to be separated from its particles."""
     if np.isinf(signal_to_noise):
         return "no noise seen"
     return "-" if np.isnan(signal_to_noise) else f"{signal_to_noise:.1f}"

@@ -6,7 +6,7 @@ its chunks and kept in a file with what it was made from.
 A frame that is missing or damaged costs its own pair and nothing else: its neighbours are compared with those that
 are there. One whose neighbours are all gone has no background, which costs its own pair again.
 
-While a pair is evaluated the system reads the frames of the next ones into its memory: it is told which. That
+While a pair is evaluated the system reads the frames of the next ones into its memory, as each is announced. That
 needs no thread, and a worker waits for the disk only where the disk is slower than all workers together.
 """
 

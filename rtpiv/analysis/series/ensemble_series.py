@@ -164,7 +164,7 @@ class EnsembleFlow:
     pairs : int
         Pairs in the sums.
     dt_sigma_share : float
-        Standard uncertainty of dt over dt, one factor for all vectors; NaN if nobody measured it.
+        Standard uncertainty of dt over dt, one factor for all vectors; NaN if it was not measured.
     """
 
     x_mm: Floats

@@ -69,7 +69,7 @@ class MeanFlow:
     stress_resolution_m2_s2 : (ny, nx, 3) float64
         By how much stresses may be too small for the same reason: an upper limit.
     dt_sigma_share : float
-        Standard uncertainty of dt over dt, the same for all pairs; NaN if nobody measured it.
+        Standard uncertainty of dt over dt, the same for all pairs; NaN if it was not measured.
     left_out : tuple of (str, str)
         Pairs that are not, by tag, and why.
     map_sigma_m_s : (ny, nx, 2) float64 or None

@@ -1,4 +1,4 @@
-"""The folder of a series: what it consists of, its chunks, and nobody else at work in it.
+"""The folder of a series: what it consists of, its chunks, and one process at work in it.
 
 series.json   what was asked, the key of every chunk: on the disk before the first of them
 scene.yaml    what the camera looked through; fit.npz, what its fit is unsure of, if there was one
@@ -269,7 +269,7 @@ class SeriesFolder:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Let nobody else evaluate into this folder.
+        """Keep other processes from evaluating into this folder.
 
         Raises
         ------

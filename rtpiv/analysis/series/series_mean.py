@@ -8,7 +8,7 @@ mean.nc, where rows begin at the lowest y:
     sigma_u, sigma_v              random standard uncertainty of the mean, by the effective samples
     resolution                    standard uncertainty of u and of v by what windows do not resolve [m s-1]
     dt_sigma_u, dt_sigma_v        by that of delta_t, one factor for all vectors (`delta_t_sigma_share`); missing
-                                  if nobody measured it
+                                  if that was not measured
     map_sigma_u, _v, _x, _y       by the fitted map: of the mean [m s-1] and of the place [mm]; no number of pairs
                                   makes it smaller, so it is kept apart; missing where there was no fit
     total_sigma_u, _v             all of these that are known, added as squares

@@ -28,7 +28,7 @@ CHECKSUMS = "checksums.jsonl"
 MOST_BYTES = 1_000_000_000  # of the list of checksums
 Known = dict[str, tuple[int, int, str]]  # by name of the frame: bytes and time of its file, checksum
 FEW_PAIRS = 10  # of a stream: a background found in so few holds light of particles, so none is taken off unasked
-READ_BACK = 1e-6  # relative; of an exposure that nobody has changed
+READ_BACK = 1e-6  # relative; of an exposure that has not been changed
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from ground.rows import thread_count
 Job = TypeVar("Job")
 R = TypeVar("R")
 ONE_THREAD = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-LEAVE_S = 10.0  # given to workers that were told to end
+LEAVE_S = 10.0  # given to workers to end
 
 
 @contextmanager

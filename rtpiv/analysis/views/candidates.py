@@ -4,7 +4,7 @@ All arrangements of a question are computed, on all cores.
 
 An arrangement is beaten if another shows at least as much with usable error, at least as surely, and in at least
 as much light, and is better in one of these, counted in steps: figures within one step are no reason to prefer
-one.  What nobody beats is the Pareto front: the only choice that is left is what to give up.
+one.  What is not beaten is the Pareto front: the only choice that is left is what to give up.
 """
 
 import math

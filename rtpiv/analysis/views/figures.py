@@ -77,7 +77,7 @@ class ViewFigures:
         Share of its light that a particle behind glass sends into its picture.
     sigma_px, unsaid_px : float
         Median sigma of the map behind glass after a fit [corrected px], where it was asked for: the light of the
-        target frames known; and if nobody says which it was.
+        target frames known; and if it is not known which it was.
     """
 
     lab: Lab

@@ -12,7 +12,7 @@ import tifffile
 from daq.errors import DiskError, RunUsageError
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import USAGE, main
-from rtpiv.verbs import output
+from rtpiv.verbs import paths
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.correct import correct
 from rtpiv.verbs.evaluate import evaluate
@@ -44,7 +44,7 @@ def test_full_read_only_and_forbidden(tmp_path, monkeypatch, number, kind):
 
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
     with pytest.raises(kind, match=os.strerror(number).lower()):
-        output.require_folder(tmp_path / "out")
+        paths.require_folder(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
