@@ -46,6 +46,7 @@ class Controller(Link, MotionController):
     default_baud: ClassVar[int]
     example_channels: ClassVar[tuple[str, str]]  # two valid names, for messages and contract tests
     hold_dtr: ClassVar[bool] = False
+    flow_control: ClassVar[bool] = False  # RTS/CTS, and buffers that are emptied after opening
     wakes_within_s: ClassVar[float] = 0.0  # deaf after opening for as long as this, because opening resets it
     counts_steps: ClassVar[bool] = False  # the protocol speaks steps, so every channel needs steps_per_mm
     homes_together: ClassVar[bool] = False  # one command homes every channel
@@ -106,7 +107,13 @@ class Controller(Link, MotionController):
         with self._lock:
             self.close()
             self._forget_references()
-            self._port = Port(url, baud or self.default_baud, clock=self.clock, hold_dtr=self.hold_dtr)
+            self._port = Port(
+                url,
+                baud or self.default_baud,
+                clock=self.clock,
+                hold_dtr=self.hold_dtr,
+                flow_control=self.flow_control,
+            )
             try:
                 if self.under_way:  # what was moving when the port was lost may move still
                     self.stop()

@@ -36,6 +36,7 @@ except ImportError:  # not a POSIX machine: pyserial raises nothing of the kind 
 
 POLL_S = 0.02  # how long one read blocks; the deadline is checked in between
 WRITE_TIMEOUT_S = 1.0
+DWELL_S = 0.05  # before and behind the emptying of buffers (APT protocol, issue 26, p. 30)
 TRACE_LENGTH = 2000
 SIMULATED = "sim.emulators"  # package with pyserial's handler for sim://
 
@@ -63,6 +64,8 @@ class Port:
         Clock of every deadline.
     hold_dtr : bool
         Keep DTR low on opening; boards that reset on DTR would forget their position.
+    flow_control : bool
+        RTS/CTS, and after opening buffers that are emptied with a dwell before and behind it.
 
     Raises
     ------
@@ -70,7 +73,15 @@ class Port:
         The port cannot be opened; the message names the cure.
     """
 
-    def __init__(self, url: str, baud: int, *, clock: Clock = SYSTEM_CLOCK, hold_dtr: bool = False) -> None:
+    def __init__(
+        self,
+        url: str,
+        baud: int,
+        *,
+        clock: Clock = SYSTEM_CLOCK,
+        hold_dtr: bool = False,
+        flow_control: bool = False,
+    ) -> None:
         self.url = url
         self.clock = clock
         self.trace: deque[Chunk] = deque(maxlen=TRACE_LENGTH)
@@ -80,11 +91,19 @@ class Port:
             serial.protocol_handler_packages.append(SIMULATED)
         try:
             self._serial = serial.serial_for_url(
-                url, baud, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True, do_not_open=True
+                url,
+                baud,
+                timeout=POLL_S,
+                write_timeout=WRITE_TIMEOUT_S,
+                exclusive=True,
+                do_not_open=True,
+                rtscts=flow_control,
             )
             if hold_dtr:
                 self._serial.dtr = False
             self._serial.open()
+            if flow_control:
+                self._purge()
         except (*_FAILURES, ValueError) as error:
             raise PortUnavailable(_why_not(url, error)) from error
 
@@ -155,6 +174,15 @@ class Port:
             self._serial.close()
         except _FAILURES:
             self._lost = True
+
+    def _purge(self) -> None:
+        """Set RTS, and empty what the adapter holds of an earlier program."""
+        with suppress(*_FAILURES):  # not every port has the line
+            self._serial.rts = True
+        self.clock.sleep_s(DWELL_S)
+        self._serial.reset_input_buffer()
+        self._serial.reset_output_buffer()
+        self.clock.sleep_s(DWELL_S)
 
     @contextmanager
     def _cable(self) -> Iterator[None]:

@@ -74,6 +74,14 @@ class SimSerial(serial.SerialBase):
         self._alive().send(sent)
         return len(sent)
 
+    def reset_input_buffer(self) -> None:
+        """Forget what has arrived."""
+        self._alive().receive()
+        self._rest = b""
+
+    def reset_output_buffer(self) -> None:
+        """Nothing waits to be sent."""
+
     def _alive(self) -> Line:
         line = self._line
         if not self.is_open or line is None:

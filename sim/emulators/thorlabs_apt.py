@@ -6,12 +6,15 @@ that it makes. Speeds of the servos are 16.16 fixed-point counts per period of t
 steppers are 53.68 to the microstep per second.
 
 Home: down onto the lower switch (or up onto the upper one, as set), slowly off it, by the offset further, zero
-there. After power-up a channel is switched off and not homed, counts from where it stands, corrects backlash by
-itself, and has lost every setting that was not written into its memory. The wheel at the box stops what runs and
-drives what rests.
+there. After power-up a channel is not homed, counts from where it stands, corrects backlash by itself, and has
+lost every setting that was not written into its memory; a cube is switched on (thorlabs-apt-device homes a KDC101
+without switching it on), a rack is not. The wheel at the box stops what runs and drives what rests.
 
 Nothing that moves is answered. The end of a motion is told unasked, and the state ten times a second to those who
 have asked for that; who does not thank for it is told no more after fifty times.
+
+**Server alive.** With `falls_silent` the box keeps to the letter of the protocol, issue 26, p. 30: a host that has
+not said MOT_ACK_DCSTATUSUPDATE for a second is answered about fifty commands more, and then nothing until it does.
 """
 
 import re
@@ -26,7 +29,7 @@ from stages.protocols import thorlabs_apt as apt
 from stages.protocols.apt_words import Kind
 
 UPDATES_S = 0.1
-UNTHANKED = 50
+UNTHANKED, THANKS_S = 50, 1.0
 CONNECTED = 0x0100
 POSITION_ERROR = 0x4000
 UPWARDS, DOWNWARDS = 0x0010, 0x0020
@@ -55,7 +58,8 @@ class _Channel:
 
     def power_up(self) -> None:
         self.zero = self._counted
-        self.is_homed = self.is_on = self.has_fault = False
+        self.is_homed = self.has_fault = False
+        self.is_on = not self.box.is_rack
         self.phase = "rest"
         self.relative = self.target = 0
         per_rev = self.motor.mechanics.steps_per_rev
@@ -194,6 +198,8 @@ class AptEmulator(Emulator):
         Serial number.
     home_offset : int
         Counts from the switch to the zero of a reference run.
+    falls_silent : bool
+        Whether it wants to hear that somebody is there.
     """
 
     def __init__(
@@ -203,16 +209,19 @@ class AptEmulator(Emulator):
         model: str | None = None,
         serial: int = 27_000_001,
         home_offset: int = 0,
+        falls_silent: bool = False,
     ) -> None:
         super().__init__(motors, clock)
-        self._is_rack = any(name.startswith("bay") for name in motors)
-        self.model = model or ("BSC203" if self._is_rack else "KDC101")
+        self._falls_silent, self._thanked_s, self._unthanked = falls_silent, clock.now_s(), 0
+        self.started_by: list[int] = []  # addresses that were told that nobody writes firmware
+        self.is_rack = any(name.startswith("bay") for name in motors)
+        self.model = model or ("BSC203" if self.is_rack else "KDC101")
         self._serial, self.home_offset = serial, home_offset
         self._stream = apt.CommandStream()
         self._channels: dict[str, _Channel] = {}
         for name, motor in self.motors.items():
-            place = words.FIRST_BAY - 1 + int(name[3:]) if self._is_rack else words.UNIT
-            self._channels[name] = _Channel(self, motor, place, 1 if self._is_rack else int(name))
+            place = words.FIRST_BAY - 1 + int(name[3:]) if self.is_rack else words.UNIT
+            self._channels[name] = _Channel(self, motor, place, 1 if self.is_rack else int(name))
         self._updates_left = 0
         self._next_update_s = 0.0
 
@@ -260,8 +269,20 @@ class AptEmulator(Emulator):
         for channel in self._channels.values():
             channel.power_up()
 
+    def _count(self, command: object) -> None:
+        """Count a command of a host that has not said for a while that it is there."""
+        thanks = isinstance(command, apt.Order) and command.kind == Kind.MOT_ACK_DCSTATUSUPDATE
+        if self._falls_silent and not thanks and self.event_s - self._thanked_s > THANKS_S:
+            self._unthanked += 1
+
+    def say(self, data: bytes, time_s: float | None = None) -> None:
+        """Answer, unless it has fallen silent."""
+        if self._unthanked <= UNTHANKED:
+            super().say(data, time_s)
+
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
+            self._count(command)
             match command:
                 case ProtocolViolation():
                     continue
@@ -280,9 +301,9 @@ class AptEmulator(Emulator):
     def _obey(self, order: apt.Order) -> None:
         match order.kind:
             case Kind.HW_REQ_INFO:
-                if order.to == (words.RACK if self._is_rack else words.UNIT):
+                if order.to == (words.RACK if self.is_rack else words.UNIT):
                     self._introduce(order.to)
-            case Kind.RACK_REQ_BAYUSED if self._is_rack and order.to == words.RACK:
+            case Kind.RACK_REQ_BAYUSED if self.is_rack and order.to == words.RACK:
                 used = any(one.place == words.FIRST_BAY + order.first for one in self._channels.values())
                 reply = apt.Reply(Kind.RACK_GET_BAYUSED, order.first, words.ON if used else words.OFF, words.RACK)
                 self.say(reply.to_bytes())
@@ -291,7 +312,10 @@ class AptEmulator(Emulator):
                 self.act_at(self._next_update_s)
             case Kind.HW_STOP_UPDATEMSGS:
                 self._updates_left = 0
+            case Kind.HW_NO_FLASH_PROGRAMMING:
+                self.started_by.append(order.to)
             case Kind.MOT_ACK_DCSTATUSUPDATE:
+                self._thanked_s, self._unthanked = self.event_s, 0
                 self._updates_left = UNTHANKED if self._updates_left else 0
             case _:
                 for channel in self._meant(order.to, order.first):
@@ -326,7 +350,7 @@ class AptEmulator(Emulator):
                 channel.stop(order.second)
 
     def _introduce(self, place: int) -> None:
-        kind, channels = (45, len(self._channels)) if self._is_rack else (16, len(self._channels))
+        kind, channels = (45, len(self._channels)) if self.is_rack else (16, len(self._channels))
         info = apt.Info(self._serial, self.model, kind, (2, 0, 3), NOTES, 3, 0, channels, place)
         self.say(info.to_bytes())
 

@@ -11,6 +11,7 @@ in an answer shows which. So each line of the table of families says what 1 coun
 and who has written it down or tried it; a box of a model that is not in it is refused.
 """
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
@@ -48,6 +49,7 @@ FAMILIES = (
 
 
 LARGEST_CHANNEL = 4
+ALIVE_S = 0.5  # a second is what a box is said to wait
 
 A = TypeVar("A", bound=apt.Answer)
 
@@ -56,6 +58,7 @@ class AptQuestions(Controller):
     """A Thorlabs box as far as it is asked and told."""
 
     _complaint: str  # the last error that the box has told unasked
+    _alive_s: float = -math.inf  # when the box was last told that somebody is there
     _told_homed: set[str]  # channels whose reference run has been told to have ended
 
     def _check_channel(self, channel: Channel) -> None:
@@ -72,6 +75,20 @@ class AptQuestions(Controller):
     @property
     def _is_rack(self) -> bool:
         return any(name.startswith("bay") for name in self._channels)
+
+    @property
+    def _places(self) -> list[int]:
+        """Addresses of all that is talked to."""
+        cards = sorted({place_of(name) for name in self._channels})
+        return [words.RACK, *cards] if self._is_rack else cards
+
+    def _clear_line(self) -> None:
+        """And tell the box that somebody is there, if it has not been told for a while."""
+        super()._clear_line()
+        if self.clock.now_s() - self._alive_s > ALIVE_S:
+            self._alive_s = self.clock.now_s()
+            for to in self._places:
+                self.port.write(apt.Order(Kind.MOT_ACK_DCSTATUSUPDATE, to=to).to_bytes())
 
     def _identify(self) -> str:
         """What the box says of itself; everything older stands before it and is skipped."""

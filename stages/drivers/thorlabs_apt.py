@@ -22,11 +22,16 @@ box that is homed and has the mark is where it says it is, also for the next pro
 the next bytes for the rest of it, maybe of a target. So whoever opens the port, and the watchdog, says stop until
 the longest of our messages must have ended: what has begun by then ends at once.
 
+**Server alive.** Over USB a box that has not heard MOT_ACK_DCSTATUSUPDATE for a second falls silent after about
+fifty commands (APT protocol, issue 26, p. 30; one lab has not seen it). So it stands before the next question
+whenever it was not said for `ALIVE_S`; while nothing is asked, nothing is said.
+
 **Stops.** A servo is stopped at once: its encoder goes on counting. A stepper that is stopped at once loses steps
 that nobody counts, so it is stopped along its ramp. The box's own backlash correction would drive past the target;
 it is switched off before the first move.
 """
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from zlib import crc32
@@ -64,6 +69,7 @@ class AptController(AptQuestions):
     default_baud = 115_200
     example_channels = ("bay1", "bay2")
     counts_steps = True
+    flow_control = True
 
     families: Sequence[Family] = FAMILIES  # a subclass may know more
 
@@ -168,6 +174,9 @@ class AptController(AptQuestions):
     def _get_to_know(self) -> None:
         for data in self.watchdog_bytes():
             self.port.write(data)
+        self._alive_s = -math.inf
+        for to in self._places:
+            self.port.write(apt.Order(Kind.HW_NO_FLASH_PROGRAMMING, to=to).to_bytes())
         super()._get_to_know()
 
     def _reset_state(self) -> None:

@@ -35,6 +35,16 @@ class Order:
             ),
             Example(b"\x10\x02\x01\x01\x50\x01", cls(Kind.MOD_SET_CHANENABLESTATE, 1, ON), CLIENTS),
             Example(b"\x05\x00\x00\x00\x11\x01", cls(Kind.HW_REQ_INFO, to=RACK), f"{PROTOCOL}, hw_req_info"),
+            Example(
+                b"\x18\x00\x00\x00\x50\x01",
+                cls(Kind.HW_NO_FLASH_PROGRAMMING),
+                f"{PROTOCOL}, hw_no_flash_programming",
+            ),
+            Example(
+                b"\x92\x04\x00\x00\x50\x01",
+                cls(Kind.MOT_ACK_DCSTATUSUPDATE),
+                f"{PROTOCOL}, mot_ack_dcstatusupdate",
+            ),
         )
 
 

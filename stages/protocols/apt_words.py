@@ -1,7 +1,8 @@
 """The words of Thorlabs APT: addresses, message ids, bits of the state, form and length of each message.
 
 Sources: Thorlabs, "APT Controllers Host-Controller Communications Protocol", issue 23 (2018), where three open
-readers agree (thorlabs-apt-protocol 29, pylablib 1.4.5, InstrumentKit).
+readers agree (thorlabs-apt-protocol 29, pylablib 1.4.5, InstrumentKit); issue 26, p. 30, for the start of a
+conversation and for "server alive".
 """
 
 from enum import IntEnum
@@ -39,6 +40,7 @@ class Kind(IntEnum):
     HW_GET_INFO = 0x0006
     HW_START_UPDATEMSGS = 0x0011
     HW_STOP_UPDATEMSGS = 0x0012
+    HW_NO_FLASH_PROGRAMMING = 0x0018  # at the start: nobody is about to write new firmware
     RACK_REQ_BAYUSED = 0x0060
     RACK_GET_BAYUSED = 0x0061
     HW_RESPONSE = 0x0080
@@ -73,7 +75,7 @@ class Kind(IntEnum):
     MOT_GET_STATUSUPDATE = 0x0481
     MOT_REQ_DCSTATUSUPDATE = 0x0490
     MOT_GET_DCSTATUSUPDATE = 0x0491
-    MOT_ACK_DCSTATUSUPDATE = 0x0492
+    MOT_ACK_DCSTATUSUPDATE = 0x0492  # "server alive"; answered by nothing
 
 
 SHORT = None  # the length of what has no data

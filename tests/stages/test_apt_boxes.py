@@ -525,3 +525,34 @@ def _with_bay_2_empty():
 def test_impossible_channels(channels):
     with pytest.raises(StageUsageError, match="channel"):
         AptController("box", {name: Channel(name, 400.0) for name in channels})
+
+
+def test_a_box_that_falls_silent_without_server_alive_is_driven_for_minutes(cube):
+    """APT protocol, issue 26, p. 30: once a second, or no answer after about fifty commands."""
+    made = cube(firmware={"falls_silent": True})
+    made.stage.home()
+    for _ in range(3):
+        made.stage.move({"a": 40.0})
+        made.clock.sleep_s(30.0)
+        assert made.stage.where_mm()["a"] == pytest.approx(40.0, abs=0.01)
+        made.stage.move({"a": 5.0})
+    times = [time_s for time_s, _ in written(made, Kind.MOT_ACK_DCSTATUSUPDATE)]
+    asked = [time_s for time_s, _ in written(made, Kind.MOT_REQ_STATUSBITS)]
+    assert len(times) < 0.5 * len(asked)
+    assert all(any(0.0 <= at - said <= 0.6 for said in times) for at in asked if at > times[0])
+
+
+def test_without_server_alive_such_a_box_says_nothing_any_more(cube, monkeypatch):
+    monkeypatch.setattr("stages.drivers.apt_questions.ALIVE_S", 1e9)
+    made = cube(firmware={"falls_silent": True})
+    made.clock.sleep_s(2.0)
+    with pytest.raises(NoReply):
+        made.stage.home()
+
+
+@pytest.mark.parametrize("shape", ["rack", "cube"])
+def test_the_start_of_a_conversation_is_that_of_the_protocol(shape, request, bench):
+    """Flow control, buffers emptied with dwells, and the word that nobody is about to write firmware."""
+    made = request.getfixturevalue("cube")() if shape == "cube" else bench("thorlabs_apt")
+    assert made.controller.port._serial.rtscts
+    assert made.line.emulator.started_by == ([0x50] if shape == "cube" else [0x11, 0x21, 0x22])

@@ -201,6 +201,27 @@ def test_thorlabs_apt_device_homes_moves_and_hears_the_rack():
             client._thread.join()
 
 
+def test_thorlabs_apt_device_homes_and_moves_a_cube():
+    """It never switches a channel on: a cube is on when it gets power."""
+    pytest.importorskip("thorlabs_apt_device", reason="thorlabs-apt-device is not installed")
+    from thorlabs_apt_device import KDC101
+
+    motor = Motor(SERVO)
+    with box_on_a_port({"1": motor}, model="KDC101", falls_silent=True) as (path, _):
+        client = KDC101(serial_port=path, home=False)
+        try:
+            wait_until(lambda: client.status["msg"] == "mot_get_dcstatusupdate")
+            client.home()
+            wait_until(lambda: client.status["homed"], 20.0)
+            assert motor.carriage_mm == pytest.approx(0.0, abs=0.001)
+            client.move_absolute(34_304 * 3)
+            wait_until(lambda: client.status["position"] == 34_304 * 3, 20.0)
+            assert motor.carriage_mm == pytest.approx(3.0, abs=0.001)
+        finally:
+            client.close()
+            client._thread.join()
+
+
 def test_thorlabs_apt_device_is_told_the_state_by_itself():
     """Automatic messages, kept alive by its thanks; a wheel that somebody turns is seen."""
     pytest.importorskip("thorlabs_apt_device", reason="thorlabs-apt-device is not installed")
