@@ -50,7 +50,7 @@ slow-balance: $(STAMP)
 
 # The site in docs/_build/html, from pages, docstrings, parser and schemas; every warning and every lost link is an error
 docs: $(SITE_STAMP)
-	rm -rf docs/_build
+	rm -rf docs/_build/html
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	$(BIN)/python docs/made/links.py docs/_build/html
 
@@ -61,7 +61,8 @@ $(SITE_STAMP): docs/requirements.txt $(STAMP)
 
 # Commands, names and links of README and docs
 docs-check: $(STAMP)
-	$(BIN)/python -m pytest -n0 tests/system/test_pages.py tests/rtpiv/test_page.py tests/faces/test_python_page.py
+	$(BIN)/python -m pytest -n0 tests/system/test_pages.py tests/system/test_site.py tests/system/test_tutorials.py \
+	  tests/rtpiv/test_page.py tests/faces/test_python_page.py
 
 # Lines that the fast tests reach, kernels by a run of their tests that compiles nothing: htmlcov/index.html
 INTERPRETED = tests/tracer/test_kernels.py tests/piv/correlation/test_refine.py tests/piv/resampling/test_sample.py \

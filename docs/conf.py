@@ -1,4 +1,4 @@
-"""How `make docs` builds the site: Sphinx reads these pages, MyST their Markdown (docs/adr/0034)."""
+"""How `make docs` builds the site: Sphinx reads these pages, MyST their Markdown (docs/adr/0035)."""
 
 import importlib.metadata
 import sys
@@ -24,5 +24,7 @@ suppress_warnings = []  # none: a page that Sphinx doubts is a page to mend
 
 html_theme = "furo"
 html_title = "rtpiv"
+html_static_path = ["made/site.css"]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False

@@ -50,6 +50,21 @@ def test_a_page_has_one_title():
         assert len(titles) == 1, f"{page.name}: {titles}"
 
 
+def test_decisions_are_numbered_in_one_row():
+    pages = sorted((DOCS / "adr").glob("*.md"))
+    titles = [re.match(r"# (\d+)\. ", page.read_text("utf-8"))[1] for page in pages]
+    assert [int(page.name[:4]) for page in pages] == list(map(int, titles)) == list(range(1, len(pages) + 1))
+
+
+def test_the_gallery_has_every_example_with_what_it_is(made):
+    gallery = made("gallery")
+    shown = {*gallery.scenes(), *gallery.others()}
+    assert shown == {path for path in (ROOT / "examples").rglob("*") if path.suffix in (".yaml", ".py")}
+    assert {"two_spheres_500.yaml", "body_centred_bed.yaml"} <= {path.name for path in gallery.scenes()}
+    for path in shown:
+        assert gallery.caption(path).endswith((".", ":")), path
+
+
 def test_the_command_line_has_every_verb_with_every_option(made):
     text = made("command_line").text()
     parts = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
