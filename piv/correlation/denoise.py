@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.outliers import smoothed
+from piv.correlation.planes import smoothed
 
 SMOOTH = 0.625  # of the window's side: standard deviation of the smooth part's weights
 ORDER = 3

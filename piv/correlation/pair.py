@@ -32,8 +32,8 @@ from piv.correlation.correlate import peak_ratios
 from piv.correlation.deform import DeformedPair, deform_pair
 from piv.correlation.denoise import kept_share, split
 from piv.correlation.evidence import unproven
-from piv.correlation.outliers import filled, smoothed
 from piv.correlation.passes import Measured, moved, refine_pass, search
+from piv.correlation.planes import filled, smoothed
 from piv.correlation.prepare import Pair, prepared
 from piv.correlation.refine import refine, window_weights
 from piv.correlation.resolution import matched_share, unmatched_px, unresolved_px

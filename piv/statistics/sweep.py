@@ -13,8 +13,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.outliers import filled, smoothed
 from piv.correlation.passes import moved
+from piv.correlation.planes import filled, smoothed
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.statistics.cells import cells_of

@@ -31,7 +31,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.outliers import filled
+from piv.correlation.planes import filled
 from piv.correlation.resolution import second_differences
 from piv.errors import SeriesError
 from piv.statistics.arrays import shaped

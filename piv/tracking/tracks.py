@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.outliers import filled
 from piv.correlation.pair import evaluate_pair
+from piv.correlation.planes import filled
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
 from piv.errors import PairError

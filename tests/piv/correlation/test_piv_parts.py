@@ -10,7 +10,8 @@ from piv.correlation.kernels import deform as piv_deform
 from piv.correlation.kernels import fft as piv_fft
 from piv.correlation.kernels import median as piv_median
 from piv.correlation.kernels import windows as piv_windows
-from piv.correlation.outliers import filled, outliers, smoothed
+from piv.correlation.outliers import outliers
+from piv.correlation.planes import RIDGE, filled, smoothed
 from piv.correlation.windows import around, interpolated, interpolation_matrix, window_grid
 from piv.resampling.kernels.bspline import quintic_at
 from piv.resampling.sample import prefilter, sample
@@ -309,3 +310,21 @@ def test_windows_are_centred_in_the_frame():
     assert grid.row.tolist() == [2, 18, 34, 50, 66]
     assert grid.column.tolist() == [3, 19, 35]
     assert grid.y_px[0] == 17.5
+
+
+def test_planes_through_gaps_and_past_edges_are_those_of_least_squares():
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[:17, :21].astype(float)
+    field = np.stack([3.0 * x - y + rng.normal(size=x.shape), 40.0 + 0.2 * y + rng.normal(size=x.shape)], -1)
+    valid = rng.uniform(size=x.shape) > 0.3
+    trust = rng.uniform(0.5, 1.5, x.shape)
+    found = smoothed(field, valid, 2.0, 1, trust)
+    for j, i in ((0, 0), (8, 10), (16, 3), (5, 20)):
+        weight = np.where(valid, trust, 0.0) * np.exp(-((x - i) ** 2 + (y - j) ** 2) / 8.0)
+        weight[np.maximum(abs(x - i), abs(y - j)) > 8] = 0.0
+        # The ridge is a pull of both slopes to zero.
+        design = np.stack([np.ones_like(x), x - i, y - j], -1).reshape(-1, 3)
+        moments = (design.T * weight.ravel()) @ design + weight.sum() * RIDGE * np.diag([0.0, 1.0, 1.0])
+        for axis in range(2):
+            right = (design.T * weight.ravel()) @ field[..., axis].ravel()
+            assert found[j, i, axis] == pytest.approx(np.linalg.solve(moments, right)[0], abs=1e-4)
