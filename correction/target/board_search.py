@@ -101,6 +101,8 @@ class BoardDetection:
         u, v and their standard deviations.
     axes_px : (N, 2, 2) float64
         Columns: displacement in the image by one square along the board's +x and +y.
+    blurs_px : (N, 2) float64
+        Standard deviation of the spread of the edges along the board's +x and +y, pixel integration included.
     refused : dict
         Corners that were seen and not used: reason -> count.
     """
@@ -110,6 +112,7 @@ class BoardDetection:
     position_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
     axes_px: NDArray[np.float64]
+    blurs_px: NDArray[np.float64]
     refused: dict[str, int]
 
     @property
@@ -157,7 +160,7 @@ def measure_lattice(
         )
     index, start, axes = index[smooth], start[smooth], axes[smooth]
     known_index, known_axes = np.empty((0, 2), np.int64), np.empty((0, 2, 2))
-    position, sigma = np.empty((0, 2)), np.empty((0, 2))
+    position, sigma, blurs = np.empty((3, 0, 2))
     tried: set[tuple[int, int]] = set()
     refused: dict[str, int] | None = None
     for extension in range(1 + EXTENSIONS):
@@ -174,6 +177,7 @@ def measure_lattice(
         known_axes = np.concatenate((known_axes, axes[fit.valid]))
         position = np.concatenate((position, fit.position_px[fit.valid]))
         sigma = np.concatenate((sigma, fit.sigma_px[fit.valid]))
+        blurs = np.concatenate((blurs, fit.blurs_px[fit.valid]))
         lattice_axes(known_index, position, known_axes)
         tried.update((int(i), int(j)) for i, j in index)
         index, start, axes = _neighbours(known_index, position, known_axes, tried)
@@ -182,18 +186,14 @@ def measure_lattice(
     refused = refused or {}
     smooth = on_smooth_map(known_index, position, known_axes)
     foreign += int(np.count_nonzero(~smooth))
-    known_index, known_axes, position, sigma = (
-        known_index[smooth],
-        known_axes[smooth],
-        position[smooth],
-        sigma[smooth],
-    )
+    known_index, known_axes = known_index[smooth], known_axes[smooth]
+    position, sigma, blurs = position[smooth], sigma[smooth], blurs[smooth]
     if len(position) < LEAST_BOARD:
         raise TargetNotFound(f"only {len(position)} corners could be fitted ({refused}); check focus and light")
     refused = {reason: n for reason, n in refused.items() if reason != "OK"}
     if foreign:
         refused["FOREIGN"] = foreign
-    return BoardDetection(board, known_index, position, sigma, known_axes, refused)
+    return BoardDetection(board, known_index, position, sigma, known_axes, blurs, refused)
 
 
 def _holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:

@@ -189,9 +189,18 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_num
         raise TargetNotFound(f"{frame.name}: {error}") from None
     count = len(found)
     corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
-    branch_name, rim = np.full(count, ""), np.full(count, np.inf)
+    nothing = np.zeros_like(found.blurs_px)
     return MeasuredFrame(
-        frame.name, corners, found.index, found.axes_px, branch_name, rim, found.sigma_px, {}, dict(found.refused)
+        frame.name,
+        corners,
+        found.index,
+        found.axes_px,
+        np.full(count, ""),
+        np.full(count, np.inf),
+        found.sigma_px,
+        {},
+        dict(found.refused),
+        spread=EdgeSpread(found.blurs_px**2, nothing, nothing),
     )
 
 
@@ -206,9 +215,7 @@ def bare_frame_through_walls(
     found = _measured(frame.name, board, expected, fit, spread, height_number)
     nothing_behind = np.full(len(found), "")
     corners = replace(found.corners, glass=False)
-    return replace(
-        found, corners=corners, branch_name=nothing_behind, expected={}, lost=LostCorners(), spread=EdgeSpread()
-    )
+    return replace(found, corners=corners, branch_name=nothing_behind, expected={}, lost=LostCorners())
 
 
 def glass_frame(

@@ -7,10 +7,17 @@ is then drawn by an error that repeats with its place in the pixel (peak locking
 
 u the place of the corner, L how far [px] the edge leans over the arms of the window: edges that cross pixels mean
 it away.  On a sharp frame a_1 is 0.02-0.1 px, several times what noise leaves, and alike in neighbouring corners.
-Its terms are unknowns of the fit like all others, apart for u and v and beside and behind glass.  Sines are
-believed to be SINES_PX or so, cosines EVEN_PX, as a pixel is the same from left and from right (rendered frames:
-a_1 0.005-0.11 px, b_m below 0.002; whatever the blur, a_2 is no more than a third of a_1).  They stand behind the
-free vector x, as columns that move nothing in the scene.
+Its terms are unknowns of the fit like all others, apart for u and v and beside and behind glass.  They stand
+behind the free vector x, as columns that move nothing in the scene.
+
+How large they may be the frame says by how wide its edges are.  Of an edge with variance b^2, pixel included, what
+repeats with the pixel is a share exp(-2 pi^2 b^2) (aliasing).  So sines are believed to be
+
+    a_1 = (SHARP_PX^2 exp(-4 pi^2 b^2) + LEAST_PX^2)^1/2,        a_2 = a_1 / 3,
+
+and cosines EVEN_PX, as a pixel is the same from left and from right.  Found by the corner fit in edges of
+b^2 = 0.04, 0.07, 0.12, 0.14, 0.18, 0.28, 0.52 px^2: a_1 = 0.108, 0.077, 0.030, 0.025, 0.010, 0.006, 0.018 px,
+a_2 no more than a third of it, b_m below 0.002.
 
 u is where the scene shows the corner, never where it was measured.  On a board that hangs straight, with squares
 of whole pixels, u is the same for all corners; the noise of what was measured would then be all that differs, and
@@ -30,9 +37,10 @@ from correction.fit.seen.measurement import MeasuredFrame
 from correction.fit.solve.solver import Corners, Residuals
 from correction.fit.solve.unknowns import Unknowns
 
-SINES_PX = {1: 0.03, 2: 0.01}  # what is believed of a_m
-EVEN_PX = 0.003  # and of b_m
-HARMONICS = tuple(SINES_PX)
+SHARP_PX, LEAST_PX = 0.25, 0.012  # what is believed of a_1: of edges without width, and of any
+EVEN_PX = 0.003  # what is believed of b_m
+UNMEASURED_PX2 = 0.12  # variance of an edge as the sharpest lens draws it
+HARMONICS = (1, 2)
 TERMS = 4 * len(HARMONICS)
 NAMES = tuple(
     f"lock {axis} {wave}{m} {region}"
@@ -41,8 +49,17 @@ NAMES = tuple(
     for m in HARMONICS
     for wave in ("sin", "cos")
 )
-SIZES_PX = np.tile([size for sine in SINES_PX.values() for size in (sine, EVEN_PX)], 4)
 ARMS = 0.84  # length of an edge in a window, squares
+
+
+def believed_px(frame: MeasuredFrame) -> NDArray[np.float64]:
+    """What is believed of every term (2 TERMS,) in a frame, beside the glass if corners are seen there."""
+    beside, variance = ~frame.behind, frame.spread.variance_px2
+    measured = variance[beside if beside.any() else ~beside] if len(variance) else variance
+    known = np.isfinite(measured).any()
+    b2 = max(float(np.nanmedian(measured)), 0.0) if known else UNMEASURED_PX2
+    sine = float(np.hypot(SHARP_PX * np.exp(-2.0 * np.pi**2 * b2), LEAST_PX))
+    return np.tile([sine, EVEN_PX, sine / 3.0, EVEN_PX], len(NAMES) // 4)
 
 
 def lock_terms(
@@ -108,9 +125,10 @@ def unlocked(
     per_sigma = np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)  # u and v are weighed apart
     shown = corners.pixel - np.nan_to_num(part.value / per_sigma)
     pull, slope = lock_terms(shown, frame.axes_px, frame.behind)
-    lock = SIZES_PX * x[here]
+    sizes = believed_px(frame)
+    lock = sizes * x[here]
     rate = part.rate * (1.0 + slope @ lock)[:, :, None]
-    rate[:, :, here] = -per_sigma[:, :, None] * pull * SIZES_PX
+    rate[:, :, here] = -per_sigma[:, :, None] * pull * sizes
     return Residuals(part.value - per_sigma * (pull @ lock), rate)
 
 

@@ -8,16 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
-from correction.fit.seen.measurement import TargetFrame
-from correction.fit.seen.pixel_lock import NAMES, SIZES_PX, lock_terms, with_lock, without_lock
+from correction.fit.seen.measurement import MeasuredFrame, TargetFrame, whitening
+from correction.fit.seen.pixel_lock import NAMES, believed_px, lock_terms, with_lock, without_lock
+from correction.fit.seen.smear_test import EdgeSpread
+from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import unknowns_of
 from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
 from correction.target import Chessboard
+from correction.target.corners import refine_corners
 from sim.demo.scenes import at_size, named_scene
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
@@ -52,8 +56,8 @@ def beside(fit: SceneFit, truth: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 def of_corners(
     seed: int, square_px: float, roll_rad: float, lock_px: float, noise_px: float
-) -> tuple[np.ndarray, np.ndarray, SceneFit, Adjustment]:
-    """Error and sigma beside the glass of a lab whose corners are drawn, its fit, and who made it."""
+) -> tuple[np.ndarray, np.ndarray, SceneFit, np.ndarray]:
+    """Error and sigma beside the glass of a lab whose corners are drawn, its fit, and the lock found [px]."""
     rng = np.random.default_rng((33, seed))
     nominal, truth, square_mm = aligned(square_px, roll_rad, rng)
     board = Chessboard(square_mm, 0.4 * square_mm)
@@ -66,7 +70,7 @@ def of_corners(
     bench = unknowns_of(nominal, [0.0], FitTable())
     work = Adjustment()
     fit = work.estimate(bench, bench.start, frames, ())
-    return (*beside(fit, truth), fit, work)
+    return (*beside(fit, truth), fit, believed_px(frames[0]) * work.lock)
 
 
 @pytest.mark.parametrize("roll_rad", TURNS_RAD)
@@ -106,7 +110,7 @@ def test_a_lock_that_would_undo_what_the_camera_does_is_not_found_in_noise():
     bench, work = unknowns_of(nominal, [0.0], FitTable()), Adjustment()
     fit = work.estimate(bench, bench.start, frames, ())
     error, sigma = beside(fit, truth)
-    assert np.abs(SIZES_PX * work.lock).max() < 0.02
+    assert np.abs(believed_px(frames[0]) * work.lock).max() < 0.02
     assert np.abs(error).max() < 0.02
     assert np.median(sigma) < 0.05
 
@@ -118,11 +122,61 @@ def test_sigma_beside_glass_holds_what_a_straight_board_leaves_open():
 
 
 def test_the_lock_is_found_where_corners_meet_the_rows_of_pixels_in_many_ways():
-    _, _, _, work = of_corners(1, 22.37, 0.003, 0.017, 0.005)
-    found = dict(zip(NAMES, SIZES_PX * work.lock, strict=True))
+    lock_px = of_corners(1, 22.37, 0.003, 0.017, 0.005)[3]
+    found = dict(zip(NAMES, lock_px, strict=True))
     for name, size in found.items():
         if "beside" in name:
             assert size == pytest.approx(-0.017 if "sin1" in name else 0.0, abs=0.0015), name
+
+
+def test_sharp_edges_are_believed_to_lock_more_than_blurred_ones():
+    """As the corner fit finds them in edges integrated over pixels, by their variance."""
+    found = {}
+    for blur_px in (0.2, 0.3, 0.4):
+        u, off = np.arange(41.0), []
+        for phase in np.arange(8) / 8.0:
+            edges = [drawn_edge(u, 20.0 + place, blur_px) for place in (phase, 0.3)]
+            corner = refine_corners(
+                1000.0 + 500.0 * np.outer(edges[1], edges[0]), [[20.0, 20.0]], 18.0 * np.eye(2)
+            )
+            off.append(float(corner.position_px[0, 0]) - 20.0 - phase)
+        first, second = np.abs(np.fft.rfft(off))[1:3] / 4.0
+        found[first] = believed_px(bare_of(corner.blurs_px))[0]
+        assert second < first / 3.0
+    assert max(found) > 0.02
+    for size, believed in found.items():
+        assert 0.1 * believed < size < 2.0 * believed
+
+
+def drawn_edge(u: np.ndarray, place: float, blur_px: float) -> np.ndarray:
+    """A step from -1 to 1, blurred and integrated over pixels of one pixel's width."""
+
+    def area(x: np.ndarray) -> np.ndarray:
+        return x * (2.0 * ndtr(x / blur_px) - 1.0) + blur_px * np.sqrt(2.0 / np.pi) * np.exp(
+            -0.5 * (x / blur_px) ** 2
+        )
+
+    return area(u + 0.5 - place) - area(u - 0.5 - place)
+
+
+def bare_of(blurs_px: np.ndarray) -> MeasuredFrame:
+    """A frame without glass whose edges are so wide."""
+    count, zeros = len(blurs_px), np.zeros_like(blurs_px)
+    corners = Corners(0, False, zeros, zeros, whitening(zeros))
+    spread = EdgeSpread(blurs_px**2, zeros, zeros)
+    axes = np.zeros((count, 2, 2))
+    return MeasuredFrame(
+        "bare",
+        corners,
+        zeros.astype(np.int64),
+        axes,
+        np.full(count, ""),
+        zeros[:, 0],
+        zeros,
+        {},
+        {},
+        spread=spread,
+    )
 
 
 def test_the_lock_fades_where_edges_lean():
