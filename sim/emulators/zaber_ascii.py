@@ -7,6 +7,10 @@ Home: back onto the sensor (the low switch), off it again slowly, zero there. So
 forwards. An encoder watches the rotor: a held rotor stops the motion with FS. The far switch gives WL. After
 power-up WR is set until homed, and positions count from where the axis stands; settings are kept. Each device has
 a knob: pressed, it interrupts a motion (NI); turned, it moves the axis (NC) and the position stays known.
+
+From firmware 7 on a motion takes a speed and an acceleration of its own (ASCII manual, move); ``move vel`` goes on
+until it is stopped, ``move min`` and ``move max`` go to the limits. A command without a checksum is answered
+without one (ASCII manual, checksums).
 """
 
 from collections.abc import Callable, Mapping
@@ -63,13 +67,16 @@ class _Axis:
             self.phase = "to sensor"
             self.motor.go(float("-inf"), self.speed("limit.approach.maxspeed"), self.ramp())
 
-    def move(self, position: float) -> None:
+    def move(self, position: float, speed: int | None = None, accel: int | None = None) -> None:
         self.phase = "move"
         self.flags -= {"NI"}
+        top = self.speed() if speed is None else speed / 1.6384
+        ramp = self.ramp() if accel is None else accel * 10_000 / 1.6384 or 1e9
         # the encoder's count is what positions mean; pulses lost earlier are made up for
-        self.motor.go(
-            position + self.zero + self.motor.steps - self.motor.encoder_steps, self.speed(), self.ramp()
-        )
+        self.motor.go(position + self.zero + self.motor.steps - self.motor.encoder_steps, top, ramp)
+
+    def limit(self, upper: bool) -> int:
+        return self.settings["limit.max" if upper else "limit.min"]
 
     def stop(self) -> None:
         if self.motor.running:
@@ -120,21 +127,29 @@ class ZaberEmulator(Emulator):
     motors : mapping of str to Motor
         ``device/axis`` (or ``device``) -> motor.
     checksums : bool
-        Devices set to append checksums to everything they say.
+        Devices that append a checksum to answers to commands that had one.
     serial : int
         Serial number of the chain; that of a device is this and its address.
+    firmware : str
+        Version.
     """
 
     READ_ONLY: ClassVar[dict[str, str]] = {
-        "deviceid": "50081", "version": "7.33", "version.build": "14571", "device.hw.modified": "0",
+        "deviceid": "50081", "version.build": "14571", "device.hw.modified": "0",
         "comm.packet.size.max": "80", "comm.command.packets.max": "1", "comm.word.size.max": "50",
         "get.settings.max": "10", "peripheralid": "0", "system.platform": "30050301",
     }  # fmt: skip
 
     def __init__(
-        self, motors: Mapping[str, Motor], clock: Clock, checksums: bool = True, serial: int = 70_000
+        self,
+        motors: Mapping[str, Motor],
+        clock: Clock,
+        checksums: bool = True,
+        serial: int = 70_000,
+        firmware: str = "7.33",
     ) -> None:
         super().__init__(motors, clock)
+        self._firmware = firmware
         self._serial = serial
         self._checked = checksums
         self._stream = CommandStream()
@@ -195,11 +210,12 @@ class ZaberEmulator(Emulator):
         else:
             addressed = [axes[command.axis]] if command.axis else list(axes.values())
             accepted, data = self._obey(command.text.split(), device, addressed, command.axis)
+        checked = self._checked and command.checked
         busy = any(box.motor.running for box in addressed)
         flag = min(
             (box.flag for box in addressed), key=lambda flag: RANK.index(flag) if flag in RANK else len(RANK)
         )
-        reply = Reply(device, command.axis, accepted, busy, flag, data, command.message_id, self._checked)
+        reply = Reply(device, command.axis, accepted, busy, flag, data, command.message_id, checked)
         self.say(reply.to_bytes())
 
     def _obey(self, words: list[str], device: int, axes: list[_Axis], axis: int) -> tuple[bool, str]:
@@ -214,8 +230,15 @@ class ZaberEmulator(Emulator):
                 for box in axes:
                     box.stop()
                 return True, "0"
-            case ["move", "abs" | "rel" as kind, number] if _whole(number):
-                return self._move(kind, int(number), axes)
+            case ["move", "abs" | "rel" | "vel" as kind, *numbers] if numbers and all(map(_whole, numbers)):
+                return self._move(kind, [int(number) for number in numbers], axes)
+            case ["move", "min" | "max" as kind, *numbers] if all(map(_whole, numbers)):
+                own = [int(number) for number in numbers]
+                for box in axes:
+                    accepted, data = self._move("abs", [box.limit(kind == "max"), *own], [box])
+                    if not accepted:
+                        return accepted, data
+                return True, "0"
             case ["warnings"] | ["warnings", "clear"]:
                 flags = [flag for flag in RANK if any(flag in box.flags for box in axes)]
                 if words[1:]:  # clearing tells once more what there was
@@ -233,13 +256,26 @@ class ZaberEmulator(Emulator):
                 return True, "0"
         return False, "BADCOMMAND"
 
-    def _move(self, kind: str, number: int, axes: list[_Axis]) -> tuple[bool, str]:
+    def _move(self, kind: str, numbers: list[int], axes: list[_Axis]) -> tuple[bool, str]:
+        goal, *own = numbers
+        most = 1 if kind == "vel" else 2  # a velocity is a speed already
+        if len(own) > (most if int(self._firmware.partition(".")[0]) >= 7 else 0) or any(n <= 0 for n in own):
+            return False, "BADDATA"
+        targets = []
         for box in axes:
-            target = number + (box.position if kind == "rel" else 0)
-            if not box.settings["limit.min"] <= target <= box.settings["limit.max"]:
+            if kind == "vel":
+                targets.append(box.limit(goal > 0))
+            else:
+                targets.append(goal + (box.position if kind == "rel" else 0))
+            if not box.limit(False) <= targets[-1] <= box.limit(True):
                 return False, "BADDATA"
-        for box in axes:
-            box.move(number + (box.position if kind == "rel" else 0))
+        for box, target in zip(axes, targets, strict=True):
+            if kind == "vel" and not goal:
+                box.motor.brake(box.ramp())
+            elif kind == "vel":
+                box.move(target, abs(goal), *own)
+            else:
+                box.move(target, *own)
         return True, "0"
 
     def _get(self, name: str, device: int, axes: list[_Axis], axis: int) -> tuple[bool, str]:
@@ -249,6 +285,8 @@ class ZaberEmulator(Emulator):
             return True, str(self._serial + device)
         if name == "system.axiscount":
             return True, str(len(axes) if not axis else 1)
+        if name == "version":
+            return True, self._firmware
         if name == "comm.alert":
             return True, str(int(self._alerts))
         if name in self.READ_ONLY:

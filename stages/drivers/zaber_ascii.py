@@ -10,6 +10,10 @@ and so is WL (unexpected limit); they stay until ``warnings clear``, which homin
 only the flag that matters most, so what else is wrong is asked for with ``warnings``. WR stands after every
 power-up until homed, so it tells a restart as well; it is looked at in every answer, and asked for where a
 position counts.
+
+**Speed of a motion.** Settings are kept over power ("non-volatile", ASCII manual, settings), so writing them for
+every leg wears the memory and changes what others find. From firmware 7 on a move takes its own: ``move abs P
+maxspeed accel``. Firmware 6 has only the settings; there they are written when they change.
 """
 
 import re
@@ -30,6 +34,7 @@ from stages.errors import (
 from stages.protocols.zaber_ascii import AnswerStream, Command, Reply
 
 PER_SECOND = 1.6384
+MOTION_HAS_PROFILE = 7  # firmware from which on a move takes its own speed and acceleration
 LARGEST_SETTING = 2**31 - 1
 STOP_ID = 99  # answers to a stop belong to nobody and are skipped
 
@@ -53,7 +58,11 @@ class ZaberController(Controller):
     example_channels = ("1/1", "1/2")
     counts_steps = True
     senses_stall = True
+    first_day = (
+        "Devices ship in Binary at 9600 baud (A-series) until Zaber's own program has set them to ASCII at 115200."
+    )
 
+    _firmware = 0  # the oldest of the line, major number
     _next_id = 0
     _flag = NO_FLAG  # of the last answer
     _profile: dict[str, tuple[int, int]]
@@ -64,14 +73,15 @@ class ZaberController(Controller):
         """Begin an absolute move; NotReferenced if the device has restarted, which is then stopped at once."""
         steps = round(target_mm * self._scale(channel))
         speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
-        if self._profile.get(channel) != (speed, acceleration):
+        own = f" {speed} {acceleration}" if self._firmware >= MOTION_HAS_PROFILE else ""
+        if not own and self._profile.get(channel) != (speed, acceleration):
             self._profile.pop(channel, None)
             self._repeated(lambda: self._tell(channel, f"set maxspeed {speed}"))
             self._repeated(lambda: self._tell(channel, f"set accel {acceleration}"))
             self._profile[channel] = (speed, acceleration)
         self._stopped = False
         self._pressed = None
-        if self._tell(channel, f"move abs {steps}", moves=True).flag in UNREFERENCED:
+        if self._tell(channel, f"move abs {steps}{own}", moves=True).flag in UNREFERENCED:
             self.stop()  # restarted since it was asked: it moves in a coordinate that means nothing
             self._forget_references()
             raise NotReferenced(f"{self.name} channel {channel} has restarted; stopped at once, home it")
@@ -171,6 +181,8 @@ class ZaberController(Controller):
         return ", ".join(words)
 
     def _set_up(self) -> None:
+        versions = re.findall(r"firmware (\d{1,4})\b", self.identity)
+        self._firmware = min((int(major) for major in versions), default=0)
         for name in self._channels:
             device, axis = _address(name)
             count = self._repeated(partial(self._reply, device, 0, "get system.axiscount")).data

@@ -92,6 +92,46 @@ def test_zaber_speed_units_are_the_vendors(zaber):
     assert statistics.median(speeds) == pytest.approx(10.0, rel=0.05)
 
 
+def test_zaber_official_client_drives_at_a_velocity_and_to_the_ends(zaber):
+    connection, motors, line = zaber
+    axis = connection.get_device(1).get_axis(1)
+    axis.home()
+    axis.move_velocity(round(20 * PER_MM * 1.6384))
+    first_s, first_mm = line.clock.now_s(), motors["1/1"].carriage_mm
+    while line.clock.now_s() < first_s + 2.0:
+        time.sleep(0.005)
+    assert motors["1/1"].carriage_mm > first_mm + 5.0
+    axis.stop()
+    rests_mm = motors["1/1"].carriage_mm
+    axis.move_velocity(-round(20 * PER_MM * 1.6384))
+    axis.wait_until_idle()
+    assert motors["1/1"].carriage_mm < rests_mm
+    axis.settings.set("limit.max", 40 * PER_MM)
+    axis.move_max()
+    assert axis.get_position() == axis.settings.get("limit.max")
+    axis.move_min()
+    assert axis.get_position() == axis.settings.get("limit.min")
+    before = axis.settings.get("maxspeed")
+    axis.move_absolute(5 * PER_MM, velocity=round(10 * PER_MM * 1.6384), acceleration=100)
+    assert axis.settings.get("maxspeed") == before
+
+
+def test_python_microscope_drives_the_chain():
+    """It reads answers at fixed columns, and sends no checksums: it must get none back."""
+    zaber = pytest.importorskip("microscope.controllers.zaber", reason="python-microscope is not installed")
+    clock = ScaledClock(20.0)
+    motors = {"1/1": Motor(SCREW), "1/2": Motor(SCREW)}
+    with PtyPort(Line(ZaberEmulator(motors, clock), clock)) as port:
+        chain = zaber.ZaberDaisyChain(port.path, {1: zaber.ZaberDeviceType.STAGE})
+        stage = chain.devices["1"]
+        stage.enable()
+        stage.move_to({"1": 10.0 * PER_MM})
+        assert stage.position["1"] == 10.0 * PER_MM
+        datum_mm = motors["1/1"].carriage_mm
+        stage.move_by({"1": 5.0 * PER_MM})
+        assert motors["1/1"].carriage_mm - datum_mm == pytest.approx(5.0, abs=0.01)
+
+
 def test_zaber_official_client_notices_a_pulled_plug(zaber):
     zaber_motion = pytest.importorskip("zaber_motion")
     connection, _, line = zaber
