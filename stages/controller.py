@@ -16,10 +16,9 @@ from typing import Any, ClassVar, TypeVar
 
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.controller_tables import AnyControllerTable, ControllerTable
-from stages.errors import NoReply, ProtocolViolation, StageUsageError, WrongDevice
+from stages.errors import NoReply, ProtocolViolation, StageError, StageUsageError, WrongDevice
 from stages.link import QUIET_S, Link
 from stages.motion_controller import Channel, MotionController
-from stages.port import Port
 from stages.stop_latch import StopLatch
 from stages.watchdog import Watchdog, needs_watchdog
 
@@ -44,6 +43,7 @@ class Controller(Link, MotionController):
     """
 
     default_baud: ClassVar[int]
+    other_bauds: ClassVar[Sequence[int]] = ()  # tried after it where the bench file says none: usual, not default
     example_channels: ClassVar[tuple[str, str]]  # two valid names, for messages and contract tests
     hold_dtr: ClassVar[bool] = False
     flow_control: ClassVar[bool] = False  # RTS/CTS, and buffers that are emptied after opening
@@ -61,6 +61,7 @@ class Controller(Link, MotionController):
         Link.__init__(self, name, clock)
         MotionController.__init__(self, name, channels, clock, latch)
         self.watchdog: Watchdog | None = None
+        self.baud = self.default_baud  # at which it has answered
         self._at_rest: dict[str, Any] = {}  # readings that two answers agreed on since the last motion
         self._stopped = False
         for channel in self._channels.values():
@@ -79,7 +80,7 @@ class Controller(Link, MotionController):
         assert isinstance(table, ControllerTable)
         if needs_watchdog([table.port]):
             self.watchdog = start()
-            baud = table.baud or self.default_baud
+            baud = table.baud or self.baud
             self.watchdog.know(self.name, table.port, baud, self.hold_dtr, self.watchdog_bytes())
 
     def connect(self, url: str, baud: int | None = None) -> str:
@@ -107,28 +108,41 @@ class Controller(Link, MotionController):
         with self._lock:
             self.close()
             self._forget_references()
-            self._port = Port(
-                url,
-                baud or self.default_baud,
-                clock=self.clock,
-                hold_dtr=self.hold_dtr,
-                flow_control=self.flow_control,
-            )
-            try:
-                if self.under_way:  # what was moving when the port was lost may move still
-                    self.stop()
-                self._get_to_know()
-            except BaseException:
-                self.close()
-                raise
-            return self.identity
+            rates = [baud] if baud else [self.baud, *self.other_bauds]
+            failures: list[StageError] = []
+            for rate in rates:
+                try:
+                    self._connect_at(url, rate)
+                except (NoReply, ProtocolViolation) as error:
+                    failures.append(error)
+                    if self.identity:  # it has answered before, so the rate is right
+                        raise
+                else:
+                    self.baud = rate
+                    return self.identity
+            tried = ", ".join(str(rate) for rate in rates[1:])
+            raise NoReply(f"{failures[0]} (tried as well: {tried} baud)") if tried else failures[0]
+
+    def _connect_at(self, url: str, baud: int) -> None:
+        """Open the port at one rate and find out who answers."""
+        self._open_port(url, baud, hold_dtr=self.hold_dtr, flow_control=self.flow_control)
+        try:
+            if self.under_way:  # what was moving when the port was lost may move still
+                self.stop()
+            self._get_to_know()
+        except BaseException:
+            self.close()
+            raise
 
     def _get_to_know(self) -> None:
         first_time = not self.identity
         self._suspect = self._stopped = False
         self._reset_state()
         self.port.drain(QUIET_S)
-        identity = self._agreed(self._woken)
+        try:
+            identity = self._agreed(self._woken)
+        except (NoReply, ProtocolViolation) as error:
+            raise NoReply(self._unheard()) from error
         if not first_time and identity != self.identity:
             raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
         self.identity = identity

@@ -16,8 +16,9 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, TypeVar
 
 from stages.clock import Clock
-from stages.errors import DeviceLost, NoReply, ProtocolViolation, WrongDevice
+from stages.errors import DeviceLost, NoReply, PortUnavailable, ProtocolViolation, WrongDevice
 from stages.port import Port
+from stages.who_answers import instead_of
 
 QUIET_S = 0.12  # silence that ends draining
 LOOK_UP_S = 0.03  # how long a wait for an answer takes notice of nothing else
@@ -52,6 +53,7 @@ class Link(ABC):
     """
 
     reply_timeout_s: float = 0.5
+    first_day: str = ""  # what else may be wrong with a box that has never answered, as a sentence
 
     def __init__(self, name: str, clock: Clock) -> None:
         self.name = name
@@ -73,6 +75,25 @@ class Link(ABC):
         if self._port is None:
             raise DeviceLost(f"{self.name} is not connected; open it and home its axes")
         return self._port
+
+    def _open_port(self, url: str, baud: int, *, hold_dtr: bool = False, flow_control: bool = False) -> None:
+        """Open the port, with the name of the box in the sentence that says why not."""
+        try:
+            self._port = Port(url, baud, clock=self.clock, hold_dtr=hold_dtr, flow_control=flow_control)
+        except PortUnavailable as error:
+            raise PortUnavailable(f"{self.name} ({baud} baud): {error}") from error
+
+    def _unheard(self) -> str:
+        """Say, as a sentence, what came instead of an answer, and what may be done about it."""
+        port = self.port
+        where = f"{self.name} on {port.url} at {port.baud} baud"
+        if self.identity:
+            return (
+                f"{where} has answered before and gives no clear answer now; is it switched off, or is its cable "
+                "loose? See to it, then open it again"
+            )
+        words = [f"{where} {instead_of(port.heard())}", self.first_day]
+        return " ".join([*filter(None, words), f"rtpiv probe {port.url} tries other rates and boxes"])
 
     def close(self) -> None:
         """Close the port; safe at any time."""
@@ -198,7 +219,7 @@ class Link(ABC):
             )
         if identity != self.identity:
             raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
-        raise NoReply(f"{self.name} gives no clear answer; is it switched on, is the cable good?")
+        raise NoReply(self._unheard())
 
     def _repeated(self, ask: Callable[[], T]) -> T:
         """Ask a question again when its answer was late or damaged; never for commands that move."""

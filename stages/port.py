@@ -82,7 +82,7 @@ class Port:
         hold_dtr: bool = False,
         flow_control: bool = False,
     ) -> None:
-        self.url = url
+        self.url, self.baud = url, baud
         self.clock = clock
         self.trace: deque[Chunk] = deque(maxlen=TRACE_LENGTH)
         self._lost = False
@@ -146,7 +146,7 @@ class Port:
                 self.trace.append(Chunk(self.clock.now_s(), False, data))
                 return data
             if self.clock.now_s() >= deadline_s:
-                raise NoReply(f"{self.url}: no answer in time; is the controller switched on?")
+                raise NoReply(f"{self.url} at {self.baud} baud: no answer in time")
 
     def pending(self) -> bytes:
         """Return what has arrived already, without waiting."""
@@ -167,6 +167,10 @@ class Port:
             except NoReply:
                 break
         return swallowed
+
+    def heard(self) -> bytes:
+        """What has come, as far as it is kept; for messages."""
+        return b"".join(chunk.data for chunk in self.trace if not chunk.sent)
 
     def close(self) -> None:
         """Close; safe at any time, on a dead port too."""

@@ -17,9 +17,8 @@ from typing import ClassVar, Literal
 from daq.timing.errors import LaserDoubt, LaserStopped
 from daq.timing.pulses import Role, Schedule
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.errors import CommandRejected, DeviceLost, MotionStopped, PortError, ProtocolViolation
+from stages.errors import CommandRejected, DeviceLost, MotionStopped, NoReply, PortError, ProtocolViolation
 from stages.link import QUIET_S, Link
-from stages.port import Port
 from stages.stop_latch import StopLatch
 from stages.watchdog import Watchdog
 
@@ -78,13 +77,16 @@ class TimingBox(Link):
         with self._lock:
             self.close()
             self._url, self._baud = url, baud or self.default_baud
-            self._port = Port(self._url, self._baud, clock=self.clock)
+            self._open_port(self._url, self._baud)
             try:
                 self._suspect = False
                 self.drop()  # before a word is asked: whatever ran before us is not ours
                 self.port.drain(QUIET_S)
                 self._suspect = False
-                identity = self._agreed(self._identify)
+                try:
+                    identity = self._agreed(self._identify)
+                except (NoReply, ProtocolViolation) as error:
+                    raise NoReply(self._unheard()) from error
                 if self.identity and identity != self.identity:
                     raise LaserDoubt(f"{self.name}: {identity!r} answers instead of {self.identity!r}")
                 self.identity = identity

@@ -97,6 +97,7 @@ class Line:
         self.owner: object | None = None  # whoever has it open
         self.opened_with = 0  # `plugged` when the host opened it
         self.plugged = 0  # times that somebody put the plug in; what was opened before is dead
+        self.baud: int | None = None  # rate at which the box listens; None for any
         self.hooks = Hooks()
         self.on_cut: Callable[[], None] | None = None
         self.after_traffic: Callable[[], None] | None = None  # called without the lock

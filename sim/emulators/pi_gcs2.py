@@ -1,21 +1,26 @@
-"""A PI controller with General Command Set 2.0, one servo axis per motor.
+"""A PI controller with General Command Set 2.0, one servo axis per motor, or a chain of several on one port.
 
 Positions are mm, made from the counts of an encoder on the motor with the firmware's own counts per mm. The
-reference run goes below the reference edge and up onto it; there the position is `reference_mm`. During it only
-queries and stops are taken. An axis that cannot follow switches its servo off and leaves error -1024. A
+reference run goes below the reference edge and up onto it; there the position is `reference_mm`. A stage that has
+limit switches only is referenced at one of them (FNL, FPL): onto it and off again. During it only queries and
+stops are taken. An axis that cannot follow switches its servo off and leaves error -1024. A
 stop leaves error 10, moving or not. Errors wait until ERR? takes them. After power-up servos are off, references
 gone, and positions count from where the axes stand, unless their encoders are absolute.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from sim.emulators.device import Clock, Emulator, Purpose, serial_number
 from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import pi_gcs2 as gcs
 
-HELP = "CSV? *IDN? SAI? SVO SVO? FRF FRF? MOV MVR MOV? POS? ONT? VEL VEL? ACC DEC TMN? TMX? HLT STP ERR? HLP?"
+HELP = (
+    "CSV? *IDN? SAI? SVO SVO? FRF FRF? FNL FPL TRS? LIM? MOV MVR MOV? POS? ONT? VEL VEL? ACC DEC TMN? TMX? "
+    "HLT STP ERR? HLP?"
+)
 ON_SWITCH = 216
 REFERENCE_MM_S = 20.0  # a parameter of its own, not VEL
 
@@ -62,6 +67,19 @@ class _Axis:
         else:
             self._up()
 
+    def reference_at(self, upper: bool) -> None:
+        """Onto a limit switch; there it halts, and goes off it again."""
+        self.referenced = False
+        if self.motor.closed("high" if upper else "low"):
+            self._off_switch(upper)
+        else:
+            self.referencing = "onto high" if upper else "onto low"
+            self.go(float("inf") if upper else float("-inf"), REFERENCE_MM_S)
+
+    def _off_switch(self, upper: bool) -> None:
+        self.referencing = "off high" if upper else "off low"
+        self.go(float("-inf") if upper else float("inf"), REFERENCE_MM_S / 10.0)
+
     def stop(self) -> None:
         self.referencing = ""
         self.motor.brake(self.ramp_mm_s2 * self.counts_per_mm)
@@ -77,6 +95,14 @@ class _Axis:
             self.motor.halt()
             self.zero = self.motor.encoder_steps - round(self.reference_mm * self.counts_per_mm)
             self.target_mm, self.referenced, self.referencing = self.reference_mm, True, ""
+        elif name in ("low", "high") and self.referencing == f"onto {name}":
+            self.motor.halt()
+            self._off_switch(name == "high")
+        elif name in ("low", "high") and self.referencing == f"off {name}":
+            self.motor.halt()
+            at_mm = self.travel_mm if name == "high" else 0.0
+            self.zero = self.motor.encoder_steps - round(at_mm * self.counts_per_mm)
+            self.target_mm, self.referenced, self.referencing = at_mm, True, ""
         elif (name == "low" and not upwards) or (name == "high" and upwards):
             self._fail(ON_SWITCH)
 
@@ -98,7 +124,7 @@ class PiEmulator(Emulator):
     Parameters
     ----------
     motors : mapping of str to Motor
-        Motors by axis name.
+        Motors by axis name; by address and axis (``2/1``) of a chain.
     counts_per_mm : float
         The firmware's scale; by default that of the motors' lead and steps, as the vendor would set it.
     reference_mm, travel_mm : float
@@ -107,6 +133,10 @@ class PiEmulator(Emulator):
         Positions survive a loss of power once they have been referenced.
     serial : int
         Serial number.
+    switches : {"reference", "limits", "none"}
+        What its stages have.
+    knows_switches : bool
+        Whether it answers TRS? and LIM?.
     """
 
     def __init__(
@@ -118,18 +148,25 @@ class PiEmulator(Emulator):
         travel_mm: float | None = None,
         absolute_encoders: bool = False,
         serial: int = 118_040_001,
+        switches: Literal["reference", "limits", "none"] = "reference",
+        knows_switches: bool = True,
     ) -> None:
         super().__init__(motors, clock)
         self._absolute, self._serial = absolute_encoders, serial
+        self._switches, self._knows_switches = switches, knows_switches
         self._stream = gcs.CommandStream()
-        self._error = gcs.NO_ERROR
-        self._axes: dict[str, _Axis] = {}
+        self._chain: dict[int | None, dict[str, _Axis]] = {}  # axes by address; one without an address is alone
+        self._errors: Counter[int | None] = Counter()
+        self._spoken_to: int | None = None  # address of the one that answers now
+        self._names_sender = False
         for name, motor in self.motors.items():
             screw = motor.mechanics
             vendor = counts_per_mm or screw.steps_per_rev / screw.lead_mm
             way_mm = travel_mm if travel_mm is not None else screw.high_switch_mm - screw.low_switch_mm
             at_mm = reference_mm if reference_mm is not None else screw.index_mm - screw.low_switch_mm
-            self._axes[name] = _Axis(motor, vendor, at_mm, way_mm)
+            address, slash, _ = name.partition("/")
+            axes = self._chain.setdefault(int(address) if slash else None, {})
+            axes[name.rpartition("/")[2]] = _Axis(motor, vendor, at_mm, way_mm)
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
@@ -139,19 +176,46 @@ class PiEmulator(Emulator):
     def person_stops(self) -> None:
         """Somebody stops every axis through another interface of the controller."""
         self.advance()
-        self._single(gcs.STOP_ALL)
+        for address in self._chain:
+            self._spoken_to = address
+            self._single(gcs.STOP_ALL)
 
     def purpose(self, channel: str) -> Purpose:
         """A reference run, or a motion."""
-        return "reference" if self._axes[channel].referencing else "move"
+        address, slash, _ = channel.partition("/")
+        axis = self._chain[int(address) if slash else None][channel.rpartition("/")[2]]
+        return "reference" if axis.referencing else "move"
+
+    @property
+    def _axes(self) -> dict[str, _Axis]:
+        """Those of the controller that is spoken to."""
+        return self._chain[self._spoken_to]
+
+    @property
+    def _error(self) -> int:
+        return self._errors[self._spoken_to]
+
+    @_error.setter
+    def _error(self, code: int) -> None:
+        self._errors[self._spoken_to] = code
+
+    def _is_there(self, address: int | None) -> bool:
+        """Turn to the one that is meant; without an address the only one, or number 1 of a chain."""
+        self._names_sender = address is not None and None not in self._chain
+        self._spoken_to = None if None in self._chain else address or 1
+        return self._spoken_to in self._chain and not (address and None in self._chain)
 
     def _power_up(self) -> None:
-        self._stream, self._error = gcs.CommandStream(), gcs.NO_ERROR
-        for axis in self._axes.values():
-            axis.power_up(self._absolute)
+        self._stream = gcs.CommandStream()
+        self._errors.clear()
+        for axes in self._chain.values():
+            for axis in axes.values():
+                axis.power_up(self._absolute)
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
+            if not self._is_there(None if isinstance(command, ProtocolViolation) else command.address):
+                continue
             if isinstance(command, gcs.SingleByte):
                 self._single(command.code)
             elif isinstance(command, ProtocolViolation):
@@ -164,12 +228,13 @@ class PiEmulator(Emulator):
                 self._error = self._obey(command) or self._error
 
     def _tick(self, now_s: float) -> None:
-        for axis in self._axes.values():
-            if axis.error:
-                self._error, axis.error = axis.error, gcs.NO_ERROR
+        for address, axes in self._chain.items():
+            for axis in axes.values():
+                if axis.error:
+                    self._errors[address], axis.error = axis.error, gcs.NO_ERROR
 
     def _answer(self, *lines: str) -> None:
-        self.say(gcs.Answer(lines).to_bytes())
+        self.say(gcs.Answer(lines, self._spoken_to if self._names_sender else None).to_bytes())
 
     def _single(self, code: int) -> None:
         if code == gcs.MOVING:
@@ -185,7 +250,8 @@ class PiEmulator(Emulator):
 
     def _query(self, command: gcs.Command) -> None:
         plain = {
-            "*IDN?": f"(c)2019 Physik Instrumente (PI) GmbH & Co. KG, C-663.12, {self._serial:010d}, 1.2.1.0",
+            "*IDN?": "(c)2019 Physik Instrumente (PI) GmbH & Co. KG, C-663.12, "
+            f"{self._serial + (self._spoken_to or 0):010d}, 1.2.1.0",
             "CSV?": "2.0",
         }
         per_axis: dict[str, Callable[[_Axis], str]] = {
@@ -199,6 +265,9 @@ class PiEmulator(Emulator):
             "TMX?": lambda axis: f"{axis.travel_mm:.7f}",
             "RON?": lambda axis: "1",
         }
+        if self._knows_switches:
+            per_axis["TRS?"] = lambda axis: str(int(self._switches == "reference"))
+            per_axis["LIM?"] = lambda axis: str(int(self._switches != "none"))
         if command.name in plain:
             self._answer(plain[command.name])
         elif command.name == "ERR?":
@@ -222,8 +291,8 @@ class PiEmulator(Emulator):
                 if command.name == "STP" or not command.arguments or name in command.arguments:
                     axis.stop()
             return gcs.STOPPED
-        if command.name == "FRF":
-            return self._reference(command.arguments or tuple(self._axes))
+        if command.name in ("FRF", "FNL", "FPL"):
+            return self._reference(command.name, command.arguments or tuple(self._axes))
         if command.name not in ("SVO", "MOV", "MVR", "VEL", "ACC", "DEC"):
             return gcs.UNKNOWN_COMMAND
         wishes = list(zip(command.arguments[::2], command.arguments[1::2], strict=False))
@@ -240,13 +309,18 @@ class PiEmulator(Emulator):
                 return error
         return gcs.NO_ERROR
 
-    def _reference(self, names: tuple[str, ...]) -> int:
+    def _reference(self, how: str, names: tuple[str, ...]) -> int:
         if any(name not in self._axes for name in names):
             return gcs.BAD_AXIS
         if not all(self._axes[name].servo for name in names):
             return gcs.NOT_ALLOWED
+        if self._switches == "none" or (how == "FRF" and self._switches != "reference"):
+            return gcs.NOT_ALLOWED
         for name in names:
-            self._axes[name].reference()
+            if how == "FRF":
+                self._axes[name].reference()
+            else:
+                self._axes[name].reference_at(how == "FPL")
         return gcs.NO_ERROR
 
     def _set(self, what: str, axis: _Axis, number: float) -> int:

@@ -51,7 +51,9 @@ class SimSerial(serial.SerialBase):
     @property
     def in_waiting(self) -> int:
         """Bytes that can be read now."""
-        self._rest += self._alive().receive()
+        line = self._alive()
+        came = line.receive()
+        self._rest += came if line.baud in (None, self.baudrate) else _misread(came)
         return len(self._rest)
 
     def read(self, size: int = 1) -> bytes:
@@ -70,8 +72,8 @@ class SimSerial(serial.SerialBase):
 
     def write(self, data: Buffer) -> int:
         """Send everything."""
-        sent = bytes(data)
-        self._alive().send(sent)
+        sent, line = bytes(data), self._alive()
+        line.send(sent if line.baud in (None, self.baudrate) else _misread(sent))
         return len(sent)
 
     def reset_input_buffer(self) -> None:
@@ -91,13 +93,18 @@ class SimSerial(serial.SerialBase):
         return line
 
     def _reconfigure_port(self) -> None:
-        """A simulated line has no rate."""
+        """A rate matters only to a box that has one; see `_misread`."""
 
     def _update_dtr_state(self) -> None:
         """Nor modem lines."""
 
     def _update_rts_state(self) -> None:
         """Same."""
+
+
+def _misread(data: bytes) -> bytes:
+    """What is read of bytes that were sent at another rate: as many others, some of which are no text."""
+    return bytes(0xFF & ~(7 * byte + 0x1D) for byte in data)
 
 
 def serial_class_for_url(url: str) -> tuple[str, type[SimSerial]]:

@@ -42,6 +42,7 @@ class IselController(Controller):
     """One iMC-S8 or C142."""
 
     default_baud = 19_200
+    other_bauds = (9600,)  # a C142
     example_channels = ("X", "Y")
     counts_steps = True
 
@@ -112,7 +113,7 @@ class IselController(Controller):
             return self._steps()[AXES.index(channel)] / self._scale(channel)
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """StageUsageError if the speed is outside 30..10000 steps/s or the ramp above 4000 Hz/ms."""
+        """StageUsageError if the speed is outside 30..30000 steps/s or the ramp above 4000 Hz/ms."""
         scale = self._scale(channel)
         if not dnc.SLOWEST <= round(speed_mm_s * scale) <= dnc.FASTEST:
             low, high = dnc.SLOWEST / scale, dnc.FASTEST / scale

@@ -58,6 +58,10 @@ class Lines:
         """The unfinished line."""
         return bytes(self._rest)
 
+    def forget(self) -> None:
+        """Drop the bytes of a line that is not complete."""
+        self._rest.clear()
+
     def fitting(self, chunk: bytes) -> Sequence[bytes]:
         """Part a chunk so that a line without an end is noticed at the byte that is too many."""
         if len(self._rest) + len(chunk) <= self._longest:

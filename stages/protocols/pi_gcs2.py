@@ -6,7 +6,13 @@ while the controller is busy: 5 asks which axes move (a hexadecimal mask), 7 ask
 ready (0xB1 or 0xB0), 24 stops everything, 4 asks for the status register. Failures show only when ``ERR?`` is
 asked; asking clears the error. Lengths are mm (or what the controller was set to), never steps.
 
-Source: PI, "MS249E C-863.12 Mercury Controller User Manual", version 1.2.1 (2021).
+**Chains.** Up to sixteen controllers share a port. A command may begin with the address of the one that is meant;
+its answer begins with ``0 <address>`` then, on the first line. Without an address number 1 is meant, and answers
+without one. How a command of one byte is addressed (here: address, space, byte) stands in no text at hand, and no
+open client drives a chain without the vendor's library: unproven.
+
+Source: PI, "MS249E C-863.12 Mercury Controller User Manual", version 1.2.1 (2021); pipython 2.11 for the start and
+for what finds a reference (FRF, FNL, FPL; TRS?, LIM?).
 """
 
 import re
@@ -29,8 +35,12 @@ STOPPED = 10
 BAD_AXIS = 15
 MOTION_ERROR = -1024  # position error too large, servo switched off
 
-_COMMAND = re.compile(r"(\*IDN\?|[A-Za-z]{3}\??)((?: +\S+)*) *")
+_COMMAND = re.compile(r"(?:(\d{1,2}) (?:0 )?)?(\*IDN\?|[A-Za-z]{3}\??)((?: +\S+)*) *")
+_SENDER = re.compile(rb"0 (\d{1,2}) ")
+_ADDRESS = re.compile(rb"(\d{1,2}) ")
 LONGEST_ANSWER = 4096
+_SINGLES = re.escape(bytes(SINGLE_BYTES))
+_PARTS = re.compile(b"[" + _SINGLES + b"]|[^" + _SINGLES + b"]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +49,7 @@ class Command:
 
     name: str
     arguments: tuple[str, ...] = ()
+    address: int | None = None  # in a chain
 
     @property
     def is_query(self) -> bool:
@@ -47,7 +58,7 @@ class Command:
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return (" ".join([self.name, *self.arguments]) + "\n").encode("ascii")
+        return _addressed(self.address) + (" ".join([self.name, *self.arguments]) + "\n").encode("ascii")
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -59,6 +70,8 @@ class Command:
             ),
             Example(b"POS?\n", cls("POS?"), f"{MANUAL}, p. 116, example 4"),
             Example(b"TSP? 2 1\n", cls("TSP?", ("2", "1")), f"{MANUAL}, p. 117, example 5"),
+            Example(b"FNL 1\n", cls("FNL", ("1",)), "pipython 2.11, FNL"),
+            Example(b"2 POS? 1\n", cls("POS?", ("1",), 2), f"{MANUAL}, target and sender address"),
         )
 
 
@@ -67,10 +80,11 @@ class SingleByte:
     """One of the commands that are a byte."""
 
     code: int
+    address: int | None = None  # in a chain
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return bytes([self.code])
+        return _addressed(self.address) + bytes([self.code])
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -87,10 +101,12 @@ class Answer:
     """All lines of one answer."""
 
     lines: tuple[str, ...]
+    sender: int | None = None  # address in a chain, where it was named in the question
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return (" \n".join(self.lines) + "\n").encode("latin-1")
+        prefix = b"" if self.sender is None else f"0 {self.sender} ".encode("ascii")
+        return prefix + (" \n".join(self.lines) + "\n").encode("latin-1")
 
     def values(self) -> dict[str, str]:
         """Return what stands behind each name.
@@ -121,6 +137,7 @@ class Answer:
             Example(b"3\n", cls(("3",)), f"{MANUAL}, p. 127, #5: first and second axis in motion"),
             Example(b"\xb1\n", cls(("\xb1",)), f"{MANUAL}, p. 127, #7: ready, with termination character p. 116"),
             Example(b"0x9005\n", cls(("0x9005",)), f"{MANUAL}, p. 126, #4"),
+            Example(b"0 2 1=10.0000\n", cls(("1=10.0000",), 2), f"{MANUAL}, target and sender address"),
         )
 
 
@@ -139,7 +156,7 @@ def parse_command(line: bytes) -> Command:
     match = _COMMAND.fullmatch(text_of(line.rstrip(b"\r")))
     if match is None:
         raise ProtocolViolation("not a GCS command", line)
-    return Command(match[1].upper(), tuple(match[2].split()))
+    return Command(match[2].upper(), tuple(match[3].split()), None if match[1] is None else int(match[1]))
 
 
 def parse_answer(raw: bytes) -> Answer:
@@ -152,9 +169,16 @@ def parse_answer(raw: bytes) -> Answer:
     """
     if not raw.endswith(b"\n") or raw.endswith(b" \n"):
         raise ProtocolViolation("an answer has no end", raw)
+    sender = None
+    if match := _SENDER.match(raw):
+        sender, raw = int(match[1]), raw[match.end() :]
     if raw in (READY_BYTE + b"\n", BUSY_BYTE + b"\n"):
-        return Answer((raw[:1].decode("latin-1"),))
-    return Answer(tuple(text_of(line.rstrip(b"\r")) for line in raw[:-1].split(b" \n")))
+        return Answer((raw[:1].decode("latin-1"),), sender)
+    return Answer(tuple(text_of(line.rstrip(b"\r")) for line in raw[:-1].split(b" \n")), sender)
+
+
+def _addressed(address: int | None) -> bytes:
+    return b"" if address is None else f"{address} ".encode("ascii")
 
 
 def number(text: str) -> float:
@@ -174,8 +198,20 @@ class CommandStream(LineStream[Command | SingleByte]):
     """Bytes of a host to commands and single bytes, which may stand in the middle of a line."""
 
     def __init__(self) -> None:
-        singles = {code: SingleByte(code) for code in SINGLE_BYTES}
-        super().__init__(parse_command, b"\n", LONGEST_ANSWER, singles)
+        super().__init__(parse_command, b"\n", LONGEST_ANSWER)
+
+    def feed(self, chunk: bytes) -> list[Command | SingleByte | ProtocolViolation]:
+        """Add bytes; return what is complete now."""
+        found: list[Command | SingleByte | ProtocolViolation] = []
+        for part in _PARTS.findall(chunk):
+            if part[0] not in SINGLE_BYTES:
+                found += super().feed(part)
+            elif match := _ADDRESS.fullmatch(self.rest):
+                self._lines.forget()
+                found.append(SingleByte(part[0], int(match[1])))
+            else:
+                found.append(SingleByte(part[0]))
+        return found
 
 
 class AnswerStream:

@@ -1,0 +1,33 @@
+"""What answers where something else was meant: the hand of a box, read off whatever it has said.
+
+A wrong rate, a wrong protocol and a swapped cable all begin with an answer that is none. Its first characters
+mostly tell which kind of box gave it; where they tell nothing, the rate is the likelier mistake.
+"""
+
+import re
+
+HANDS = (
+    (rb"Grbl|GrblHAL|\[VER:|\bok\r\n|error:\d|<(Idle|Alarm|Hold|Run|Jog)", "a Grbl board (driver: grbl)"),
+    (rb"[@!#]\d\d \d .*(IDLE|BUSY|OK|RJ)", "a Zaber device (driver: zaber_ascii)"),
+    (rb"Physik Instrumente|PI_GCS|\bC-\d{3}\b", "a PI controller (driver: pi_gcs2)"),
+    (rb"\x06\x00\x54\x00\x81|\x2a\x04\x06\x00\x81", "a Thorlabs box (driver: thorlabs_apt)"),
+    (rb"iMC|[iI]sel", "an isel controller (driver: isel_dnc)"),
+    (rb"(^|\n)\?[1-9]\r\n|QC,\d|BNC,\d", "a QC or BNC pulse generator (box: qc9520, bnc575, ..)"),
+    (rb"oltSync|Laser:(en|dis)able|Sequence:(OK|Error)", "a PIVlab synchroniser (box: pivlab_oltsync)"),
+)
+SHOWN = 12  # bytes
+
+
+def kind_of_box(said: bytes) -> str | None:
+    """Name the kind of box that says something like this, with the word of a bench file; None if nothing tells."""
+    return next((kind for pattern, kind in HANDS if re.search(pattern, said)), None)
+
+
+def instead_of(said: bytes) -> str:
+    """What came in place of an answer, and the cure, as the end of a sentence that begins with who was asked."""
+    if not said:
+        return "says nothing; is it switched on, is its cable in this socket, is the rate its own?"
+    if (kind := kind_of_box(said)) is not None:
+        return f"gives the answers of {kind}; are two cables swapped, or is it the wrong driver?"
+    shown = said[:SHOWN].hex(" ") + (" .." if len(said) > SHOWN else "")
+    return f"gives {len(said)} bytes that are no answer ({shown}); is the rate another one, or the box?"

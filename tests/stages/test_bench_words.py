@@ -1,0 +1,172 @@
+"""The first day at a bench: each way in which a box does not answer is a sentence of its own, with its cure."""
+
+from contextlib import ExitStack
+
+import pytest
+import serial
+
+from sim.emulators.device import Emulator
+from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
+from sim.emulators.pty import PtyPort
+from sim.mechanics.clock import ScaledClock, VirtualClock
+from sim.stages import SimulatedStages
+from stages.controller import Channel
+from stages.drivers_by_name import DRIVERS, driver_class
+from stages.errors import CommandRejected, DeviceLost, NoReply, PortUnavailable, StageError, StageUsageError
+from stages.who_answers import kind_of_box
+from tests.stages.benches import screws, stages_table
+
+USUAL = {"zaber_ascii": 115_200, "isel_dnc": 19_200, "pi_gcs2": 115_200, "grbl": 115_200, "thorlabs_apt": 115_200}
+
+
+class Mute(Emulator):
+    """Hears everything and says nothing."""
+
+    def _take(self, data):
+        pass
+
+
+def driver_of(sort_of_box, clock=None):
+    made = driver_class(sort_of_box)
+    names = made.example_channels
+    scale = 400.0 if made.counts_steps else None
+    return made("rail", {name: Channel(name, scale) for name in names}, clock or VirtualClock())
+
+
+@pytest.fixture
+def box(request):
+    """Put a box of any sort_of_box on a line in memory; the line."""
+
+    def put_up(sort_of_box, baud=None):
+        clock, table = VirtualClock(), stages_table(sort_of_box)
+        world = SimulatedStages(table, clock, screws(table))
+        table = request.getfixturevalue("stack").enter_context(world.put_up())
+        url = table.controllers["box"].port
+        line = LINES[url.removeprefix("sim://")]
+        line.baud = baud
+        return url, line, clock
+
+    return put_up
+
+
+@pytest.fixture
+def stack():
+    with ExitStack() as up:
+        yield up
+
+
+@pytest.fixture
+def mute():
+    clock = VirtualClock()
+    LINES["mute"] = Line(Mute({}, clock), clock)
+    yield "sim://mute", clock
+    LINES.pop("mute")
+
+
+@pytest.mark.parametrize("sort_of_box", DRIVERS)
+def test_silence(mute, sort_of_box):
+    url, clock = mute
+    rate = USUAL[sort_of_box]
+    words = rf"rail on sim://mute at {rate} baud says nothing; is it switched on, .* rtpiv probe sim://mute"
+    with pytest.raises(NoReply, match=words):
+        driver_of(sort_of_box, clock).connect(url)
+
+
+@pytest.mark.parametrize("sort_of_box", ["zaber_ascii", "grbl", "pi_gcs2", "isel_dnc"])
+def test_a_wrong_rate(box, sort_of_box):
+    url, _, clock = box(sort_of_box, baud=57_600)
+    with pytest.raises(
+        StageError, match=r"rail on sim://.* at \d+ baud (gives \d+ bytes that are no|says nothing)"
+    ):
+        driver_of(sort_of_box, clock).connect(url)
+    assert driver_of(sort_of_box, clock).connect(url, 57_600)
+
+
+@pytest.mark.parametrize(("sort_of_box", "rate"), [("pi_gcs2", 38_400), ("pi_gcs2", 9600), ("isel_dnc", 9600)])
+def test_a_usual_rate_is_tried_where_the_bench_says_none(box, sort_of_box, rate):
+    """PI: 38400 by the front switches; C142: 9600 (the protocol file of an open client)."""
+    url, _, clock = box(sort_of_box, baud=rate)
+    made = driver_of(sort_of_box, clock)
+    assert made.connect(url)
+    assert made.baud == rate
+    made.close()
+    with pytest.raises(NoReply):
+        driver_of(sort_of_box, clock).connect(
+            url, USUAL[sort_of_box]
+        )  # what a bench file says is taken at its word
+
+
+@pytest.mark.parametrize(("meant", "there", "words"), [
+    ("grbl", "zaber_ascii", "says nothing; is it switched on, is its cable in this socket"),
+    ("zaber_ascii", "grbl", "a Grbl board .driver: grbl"),
+    ("pi_gcs2", "grbl", "a Grbl board .driver: grbl"),
+    ("isel_dnc", "grbl", "a Grbl board .driver: grbl"),
+    ("grbl", "isel_dnc", "gives . bytes|gives .. bytes|says nothing"),
+])  # fmt: skip
+def test_a_wrong_protocol_or_a_swapped_cable(box, meant, there, words):
+    url, _, clock = box(there)
+    with pytest.raises(StageError, match=rf"rail on sim://.* ({words})") as caught:
+        driver_of(meant, clock).connect(url)
+    assert "probe" in str(caught.value)
+
+
+def test_a_box_that_falls_silent_half_way(box):
+    url, line, clock = box("zaber_ascii")
+    made = driver_of("zaber_ascii", clock)
+    made.connect(url)
+    line.emulator.switch_off()
+    with pytest.raises(NoReply, match=r"rail on sim://.* at 115200 baud has answered before .* switched off"):
+        made.position_mm("1/1")
+    line.unplug()
+    with pytest.raises(DeviceLost, match="plug it in"):
+        made.position_mm("1/1")
+
+
+def test_a_port_that_is_not_there_busy_or_forbidden(tmp_path, monkeypatch):
+    with pytest.raises(
+        PortUnavailable, match=r"rail .115200 baud.: /dev/no-port does not exist; is the controller"
+    ):
+        driver_of("grbl").connect("/dev/no-port")
+    clock = ScaledClock()
+    with PtyPort(Line(Mute({}, clock), clock)) as port:
+        holder = serial.Serial(port.path, exclusive=True)
+        with pytest.raises(PortUnavailable, match=r"rail .19200 baud.: /dev/.* is in use by another process"):
+            driver_of("isel_dnc", clock).connect(port.path)
+        holder.close()
+
+    def forbidden(self):
+        raise serial.SerialException(13, "Permission denied")
+
+    monkeypatch.setattr("serial.Serial.open", forbidden)
+    with pytest.raises(PortUnavailable, match=r"rail .*may not be opened by this user; add the user to the group"):
+        driver_of("grbl", clock).connect("/dev/ttyUSB9")
+
+
+@pytest.mark.parametrize(("said", "sort_of_box"), [
+    (b"QC,9528,02311,1.2\r\n", "box: qc9520"), (b"?3\r\n", "box: qc9520"), (b"ok\r\n", "driver: grbl"),
+    (b"oltSync:0012\r\n", "pivlab_oltsync"), (b"\x06\x00T\x00\x81\x50", "thorlabs_apt"), (b"5", None), (b"", None),
+])  # fmt: skip
+def test_a_hand_is_read(said, sort_of_box):
+    found = kind_of_box(said)
+    assert found is None if sort_of_box is None else sort_of_box in found
+
+
+def test_isel_speeds_are_the_boxs_to_refuse():
+    """The guide ends at 10 000 steps/s, other drivers run 20 000."""
+    made = driver_of("isel_dnc")
+    made.check_motion("X", 20_000 / 400.0, 100.0)
+    with pytest.raises(StageUsageError, match="speed must be"):
+        made.check_motion("X", 31_000 / 400.0, 100.0)
+
+
+@pytest.mark.parametrize(("fastest", "moves"), [(10_000, False), (30_000, True)])
+def test_a_box_that_is_too_slow_says_so(bench, fastest, moves):
+    made = bench("isel_dnc", firmware={"fastest": fastest}, speed_mm_s=50.0)
+    made.stage.home()
+    if moves:
+        made.stage.move({"a": 60.0})
+        assert made.world.true_mm("a") == pytest.approx(60.0, abs=0.1)
+    else:
+        with pytest.raises(CommandRejected, match="speed not allowed"):
+            made.stage.move({"a": 60.0})
