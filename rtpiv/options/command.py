@@ -13,7 +13,8 @@ VERBS = (  # in the order in which they are listed
     "init", "examples", "schema", "warm", "completion", "benchmark", "demo",
     "compare", "trace", "target", "calibrate", "correct", "evaluate", "focus", "sheet", "join", "mean", "campaign",
     "report", "export",
-    "acquire", "resume", "align", "check", "stage", "laser", "camera", "live", "devices", "doctor", "emulate",
+    "acquire", "resume", "align", "check", "stage", "laser", "camera", "live", "devices", "probe", "doctor",
+    "emulate",
 )  # fmt: skip
 WORDS = {  # options that are not called what their parameter is
     "out": ("-o", "--out"),

@@ -1,0 +1,59 @@
+"""`rtpiv probe`: which box hangs on a port, and the lines of a bench file for it; nothing moves, nothing fires."""
+
+import re
+from pathlib import Path
+
+from rich.table import Table
+
+from daq.bench.probe import RATES, Found, why_nobody
+from daq.bench.probe import probe as ask_port
+from ground.terminal import console
+from ground.whole_file import whole_file
+from rtpiv.verbs.paths import Named, path_of
+from stages.errors import NoReply
+
+
+def probe(port: str, /, out: Named | None = None) -> Found:
+    """Ask a port which box hangs on it, at usual rates and by every grammar; nothing moves, nothing fires.
+
+    Parameters
+    ----------
+    port : str
+        The port, such as /dev/serial/by-id/usb-...
+    out : path, optional
+        File for all that was said, which a test can replay and a lab can send; probe-PORT.txt here without it.
+
+    Returns
+    -------
+    Found
+        What answers, and the lines of a bench file.
+
+    Raises
+    ------
+    PortUnavailable, DeviceLost
+        The port cannot be opened, or goes away meanwhile.
+    NoReply
+        Nothing answers as it should; the sentence says what came.
+    """
+    path = path_of(out) or Path(f"probe-{re.sub(r'[^A-Za-z0-9]+', '-', port).strip('-')}.txt")
+    console().print(f"asking {port} at {', '.join(map(str, RATES))} baud; questions only")
+    found, asked = ask_port(port)
+    head = f"# rtpiv probe {port}: {'nobody' if found is None else found.identity}\n"
+    with whole_file(path) as file:
+        file.write((head + "".join(f"{line}\n" for line in asked.dialogue)).encode())
+    if found is None:
+        raise NoReply(f"{why_nobody(asked)}; what was said is in {path}")
+    table = Table(title=f"{found.box} on {port}")
+    for column in ("", "it says"):
+        table.add_column(column, overflow="fold")
+    table.add_row("identity", found.identity)
+    table.add_row("rate", f"{found.baud} baud")
+    for fact in found.facts:
+        table.add_row("", fact)
+    for unknown in found.unknown:
+        table.add_row("cannot be asked", unknown)
+    console().print(table)
+    console().print("Lines for a bench file:\n")
+    console().print(found.lines, soft_wrap=True, markup=False, highlight=False)
+    console().print(f"\nwhat was said: {path}")
+    return found
