@@ -46,7 +46,7 @@ def test_a_tutorial_is_made_of_commands_that_are_taken_and_files_that_are_read(p
     assert quoted(page)
     for program, said in done:
         if program == "rtpiv":
-            parser().parse_args(words(said))
+            parser(words(said)).parse_args(words(said))
         elif program.endswith(".py"):
             compile(said, program, "exec")
         elif program == "python":
