@@ -83,6 +83,8 @@ class Pi(Box):
             answer = fixed.get(name, "0")
         elif name == "SAI?":
             return "1 \n2\n"
+        elif name == "TRS?":
+            answer = f"{axis}=1"
         elif name == "FRF":
             self.referenced += axis
             return ""
