@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow slow slow-balance docs docs-check coverage dist labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
+.PHONY: demo test test-slow slow slow-balance docs docs-check coverage dist labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -30,7 +30,7 @@ demo: $(STAMP)
 	$(BIN)/rtpiv demo -o demo
 
 test: $(STAMP)
-	@$(MAKE) --no-print-directory -j4 compiled-rays compiled-pairs compiled-beds lint
+	@$(MAKE) --no-print-directory -j4 compiled-rays compiled-frames lint collected
 	@$(MAKE) --no-print-directory fast-tests
 	@$(BIN)/python -m tests.slow_suite
 
@@ -131,15 +131,16 @@ bench: benchmark
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks -o benchmarks/results
 
-# What most tests need is compiled first: tests on two cores would compile it twice.
+# What most tests need is compiled first, in two processes that share next to nothing: tests would compile it twice.
 compiled-rays: $(STAMP)
-	@$(BIN)/python -c "from tests.system.test_cold_start import fingerprint; fingerprint()"
+	@$(BIN)/python -c "from tests.system.test_cold_start import compile_rays; compile_rays()"
 
-compiled-pairs: $(STAMP)
-	@$(BIN)/python -c "from tests.system.test_cold_start import compile_pairs; compile_pairs()"
+compiled-frames: $(STAMP)
+	@$(BIN)/python -c "from tests.system.test_cold_start import compile_frames; compile_frames()"
 
-compiled-beds: $(STAMP)
-	@$(BIN)/python -c "from tests.system.test_cold_start import compile_beds; compile_beds()"
+# Each process of the tests reads all their files; what that leaves on the disk is left there once. Errors are theirs to say.
+collected: $(STAMP)
+	-@$(BIN)/python -m pytest -n0 -q --collect-only >/dev/null
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

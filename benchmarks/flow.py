@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from benchmarks.flow_truth import Judge, Seen
 from correction.evaluate.regions import regions_of
@@ -237,7 +237,7 @@ def _covered(parts: Sequence[Moments], true: Array, use: Array) -> dict[str, flo
     return {
         "covered_in_chunks": float(np.mean(inside)),
         "chunks": len(told),
-        "expected_in_chunks": round(float(2.0 * student.cdf(1.0, full - 1) - 1.0), 3),
+        "expected_in_chunks": round(float(2.0 * stdtr(full - 1, 1.0) - 1.0), 3),
     }
 
 

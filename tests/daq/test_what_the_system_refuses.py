@@ -44,7 +44,6 @@ def failing(verb, monkeypatch, error):
     monkeypatch.setattr(sys.modules[f"rtpiv.verbs.{verb}"], verb, fails)
 
 
-@pytest.mark.parametrize("verb", sorted(WORDS))
 @pytest.mark.parametrize(
     ("error", "words"),
     [
@@ -58,14 +57,15 @@ def failing(verb, monkeypatch, error):
         (MemoryShort("a map needs about 9.0 GB of memory, and 1.0 GB are free"), "a map needs about 9.0 GB"),
     ],
 )
-def test_every_verb_says_it_in_one_sentence(verb, error, words, monkeypatch, capsys):
-    failing(verb, monkeypatch, error)
-    code = main([verb, *WORDS[verb]])
-    assert code == (USAGE if error.args and error.args[0] in (errno.EROFS, errno.EACCES) else DEVICE)
-    said = capsys.readouterr().err
-    assert said.startswith(f"rtpiv {verb}: ")
-    assert words in said
-    assert len(said.splitlines()) == 1
+def test_every_verb_says_it_in_one_sentence(error, words, monkeypatch, capsys):
+    for verb in sorted(WORDS):
+        failing(verb, monkeypatch, error)
+        code = main([verb, *WORDS[verb]])
+        assert code == (USAGE if error.args and error.args[0] in (errno.EROFS, errno.EACCES) else DEVICE), verb
+        said = capsys.readouterr().err
+        assert said.startswith(f"rtpiv {verb}: ")
+        assert words in said
+        assert len(said.splitlines()) == 1
 
 
 def test_every_verb_that_writes_is_tried():
@@ -229,7 +229,9 @@ print(twice(4.0), *complaints, sep="|")
 """
 
 
-@pytest.mark.parametrize("where", ["/proc/none", "/dev/null", "a file"])
+@pytest.mark.parametrize(
+    "where", ["a file", *(pytest.param(where, marks=pytest.mark.slow) for where in ("/proc/none", "/dev/null"))]
+)
 def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said(tmp_path, where):
     (tmp_path / "a file").write_text("")
     (tmp_path / "kernels.py").write_text(CACHE)

@@ -4,8 +4,6 @@ import ast
 import runpy
 from pathlib import Path
 
-import matplotlib
-import matplotlib.pyplot as plt
 import pytest
 
 TOUR = Path(__file__).resolve().parents[2] / "examples" / "tour.py"
@@ -13,6 +11,9 @@ TOUR = Path(__file__).resolve().parents[2] / "examples" / "tour.py"
 
 @pytest.fixture
 def tour():
+    import matplotlib
+    from matplotlib import pyplot as plt  # here: all processes of the tests would wait for it
+
     matplotlib.use("agg")
     yield runpy.run_path(str(TOUR))["tour"]
     plt.close("all")

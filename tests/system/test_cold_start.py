@@ -19,6 +19,7 @@ from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
 from correction.target import Chessboard
 from piv.correlation.pair import evaluate_pair
+from rtpiv.command_line.first_use import calls_of, compile_call
 from sim.demo.scenes import at_size, named_scene
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
@@ -63,19 +64,27 @@ def fingerprint() -> str:
     return "\n".join(lines)
 
 
-def compile_pairs() -> None:
-    """Compile what measures pairs and renders frames: it needs no map, so it goes beside `fingerprint`."""
-    rng = np.random.default_rng(1)
-    frames = rng.integers(0, 4096, (2, 400, 400)).astype(np.float32)
+def compile_rays() -> None:
+    """Compile what traces scenes of few balls, of opaque ones and of many, and what turns their maps round."""
+    pixels = np.random.default_rng(1).uniform(0.0, 399.0, (2000, 2))
+    for name in SCENES:
+        scene = at_size(named_scene(name), 400)
+        build_correction_map(scene, build_ray_map(scene), layers=2)
+        trace(scene, pixels)
+        landings(scene, pixels)
+    blocked = at_size(named_scene(SCENES[0]), 64)
+    blocked = blocked.with_bodies([replace(blocked.bodies[0], medium=None)])
+    build_correction_map(blocked, build_ray_map(blocked))
+
+
+def compile_frames() -> None:
+    """Compile what takes frames: it shares next to nothing with `compile_rays`, and goes beside it."""
+    for call in calls_of("warm"):
+        if not call[0].startswith(("tracer.", "correction.inversion.")):
+            compile_call(call)
+    frames = np.random.default_rng(1).integers(0, 4096, (2, 400, 400)).astype(np.float32)
     evaluate_pair(frames[0], frames[1], np.ones(frames[0].shape, bool))
     render(at_size(named_scene(SCENES[0]), 64), Print(5.0, 2.0), Sensor(), seed=1)
-
-
-def compile_beds() -> None:
-    """Compile what traces many balls, and opaque ones: other tables than those of `fingerprint`."""
-    scene = at_size(named_scene(SCENES[0]), 64)
-    blocked = scene.with_bodies([replace(scene.bodies[0], medium=None)])
-    build_correction_map(blocked, build_ray_map(blocked))
 
 
 @pytest.mark.slow
