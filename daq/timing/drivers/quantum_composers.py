@@ -46,6 +46,7 @@ T0 = 0
 OUTPUTS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
 PAUSE_S = 0.05  # between lines to a box that loses those that come sooner
+INSISTS = 6  # how often off is said again to such a box, before anything is asked: 0.3 s
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
 UNKNOWN_WORD = (2, 3)  # refusals
 _CLOCKS = re.compile(r"INT|EXT|XPL|SYS|EXT\d{2,3}")  # a mode, or one word; XPL? is a loop that is not locked
@@ -75,12 +76,16 @@ class QuantumComposersBox(TimingBox):
         return [2 * b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
 
     def drop(self) -> None:
-        """Write everything off now; once more after the pause that a box is known to need behind another line."""
-        before_s = self._wrote_s
+        """Write everything off now; again and again, pauses apart, to a box that is known to lose lines.
+
+        Of each write such a box hears one line, and may be too busy even for that one. Whoever switches off goes
+        on to ask who answers, and a box that refuses the question is silent for a second a time.
+        """
         super().drop()
-        if (left_s := before_s + self._pause_s - self.clock.now_s()) > 0.0:
-            self.clock.sleep_s(left_s)
-            super().drop()
+        if self._pause_s > 0.0:
+            for _ in range(INSISTS):
+                self.clock.sleep_s(self._pause_s)
+                super().drop()
 
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts.

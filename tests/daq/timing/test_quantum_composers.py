@@ -335,6 +335,22 @@ def test_off_is_said_twice_to_a_box_that_refuses_it():
         assert d.pulses(Role.Q_SWITCH_1) == before > 0
 
 
+@pytest.mark.parametrize("refused", [1, 2, 5])
+def test_off_reaches_a_box_that_loses_lines_and_refuses_those_that_it_hears(refused):
+    """Found by the fuzz: off was said twice, then it was asked who answers, and pulses left for two seconds."""
+    with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=100.0), outputs=4, needs_s=0.04) as d:
+        d.to_armed()
+        d.laser.fire(90)
+        d.clock.sleep_s(0.5)
+        d.emulator.refuse = refused
+        told_s = d.clock.now_s()
+        d.laser.stop("now")
+        d.clock.sleep_s(5.0)
+        last_s = max(pulse.rises_s for pulse in d.emulator.outputs.recent)
+        assert told_s - 0.2 < last_s < told_s + 0.4
+        assert not d.emulator.is_on_at(0)
+
+
 @pytest.mark.parametrize("number", [0, 1, 2, 4, 5])
 def test_an_output_that_can_never_be_switched_off_is_named_and_nothing_is_armed(number):
     """Whatever a box answers to "off", the state of an output is what reads back."""

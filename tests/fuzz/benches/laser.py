@@ -156,21 +156,13 @@ class Story:
         number = self.line.faults._count + self.rng.randrange(40)
         self.line.faults._by_answer[number] = Fault(self.rng.choice(KINDS[:-1]), number, delay_s=1.5)
 
-    def can_refuse(self):
-        """Whether the box refuses words; not one that loses lines as well.
-
-        Of all that is written at once that one hears a word, and would refuse just this: off then waits for the
-        slow way of saying it, a quarter of a second.
-        """
-        return self.kind != "oltSync" and not self.emulator._needs_s
-
     def refuse(self):
-        if not self.can_refuse():
+        if self.kind == "oltSync":
             return
         self.emulator.refuse = self.rng.choice((1, 1, 2, 5))
 
     def later_refuse(self):
-        if not self.can_refuse():
+        if self.kind == "oltSync":
             return
         self.line.hooks.after(self.rng.randrange(1, 25), "write", lambda: setattr(self.emulator, "refuse", 1))
 
@@ -200,7 +192,7 @@ class Story:
 
     def refuse_off(self):
         """One output, or T0, is not switched off when it is told to, a few times."""
-        if self.can_refuse():
+        if self.kind != "oltSync":
             self.emulator.refuses_off[self.rng.randrange(5)] = self.rng.choice((1, 2, 3, 5))
 
     def stop_key(self):
