@@ -16,6 +16,7 @@ from daq.cameras.camera import Setting
 from daq.errors import DaqError, PlanError, RunInterrupted, RunUsageError
 from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
 from daq.runner.interrupts import Interrupts
+from daq.runs.laser_proof import proof_sentence
 from daq.runs.run_folder import RunFolder
 from daq.timing.conditions import Conditions
 from daq.timing.laser import Laser
@@ -140,7 +141,7 @@ class LaserSession:
             laser.safe()
         if laser.state is LaserState.SAFE:
             tell(f"waiting for the operator to type {laser.challenge}")
-            self._code = self._operator.confirmation_code(laser.challenge, laser.switches.sentence())
+            self._code = self._operator.confirmation_code(laser.challenge, self._who_watches(laser, order.laser))
             laser.warm(order.rate_hz)
             self._wait_until_warm(laser, order.warm_up_s, tell)
         laser.set(order.timing, self.exposures)
@@ -167,6 +168,13 @@ class LaserSession:
                 laser.disarm()
             raise
         return LaserSupervisor(laser, lambda: self._conditions(armed, False), self._hardware.clock, SYSTEM_CLOCK)
+
+    def _who_watches(self, laser: Laser, name: str) -> str:
+        """What the operator is told of switches and of the box, before the code is typed."""
+        channels = {role.value: output for role, output in laser.box.wiring.items()}
+        simulated = self._hardware.simulation is not None
+        proof = proof_sentence(self._hardware.bench.path, name, laser.box.identity, channels, simulated)
+        return f"{laser.switches.sentence()}. The box: {proof}"
 
     def off(self) -> None:
         """Switch everything off; what is in doubt stays said in the laser's own words."""

@@ -1,4 +1,4 @@
-"""`rtpiv laser`: switch lasers off from anywhere, see whether one is, or align with weak pulses.
+"""`rtpiv laser`: switch lasers off from anywhere, see whether one is, align with weak pulses, prove a box.
 
 `off` goes to every laser that a bench file of the lab or a running process names.  It first writes the bytes that
 switch off, past any program that holds the port, as the watchdog does; then it opens the box, if it is free,
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq.bench.bench_file import load_bench
+from daq.bench.bench_table import CAMERA
 from daq.bench.known_lasers import KIND, KnownLaser, each_once, lasers_near, lasers_of, open_lasers
 from daq.bench.opened import open_bench
 from daq.errors import RunUsageError
@@ -23,7 +24,7 @@ from rtpiv.verbs.paths import Named, path_of
 
 
 def laser(
-    action: Literal["off", "state", "align"] = "state",
+    action: Literal["off", "state", "align", "prove"] = "state",
     /,
     bench: Named | None = None,
     simulate: bool = False,
@@ -31,11 +32,11 @@ def laser(
     rate_hz: Positive = 5.0,
     for_s: Positive = 5.0,
 ) -> LaserState:
-    """Switch lasers off, look at one, or let weak pulses leave.
+    """Switch lasers off, look at one, let weak pulses leave, or prove its box with nothing behind its plugs.
 
     Parameters
     ----------
-    action : {"off", "state", "align"}
+    action : {"off", "state", "align", "prove"}
         What to do.
     bench : path, optional
         Bench file.  Without it: those of this folder, or of the nearest one above that names a laser; and `off`
@@ -45,7 +46,7 @@ def laser(
     name : str, optional
         Which device of kind `timing`; `off` goes to all without it.
     rate_hz, for_s : float
-        Of `align`, within the limits of the bench file.
+        Of `align`, within the limits of the bench file; `prove` takes the rate.
 
     Returns
     -------
@@ -67,11 +68,16 @@ def laser(
         return LaserState.SAFE
     chosen = _one(_known(file, name), file)
     assert chosen.bench is not None
-    with open_bench(load_bench(chosen.bench), simulate, only={chosen.name}) as hardware:
+    needed = {chosen.name, CAMERA} if action == "prove" else {chosen.name}
+    with open_bench(load_bench(chosen.bench), simulate, only=needed) as hardware:
         opened = hardware.devices[chosen.name]
         assert isinstance(opened, Laser)
         if action == "align":
             _align(opened, rate_hz, for_s)
+        elif action == "prove":
+            from rtpiv.verbs.laser_prove import prove_box  # nothing that off does not need is in its way
+
+            prove_box(hardware, chosen.name, opened, rate_hz)
         console().print(f"{chosen.name}: {opened.state.value} ({opened.box.identity})")
         console().print(f"switches: {opened.switches.objection() or opened.switches.sentence()}", soft_wrap=True)
         if opened.state is LaserState.UNKNOWN:

@@ -1,0 +1,113 @@
+"""What was seen when a laser's box was proven on a bench, kept beside the bench file with the identity of the box.
+
+    bench.yaml  ->  bench.laser.proof.json     box, wiring, who, when, and what each trial has shown; sealed
+
+The seal finds damage, not a person who edits it.  A proof of another box, of other wiring, or of a simulated box
+proves nothing here; whoever arms is told so (`proof_sentence`).
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from daq.runs.seal import SealBroken, unsealed, write_record
+from ground.plain_file import read_plain
+
+LONGEST_BYTES = 100_000
+COMMAND = "rtpiv laser prove"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One thing that was tried: whether it is right (None: it could not be seen), and what there is to say."""
+
+    what: str
+    is_right: bool | None
+    said: str
+
+
+@dataclass(frozen=True)
+class Proof:
+    """All trials of one box.
+
+    Parameters
+    ----------
+    identity : str
+        What the box says of itself.
+    channels : mapping
+        Output by role, as the bench file has it.
+    simulated : bool
+        Whether the box was one.
+    who, utc : str
+        Who has done it, and when.
+    trials : tuple of Trial
+        What was tried.
+    """
+
+    identity: str
+    channels: Mapping[str, str]
+    simulated: bool
+    who: str
+    utc: str
+    trials: tuple[Trial, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether everything that was tried is right."""
+        return bool(self.trials) and all(trial.is_right for trial in self.trials)
+
+    @property
+    def failures(self) -> list[str]:
+        """What is not right, or was not seen, in words."""
+        return [f"{trial.what}: {trial.said}" for trial in self.trials if not trial.is_right]
+
+
+def proof_path(bench: Path, laser: str) -> Path:
+    """Where the proof of a laser of a bench is kept."""
+    return bench.with_name(f"{bench.stem}.{laser}.proof.json")
+
+
+def write_proof(path: Path, proof: Proof) -> None:
+    """Keep a proof, with its seal; OSError if it cannot be written."""
+    write_record(path, asdict(proof))
+
+
+def read_proof(path: Path) -> Proof | None:
+    """Return the proof that is kept there; None without one.
+
+    Raises
+    ------
+    SealBroken
+        It is damaged, or no proof.
+    """
+    try:
+        raw = read_plain(path, LONGEST_BYTES)
+    except OSError:
+        return None
+    try:
+        tree = json.loads(unsealed(raw, required=True))
+        trials = tuple(Trial(**trial) for trial in tree.pop("trials"))
+        return Proof(**tree, trials=trials)
+    except SealBroken:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise SealBroken(f"is no proof ({error})") from error
+
+
+def proof_sentence(bench: Path, laser: str, identity: str, channels: Mapping[str, str], simulated: bool) -> str:
+    """Say what is proven of the box that is open now, for the person who is asked for the code."""
+    try:
+        proof = read_proof(proof_path(bench, laser))
+    except SealBroken as broken:
+        return f"its proof {broken}; {COMMAND} makes another"
+    if proof is None:
+        return f"it was never proven on this bench ({COMMAND})"
+    if proof.identity != identity or dict(proof.channels) != dict(channels):
+        return f"what was proven is another box, or other wiring ({COMMAND})"
+    if proof.simulated and not simulated:
+        return f"only a simulation of it was proven ({COMMAND})"
+    when = f"{proof.utc[:10]} by {proof.who}"
+    if not proof.holds:
+        return f"its proof of {when} has NOT held: {proof.failures[0]}"
+    return f"proven {when}: {'; '.join(trial.said for trial in proof.trials)}"

@@ -1,0 +1,111 @@
+"""`rtpiv laser prove`: what a box really does, seen by a camera and kept beside the bench file."""
+
+import getpass
+import platform
+from typing import Any, cast
+
+from daq.bench.opened import OpenBench
+from daq.errors import RunUsageError
+from daq.plans.pulse_order import pair_exposures
+from daq.runner.laser_session import exposure_of
+from daq.runner.laser_trials import CameraCounter, Helper, trials
+from daq.runs.journal import utc_now
+from daq.runs.laser_proof import Proof, proof_path, write_proof
+from daq.timing.errors import LaserDoubt
+from daq.timing.laser import Laser
+from daq.timing.pulses import PulseTiming
+from ground.terminal import console, error_console
+
+USUAL_DT_US = 100.0
+
+
+def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> None:
+    """Try a laser's box with nothing behind its plugs; say and keep what was seen.
+
+    Parameters
+    ----------
+    hardware : OpenBench
+        With the laser and the camera that hangs on its box.
+    name : str
+        Device of the bench.
+    laser : Laser
+        The laser.
+    rate_hz : float
+        Of the bursts, where its lamps do not know one rate only.
+
+    Raises
+    ------
+    RunUsageError
+        The bench has no camera that takes pairs.
+    LaserDoubt
+        Something is not right, or was not seen; the proof says what.
+    """
+    section = hardware.camera_section
+    if section.pairs is None:
+        raise RunUsageError("the camera counts what the box gives; say how it takes pairs (camera.pairs)")
+    counter = CameraCounter(hardware.camera, section)
+    exposures = pair_exposures(section.pairs, exposure_of(counter.settings))
+    low_us, high_us = exposures.dt_range_us
+    dt_us = min(max(low_us, laser.head.min_dt_us, USUAL_DT_US), high_us, laser.head.max_dt_us)
+    timing = PulseTiming(dt_us, laser.head.lamp_rate_hz or rate_hz)
+    simulation = cast("Any", hardware.simulation)  # reached by name only
+    helper: Helper = _Person() if simulation is None else _SimulatedPerson(simulation.world.timing[0].line)
+    seen = []
+    for trial in trials(laser, timing, exposures, counter, helper, hardware.clock):
+        seen.append(trial)
+        word = {True: "ok", False: "NOT RIGHT", None: "not seen"}[trial.is_right]
+        console().print(f"{trial.what}: {word} ({trial.said})", soft_wrap=True)
+    channels = {role.value: output for role, output in laser.box.wiring.items()}
+    who = f"{getpass.getuser()} on {platform.node()}"
+    proof = Proof(laser.box.identity, channels, simulation is not None, who, utc_now(), tuple(seen))
+    path = proof_path(hardware.bench.path, name)
+    write_proof(path, proof)
+    console().print(f"kept in {path}", soft_wrap=True)
+    if not proof.holds:
+        raise LaserDoubt(f"{name} is not proven: {proof.failures[0]}")
+
+
+class _Person:
+    """Somebody at the terminal."""
+
+    def promise_dark(self, challenge: str) -> str:
+        """Ask whether no light can leave."""
+        return _asked(
+            "Turn the laser's key off, or pull its Q-switch plugs: pulses leave the box now, and no light may.\n"
+            f"Software is no interlock. Type {challenge} when no light can leave: "
+        )
+
+    def pull_cable(self) -> None:
+        """Ask for it."""
+        _asked("Pull the cable between computer and box NOW, then press Enter: ")
+
+    def put_back(self) -> None:
+        """Ask for it."""
+        _asked("Put the cable back, then press Enter: ")
+
+
+class _SimulatedPerson:
+    """Somebody at a simulated bench."""
+
+    def __init__(self, line: Any) -> None:  # noqa: ANN401 - a line of the simulation
+        self._line = line
+
+    def promise_dark(self, challenge: str) -> str:
+        """There is no light."""
+        return challenge
+
+    def pull_cable(self) -> None:
+        """Pull it."""
+        self._line.unplug()
+
+    def put_back(self) -> None:
+        """Put it back."""
+        self._line.plug_in()
+
+
+def _asked(words: str) -> str:
+    error_console().print(words, end="", soft_wrap=True)
+    try:
+        return input()
+    except EOFError:
+        return ""
