@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import inf, nan
+from math import inf, isnan, nan
 from typing import Protocol
 
 from daq.bench.bench_table import CameraSection
@@ -28,10 +28,10 @@ from stages.clock import Clock
 from stages.errors import StageError
 
 BURSTS = (1, 7, 20)
-OFF_S = 0.2  # behind the word, within which the last frame has to have come
+OFF_S = 0.2  # behind the word, within which the last exposure has to begin
 PATIENCE_S = 5.0  # with a box that does not say that it is off
 ENOUGH_S = 5.0  # length of a burst in which a person can pull a cable
-TAIL_S = 3.0  # without a frame, after which no more are waited for; the first ones of a session may be late
+TAIL_S, FIRST_S = 3.0, 20.0  # without a frame, after which no more are waited for; for the first one of a burst
 STATED = Conditions(True, True, True, inf, 10**9)  # nothing is behind the plugs
 
 
@@ -39,7 +39,7 @@ class Counter(Protocol):
     """Who counts the pairs that a burst triggers."""
 
     def count(self, burst: Callable[[], None]) -> list[float]:
-        """Let a burst happen; return when each pair came [s, monotonic clock]."""
+        """Let a burst happen; return when each pair was exposed [s], on a clock that nobody else has."""
         ...
 
 
@@ -85,7 +85,7 @@ class CameraCounter:
             with ThreadPoolExecutor(1) as beside:
                 going_on = beside.submit(burst)
                 quiet_s = time.monotonic()
-                while not going_on.done() or time.monotonic() - quiet_s < TAIL_S:
+                while not going_on.done() or time.monotonic() - quiet_s < (TAIL_S if times else FIRST_S):
                     if (at_s := self._next()) is not None:
                         times.append(at_s)
                     if at_s is not None or not going_on.done():
@@ -96,15 +96,15 @@ class CameraCounter:
         return times[:: self._frames]
 
     def _next(self) -> float | None:
-        """When the next frame came, whole or not; None if none did."""
+        """When the next frame was exposed, nan of one that is not whole; None if none came."""
         try:
             frame = self._camera.poll(0.02)
         except FrameIncomplete:
-            return time.monotonic()
+            return nan
         if frame is None:
             return None
         with frame:
-            return 1e-9 * frame.meta.received_ns
+            return 1e-9 * (frame.meta.timestamp_ns or frame.meta.received_ns)
 
 
 def trials(
@@ -157,21 +157,23 @@ def _burst(laser: Laser, counter: Counter, pairs: int) -> Trial:
 
 
 def _off(laser: Laser, pairs: int, counter: Counter, clock: Clock) -> Trial:
-    stopped_s, confirmed_s = nan, inf
+    begun_s, stopped_s, confirmed_s = nan, nan, inf
 
     def burst() -> None:
-        nonlocal stopped_s, confirmed_s
+        nonlocal begun_s, stopped_s, confirmed_s
         laser.fire(pairs)
+        begun_s = clock.now_s()  # the first pair is exposed with the last word of it
         clock.sleep_s(1.0)
-        stopped_s = time.monotonic()
+        stopped_s, told_s = clock.now_s(), time.monotonic()
         laser.stop("a trial")
-        while not laser.confirm_off() and time.monotonic() < stopped_s + PATIENCE_S:
+        while not laser.confirm_off() and time.monotonic() < told_s + PATIENCE_S:
             clock.sleep_s(0.01)
         if laser.state is LaserState.FAULT:
-            confirmed_s = time.monotonic() - stopped_s
+            confirmed_s = time.monotonic() - told_s
 
     times = counter.count(burst)
-    late_s = max((at_s - stopped_s for at_s in times), default=inf)
+    seen_s = [at_s for at_s in times if not isnan(at_s)]
+    late_s = seen_s[-1] - seen_s[0] - (stopped_s - begun_s) if seen_s else inf
     reads = f"reads back after {1e3 * confirmed_s:.0f} ms" if confirmed_s < inf else "does NOT read back as off"
     laser.safe()
     said = f"off: {len(times)} of {pairs}, the last one {1e3 * late_s:.0f} ms behind the word; {reads}"

@@ -1,6 +1,5 @@
 """A box is proven by what a camera sees of it, a box that is not right is found, and who arms is told."""
 
-import time
 from types import SimpleNamespace
 
 import pytest
@@ -27,7 +26,7 @@ class SeesPulses:
         self._desk, self._times = desk, []
         output = desk.box.wiring[Role.CAMERA]
         desk.emulator.outputs.listen(
-            lambda pulse: self._times.append(time.monotonic()) if pulse.output == output else None
+            lambda pulse: self._times.append(pulse.rises_s) if pulse.output == output else None
         )
 
     def count(self, burst):
