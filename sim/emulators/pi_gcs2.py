@@ -10,6 +10,7 @@ gone, and positions count from where the axes stand, unless their encoders are a
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from sim.emulators.device import Clock, Emulator, Purpose, serial_number
@@ -118,23 +119,45 @@ class _Axis:
         self.referencing, self.error = "", error
 
 
+@dataclass(frozen=True, slots=True)
+class StageMake:
+    """How the stages on a controller were made, and what its maker has set it up for.
+
+    Parameters
+    ----------
+    counts_per_mm : float, optional
+        The firmware's scale; that of the motors' lead and steps by default, as the maker would set it.
+    reference_mm, travel_mm : float, optional
+        Position of the reference edge, and of the upper end of the commandable range.
+    absolute_encoders : bool
+        Positions survive a loss of power once they have been referenced.
+    switches : {"reference", "limits", "none"}
+        What they have.
+    """
+
+    counts_per_mm: float | None = None
+    reference_mm: float | None = None
+    travel_mm: float | None = None
+    absolute_encoders: bool = False
+    switches: Literal["reference", "limits", "none"] = "reference"
+
+
+AS_BUILT = StageMake()
+
+
 class PiEmulator(Emulator):
-    """One controller.
+    """One controller, or a chain of them.
 
     Parameters
     ----------
     motors : mapping of str to Motor
         Motors by axis name; by address and axis (``2/1``) of a chain.
-    counts_per_mm : float
-        The firmware's scale; by default that of the motors' lead and steps, as the vendor would set it.
-    reference_mm, travel_mm : float
-        Position of the reference edge, and of the upper end of the commandable range.
-    absolute_encoders : bool
-        Positions survive a loss of power once they have been referenced.
+    clock : Clock
+        Time of the world.
+    stages : StageMake
+        How its stages were made.
     serial : int
         Serial number.
-    switches : {"reference", "limits", "none"}
-        What its stages have.
     knows_switches : bool
         Whether it answers TRS? and LIM?.
     """
@@ -143,17 +166,12 @@ class PiEmulator(Emulator):
         self,
         motors: Mapping[str, Motor],
         clock: Clock,
-        counts_per_mm: float | None = None,
-        reference_mm: float | None = None,
-        travel_mm: float | None = None,
-        absolute_encoders: bool = False,
+        stages: StageMake = AS_BUILT,
         serial: int = 118_040_001,
-        switches: Literal["reference", "limits", "none"] = "reference",
         knows_switches: bool = True,
     ) -> None:
         super().__init__(motors, clock)
-        self._absolute, self._serial = absolute_encoders, serial
-        self._switches, self._knows_switches = switches, knows_switches
+        self._stages, self._serial, self._knows_switches = stages, serial, knows_switches
         self._stream = gcs.CommandStream()
         self._chain: dict[int | None, dict[str, _Axis]] = {}  # axes by address; one without an address is alone
         self._errors: Counter[int | None] = Counter()
@@ -161,12 +179,13 @@ class PiEmulator(Emulator):
         self._names_sender = False
         for name, motor in self.motors.items():
             screw = motor.mechanics
-            vendor = counts_per_mm or screw.steps_per_rev / screw.lead_mm
-            way_mm = travel_mm if travel_mm is not None else screw.high_switch_mm - screw.low_switch_mm
-            at_mm = reference_mm if reference_mm is not None else screw.index_mm - screw.low_switch_mm
+            counts_per_mm = stages.counts_per_mm or screw.steps_per_rev / screw.lead_mm
+            whole_mm, edge_mm = screw.high_switch_mm - screw.low_switch_mm, screw.index_mm - screw.low_switch_mm
+            travel_mm = whole_mm if stages.travel_mm is None else stages.travel_mm
+            reference_mm = edge_mm if stages.reference_mm is None else stages.reference_mm
             address, slash, _ = name.partition("/")
             axes = self._chain.setdefault(int(address) if slash else None, {})
-            axes[name.rpartition("/")[2]] = _Axis(motor, vendor, at_mm, way_mm)
+            axes[name.rpartition("/")[2]] = _Axis(motor, counts_per_mm, reference_mm, travel_mm)
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
@@ -210,7 +229,7 @@ class PiEmulator(Emulator):
         self._errors.clear()
         for axes in self._chain.values():
             for axis in axes.values():
-                axis.power_up(self._absolute)
+                axis.power_up(self._stages.absolute_encoders)
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
@@ -266,8 +285,8 @@ class PiEmulator(Emulator):
             "RON?": lambda axis: "1",
         }
         if self._knows_switches:
-            per_axis["TRS?"] = lambda axis: str(int(self._switches == "reference"))
-            per_axis["LIM?"] = lambda axis: str(int(self._switches != "none"))
+            per_axis["TRS?"] = lambda axis: str(int(self._stages.switches == "reference"))
+            per_axis["LIM?"] = lambda axis: str(int(self._stages.switches != "none"))
         if command.name in plain:
             self._answer(plain[command.name])
         elif command.name == "ERR?":
@@ -314,7 +333,7 @@ class PiEmulator(Emulator):
             return gcs.BAD_AXIS
         if not all(self._axes[name].servo for name in names):
             return gcs.NOT_ALLOWED
-        if self._switches == "none" or (how == "FRF" and self._switches != "reference"):
+        if self._stages.switches == "none" or (how == "FRF" and self._stages.switches != "reference"):
             return gcs.NOT_ALLOWED
         for name in names:
             if how == "FRF":

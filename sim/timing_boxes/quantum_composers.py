@@ -32,6 +32,7 @@ Keywords are obeyed in full or by their capitals (575 manual p. 8-34).
 import math
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from daq.timing.protocols.quantum_composers import Command, CommandStream, shortened
@@ -71,6 +72,45 @@ LONG_WORDS = {
     "NORMAL": "NORM", "SINGLE": "SING", "BURST": "BURS", "DCYCLE": "DCYC", "DISABLED": "DIS", "ON": "1",
     "OFF": "0", "INVERTED": "INV", "COMPLEMENT": "COMP",
 }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """Which box of the family it is, and how it was set up.
+
+    Parameters
+    ----------
+    model : str
+        What it says of itself before its serial number.
+    outputs : int
+        4 or 8.
+    step_s : float
+        Widths and delays are rounded to multiples of it.
+    echo : bool
+        Gives every line back before it answers.
+    autorun : bool
+        Goes on by itself after a power failure.
+    arms : {"run", "run all", "state"}
+        What arms a burst.
+    needs_s : float
+        A line that comes sooner than this after the one before is lost.
+    """
+
+    model: str = MODELS["qc9530"]
+    outputs: int = 8
+    step_s: float = 5e-9
+    echo: bool = False
+    autorun: bool = False
+    arms: Literal["run", "run all", "state"] = "run"
+    needs_s: float = 0.0
+
+    @property
+    def has_clock_mode(self) -> bool:
+        """Whether its clock has a mode; else it is one word."""
+        return self.model.partition(",")[2].startswith(HAS_CLOCK_MODE)
+
+
+QC9530 = Variant()
 
 
 class _Channel:
@@ -115,53 +155,29 @@ class QuantumComposersEmulator(PulsingEmulator):
         None; there for the likeness with other emulators.
     clock : Clock
         Time of the world.
-    model : str
-        What it says of itself before its serial number.
-    outputs : int
-        4 or 8.
+    variant : Variant
+        Which box of the family it is, and how it was set up.
     serial : int
         Serial number.
-    step_s : float
-        Widths and delays are rounded to multiples of it.
-    echo : bool
-        Gives every line back before it answers.
-    autorun : bool
-        Goes on by itself after a power failure.
-    locked : bool
-        Whether an external clock is there for XPL.
-    arms : {"run", "run all", "state"}
-        What arms a burst.
-    needs_s : float
-        A line that comes sooner than this after the one before is lost.
     """
 
     def __init__(
-        self,
-        motors: Mapping[str, Motor],
-        clock: Clock,
-        model: str = MODELS["qc9530"],
-        outputs: int = 8,
-        serial: int = 2311,
-        step_s: float = 5e-9,
-        echo: bool = False,
-        autorun: bool = False,
-        locked: bool = True,
-        arms: Literal["run", "run all", "state"] = "run",
-        needs_s: float = 0.0,
+        self, motors: Mapping[str, Motor], clock: Clock, variant: Variant = QC9530, serial: int = 2311
     ) -> None:
         super().__init__(motors, clock)
-        self._arms, self._needs_s, self._heard_s = arms, needs_s, -math.inf
+        self._variant = variant
+        self._echo, self._autorun = variant.echo, variant.autorun
+        self._heard_s = -math.inf
+        self.locked = True  # whether an external clock is there for XPL
         self.gate_is_high = True  # level at the gate input; nothing on it is high
         self.refuses_off: Counter[int] = Counter()  # by output: how often "off" is still answered by ?8
         self.refuse = 0  # commands to come that are answered by ?8
-        self._name = f"{model},{serial:05d},1.2.2-1.2.0"
-        self._step_s, self._echo, self._autorun, self.locked = step_s, echo, autorun, locked
+        self._name = f"{variant.model},{serial:05d},1.2.2-1.2.0"
         self._stream = CommandStream()
-        has_mode = model.partition(",")[2].startswith(HAS_CLOCK_MODE)
-        self._t0 = _Channel(T0_WORDS | (CLOCK_MODE_WORDS if has_mode else CLOCK_WORDS))
-        self._channels = [_Channel({**OUTPUT_WORDS, "MUX": str(1 << number)}) for number in range(outputs)]
+        self._t0 = _Channel(T0_WORDS | (CLOCK_MODE_WORDS if variant.has_clock_mode else CLOCK_WORDS))
+        self._channels = [_Channel({**OUTPUT_WORDS, "MUX": str(1 << n)}) for n in range(variant.outputs)]
         self._last = 1  # number of the pulse that was spoken of last
-        if autorun:
+        if variant.autorun:
             self._switch(0, True)
 
     @classmethod
@@ -172,7 +188,7 @@ class QuantumComposersEmulator(PulsingEmulator):
     @classmethod
     def model_of(cls, box: str) -> dict[str, Any]:
         """What makes it the box that a bench file names."""
-        return {"model": MODELS[box]} if box in MODELS else {}
+        return {"variant": Variant(MODELS[box])} if box in MODELS else {}
 
     def is_on_at(self, number: int) -> bool:
         """Whether T0 (0) or an output is on, for tests that look inside."""
@@ -209,7 +225,7 @@ class QuantumComposersEmulator(PulsingEmulator):
             active = [False] * len(self._channels)
         else:
             active = [channel.tick("CMOD") for channel in self._channels]
-        if self._arms == "state":
+        if self._variant.arms == "state":
             for channel in self._channels:
                 channel.on = channel.on and not (channel.is_spent and channel.words["CMOD"] in ("SING", "BURS"))
         self._period_begins_s = time_s + float(self._t0.words["PER"]) if self._t0.on else None
@@ -227,11 +243,11 @@ class QuantumComposersEmulator(PulsingEmulator):
         if not on and number == 0:
             self._end_periods()
         elif not on:
-            channel.is_spent = channel.is_spent or self._arms != "run all"
+            channel.is_spent = channel.is_spent or self._variant.arms != "run all"
             self._withdraw(number - 1)
         elif number == 0:
             self._run()
-        elif self._arms == "state":
+        elif self._variant.arms == "state":
             channel.arm()
 
     def _run(self) -> None:
@@ -240,7 +256,7 @@ class QuantumComposersEmulator(PulsingEmulator):
             self._period_begins_s = self.event_s
         self._t0.arm()
         for channel in self._channels:
-            if self._arms == "run all" or (self._arms == "run" and channel.on):
+            if self._variant.arms == "run all" or (self._variant.arms == "run" and channel.on):
                 channel.arm()
 
     def switch_off(self) -> None:
@@ -259,7 +275,7 @@ class QuantumComposersEmulator(PulsingEmulator):
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
-            if self.event_s < self._heard_s + self._needs_s:
+            if self.event_s < self._heard_s + self._variant.needs_s:
                 continue  # busy with the line before
             self._heard_s = self.event_s
             if self._echo and isinstance(command, Command):
@@ -361,7 +377,7 @@ class QuantumComposersEmulator(PulsingEmulator):
             return "?5"
         if not low_s <= seconds <= high_s:
             return "?9"  # 577 manual, 8.5.8
-        channel.words[keyword] = repr(round(seconds / self._step_s) * self._step_s)
+        channel.words[keyword] = repr(round(seconds / self._variant.step_s) * self._variant.step_s)
         return "ok"
 
     def _shown(self, channel: _Channel, keyword: str) -> str:

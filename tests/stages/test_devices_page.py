@@ -10,6 +10,7 @@ from daq.timing.drivers_by_name import DRIVERS as BOXES
 from daq.timing.protocols import pivlab_synchroniser as pivlab
 from daq.timing.protocols import quantum_composers as qc
 from daq.timing.pulses import PairExposures
+from sim.emulators.pi_gcs2 import StageMake
 from sim.timing_boxes.quantum_composers import MODELS
 from stages.drivers_by_name import DRIVERS, driver_class
 from stages.errors import StageError
@@ -99,7 +100,7 @@ def words_of(data, stream, word):
 
 VARIANTS = {
     "zaber_ascii": ({}, {"firmware": "6.28"}), "isel_dnc": ({}, {"model": None}),
-    "pi_gcs2": ({}, {"switches": "limits"}, None), "grbl": ({},), "thorlabs_apt": ({},),
+    "pi_gcs2": ({}, {"stages": StageMake(switches="limits")}, None), "grbl": ({},), "thorlabs_apt": ({},),
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from sim.emulators.pi_gcs2 import StageMake
 from stages.controller import Channel
 from stages.drivers.pi_gcs2 import PiController
 from stages.errors import StageError, StageUsageError, WrongDevice
@@ -13,8 +14,8 @@ def sent(made):
 
 
 @pytest.mark.parametrize(("firmware", "how"), [
-    ({"switches": "reference"}, b"FRF 1"), ({"switches": "limits"}, b"FNL 1"),
-    ({"switches": "reference", "knows_switches": False}, b"FRF 1"),
+    ({"stages": StageMake(switches="reference")}, b"FRF 1"), ({"stages": StageMake(switches="limits")}, b"FNL 1"),
+    ({"knows_switches": False}, b"FRF 1"),
 ])  # fmt: skip
 def test_what_finds_the_reference_is_asked(bench, firmware, how):
     """pipython's startup: FRF where there is a reference switch, FNL or FPL where there are limits only."""
@@ -34,7 +35,7 @@ def test_what_finds_the_reference_is_asked(bench, firmware, how):
 
 def test_the_positive_end_is_a_word_of_a_subclass(bench, monkeypatch):
     monkeypatch.setattr(PiController, "at_limit", "FPL")
-    made = bench("pi_gcs2", firmware={"switches": "limits"})
+    made = bench("pi_gcs2", firmware={"stages": StageMake(switches="limits")})
     made.stage.home()
     assert b"FPL 1" in sent(made)
     made.stage.move({"a": 60.0})
@@ -42,7 +43,7 @@ def test_the_positive_end_is_a_word_of_a_subclass(bench, monkeypatch):
 
 
 def test_a_stage_with_no_switch_at_all_is_not_homed(bench):
-    made = bench("pi_gcs2", firmware={"switches": "none"})
+    made = bench("pi_gcs2", firmware={"stages": StageMake(switches="none")})
     with pytest.raises(StageUsageError, match="neither reference nor limit switches"):
         made.stage.home()
     assert b"FRF 1" not in sent(made)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from sim.emulators.pi_gcs2 import StageMake
 from stages.errors import (
     DeviceError,
     DeviceLost,
@@ -122,7 +123,7 @@ def test_a_board_unlocked_at_a_pendant_is_not_believed(bench):
 
 def test_what_keeps_its_reference_over_power_is_believed(bench):
     """An absolute encoder knows where it is: homing it again would be a motion that nobody needs."""
-    made = bench("pi_gcs2", firmware={"absolute_encoders": True})
+    made = bench("pi_gcs2", firmware={"stages": StageMake(absolute_encoders=True)})
     made.stage.home()
     made.stage.move({"a": 60.0})
     made.line.power_cycle(0.3)

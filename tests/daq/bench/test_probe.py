@@ -14,7 +14,7 @@ from sim.emulators.recorded import RecordedBox
 from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
-from sim.timing_boxes.quantum_composers import MODELS, QuantumComposersEmulator
+from sim.timing_boxes.quantum_composers import MODELS, QuantumComposersEmulator, Variant
 from stages.drivers.pi_gcs2 import PiController
 from stages.drivers_by_name import DRIVERS
 from stages.errors import PortUnavailable
@@ -107,7 +107,7 @@ def test_every_driver_is_probed_for():
 @pytest.mark.parametrize("baud", [38_400, 115_200])
 def test_a_pulse_generator_is_named_and_goes_on_as_it_was(tmp_path, box, model, baud):
     clock = VirtualClock()
-    emulator = QuantumComposersEmulator({}, clock, model=model)
+    emulator = QuantumComposersEmulator({}, clock, Variant(model))
     emulator.set_inside(2, "STAT", "1")
     emulator.set_inside(0, "STAT", "1")
     words = [dict(channel.words) for channel in emulator._all]
@@ -184,7 +184,7 @@ def test_the_verb_writes_what_was_said(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("daq.bench.probe.SYSTEM_CLOCK", clock)
     monkeypatch.setattr("rtpiv.verbs.probe.ask_port", lambda port: probe(port, clock))
-    with on_a_line(QuantumComposersEmulator({}, clock, model="BNC,575-8"), clock, 38_400):
+    with on_a_line(QuantumComposersEmulator({}, clock, Variant("BNC,575-8")), clock, 38_400):
         assert main(["probe", "sim://probed"]) == DONE
     said = " ".join(capsys.readouterr().out.split())
     assert "BNC,575-8,02311" in said

@@ -16,7 +16,7 @@ from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.mechanics.clock import VirtualClock
-from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
+from sim.timing_boxes.quantum_composers import QuantumComposersEmulator, Variant
 from stages.errors import CommandRejected, StageError
 
 WIRING = {
@@ -34,7 +34,7 @@ class Desk:
 
     def __init__(self, wiring=WIRING, head=HEAD, faults=(), **firmware):
         self.clock = VirtualClock()
-        self.emulator = QuantumComposersEmulator({}, self.clock, **firmware)
+        self.emulator = QuantumComposersEmulator({}, self.clock, Variant(**firmware))
         self.line = Line(self.emulator, self.clock, FaultSchedule(faults))
         self.box = QuantumComposersBox("laser", wiring, self.clock)
         self.laser = Laser("laser", self.box, head, Rules(warmup_s=1.0), self.clock)

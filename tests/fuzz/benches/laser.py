@@ -30,7 +30,7 @@ from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.mechanics.clock import VirtualClock
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator
-from sim.timing_boxes.quantum_composers import MODELS, QuantumComposersEmulator
+from sim.timing_boxes.quantum_composers import MODELS, QuantumComposersEmulator, Variant
 from stages.errors import StageError
 
 GOOD = Conditions(True, True, True, 5.0, 10_000)
@@ -70,13 +70,14 @@ class Story:
         if self.kind == "oltSync":
             self.emulator = OltSyncEmulator({}, self.clock)
         else:
-            options = {
-                "outputs": 8 if self.kind == "lamps" else 4, "echo": self.rng.random() < 0.2,
-                "model": self.rng.choice(list(MODELS.values())),
-                "arms": self.rng.choice(("run", "run all", "state")),
-                "needs_s": self.rng.choice((0.0, 0.0, 0.04)),
-            }  # fmt: skip
-            self.emulator = QuantumComposersEmulator({}, self.clock, **options)
+            variant = Variant(
+                outputs=8 if self.kind == "lamps" else 4,
+                echo=self.rng.random() < 0.2,
+                model=self.rng.choice(list(MODELS.values())),
+                arms=self.rng.choice(("run", "run all", "state")),
+                needs_s=self.rng.choice((0.0, 0.0, 0.04)),
+            )
+            self.emulator = QuantumComposersEmulator({}, self.clock, variant)
         self.line = Line(self.emulator, self.clock)
         self.address = f"fuzz-{id(self):x}"
         LINES[self.address] = self.line

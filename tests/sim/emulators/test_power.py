@@ -5,7 +5,7 @@ import pytest
 from sim.emulators.grbl import GrblEmulator
 from sim.emulators.isel_dnc import IselEmulator
 from sim.emulators.line import Line
-from sim.emulators.pi_gcs2 import PiEmulator
+from sim.emulators.pi_gcs2 import PiEmulator, StageMake
 from sim.emulators.zaber_ascii import ZaberEmulator
 from sim.mechanics.clock import VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
@@ -112,7 +112,7 @@ def test_zaber_counts_from_where_it_stands_and_says_so():
 
 @pytest.mark.parametrize("absolute", [False, True])
 def test_pi_forgets_unless_its_encoders_are_absolute(absolute):
-    box = Box(PiEmulator, absolute_encoders=absolute).homed()
+    box = Box(PiEmulator, stages=StageMake(absolute_encoders=absolute)).homed()
     box.ask(b"MOV 2 99\n")  # leaves an error behind: no such thing as before
     box.ask(b"MOV 1 9999\n")
     box.line.power_cycle()
