@@ -12,9 +12,8 @@
 The states are in `states`, what must hold in `conditions`. Every verb asks the box what it has, not its own
 memory: a box that was restarted, or used by its keys, is found out before it is armed.
 
-Light ends in many ways: somebody says so, a condition is lost, the burst ends, the bench is left. Off is said
-first and believed last: `stop` writes it past every lock and answer, and what was said is in doubt (UNKNOWN) until
-it reads back (`confirm_off`), and a fault from then on until a person says `safe`.
+Light ends in many ways: somebody says so, a condition is lost, the burst ends, the bench is left (`darkness`).
+After a stop the laser is in doubt (UNKNOWN) until it reads back as off, and a fault from then on until `safe`.
 
 A chunk is at most `Rules.chunk_s` long. Where the box counts (`box.counts`), so many pulses leave at most after
 whatever becomes of this program. Where it cannot, we end the burst by the clock, and the watchdog after our death;
@@ -23,11 +22,11 @@ that is weaker, and a bench file has to say `uncounted: true` to have it.
 
 import math
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 from daq.timing.box import UNREADABLE, TimingBox
 from daq.timing.conditions import Conditions, Rules, exposure_problem
+from daq.timing.darkness import Darkness
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
 from daq.timing.low_energy import low_energy_burst
 from daq.timing.pulses import (
@@ -47,8 +46,6 @@ from stages.errors import StageError
 
 SPARE_S = 0.05  # by which the first tick of a box that counts may come after the answer to the word that starts it
 POLL_S = 0.01  # between two looks of `wait`
-CONFIRM_S = 0.2  # between two attempts to read back that everything is off
-LEAVING_S = 10.0  # how long whoever leaves goes on with them; a cable that comes loose is mostly put back by then
 ARMED_S = 10.0  # how long conditions that were stated at arming may be believed
 
 
@@ -79,9 +76,9 @@ class Laser:
         self.schedule: Schedule | None = None  # what the box was loaded with, as it says itself
         self.pairs = 0  # of the burst that goes on, or of the last one
         self._clock = clock
-        self._latch = box.latch
         self._lock = threading.RLock()  # one verb at a time
         self._states = LaserStateMachine(name, box.latch, clock)
+        self._dark = Darkness(box, self._states, self._lock, clock)
         self._exposures: PairExposures | None = None
         self._rate_hz: float | None = None  # of lamps that run
         self._ends_s = math.inf  # of the burst that goes on
@@ -143,7 +140,7 @@ class Laser:
         with self._lock:
             self.box.connect(url, baud)
             with suppress(*UNREADABLE):
-                self._silence()
+                self._dark.read_back()
                 self._states.enter(Event.OFF)
                 self._ask_anew()
 
@@ -160,7 +157,7 @@ class Laser:
         NotNow, PulsesRefused, LaserDoubt, StageError
             It is not SAFE, cannot run at this rate, or the box does not do it.
         """
-        with self._lock, self._doubting():
+        with self._lock, self._dark.doubting():
             self._states.require(LaserState.SAFE)
             rate_hz = rate_hz or self.head.lamp_rate_hz or self.head.max_rate_hz
             self.head.require_rate(rate_hz)
@@ -187,7 +184,7 @@ class Laser:
             The box does not take them.
         """
         schedule = schedule_of(timing, self.head, exposures)
-        with self._lock, self._doubting():
+        with self._lock, self._dark.doubting():
             self._states.require(LaserState.READY)
             if self._rate_hz is not None and not math.isclose(timing.rate_hz, self._rate_hz, rel_tol=1e-6):
                 raise PulsesRefused(
@@ -219,7 +216,7 @@ class Laser:
         LaserDoubt, StageError
             The box does not hold what it was loaded with.
         """
-        with self._lock, self._doubting():
+        with self._lock, self._dark.doubting():
             self._states.require(LaserState.READY)
             schedule, exposures = self.schedule, self._exposures
             if schedule is None or exposures is None:
@@ -277,7 +274,7 @@ class Laser:
         LaserDoubt, StageError
             The box did not take it; it was switched off.
         """
-        with self._lock, self._doubting():
+        with self._lock, self._dark.doubting():
             self._states.require(LaserState.ARMED)
             assert self.schedule is not None
             most = self.most_pairs
@@ -314,7 +311,7 @@ class Laser:
         NotNow, NotArmed, PulsesRefused
             It is not SAFE, the bench has no such mode, or a limit is broken; nothing was sent.
         """
-        with self._lock, self._doubting():
+        with self._lock, self._dark.doubting():
             self._states.require(LaserState.SAFE)
             schedule, pulses = self.low_energy_burst(rate_hz, for_s)
             self._states.require_code(code)
@@ -364,18 +361,7 @@ class Laser:
         with suppress(StageError):
             self.box.drop()  # first, and without the lock that another verb may hold
         with self._lock:
-            self._latch.clear()
-            count = self._latch.count
-            try:
-                if self.box.lost:
-                    self.box.reconnect()
-                self._silence()
-            except BaseException as doubt:
-                self._states.doubt(str(doubt))
-                raise
-            if self._latch.count != count:
-                raise LaserStopped(f"{self.name}: {self.why}")
-            self._states.enter(Event.OFF)
+            self._dark.make_safe()
             self._ask_anew()
 
     def stop(self, why: str = "stopped on request") -> None:
@@ -386,68 +372,31 @@ class Laser:
         DeviceLost
             The box could not be told.
         """
-        self._latch.stop(why)
-        try:
-            self.box.drop()
-        finally:
-            self._states.doubt(why)
+        self._dark.say(why)
 
     def confirm_off(self) -> bool:
         """After a stop: try to read back that everything is off; True if nothing is in doubt (any more).
 
         Whoever watches calls it until it says True. A port that was lost is opened again for it.
         """
-        if self.state is not LaserState.UNKNOWN:
-            return True
-        with self._lock:
-            try:
-                if self.box.lost:
-                    self.box.reconnect()
-                self._silence()
-            except (StageError, LaserDoubt):
-                with suppress(StageError):
-                    self.box.drop()
-                return False
-            with suppress(LaserStopped, NotNow):
-                self._states.enter(Event.STILL)
-            return True
+        return self._dark.confirm()
 
     def close(self) -> None:
         """Switch off, read back, and give the port back.
-
-        What was switched on and cannot be reached is tried for `LEAVING_S` more, on a port that is opened again:
-        a box that does not count goes on for as long as nobody reaches it, and the watchdog gives a device up
-        whose cable has been out.  The watchdog says off again as well if that is not confirmed.
 
         Raises
         ------
         LaserDoubt
             Something was switched on, and does not read back as off.
         """
-        try:
-            if not self.box.lost or self.box.may_be_on:
-                self._stop_quietly("the program has left the bench")
-                end_s, tries = self._clock.now_s() + LEAVING_S, 1
-                while not self.confirm_off():
-                    if tries >= 3 and not (self.box.may_be_on and self._clock.now_s() < end_s):
-                        break
-                    tries += 1
-                    self._clock.sleep_s(CONFIRM_S)
-            if self.box.may_be_on:
-                raise LaserDoubt(
-                    f"{self.name} may still give light: it does not read back as off ({self.why}); turn its key, "
-                    "then see to the cable"
-                )
-        finally:
-            self.box.may_be_on = False  # has been said; nobody waits for it twice
-            self.box.close()
+        self._dark.leave()
 
     # ---- while it fires --------------------------------------------------------------------------------
 
     def switch_opened(self, why: str) -> None:
         """Switch off if light is meant to leave; called by whoever reads the switches, after every reading."""
         if self.emits:
-            self._stop_quietly(why)
+            self._dark.say_quietly(why)
 
     def watch(self, conditions: Conditions) -> None:
         """Judge how things stand while it fires; switch off at once if something was lost.
@@ -460,7 +409,7 @@ class Laser:
         if self.state is not LaserState.FIRING:
             return
         if missing := conditions.missing(0, self.rules.clear_mm, fires=True) or self.switches.objection():
-            self._stop_quietly(missing)
+            self._dark.say_quietly(missing)
             raise LaserStopped(f"{self.name} was switched off: {missing}")
 
     def look(self) -> bool:
@@ -474,20 +423,20 @@ class Laser:
             It could not be asked; it was switched off as far as that was possible.
         """
         if (open_switch := self.switches.objection()) and self.emits:
-            self._stop_quietly(open_switch)
+            self._dark.say_quietly(open_switch)
         if self.state in EMITS and self._clock.now_s() < self._ends_s:
             return True  # without the lock: whoever watches must not wait for another verb
         with self._lock:
             state = self.state
             if state not in EMITS or self._clock.now_s() < self._ends_s:
                 return state in EMITS
-            with self._doubting():
+            with self._dark.doubting():
                 if state is LaserState.FIRING:
                     self.box.end()
                     self.box.require_lamps(self._rate_hz is not None)  # a restart ends bursts too
                     self._states.enter(Event.DONE)
                 else:
-                    self._silence()
+                    self._dark.read_back()
                     self._states.enter(Event.OFF)
                 return False
 
@@ -510,27 +459,6 @@ class Laser:
         self._states.ask_anew()
         self.schedule = self._exposures = self._rate_hz = None
         self._ends_s = math.inf
-
-    def _silence(self) -> None:
-        self.box.silence()
-        self.box.may_be_on = False
-        if self.box.watchdog is not None:
-            self.box.watchdog.rests(self.box.name)
-
-    def _stop_quietly(self, why: str) -> None:
-        with suppress(StageError):
-            self.stop(why)
-
-    @contextmanager
-    def _doubting(self) -> Iterator[None]:
-        """Switch off if something comes between; what was refused before anything was sent is nothing."""
-        try:
-            yield
-        except TimingUsageError:
-            raise
-        except BaseException as error:
-            self._stop_quietly(str(error) or type(error).__name__)
-            raise
 
     def _require_count(self) -> None:
         """Refuse a box that cannot end a burst by itself, unless the laboratory has agreed to that."""

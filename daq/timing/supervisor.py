@@ -22,8 +22,9 @@ from contextlib import suppress
 
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions
+from daq.timing.darkness import CONFIRM_S
 from daq.timing.errors import LaserStopped
-from daq.timing.laser import CONFIRM_S, Laser
+from daq.timing.laser import Laser
 from daq.timing.states import EMITS, LaserState
 from stages.clock import Clock
 from stages.errors import StageError

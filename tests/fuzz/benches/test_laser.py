@@ -47,6 +47,6 @@ def ends_early(laser):
 
 
 def test_the_judge_sees_a_laser_that_is_given_up_while_its_cable_is_loose(monkeypatch):
-    monkeypatch.setattr("daq.timing.laser.LEAVING_S", 0.0)
+    monkeypatch.setattr("daq.timing.darkness.LEAVING_S", 0.0)
     _, found = play(50, "loose 0")
     assert found[-1:] == ["something is on after the end"]

@@ -1,0 +1,159 @@
+"""How the light of a laser ends: off is said first and believed last.
+
+`say` writes off past every lock and answer, from any thread.  What was said is in doubt (UNKNOWN) until every
+output reads back as off (`confirm`), and a fault from then on until a person has looked at it (`make_safe`).
+`doubting` says it whenever a verb that has begun to talk with the box does not come to its end.
+
+Whoever leaves the bench says it too (`leave`) and does not go before it reads back, or before nothing can be done.
+"""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from daq.timing.box import TimingBox
+from daq.timing.errors import LaserDoubt, LaserStopped, NotNow, TimingUsageError
+from daq.timing.states import Event, LaserState, LaserStateMachine
+from stages.clock import Clock
+from stages.errors import StageError
+
+CONFIRM_S = 0.2  # between two attempts to read back that everything is off
+LEAVING_S = 10.0  # how long whoever leaves goes on with them; a cable that comes loose is mostly put back by then
+
+
+class Darkness:
+    """The end of one laser's light; safe for several threads.
+
+    Parameters
+    ----------
+    box : TimingBox
+        What gives the pulses.
+    states : LaserStateMachine
+        How the laser stands.
+    lock : RLock
+        Held by whoever talks with the box; one verb at a time.
+    clock : Clock
+        Clock of its patience.
+    """
+
+    def __init__(self, box: TimingBox, states: LaserStateMachine, lock: threading.RLock, clock: Clock) -> None:
+        self._box, self._states, self._lock, self._clock = box, states, lock, clock
+
+    def say(self, why: str) -> None:
+        """Say off now, from any thread; waits for no lock and no answer, and holds until `make_safe`.
+
+        Raises
+        ------
+        DeviceLost
+            The box could not be told.
+        """
+        self._box.latch.stop(why)
+        try:
+            self._box.drop()
+        finally:
+            self._states.doubt(why)
+
+    def say_quietly(self, why: str) -> None:
+        """Say it, whether or not the box can be told."""
+        with suppress(StageError):
+            self.say(why)
+
+    def read_back(self) -> None:
+        """Write everything off and read it back.
+
+        Raises
+        ------
+        LaserDoubt, StageError
+            Something is on, or could not be read.
+        """
+        self._box.silence()
+        self._box.may_be_on = False
+        if self._box.watchdog is not None:
+            self._box.watchdog.rests(self._box.name)
+
+    def confirm(self) -> bool:
+        """After a stop: try to read back that everything is off; True if nothing is in doubt (any more)."""
+        if self._states.state is not LaserState.UNKNOWN:
+            return True
+        with self._lock:
+            try:
+                self._reach()
+                self.read_back()
+            except (StageError, LaserDoubt):
+                with suppress(StageError):
+                    self._box.drop()
+                return False
+            with suppress(LaserStopped, NotNow):
+                self._states.enter(Event.STILL)
+            return True
+
+    def make_safe(self) -> None:
+        """Off, read back, and nothing holds any more: a person has looked at it.
+
+        Raises
+        ------
+        LaserDoubt, StageError
+            It could not be confirmed; the state is UNKNOWN, and off has been said all the same.
+        LaserStopped
+            A stop came meanwhile.
+        """
+        with self._lock:
+            latch = self._box.latch
+            latch.clear()
+            count = latch.count
+            try:
+                self._reach()
+                self.read_back()
+            except BaseException as doubt:
+                self._states.doubt(str(doubt))
+                raise
+            if latch.count != count:
+                raise LaserStopped(f"{self._states.name}: {self._states.why}")
+            self._states.enter(Event.OFF)
+
+    def leave(self) -> None:
+        """Say off, read it back, and give the port back.
+
+        What was switched on and cannot be reached is tried for `LEAVING_S` more, on a port that is opened again:
+        a box that does not count goes on for as long as nobody reaches it, and the watchdog gives a device up
+        whose cable has been out.  The watchdog says off again as well if that is not confirmed.
+
+        Raises
+        ------
+        LaserDoubt
+            Something was switched on, and does not read back as off.
+        """
+        box = self._box
+        try:
+            if not box.lost or box.may_be_on:
+                self.say_quietly("the program has left the bench")
+                end_s, tries = self._clock.now_s() + LEAVING_S, 1
+                while not self.confirm():
+                    if tries >= 3 and not (box.may_be_on and self._clock.now_s() < end_s):
+                        break
+                    tries += 1
+                    self._clock.sleep_s(CONFIRM_S)
+            if box.may_be_on:
+                raise LaserDoubt(
+                    f"{self._states.name} may still give light: it does not read back as off "
+                    f"({self._states.why}); turn its key, then see to the cable"
+                )
+        finally:
+            box.may_be_on = False  # has been said; nobody waits for it twice
+            box.close()
+
+    @contextmanager
+    def doubting(self) -> Iterator[None]:
+        """Say off if something comes between; what was refused before anything was sent is nothing."""
+        try:
+            yield
+        except TimingUsageError:
+            raise
+        except BaseException as error:
+            self.say_quietly(str(error) or type(error).__name__)
+            raise
+
+    def _reach(self) -> None:
+        """Open a port again that was lost."""
+        if self._box.lost:
+            self._box.reconnect()
