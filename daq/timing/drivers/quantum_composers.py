@@ -17,10 +17,11 @@ gives nothing.
 digits, booleans are 0 or 1 and nothing else, and every number that is written is read back. Lines that are
 echoed are skipped. What was refused is refused for good: nothing that switches on is said twice.
 
-**Lines that get lost.** A program for the 575 waits 50 ms between commands. A box that answers has heard; but of
-what is written without waiting for answers such a box may hear the first line alone. So off begins with the word
-that stops everything, and whoever says it says it again; and after a question that was not answered every line
-waits for as long.
+**Lines that get lost.** Every line is answered, and the next one is to wait for that answer (9500 Plus manual,
+p. 38, which advises against several in one string). No manual asks for a pause; but a program for the 575 makes
+one of 50 ms besides. As a rule that would stretch a chunk's arming from 0.1 to 3.6 s, so it is for boxes that need
+it: after a question that was not answered every line waits for as long. Off alone is written in one string. A box
+that takes one line at a time may hear the first of it alone: that stops everything, and it is said again.
 """
 
 import math

@@ -172,6 +172,25 @@ def test_a_box_that_loses_lines_that_come_too_soon_is_asked_more_slowly():
         assert d.box._pause_s == 0.0
 
 
+def test_every_line_but_off_waits_for_the_answer_to_the_one_before():
+    """One command in a string, then its response is read, and so on (9500 Plus manual, p. 38)."""
+    with desk() as d:
+        log, send, receive = [], d.line.send, d.line.receive
+
+        def read(*words):
+            got = receive(*words)
+            log.extend(["read"] if got else [])
+            return got
+
+        d.line.send, d.line.receive = lambda data: (log.append(data), send(data))[1], read
+        d.burst(3)
+        d.laser.safe()
+        (off,) = d.box.off_bytes()
+        assert all(data.count(b"\n") == 1 for data in log if data not in ("read", off))
+        assert not [late for soon, late in itertools.pairwise(log) if soon != "read" and late not in ("read", off)]
+        assert len(log) > 500
+
+
 @pytest.mark.parametrize(("baud", "silent", "words"), [
     (9600, False, "laser on sim://desk at 38400 baud says nothing; .* is the rate its own"),
     (None, True, "laser on sim://desk at 38400 baud says nothing; is it switched on"),
