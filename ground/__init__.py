@@ -8,11 +8,7 @@
     memory        what needs more than is free is refused before it begins
     map_file      arrays in a file, nothing trusted
     rows          a kernel over the rows of an image, on all cores
-    jit           the only place where numba options are chosen
-    compile_news  that kernels are being compiled
-    compiler      where kernels are given to numba, as late as that can be
-    unowned       arrays whose slices count no references
-    kernel_cache  where compiled kernels are kept
+    jit           compiling of kernels: options, cache, news
 
 Nothing here knows a scene, a camera or a stage; what only one package needs lives there.
 """

@@ -34,7 +34,7 @@ from correction.inversion.kernels.bed_sheets import (
 )
 from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, direct_rows_behind
 from correction.inversion.kernels.direct import direct_rows
-from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, Tables, Ways
+from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, Ways
 from correction.inversion.kernels.views import NodeScratch, join_weights, solve_nodes
 from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts
 from correction.masked import masked_branches, masked_pixels
@@ -42,6 +42,7 @@ from ground.rows import run_parts, run_rows
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.lanes import Bundle
 from tracer.kernels.sphere import OPAQUE
+from tracer.kernels.world import Tables
 from tracer.strategies.beds import Balls
 from tracer.strategies.branches import chain_trip, event_numbers, key_of
 from tracer.strategies.lockstep import block_scratch, sphere_discs

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.inversion.kernels.bed_sheets import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
-from correction.inversion.kernels.newton import NEWTON_NUMBERS, NO_WAYS, Tables, Ways
+from correction.inversion.kernels.newton import NEWTON_NUMBERS, NO_WAYS, Ways
 from correction.inversion.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
 from ground.rows import run_rows
+from tracer.kernels.world import Tables
 from tracer.strategies.branches import lengths_of
 from tracer.strategies.ray_map import RayMap
 

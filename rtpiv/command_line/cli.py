@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, TextIO
 
-import ground.compile_news as compile_news
+import ground.jit.compile_news as compile_news
 from daq.signal_handling import SIGNALLED, flush_or_leave, handle_signals
 from ground.errors import UntrustedProgram
 from ground.named_program import VARIABLE, trust
@@ -34,10 +34,10 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 
 PICTURES = "rtpiv.analysis.pictures"
 DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are called by whoever draws rays
-    "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", "ground.compiler"),
+    "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", "ground.jit.compiler"),
     "compare": (f"{PICTURES}.views",),
     "correct": (f"{PICTURES}.overview", "cv2"),
-    "evaluate": ("rtpiv.analysis.report.pair", "rtpiv.analysis.report.page", "ground.compiler"),
+    "evaluate": ("rtpiv.analysis.report.pair", "rtpiv.analysis.report.page", "ground.jit.compiler"),
     "calibrate": (f"{PICTURES}.calibration", f"{PICTURES}.smooth", "rtpiv.analysis.report.calibration"),
 }
 

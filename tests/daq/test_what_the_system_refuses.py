@@ -216,7 +216,7 @@ def test_a_sensor_that_nobody_has_is_refused_with_its_line(tmp_path, sensor, cap
 CACHE = """
 import sys
 import numba
-from ground import compile_news
+from ground.jit import compile_news
 from ground.jit import kernel
 
 @kernel

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from ground.kernel_cache import PACKAGES, ROOT, dependencies, digest_of
+from ground.jit.kernel_cache import PACKAGES, ROOT, dependencies, digest_of
 
 KERNELS = sorted(path for name in PACKAGES for path in (ROOT / name).glob("**/kernels/*.py"))
 TREE = {
-    "ground/jit.py": "from ground.kernel_cache import cache_folder\n",
-    "ground/unowned.py": "import ground.jit\n",
+    "ground/jit/__init__.py": "from ground.jit.kernel_cache import cache_folder\n",
+    "ground/jit/without_owner.py": "import ground.jit\n",
     "tracer/constants.py": "import tracer.far\nSIDE = 2.0\n",
     "tracer/far.py": "",
     "tracer/kernels/inner.py": "from tracer.constants import SIDE\n",
@@ -24,6 +24,8 @@ TREE = {
     "tracer/bodies/sphere.py": "from tracer.kernels.world import KINDS\n",
     "correction/kernels/rays.py": "from tracer.kernels.world import KINDS\n",
     "correction/kernels/alone.py": "import numpy as np\n",
+    "daq/light.py": "from ground.jit import kernel\nfrom tracer.kernels.inner import f\n",
+    "daq/kernels/eye.py": "from daq.light import g\n",
 }
 
 
@@ -46,13 +48,13 @@ def tree(tmp_path):
 @pytest.mark.parametrize(
     ("edited", "seen_by"),
     [
-        ("inner", {"inner", "middle", "outer"}),
-        ("constants", {"constants", "inner", "middle", "outer"}),
+        ("inner", {"inner", "middle", "outer", "light", "eye"}),  # kernels, in whatever folder they stand
+        ("constants", {"constants", "inner", "middle", "outer", "light", "eye"}),
         ("far", {"constants", "far"}),  # a noun's own imports compute nothing for a kernel
         ("sphere", {"sphere", "world", "rays"}),  # reached by type
         ("alone", {"alone"}),
-        ("jit", {Path(name).stem for name in TREE}),
-        ("unowned", {Path(name).stem for name in TREE}),
+        ("__init__", {Path(name).stem for name in TREE}),
+        ("without_owner", {Path(name).stem for name in TREE}),
     ],
 )
 def test_an_edit_is_seen_by_what_is_compiled_from_it_and_by_nothing_else(tree, edited, seen_by):
@@ -67,9 +69,9 @@ def test_a_file_that_moves_is_compiled_anew(tmp_path):
         place = tmp_path / room / "kernels" / "rays.py"
         place.parent.mkdir(parents=True)
         place.write_text("import numpy as np\n")
-    for name in ("jit", "unowned"):
-        (tmp_path / "ground").mkdir(exist_ok=True)
-        (tmp_path / "ground" / f"{name}.py").touch()
+    (tmp_path / "ground/jit").mkdir(parents=True)
+    for name in ("__init__", "without_owner"):
+        (tmp_path / "ground/jit" / f"{name}.py").touch()
     rooms = [digest_of(tmp_path / room / "kernels/rays.py", tmp_path) for room in ("daq", "daq/acquisition")]
     assert rooms[0] != rooms[1]
 
@@ -101,7 +103,7 @@ def test_what_is_imported_is_known_whatever_way_it_is_written():
     ran = subprocess.run(
         [sys.executable, "-c", OWN_ACCOUNT, *modules], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    always = {ROOT / "ground/jit.py", ROOT / "ground/kernel_cache.py"}
+    always = {ROOT / "ground/jit/__init__.py", ROOT / "ground/jit/kernel_cache.py"}
     for name, files in json.loads(ran.stdout).items():
         used = {Path(file) for file in files if file.startswith(str(ROOT / "")) and "site-packages" not in file}
         assert used <= dependencies(modules[name]) | always, name
@@ -122,12 +124,10 @@ USE = (
 def test_no_stale_callee_is_ever_run(tmp_path):
     """The edit that numba alone misses; what does not see it comes from the cache."""
     ground, kernels = tmp_path / "ground", tmp_path / "tracer" / "kernels"
-    ground.mkdir()
+    shutil.copytree(ROOT / "ground", ground, ignore=shutil.ignore_patterns("__pycache__"))
     kernels.mkdir(parents=True)
-    for package in (ground, kernels.parent, kernels):
+    for package in (kernels.parent, kernels):
         (package / "__init__.py").touch()
-    for path in (ROOT / "ground").glob("*.py"):
-        (ground / path.name).write_bytes(path.read_bytes())
     (kernels / "callee.py").write_text(CALLEE.format("3.0"))
     (kernels / "caller.py").write_text(CALLER)
     (kernels / "other.py").write_text(CALLEE.replace("value", "other").format("7.0"))

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import tifffile
 
-import ground.compile_news as compile_news
-from ground.signatures import entry, plain, typed
+import ground.jit.compile_news as compile_news
+from ground.jit.signatures import entry, plain, typed
 from rtpiv.command_line import first_use
 from rtpiv.command_line.first_use import ALSO, FirstUse, calls_of
 
@@ -26,7 +26,7 @@ bodies: [{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0
 ASKED = """
 import json, sys
 import numba.core.caching as caching
-from ground.signatures import plain
+from ground.jit.signatures import plain
 asked, before = [], caching.Cache._load_overload
 def watched(self, signature, context):
     kinds = signature if isinstance(signature, tuple) else signature.args
@@ -96,7 +96,7 @@ def test_helpers_start_at_the_first_kernel_that_is_listed_and_go_with_the_verb(m
 def test_a_missing_kernel_is_told_with_its_types(monkeypatch):
     import numba
 
-    import ground.compiler  # noqa: F401 - listens
+    import ground.jit.compiler  # noqa: F401 - listens
 
     told = []
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import rtpiv.verbs
-from ground import compile_news
-from ground.compile_news import CompileCount
+from ground.jit import compile_news
+from ground.jit.compile_news import CompileCount
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE, THREADS, USAGE, main, print_compiling
@@ -151,7 +151,7 @@ def test_compiling_is_said_once_and_goes_on(capsys, monkeypatch):
 def test_a_kernel_that_no_cache_holds_is_news(monkeypatch):
     import numba
 
-    import ground.compiler  # noqa: F401 - listens
+    import ground.jit.compiler  # noqa: F401 - listens
 
     told = []
     monkeypatch.setattr(compile_news, "SAY_EVERY_S", 0.0)

@@ -174,13 +174,15 @@ class Body(ABC):
 
     @property
     def lowest_mm(self) -> float:
-        """Smallest z of the body."""
-        return min(self.capsule.start_mm[2], self.capsule.end_mm[2]) - self.capsule.radius_mm
+        """Smallest z of the body, as far as its outline says."""
+        points, radius_mm = self.outline_mm
+        return float(points[:, 2].min()) - radius_mm
 
     @property
     def highest_mm(self) -> float:
-        """Largest z of the body."""
-        return max(self.capsule.start_mm[2], self.capsule.end_mm[2]) + self.capsule.radius_mm
+        """Largest z of the body, as far as its outline says."""
+        points, radius_mm = self.outline_mm
+        return float(points[:, 2].max()) + radius_mm
 
     def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance from the surface to points (..., 3), negative inside: that of the capsule, if need be."""

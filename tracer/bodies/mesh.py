@@ -227,16 +227,6 @@ class Mesh(Body):
         """All control points: the body lies in their hull."""
         return self.controls_mm.reshape(-1, 3), 0.0
 
-    @property
-    def lowest_mm(self) -> float:
-        """Smallest z, of the control points."""
-        return float(self.controls_mm[..., 2].min())
-
-    @property
-    def highest_mm(self) -> float:
-        """Largest z, of the control points."""
-        return float(self.controls_mm[..., 2].max())
-
     def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance to points (..., 3), from below: how far they are beyond the farthest tangent plane.
 

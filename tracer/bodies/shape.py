@@ -3,7 +3,7 @@
     shape: {harmonics_um: {C20: -5.6, C22: 3.2}}                              # rms heights, see tracer.harmonics
     shape: {semi_axes_mm: [25.012, 25.0, 24.988], rotation_deg: [0, 0, 30]}   # an ellipsoid, turned by a vector
 
-An ellipsoid is told by its harmonics up to degree 6, which is exact to WORST_MM or refused: semi-axes of 25 mm may
+An ellipsoid is kept as harmonics up to degree 6, which is exact to WORST_MM or refused: semi-axes of 25 mm may
 differ by 0.8 mm.
 """
 

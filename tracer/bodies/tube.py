@@ -176,16 +176,6 @@ class Tube(Body):
         """Points of both rims."""
         return rims(self.start_mm, self.end_mm, self.outer_radius_mm), 0.0
 
-    @property
-    def lowest_mm(self) -> float:
-        """Smallest z of the tube."""
-        return float(self.outline_mm[0][:, 2].min())
-
-    @property
-    def highest_mm(self) -> float:
-        """Largest z of the tube."""
-        return float(self.outline_mm[0][:, 2].max())
-
     def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance from the wall to points (..., 3), negative in the glass."""
         w, axis = points_mm - np.array(self.start_mm), np.array(self.axis)

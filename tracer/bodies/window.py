@@ -59,7 +59,7 @@ class WindowSection(BodySection):
 
 @dataclass(frozen=True)
 class Window(Body):
-    """A plane plate in an opaque wall; whoever stands behind it is seen through it alone.
+    """A plane plate in an opaque wall; what stands behind it is seen through it alone.
 
     Parameters
     ----------
@@ -143,16 +143,6 @@ class Window(Body):
     def outline_mm(self) -> tuple[NDArray[np.float64], float]:
         """Points of both rims."""
         return rims(self.centre_mm, self._inwards(self.thickness_mm), self.radius_mm), 0.0
-
-    @property
-    def lowest_mm(self) -> float:
-        """Smallest z of the plate."""
-        return float(self.outline_mm[0][:, 2].min())
-
-    @property
-    def highest_mm(self) -> float:
-        """Largest z of the plate."""
-        return float(self.outline_mm[0][:, 2].max())
 
     def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance from the plate to points (..., 3), negative inside."""

@@ -3,7 +3,7 @@
 event    one body crossed, on one way: sphere + way * (number of spheres), which is the number of the sphere itself
          on way 0; other bodies follow all ways through all spheres, with four ways each
          (``tracer.kernels.rooms``). Going in and out of a room is an event like any other for those who follow a
-         ray back, but no part of a branch: everybody behind a window has come through it
+         ray back, but no part of a branch: every ray behind a window has come through it
 key      43-bit hash of a sequence of events, DIRECT for none: of any length, made event by event
 trip     the sequence itself where it is short and its bodies few (``tracer.kernels.chain``): their numbers + 1,
          BITS each, the latest lowest

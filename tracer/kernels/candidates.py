@@ -181,7 +181,7 @@ def list_from_box(box: Array, balls: Array, clusters: Array, lists: Lists) -> in
     x, y, z, start, ux, uy, uz, tangent = cone_of_box(box)
     every = not tangent < math.inf
     wide, count, at = math.sqrt(1.0 + tangent * tangent), 0, lists.begin.shape[0] - 1
-    first = begin_list(at, balls.shape[1], lists)  # forgotten as soon as the next list is made: nobody asks again
+    first = begin_list(at, balls.shape[1], lists)  # forgotten as soon as the next list is made
     for c in range(clusters.shape[1]):
         wx, wy, wz = clusters[BALL_X, c] - x, clusters[BALL_Y, c] - y, clusters[BALL_Z, c] - z
         if not (every or in_cone(wx, wy, wz, clusters[BALL_R, c], ux, uy, uz, tangent, wide, start)):

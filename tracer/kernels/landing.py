@@ -265,7 +265,7 @@ def trace_landings(
 
     pixels (N, 2); directions (N, 3) of their rays; camera (20,); target (12,) origin and axes; trail
     (MAX_EVENTS,) int32 and state (MAX_EVENTS, STATE) scratch; status (N,) uint8, key (N,) int64, point (N, 2)
-    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out, or with W = 0 where nobody asks for
+    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out, or with W = 0 where no call asks for
     the other bodies' numbers; by_shape (N, 2, S, 50), or (0, 2, S, 50) where all spheres are round.  NaN unless
     recovered.
     """

@@ -180,6 +180,36 @@ def flat_columns(flat: bool, camera: Array, x: Array) -> None:
 
 
 @kernel
+def next_block(low: int, edge: int, joined: Array, count: int, j: int) -> tuple[int, bool, int]:
+    """From column `low` of a row on: the span at or behind it, whether it is inside, and where its block ends."""
+    while j < count and joined[j, 1] <= low:
+        j += 1
+    inside = j < count and joined[j, 0] <= low
+    stop = edge
+    if j < count:
+        stop = min(edge, joined[j, 1] if inside else joined[j, 0])
+    return j, inside, min(low + LANES, stop)
+
+
+@kernel
+def write_mirrored(
+    row: int, edge: int, mirror_x: bool, mirror_y: bool, swap_x: Array, swap_y: Array,
+    unknown: Array, point: Array, status: Array, branch: Array,
+) -> None:  # fmt: skip
+    """Complete a row that was traced up to column `edge`, and write the row that is its mirror image."""
+    height, width = status.shape
+    other = height - 1 - row
+    p, s, b = point[row], status[row], branch[row]
+    if mirror_x:
+        n = width - edge  # a middle column is its own image
+        mirror_left_right(n, swap_x, p[: 2 * n], s[:n], b[:n], p[2 * edge :], s[edge:], b[edge:])
+    if mirror_y and other != row:
+        mirror_up_down(width, swap_y, p, s, b, point[other], status[other], branch[other])
+    if mirror_y:
+        unknown[other] = unknown[row]
+
+
+@kernel
 def sensor_rows(
     camera: Array,
     balls: Array,
@@ -204,13 +234,9 @@ def sensor_rows(
     x, y, spans, wanted = unowned(scratch.x), unowned(scratch.y), unowned(scratch.spans), unowned(scratch.wanted)
     rays, trips = unowned(scratch.rays), unowned(scratch.trips)
     point, status, branch = unowned(point), unowned(status), unowned(branch)
-    mirror_x, mirror_y, swap_x, swap_y = (
-        mirrors.in_x,
-        mirrors.in_y,
-        unowned(mirrors.swap_x),
-        unowned(mirrors.swap_y),
-    )
-    height, width = status.shape
+    mirror_x, mirror_y = mirrors.in_x, mirrors.in_y
+    swap_x, swap_y = unowned(mirrors.swap_x), unowned(mirrors.swap_y)
+    width = status.shape[1]
     bodies = balls.shape[0]
     flat_columns(flat, camera, x)
     joined = spans[bodies:]
@@ -218,17 +244,10 @@ def sensor_rows(
     for row in range(first, last):
         place_row(row, flat, camera, x, y)
         count = silhouettes(flat, skips, camera, balls, x, y, width, spans)
-        other = height - 1 - row
         unknown[row] = 0
         low, j = 0, 0
         while low < edge:
-            while j < count and joined[j, 1] <= low:
-                j += 1
-            inside = j < count and joined[j, 0] <= low
-            stop = edge
-            if j < count:
-                stop = min(edge, joined[j, 1] if inside else joined[j, 0])
-            high = min(low + LANES, stop)
+            j, inside, high = next_block(low, edge, joined, count, j)
             if inside:
                 unknown[row] += glass_block(
                     x, y, low, high - low, skips, paired, camera, balls, spans, rays, trips, wanted
@@ -239,11 +258,4 @@ def sensor_rows(
             p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
             write_block(high - low, rays, trips, p, s, b)
             low = high
-        p, s, b = point[row], status[row], branch[row]
-        if mirror_x:
-            n = width - edge  # a middle column is its own image
-            mirror_left_right(n, swap_x, p[: 2 * n], s[:n], b[:n], p[2 * edge :], s[edge:], b[edge:])
-        if mirror_y and other != row:
-            mirror_up_down(width, swap_y, p, s, b, point[other], status[other], branch[other])
-        if mirror_y:
-            unknown[other] = unknown[row]
+        write_mirrored(row, edge, mirror_x, mirror_y, swap_x, swap_y, unknown, point, status, branch)

@@ -2,7 +2,7 @@
 
 Row (11,): where the axis begins, its unit direction, length, outer and inner radius [mm], n of the wall and of
 what fills the tube, both / n of what is around.  The ends are open.  Through them a ray comes and goes unbent
-where inside and outside are of one medium; the surface of a liquid there has no shape that anybody told, so such
+where inside and outside are of one medium; the surface of a liquid there has no shape that a file states, so such
 a ray is lost, as is one that leaves the wall through its end faces.
 
 From outside a ray goes   in          through the wall into the tube (or its open end), on way IN
@@ -243,7 +243,7 @@ def end_rates(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float,
     fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array,
 ) -> tuple[float, ...]:  # fmt: skip
-    """Through an open end nothing is bent; only where the piece ends is told anew, which the ray does not feel."""
+    """Through an open end nothing is bent; only where the piece ends is set anew, which the ray does not feel."""
     along = (px - row[0]) * row[3] + (py - row[1]) * row[4] + (pz - row[2]) * row[5]
     slope = dx * row[3] + dy * row[4] + dz * row[5]
     low = along < 0.0 or (slope < 0.0 and not along > row[LENGTH])

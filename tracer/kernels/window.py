@@ -1,4 +1,4 @@
-"""A ray and a window: a plane plate of glass between two media, as wide as anybody looks.
+"""A ray and a window: a plane plate of glass between two media, as wide as any ray reaches.
 
 Row (10,): middle of the face towards the camera, its unit normal towards the camera, thickness [mm], n of the
 glass and of what lies behind, both / n of what lies before, radius [mm] of the opening in the opaque wall.

@@ -33,7 +33,6 @@ from tracer.kernels.chain import (
     DY,
     DZ,
     IQ,
-    LANES,
     PICK,
     PX,
     PY,
@@ -49,11 +48,11 @@ from tracer.kernels.sensor import (
     Mirrors,
     RowScratch,
     flat_columns,
-    mirror_left_right,
-    mirror_up_down,
+    next_block,
     number_block,
     silhouettes,
     write_block,
+    write_mirrored,
 )
 from tracer.kernels.window import BEHIND, GLASS, OPENING, THICKNESS
 from tracer.kernels.world import BLOCKED
@@ -260,7 +259,7 @@ def windowed_rows(
     )  # fmt: skip
     point, status, branch = unowned(point), unowned(status), unowned(branch)
     swap_x, swap_y = unowned(mirrors.swap_x), unowned(mirrors.swap_y)
-    height, width = status.shape
+    width = status.shape[1]
     bodies, inner = balls.shape[0], windows[windows.shape[0] - 1]
     flat_columns(flat, camera, x)
     joined = spans[bodies:]
@@ -270,17 +269,10 @@ def windowed_rows(
         around(flat, x, y, 0, width, box)
         known = seem(box, camera, windows, balls, faces, discs)
         count = silhouettes(flat, skips if known else 0, camera, discs, x, y, width, spans)
-        other = height - 1 - row
         unknown[row] = 0
         low, j = 0, 0
         while low < edge:
-            while j < count and joined[j, 1] <= low:
-                j += 1
-            inside = j < count and joined[j, 0] <= low
-            stop = edge
-            if j < count:
-                stop = min(edge, joined[j, 1] if inside else joined[j, 0])
-            high = min(low + LANES, stop)
+            j, inside, high = next_block(low, edge, joined, count, j)
             around(flat, x, y, low, high, box)
             careful = not (known and all_open(box, camera, windows, faces))
             p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
@@ -292,11 +284,4 @@ def windowed_rows(
                 direct_through(x[low:full], y[low:full], camera, inner, rays, trips)
                 write_block(high - low, rays, trips, p, s, b)
             low = high
-        p, s, b = point[row], status[row], branch[row]
-        if mirrors.in_x:
-            n = width - edge  # a middle column is its own image
-            mirror_left_right(n, swap_x, p[: 2 * n], s[:n], b[:n], p[2 * edge :], s[edge:], b[edge:])
-        if mirrors.in_y and other != row:
-            mirror_up_down(width, swap_y, p, s, b, point[other], status[other], branch[other])
-        if mirrors.in_y:
-            unknown[other] = unknown[row]
+        write_mirrored(row, edge, mirrors.in_x, mirrors.in_y, swap_x, swap_y, unknown, point, status, branch)

@@ -140,6 +140,9 @@ class World(NamedTuple):
     shapes: tuple[Any, ...] = ()
 
 
+Tables = tuple[Array, World]  # of a scene: camera and bodies
+
+
 class Kind(NamedTuple):
     """What rays do with one kind of bodies; kernels, of which row is one row of the kind's table.
 
@@ -156,7 +159,7 @@ class Kind(NamedTuple):
         OFF.
     leave : like cross, optional
         The ray that meets nothing more in the room inside: ENTERED outside, RECOVERED if the investigation plane
-        comes first, else BLOCKED, TIR or MISSED_PLANE.  Path / n of the room outside.  None: nobody comes out.
+        comes first, else BLOCKED, TIR or MISSED_PLANE.  Path / n of the room outside.  None: no ray comes out.
     numbers : tuple of str, optional
         Names of the row's numbers, all of them, if landing points are asked how they depend on these
         (``tracer.kernels.landing``); the three parts of a vector are called ``..x``, ``..y``, ``..z``.
@@ -181,6 +184,12 @@ def unowned_world(world: World) -> World:
         Rooms(unowned(rooms.home), unowned(rooms.inside), unowned(rooms.wall), unowned(rooms.n), rooms.first),
         unowned(world.still), world.shapes,
     )  # fmt: skip
+
+
+@kernel_inlined
+def unowned_tables(tables: Tables) -> Tables:
+    """Return the tables of a scene, camera and bodies, as `unowned`."""
+    return unowned(tables[0]), unowned_world(tables[1])
 
 
 @kernel
@@ -309,7 +318,7 @@ def stopped(
 def stays(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array | None = None
 ) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """Let a ray end in its room: `Kind.leave` of what nobody comes out of."""
+    """Let a ray end in its room: `Kind.leave` of what no ray comes out of."""
     return RECOVERED, px, py, pz, dx, dy, dz, 0.0, 1.0
 
 
@@ -318,7 +327,7 @@ def held(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float,
     fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array, way: int,
 ) -> tuple[float, ...]:  # fmt: skip
-    """`Kind.rates` of an opaque body, which nobody asks for."""
+    """`Kind.rates` of an opaque body, which are never asked for."""
     return fx, fy, fz, ux, uy, uz
 
 

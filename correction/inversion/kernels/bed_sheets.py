@@ -32,7 +32,6 @@ from correction.inversion.kernels.newton import (
     CONVERGED,
     GROUP,
     TOLERANCE_PX,
-    Tables,
     U,
     V,
     Ways,
@@ -40,7 +39,6 @@ from correction.inversion.kernels.newton import (
     slopes_along,
     solve_block,
     solve_patiently,
-    unowned_tables,
     unowned_ways,
 )
 from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
@@ -53,6 +51,7 @@ from tracer.kernels.lanes import DX, DY, END_DZ, EVENTS, FATE, Bed, Bundle, unow
 from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
 from tracer.kernels.tiles import aim_lanes, end_behind, land_lanes, pass_windows
 from tracer.kernels.world import RECOVERED as TRACED
+from tracer.kernels.world import Tables, unowned_tables
 
 REACH, WHOLE = 0.7, 1.0
 SHARP = 1e-7  # relative error of derivatives that are not traced again after the last step; float32 holds 6e-8

@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 
-from correction.inversion.kernels.newton import Tables
 from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
 from ground.jit import Array, kernel, unowned
 from tracer.kernels.branches import NOTHING
@@ -40,7 +39,7 @@ from tracer.kernels.chain import (
     place_row,
 )
 from tracer.kernels.rooms import OUTERMOST
-from tracer.kernels.world import next_body, stops
+from tracer.kernels.world import Tables, next_body, stops
 
 MAX_STEPS = 25
 SETTLED_PX = 1e-10

@@ -60,9 +60,7 @@ from tracer.kernels.sphere import (
 )
 from tracer.kernels.window import BEHIND, GLASS, THICKNESS
 from tracer.kernels.world import RECOVERED as TRACED
-from tracer.kernels.world import World, unowned_world
-
-Tables = tuple[Array, World]  # camera and bodies
+from tracer.kernels.world import Tables
 
 MAX_STEPS = 25
 TOLERANCE_PX = 1e-6  # last Newton step; it is still applied, which leaves about its square
@@ -97,12 +95,6 @@ def stretch(uc: float, ur: float, vc: float, vr: float) -> tuple[float, ...]:
     g, h = 0.5 * (vc + ur), 0.5 * (vc - ur)
     p, q = math.sqrt(e * e + h * h), math.sqrt(f * f + g * g)
     return abs(p - q), p + q
-
-
-@kernel_inlined
-def unowned_tables(tables: Tables) -> Tables:
-    """Return the tables of a scene, camera and bodies, as `unowned`."""
-    return unowned(tables[0]), unowned_world(tables[1])
 
 
 @kernel

@@ -21,10 +21,10 @@ import math
 
 import numpy as np
 
-from correction.inversion.kernels.newton import Tables, Ways, slopes_along, stretch, unowned_ways
+from correction.inversion.kernels.newton import Ways, slopes_along, stretch, unowned_ways
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
-from tracer.kernels.world import RECOVERED
+from tracer.kernels.world import RECOVERED, Tables
 
 SIGN, USEFUL, NEAR, BENT, GLASS, EDGE, BORDER = 1, 2, 4, 8, 16, 32, 64
 KIND = SIGN | GLASS

@@ -23,7 +23,6 @@ from correction.inversion.kernels.newton import (
     XV,
     YU,
     YV,
-    Tables,
     U,
     V,
     X,
@@ -33,7 +32,6 @@ from correction.inversion.kernels.newton import (
     solve_node,
     solve_patiently,
     stretch,
-    unowned_tables,
 )
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, UNLISTED
 from ground.jit import Array, kernel, kernel_inlined, unowned
@@ -52,6 +50,7 @@ from tracer.kernels.chain import (
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
+from tracer.kernels.world import Tables, unowned_tables
 
 ANOTHER, AGAIN = -2, -3  # trips that no ray takes; the second: of a node that is not given up
 CLOSE_PX = 2.0  # from its start, which is within a pixel of the node or nearly so

@@ -54,7 +54,7 @@ def pack_kernels(path: Path) -> int:
     OSError
         It cannot be written.
     """
-    from ground.compiler import files_in_use  # by now numba is imported
+    from ground.jit.compiler import files_in_use  # by now numba is imported
 
     buffer, count = io.BytesIO(), 0
     with zipfile.ZipFile(buffer, "w") as archive:

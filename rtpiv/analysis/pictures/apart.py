@@ -20,7 +20,7 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
-import ground.compile_news as compile_news
+import ground.jit.compile_news as compile_news
 from ground.rows import thread_count
 
 Job = tuple[str, tuple[Any, ...]]

@@ -21,7 +21,7 @@ NOTHING, WHOLE, ROUGH = 0, 1, 2  # cells without a ray, cells to look in, cells 
 NO_GLASS_MM = 1e6
 BENT = 0.1  # of a cell: what the middle of two nodes may lie beside the one between them
 NEWTON = 8
-FINEST = 1e6  # parts of a cell that are told apart
+FINEST = 1e6  # parts of a cell that are distinguished
 CLOSE_PX, APART_PX = 1e-3, 0.01  # the last step of Newton's method, and what derivatives are taken over
 
 

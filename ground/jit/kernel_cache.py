@@ -22,14 +22,15 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-import ground.compile_news as compile_news
+import ground.jit.compile_news as compile_news
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("ground", "piv", "tracer", "correction", "stages", "daq", "sim", "rtpiv")
-KERNEL_FOLDERS = ("kernels", "tracer/bodies", "sim/renderer", "sim")
 REGISTERED = {"tracer/kernels/world.py": "tracer/bodies/*.py"}  # what is reached by type instead of by import
-ALWAYS = ("ground/jit.py", "ground/unowned.py")
+COMPILING = "ground/jit"  # compiles kernels and holds none
+ALWAYS = ("ground/jit/__init__.py", "ground/jit/without_owner.py")
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
+_COMPILES = re.compile(r"^[ \t]*(from|import)[ \t]+ground\.jit\b", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([\w.]+)", re.MULTILINE)
 
 
@@ -102,7 +103,7 @@ def _base(wanted: str | None) -> Path | None:
 @cache
 def digest_of(source: Path, root: Path = ROOT) -> str:
     """Digest (16 hex digits) of everything that the compiled code of a file is made of."""
-    import numba  # by now whoever asks has it
+    import numba  # imported by now, because a kernel is compiled
 
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted({*dependencies(source, root), *(root / name for name in ALWAYS)}):
@@ -130,8 +131,12 @@ def dependencies(source: Path, root: Path = ROOT) -> set[Path]:
 
 
 def _has_kernels(path: Path, root: Path) -> bool:
-    folder = path.parent
-    return folder.name == KERNEL_FOLDERS[0] or any(folder == root / name for name in KERNEL_FOLDERS[1:])
+    """Whether a file holds kernels, or registers those that it imports: the file itself says so."""
+    if path.parent == root / COMPILING:
+        return False
+    if path.parent.name == "kernels" or _COMPILES.search(_content(path).decode(errors="replace")):
+        return True
+    return any(path.match(pattern) and path.is_relative_to(root) for pattern in REGISTERED.values())
 
 
 @cache

@@ -1,4 +1,10 @@
-"""The only place where numba options are chosen.
+"""Compiling of kernels; the only place where numba options are chosen.
+
+    compiler       where kernels are given to numba, as late as that can be
+    without_owner  `unowned` as numba compiles it: arrays whose slices count no references
+    kernel_cache   where compiled kernels are kept
+    compile_news   that kernels are being compiled
+    signatures     types of a kernel's arguments, to be compiled for ahead of any call
 
 Every kernel of every package is compiled through ``kernel``:
 
@@ -9,7 +15,7 @@ Every kernel of every package is compiled through ``kernel``:
   would use the one, later ones the other: such functions are `kernel_inlined`, and exist once.
 * ``error_model="numpy"``: 0/0 is NaN, never an exception inside a loop.
 * ``nogil=True``: the row scheduler (ground.rows) runs kernels on all cores from ordinary threads.
-* ``cache=True`` with a folder for each file that changes with all it is compiled from, see `ground.kernel_cache`.
+* ``cache=True`` with a folder for each file that changes with all it is compiled from, see `kernel_cache`.
 
 What belongs together comes as a named tuple where a function is called once for many rays (`RowScratch`,
 `NodeScratch`, `Mirrors`, `World`), unpacked once at its top: measured, it costs nothing there.  What is inlined
@@ -21,17 +27,20 @@ allocate nothing and raise nothing.  Each is also tested as plain Python through
 
 A kernel is given to numba when it is first called, with those that it calls, and numba is imported no earlier: a
 command that traces nothing waits for neither, one that does finds the machine code of what it calls, in which its
-callees already are.  What numba itself is taught (`overload`, `unowned`) waits as well; see `ground.compiler`.
+callees already are.  What numba itself is taught (`overload`, `unowned`) waits as well; see `compiler`.
 """
 
 from collections.abc import Callable
 from functools import update_wrapper
 from threading import RLock
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
-Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
+    Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
+else:  # a command asks for news of compiling before anything needs NumPy
+    Array = Any
 F = TypeVar("F", bound=Callable[..., Any])
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
@@ -61,7 +70,7 @@ class Kernel:
     def compiled(self) -> Any:  # noqa: ANN401 - numba has no types
         """Numba's own object for it."""
         if self._compiled is None:
-            from ground.compiler import given_to_numba
+            from ground.jit.compiler import given_to_numba
 
             with _one_at_a_time:
                 if self._compiled is None:

@@ -1,7 +1,7 @@
 """News of kernels being compiled: once on each computer, about a minute in all, in which nothing else is said.
 
-Whoever talks to a person sets `watch` and `complain`; without them nobody is told.  Kernels from the cache are
-no news.
+A program that talks to a person sets `watch` and `complain`; without them nothing is said.  Kernels from the
+cache are no news.
 """
 
 import threading
@@ -15,10 +15,10 @@ complain: Callable[[str], None] | None = None  # gets what is wrong with the fol
 
 
 class Helper(Protocol):
-    """Hears of every kernel that is compiled because somebody calls it, not of those that it calls itself."""
+    """Hears of every kernel that is compiled for a call of its own, not of those that it calls itself."""
 
     def begun(self, place: str, form: object) -> None:
-        """Hear that "module:name" is missing for arguments of these types, see `ground.signatures`."""
+        """Hear that "module:name" is missing for arguments of these types, see `ground.jit.signatures`."""
 
     def done(self, place: str) -> None:
         """Hear that it is compiled."""
@@ -59,7 +59,7 @@ class CompileCount:
 
 
 def missing(place: str, form: object) -> None:
-    """Tell the helper, if somebody wants one, of a kernel that is about to be compiled."""
+    """Notify the helper, if one is wanted, of a kernel that is about to be compiled."""
     global helper
     if helper is None and make_helper is not None:
         helper = make_helper()
@@ -68,6 +68,6 @@ def missing(place: str, form: object) -> None:
 
 
 def compiled(place: str) -> None:
-    """Tell the helper that it is compiled."""
+    """Notify the helper that it is compiled."""
     if helper is not None:
         helper.done(place)

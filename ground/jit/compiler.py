@@ -18,12 +18,12 @@ from numba.core import caching, event, types
 from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.extending import overload, typeof_impl
 
-import ground.compile_news as compile_news
-import ground.unowned  # noqa: F401 - teaches numba
-from ground.compile_news import CompileCount
+import ground.jit.compile_news as compile_news
+import ground.jit.without_owner  # noqa: F401 - teaches numba
 from ground.jit import Kernel, overloads
-from ground.kernel_cache import cache_folder
-from ground.signatures import plain
+from ground.jit.compile_news import CompileCount
+from ground.jit.kernel_cache import cache_folder
+from ground.jit.signatures import plain
 
 
 class _ByContent:
