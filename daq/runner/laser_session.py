@@ -34,7 +34,7 @@ class Operator(Protocol):
     """The person at the bench."""
 
     def confirmation_code(self, challenge: str, watched: str) -> str:
-        """Return what was typed when the laser asked for its code; `watched` says which switches are read."""
+        """Return what was typed when the laser asked for its code; `watched` is shown with it."""
         ...
 
     def open_seeding(self) -> None:
@@ -44,6 +44,13 @@ class Operator(Protocol):
     def stands_mm(self, axis: str) -> float:
         """Return where an axis stands that is homed by hand, as read on its scale [mm]."""
         ...
+
+
+def what_is_proven(hardware: OpenBench, name: str, laser: Laser) -> str:
+    """Return what whoever lets light leave is told of the laser's box, as part of a sentence."""
+    channels = {role.value: output for role, output in laser.box.wiring.items()}
+    simulated = hardware.simulation is not None
+    return proof_sentence(hardware.bench.path, name, laser.box.identity, channels, simulated)
 
 
 class NoOperator:
@@ -140,8 +147,10 @@ class LaserSession:
         if laser.state is LaserState.UNKNOWN:
             laser.safe()
         if laser.state is LaserState.SAFE:
-            tell(f"waiting for the operator to type {laser.challenge}")
-            self._code = self._operator.confirmation_code(laser.challenge, self._who_watches(laser, order.laser))
+            proof = what_is_proven(self._hardware, order.laser, laser)
+            tell(f"waiting for the operator to type {laser.challenge}; the box: {proof}")
+            watched = f"{laser.switches.sentence()}. The box: {proof}"
+            self._code = self._operator.confirmation_code(laser.challenge, watched)
             laser.warm(order.rate_hz)
             self._wait_until_warm(laser, order.warm_up_s, tell)
         laser.set(order.timing, self.exposures)
@@ -168,13 +177,6 @@ class LaserSession:
                 laser.disarm()
             raise
         return LaserSupervisor(laser, lambda: self._conditions(armed, False), self._hardware.clock, SYSTEM_CLOCK)
-
-    def _who_watches(self, laser: Laser, name: str) -> str:
-        """What the operator is told of switches and of the box, before the code is typed."""
-        channels = {role.value: output for role, output in laser.box.wiring.items()}
-        simulated = self._hardware.simulation is not None
-        proof = proof_sentence(self._hardware.bench.path, name, laser.box.identity, channels, simulated)
-        return f"{laser.switches.sentence()}. The box: {proof}"
 
     def off(self) -> None:
         """Switch everything off; what is in doubt stays said in the laser's own words."""

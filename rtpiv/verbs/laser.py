@@ -12,7 +12,7 @@ from typing import Literal
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA
 from daq.bench.known_lasers import KIND, KnownLaser, each_once, lasers_near, lasers_of, open_lasers
-from daq.bench.opened import open_bench
+from daq.bench.opened import OpenBench, open_bench
 from daq.errors import RunUsageError
 from daq.timing.errors import LaserDoubt
 from daq.timing.laser import Laser
@@ -73,9 +73,9 @@ def laser(
         opened = hardware.devices[chosen.name]
         assert isinstance(opened, Laser)
         if action == "align":
-            _align(opened, rate_hz, for_s)
+            _align(hardware, chosen.name, opened, rate_hz, for_s)
         elif action == "prove":
-            from rtpiv.verbs.laser_prove import prove_box  # nothing that off does not need is in its way
+            from rtpiv.verbs.laser_prove import prove_box
 
             prove_box(hardware, chosen.name, opened, rate_hz)
         console().print(f"{chosen.name}: {opened.state.value} ({opened.box.identity})")
@@ -131,13 +131,16 @@ def _off(laser: KnownLaser) -> SwitchedOff:
         return SwitchedOff(False, f"NOT reached ({error}): use the laser's own key")
 
 
-def _align(opened: Laser, rate_hz: float, for_s: float) -> None:
+def _align(hardware: OpenBench, name: str, opened: Laser, rate_hz: float, for_s: float) -> None:
+    from daq.runner.laser_session import what_is_proven  # nothing that off does not need is in its way
+
     opened.low_energy_burst(rate_hz, for_s)  # what is refused is refused before anybody puts goggles on
     error_console().print(
         f"{rate_hz:g} weak pulses a second for {for_s:g} s. Goggles on, door shut? Software is no interlock.\n"
-        f"Switches: {opened.switches.sentence()}.\n"
+        f"Switches: {opened.switches.sentence()}.\nThe box: {what_is_proven(hardware, name, opened)}.\n"
         f"Type {opened.challenge} to let them leave: ",
         end="",
+        soft_wrap=True,
     )
     try:
         code = input()

@@ -48,6 +48,7 @@ OUTPUTS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
 PAUSE_S = 0.05  # between lines to a box that loses those that come sooner
 INSISTS = 6  # how often off is said again to such a box, before anything is asked: 0.3 s
+MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
 UNKNOWN_WORD = (2, 3)  # refusals
 _CLOCKS = re.compile(r"INT|EXT|XPL|SYS|EXT\d{2,3}")  # a mode, or one word; XPL? is a loop that is not locked
@@ -99,9 +100,13 @@ class QuantumComposersBox(TimingBox):
             others = [number for number in range(1, self._outputs + 1) if number not in wired]
             order = [T0, *wired, *others]
             troubles = [trouble for number in order if (trouble := self._try_off(number)) is not None]
-            if on := [_name(number) for number in order if self._flag(number, "STAT")]:
-                why = f" ({troubles[0]})" if troubles else ""
-                raise LaserDoubt(f"{self.name}: {', '.join(on)} of the box cannot be switched off{why}")
+            on = [number for number in order if self._flag(number, "STAT")]
+            for _ in range(MORE_ROUNDS):
+                troubles += [trouble for number in on if (trouble := self._try_off(number)) is not None]
+                on = [number for number in on if self._flag(number, "STAT")]
+            if on:
+                names, why = ", ".join(map(_name, on)), f" ({troubles[0]})" if troubles else ""
+                raise LaserDoubt(f"{self.name}: {names} of the box cannot be switched off{why}")
 
     def load(self, schedule: Schedule) -> Schedule:
         """Write and read back; the period only if it is another one, so that lamps do not miss a beat."""

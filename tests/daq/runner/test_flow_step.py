@@ -12,7 +12,7 @@ import tifffile
 from daq.errors import FrameDoubt, FramesLost, PlanError, ResumeRefused, RunUsageError
 from daq.runner import flow_step, pair_writer
 from daq.runner.brightness import BrightnessSign
-from daq.runner.laser_session import exposure_of, require_rate
+from daq.runner.laser_session import LaserSession, exposure_of, require_rate
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries
@@ -225,7 +225,16 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
     monkeypatch.setattr("daq.timing.laser.Laser.fire", lambda self, pairs: began.append(pairs))
     with pytest.raises(RunUsageError, match="the code that arms the laser cannot be typed"):
         acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, frames=LiveFrames(correct=False))
-    monkeypatch.setattr("rtpiv.verbs.operator.ScriptOperator.confirmation_code", lambda self, *_: "wrong")
+    watched, shown, prepare = [], [], LaserSession.prepare
+    monkeypatch.setattr(
+        LaserSession,
+        "prepare",
+        lambda self, order, settings, tell: prepare(
+            self, order, settings, lambda doing: (shown.append(doing), tell(doing))
+        ),
+    )
+    mistyped = lambda self, challenge, words: watched.append(words) or "wrong"  # noqa: E731
+    monkeypatch.setattr("rtpiv.verbs.operator.ScriptOperator.confirmation_code", mistyped)
     with pytest.raises(RunUsageError, match="type the code"):
         acquire(
             plan,
@@ -237,6 +246,10 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
             operator="test",
         )
     assert began == []
+    assert "it was never proven on this bench" in shown[0], "what the live page says meanwhile"
+    (words,) = watched
+    assert "nobody but you watches them" in words
+    assert "it was never proven on this bench (rtpiv laser prove)" in words
 
 
 def test_a_script_cannot_answer_for_a_real_laser(tmp_path):

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from daq.runner.laser_session import LaserSession
+from daq.runner.laser_session import what_is_proven
 from daq.runner.laser_trials import BURSTS, trials
 from daq.runs.laser_proof import Proof, Trial, proof_path, proof_sentence, read_proof, write_proof
 from daq.runs.seal import SealBroken
@@ -153,14 +153,18 @@ def test_a_proof_is_kept_with_the_bench_and_said_to_who_arms(tmp_path):
         read_proof(path)
 
 
+def wired(d):
+    return {role.value: output for role, output in d.box.wiring.items()}
+
+
 def test_who_is_asked_for_the_code_is_told_whether_the_box_is_proven(tmp_path):
     hardware = SimpleNamespace(bench=SimpleNamespace(path=tmp_path / "bench.yaml"), simulation=None)
-    session = LaserSession(hardware, None, None, None)
     with desk() as d:
         d.laser.open("sim://desk")
-        said = session._who_watches(d.laser, "laser")
-    assert "nobody but you watches them" in said
-    assert "it was never proven on this bench" in said
+        assert "it was never proven on this bench" in what_is_proven(hardware, "laser", d.laser)
+        proof = Proof(d.laser.box.identity, wired(d), False, "me", "2027-01-02", RIGHT)
+        write_proof(proof_path(hardware.bench.path, "laser"), proof)
+        assert "proven 2027-01-02 by me: 7 of 7" in what_is_proven(hardware, "laser", d.laser)
 
 
 @pytest.mark.slow

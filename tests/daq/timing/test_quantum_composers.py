@@ -408,6 +408,20 @@ def test_a_refusal_of_off_does_not_let_light_go_on(number, times):
         assert not any(d.emulator.is_on_at(n) for n in range(9))
 
 
+@pytest.mark.parametrize("number", [1, 2, 4])
+@pytest.mark.parametrize("needs_s", [0.0, 0.045])
+def test_what_refuses_off_again_and_again_is_off_after_one_reading_back(number, needs_s):
+    """Found by the fuzz: on a slow box each attempt takes two seconds, and who left the bench gave up before."""
+    with desk(needs_s=needs_s) as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(1.0)
+        d.emulator.refuses_off[number] = 7 if needs_s else 11
+        d.laser.stop("now")
+        assert d.laser.confirm_off()
+        assert not any(d.emulator.is_on_at(n) for n in range(9))
+
+
 def test_a_box_that_refuses_every_off_ends_with_its_count_and_stays_in_doubt():
     with desk() as d:
         d.to_armed()

@@ -75,7 +75,7 @@ class Story:
                 echo=self.rng.random() < 0.2,
                 model=self.rng.choice(list(MODELS.values())),
                 arms=self.rng.choice(("run", "run all", "state")),
-                needs_s=self.rng.choice((0.0, 0.0, 0.04)),
+                needs_s=self.rng.choice((0.0, 0.0, 0.005, 0.04)),
             )
             self.emulator = QuantumComposersEmulator({}, self.clock, variant)
         self.line = Line(self.emulator, self.clock)

@@ -77,11 +77,12 @@ def test_off_goes_past_a_program_that_holds_the_port(tmp_path, box, capsys):
 
 
 @pytest.mark.parametrize(("word", "code"), [("1234", DONE), ("4321", USAGE), ("", USAGE)])
-def test_alignment_asks_for_its_word(tmp_path, monkeypatch, mocker, word, code):
+def test_alignment_asks_for_its_word_and_says_what_is_proven(tmp_path, monkeypatch, mocker, capsys, word, code):
     mocker.patch("daq.timing.states.secrets.randbelow", return_value=234)
     monkeypatch.setattr("builtins.input", lambda: word)
     bench = bench_with(tmp_path, more=", align: {q_switch_delay_us: 300.0}")
     assert main(["laser", "align", "--for-s", "1", "--bench", str(bench.path), "--simulate"]) == code
+    assert "it was never proven on this bench (rtpiv laser prove)" in " ".join(capsys.readouterr().err.split())
 
 
 def test_off_without_a_port_says_that_it_was_not_reached(tmp_path, capsys):
