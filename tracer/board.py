@@ -1,8 +1,9 @@
 """The chessboard target as a noun: what is printed, and nothing about how it looks or where its corners are.
 
 Square (i, j) spans [i a, (i+1) a] x [j a, (j+1) a] mm, a = square_mm; squares with i + j odd are bright.  A disc
-of the other shade sits in the middle of a few squares: their pattern tells the origin, and which way is up.  Who
-finds the board and who prints it share this description and compute with it apart.
+of the other shade sits in the middle of a few squares: their pattern tells the origin, and which way is up.
+Without discs a board is plain, and its origin is counted from its edges.  Who finds the board and who prints it
+share this description and compute with it apart.
 
 A printer stretches, along the feed by another factor than across it: on paper a square is `sides_mm` wide and
 high.
@@ -17,6 +18,22 @@ Square = tuple[int, int]
 
 
 @dataclass(frozen=True)
+class Codes:
+    """Markers in the bright squares of a board, by which each says where it is (ChArUco).
+
+    Parameters
+    ----------
+    dictionary : str
+        OpenCV's name of the set, such as DICT_4X4_1000.
+    marker_share : float
+        Side of a marker in squares.
+    """
+
+    dictionary: str
+    marker_share: float
+
+
+@dataclass(frozen=True)
 class Board:
     """A printed chessboard.
 
@@ -27,7 +44,15 @@ class Board:
     disc_mm : float
         Diameter of the discs.
     discs : tuple of (int, int)
-        Squares (column to +x, row to +y) that carry a disc.
+        Squares (column to +x, row to +y) that carry a disc; none on a plain board.
+    squares : (int, int), optional
+        Columns and rows that there are; without, it goes on for ever.
+    origin_corner : (int, int), optional
+        Corner at the origin, counted from the lower left one of the board; without, the one nearest to its middle.
+    odd_bright : bool
+        Whether squares with i + j odd are bright, as said; otherwise the others are.
+    codes : Codes, optional
+        Markers in its bright squares.
     scale : (float, float)
         How much larger than that it is on paper, in x and in y.
     """
@@ -35,9 +60,22 @@ class Board:
     square_mm: float = 2.5
     disc_mm: float = 1.0
     discs: tuple[Square, ...] = field(default=((0, 0), (0, -1), (-1, -1)), kw_only=True)
+    squares: tuple[int, int] | None = field(default=None, kw_only=True)
+    origin_corner: tuple[int, int] | None = field(default=None, kw_only=True)
+    odd_bright: bool = field(default=True, kw_only=True)
+    codes: Codes | None = field(default=None, kw_only=True)
     scale: tuple[float, float] = field(default=(1.0, 1.0), kw_only=True)
 
     @property
     def sides_mm(self) -> NDArray[np.float64]:
         """Width and height (2,) of a square on paper."""
         return self.square_mm * np.array(self.scale)
+
+    @property
+    def outer_lines(self) -> NDArray[np.int64] | None:
+        """Lowest and highest lattice line (2, 2) along x and y, the edges of the board; None if it has none."""
+        if self.squares is None:
+            return None
+        columns, rows = self.squares
+        across, up = self.origin_corner or (columns // 2, rows // 2)
+        return np.array([(-across, -up), (columns - across, rows - up)])

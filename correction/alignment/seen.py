@@ -39,7 +39,7 @@ from correction.target import Chessboard
 from correction.target.board_origin import place_by_prediction
 from correction.target.board_search import SATURATED, corners_in_view
 from correction.target.corners import CornerSearch, refine_corners, saturated_fraction
-from correction.target.lattice_growth import Patch, Saddles, find_saddles, grow_patches
+from correction.target.lattice_growth import Patch, coarse_saddles, grow_patches
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 from tracer.bodies import shifted_by
@@ -57,7 +57,6 @@ CORNER_PX = 0.05  # standard deviation of a corner, most of it the same for neig
 ENOUGH = 500  # corners
 ARM = 0.1  # squares, half width of what is fitted of their edges: wider ones hold little but bright and dark
 VOTING = 200  # corners of a patch that say where in the board it lies
-LEAST_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddles
 LEAST_CORNERS = 40
 ROUNDS = 6
 STEP = 1e-4  # of the sigma of a number, for derivatives
@@ -203,21 +202,6 @@ def _some_of(patch: Patch) -> Patch:
 def square_px(camera: Camera, board: Chessboard, board_mm: NDArray[np.float64]) -> float:
     """How large a square is in the frame."""
     return camera.focal_px * board.square_mm / abs(camera.position_mm[2] - float(board_mm[2]))
-
-
-def coarse_saddles(frame: NDArray[Any], square_px: float, mask: NDArray[np.bool_] | None = None) -> Saddles:
-    """Saddles of a frame, looked for in one that is shrunk as far as its squares of `square_px` allow."""
-    import cv2
-
-    by = max(1, int(square_px // LEAST_SQUARE_PX))
-    if by == 1:
-        return find_saddles(frame, mask)
-    size = frame.shape[1] // by, frame.shape[0] // by
-    part = frame[: size[1] * by, : size[0] * by]
-    small = cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    seen = None if mask is None else mask[by // 2 : size[1] * by : by, by // 2 : size[0] * by : by]
-    found = find_saddles(np.asarray(small), seen)
-    return replace(found, position_px=found.position_px * by + 0.5 * (by - 1))
 
 
 def _levels(

@@ -178,7 +178,7 @@ def _error_of(
         np.array([[across, 0.0], [0.0, -up]]),
         sign=board.corner_sign(index[seen][~known]),
         mask=usable,
-        search=CornerSearch(max_shift=MAX_SHIFT),
+        search=CornerSearch(board.arm, max_shift=MAX_SHIFT),
     )
     position[~known], valid[~known] = fit.position_px, fit.valid
     now.corners.update(zip(nodes, zip(position, valid.tolist(), strict=True), strict=True))

@@ -44,13 +44,14 @@ from tracer.scene.scene import Scene
 
 LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold any lens
 ON_BARE = ("camera.", "target", "print.")  # numbers that the bare target tells of
+SURE = 3.0  # sigmas that the camera may be off
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
 
 
 def find_camera(work: Progress) -> None:
     """Fit the camera to the bare target, or say why none fits."""
-    unknowns, solution = _fit_camera(work, work.bare_frames[:1])
+    unknowns, solution = _fit_camera(work, work.bare_frames[:1], _reach(work))
     if solution.pull > PRIOR_LIMIT and not lens_off_axis(work):
         unknowns, solution = _follow_board(work, unknowns, solution)
     if len(work.bare_frames) > 1:
@@ -60,11 +61,22 @@ def find_camera(work: Progress) -> None:
     _check(work, _bare_rms_px(work, unknowns, solution.x), unknowns, solution)
 
 
-def _fit_camera(work: Progress, frames: Sequence[TargetFrame]) -> tuple[Unknowns, Solution]:
+def _reach(work: Progress) -> float:
+    """How many squares the nominal camera's view of the board may be off."""
+    known, away = work.priors.camera, np.linalg.norm(work.nominal.camera.position_mm)
+    off_mm = np.hypot(known.position_mm, np.deg2rad(known.rotation_deg) * away)
+    return float(SURE * off_mm / work.board.square_mm)
+
+
+def _fit_camera(
+    work: Progress, frames: Sequence[TargetFrame], reach: float | None = None
+) -> tuple[Unknowns, Solution]:
     """Find the bare target in more frames, one by one, and fit the camera to all there are."""
     unknowns = work.unknowns.only((*ON_BARE, *work.walls))
     for frame in frames:
-        work.bare.append(bare_frame(frame, work.board, unknowns.camera(work.full), work.height_number(frame)))
+        camera, number = unknowns.camera(work.full), work.height_number(frame)
+        found, work.board = bare_frame(frame, work.board, camera, number, reach)
+        work.bare.append(found)
         solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
         work.full = unknowns.full(solution.x)
         work.note(work.fits.step(f"camera on {frame.name}", unknowns, solution.x, work.bare[-1:]))

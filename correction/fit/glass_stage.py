@@ -80,7 +80,9 @@ def _follow_outlines(work: Progress) -> None:
 def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candidates:
     """Saddles of a frame that may be seen through glass."""
     least = WEAKEST * float(np.median(work.saddles(work.bare_frames[0]).strength))
-    return candidates_of(work.saddles(frame), least, coarse, work.full, work.height_number(frame), work.board)
+    return candidates_of(
+        work.corner_saddles(frame), least, coarse, work.full, work.height_number(frame), work.board
+    )
 
 
 def _refuse_undisturbed(work: Progress, frame: TargetFrame, candidates: Candidates) -> None:

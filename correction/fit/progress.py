@@ -18,7 +18,7 @@ from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.target import Chessboard
 from correction.target.board_search import SATURATED
 from correction.target.corners import saturated_fraction
-from correction.target.lattice_growth import Saddles, find_saddles
+from correction.target.lattice_growth import Saddles, find_saddles, lattice_saddles
 from piv.errors import FrameError
 from tracer.camera import Vector3
 from tracer.scene.fit_section import FitTable
@@ -82,6 +82,12 @@ class Progress:
         if frame.name not in self.found_saddles:
             self.found_saddles[frame.name] = find_saddles(frame.image)
         return self.found_saddles[frame.name]
+
+    def corner_saddles(self, frame: TargetFrame) -> Saddles:
+        """Those of them that may be corners of the board: the cells of markers have saddles as well."""
+        if self.board.codes is None:
+            return self.saddles(frame)
+        return lattice_saddles(frame.image, self.saddles(frame), self.board.square_mm / self.pitch_mm)
 
     @property
     def pitch_mm(self) -> float:

@@ -86,7 +86,8 @@ def fit_scene(
         raise FitFailed(failed.gate, failed.value, failed.limit, _blamed(work, failed.reason)) from None
     doubt = doubt_of(nominal, light, _rivals(fit, priors, light))
     measured = replace(back_from_light(fit.scene, nominal, light), masked=fit.verdict.masked)
-    return replace(fit, measured_scene=measured, light=doubt)
+    board = work.board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
+    return replace(fit, measured_scene=measured, light=doubt, board=board)
 
 
 def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:

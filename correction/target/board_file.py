@@ -11,6 +11,7 @@ is 1 to half a per cent: what printers differ by.  A bench names the file (`targ
 keeps it.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,14 +20,16 @@ from pydantic import Field, model_validator
 
 from correction.errors import BoardError
 from correction.target.chessboard import Chessboard
+from correction.target.codes import with_codes
 from ground.config import Pair, Table, read
 from ground.whole_file import whole_file
+from tracer.board import Board, Codes
 
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
 UNMEASURED = 0.005  # by which printers stretch
 SIZES = {
-    "chessboard": ("square_mm", "disc_mm"),
+    "chessboard": ("square_mm",),
     "charuco": ("square_mm", "marker_mm", "squares", "dictionary", "origin_corner"),
     "dots": ("pitch_mm", "dot_mm", "large_dot_mm"),
     "particles": ("particles", "particle_mm", "seed", "size_mm"),
@@ -46,9 +49,11 @@ class PrintedBoard(Table):
     read_sigma_mm : float
         Standard deviation of such a reading.
     square_mm, disc_mm : float, optional
-        Of a chessboard; squares of a charuco board.
-    marker_mm, squares, dictionary, origin_corner : optional
-        Of a charuco board: its markers, how many squares, OpenCV's name of the set, the corner that is the origin.
+        Of a chessboard, plain without `disc_mm`; squares of a charuco board.
+    squares, origin_corner : optional
+        How many there are, columns and rows, and the corner that is the origin, counted from the lower left one.
+    marker_mm, dictionary : optional
+        Of a charuco board: its markers, and OpenCV's name of the set.
     pitch_mm, dot_mm, large_dot_mm : float, optional
         Of dots.
     particles, particle_mm, seed, size_mm : optional
@@ -92,13 +97,23 @@ class PrintedBoard(Table):
         BoardError
             Nothing of this kind can be, or nobody can print it.
         """
-        if self.kind != "chessboard":
+        if self.kind not in ("chessboard", "charuco"):
             raise BoardError(
                 f"a board of kind {self.kind} is printed, but not found in frames yet; calibrate with a chessboard"
             )
         assert self.square_mm is not None
-        assert self.disc_mm is not None
-        return Chessboard(self.square_mm, self.disc_mm, scale=self.scale, scale_sigma=self.scale_sigma)
+        board = Chessboard(self.square_mm, discs=(), scale=self.scale, scale_sigma=self.scale_sigma)
+        if self.disc_mm is not None:
+            board = replace(board, disc_mm=self.disc_mm, discs=Board().discs)
+        if self.squares is not None:
+            columns, rows = self.squares
+            x, y = self.origin_corner or (columns // 2, rows // 2)
+            board = replace(board, squares=(columns, rows), origin_corner=(x, y))
+        if self.kind == "charuco":
+            assert self.marker_mm is not None
+            assert self.dictionary is not None
+            board = with_codes(board, Codes(self.dictionary, self.marker_mm / self.square_mm))
+        return board
 
     @property
     def scale(self) -> tuple[float, float]:

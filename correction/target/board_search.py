@@ -5,7 +5,8 @@
 `find_board` needs no start: any turn, tilt, barrel distortion, board partly outside.  `track_board` also
 takes a prediction, from a nominal camera say: it places patches in which no disc is seen (a board moved
 aside, glass above the discs) as long as the prediction is good to half a square somewhere, and uses the
-discs, where they are seen, if it is worse.
+discs, where they are seen, if it is worse.  Where it may be worse and no disc is seen, or the board has none, its
+edges and the number of its squares must leave one place only (`board_count`).
 
 Every corner of the placed patches is fitted to sub-pixel, then those that their neighbours predict and no saddle
 showed, ring by ring.  Corners that do not lie on one smooth view with the others are seen through something
@@ -25,10 +26,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
+from correction.target.board_count import place_by_count
 from correction.target.board_origin import Placing, place_by_discs, place_by_prediction
 from correction.target.chessboard import Chessboard
+from correction.target.codes import Marker, place_by_codes, read_markers, square_px
 from correction.target.corners import CornerSearch, refine_corners, saturated_fraction
-from correction.target.lattice_growth import STEPS, Patch, find_saddles, grow_patches, lattice_axes
+from correction.target.lattice_growth import (
+    STEPS,
+    Patch,
+    coarse_saddles,
+    find_saddles,
+    grow_patches,
+    lattice_axes,
+)
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
@@ -80,7 +90,8 @@ def on_smooth_map(
             break
         terms = np.stack([x**k * y**m for k, m in powers], axis=-1)
         weighted = terms * weight[:, None] ** 2
-        solution = np.linalg.solve(weighted.T @ terms, weighted.T @ position_px)  # condition 1e3: fine squared
+        normal = weighted.T @ terms  # condition 1e3: fine squared; singular where all corners lie on few lines
+        solution = np.linalg.lstsq(normal, weighted.T @ position_px, rcond=None)[0]
         off = np.hypot(*(position_px - terms @ solution).T) / side
         knee = max(KNEE_SQUARES, float(np.median(off)))
         weight = 1.0 / (1.0 + (off / knee) ** 2)
@@ -150,7 +161,7 @@ def measure_lattice(
     TargetNotFound
         Too many corners lie off one smooth view, or too few could be fitted.
     """
-    index, start, axes = _claims(placed)
+    index, start, axes = _claims(placed, board)
     smooth = on_smooth_map(index, start, axes)
     foreign = int(np.count_nonzero(~smooth))
     if foreign > MOST_FOREIGN * len(index) or (discs_count and not _holds_discs(index[smooth], board)):
@@ -170,7 +181,7 @@ def measure_lattice(
             axes,
             sign=board.corner_sign(index),
             mask=mask,
-            search=CornerSearch(start_error_px=5.0 if extension else 0.5, max_shift=0.3),
+            search=CornerSearch(board.arm, 5.0 if extension else 0.5, max_shift=0.3),
         )
         refused = fit.counts() if refused is None else refused
         known_index = np.concatenate((known_index, index[fit.valid]))
@@ -181,6 +192,8 @@ def measure_lattice(
         lattice_axes(known_index, position, known_axes)
         tried.update((int(i), int(j)) for i, j in index)
         index, start, axes = _neighbours(known_index, position, known_axes, tried)
+        there = board.has_corner(index)
+        index, start, axes = index[there], start[there], axes[there]
         if len(index) == 0:
             break
     refused = refused or {}
@@ -203,7 +216,7 @@ def _holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:
 
 
 def _claims(
-    placed: list[tuple[Patch, Placing]],
+    placed: list[tuple[Patch, Placing]], board: Chessboard
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Board index, start and axes of all placed corners; of two claims to a corner the earlier patch wins."""
     index = np.concatenate([placing.board_index(patch.index) for patch, placing in placed])
@@ -211,6 +224,7 @@ def _claims(
     axes = np.concatenate([placing.board_axes(patch.axes_px) for patch, placing in placed])
     _, first = np.unique(index, axis=0, return_index=True)
     first.sort()
+    first = first[board.has_corner(index[first])]
     return index[first], start[first], axes[first]
 
 
@@ -256,7 +270,14 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     TargetNotFound
         No lattice, no discs, another board, or a saturated frame; the message says which and the cure.
     """
-    frame, patches = _patches(image, mask)
+    if not board.discs and board.codes is None:
+        raise TargetNotFound("a plain board is found by its edges and a prediction of its view; give one")
+    frame, patches, markers = _patches(image, board, mask)
+    placed = place_by_codes(patches, markers)
+    if placed:
+        return measure_lattice(frame, board, placed, mask, discs_count=False)
+    if board.codes is not None:
+        raise TargetNotFound(_why_no_codes(markers))
     marked = _with_discs(frame, patches, board)
     if marked is not None:
         return measure_lattice(frame, board, [marked], mask, discs_count=True)
@@ -267,7 +288,11 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
 
 
 def track_board(
-    image: NDArray[Any], board: Chessboard, predict: Predict, mask: NDArray[np.bool_] | None = None
+    image: NDArray[Any],
+    board: Chessboard,
+    predict: Predict,
+    mask: NDArray[np.bool_] | None = None,
+    reach: float | None = None,
 ) -> BoardDetection:
     """Find the target with the help of a prediction.
 
@@ -277,6 +302,8 @@ def track_board(
         As in `find_board`.
     predict : callable
         Board points (M, 2) [mm] -> expected pixels (M, 2); NaN where the view cannot show the point.
+    reach : float, optional
+        How far the prediction may be off, in squares.  Without, it is taken to say where a patch lies.
 
     Returns
     -------
@@ -290,16 +317,24 @@ def track_board(
     TargetNotFound
         As in `find_board`, or neither the discs nor the prediction place any patch.
     """
-    frame, patches = _patches(image, mask)
+    frame, patches, markers = _patches(image, board, mask)
     index, predicted = corners_in_view(board, predict, (frame.shape[0], frame.shape[1]))
     if len(index) == 0:
         raise TargetNotFound("the prediction puts no corner of the board into the frame; check the nominal camera")
-    placed: list[tuple[Patch, Placing]] = []
-    marked = _with_discs(frame, patches, board)
-    if marked is not None and _plausible(index, predicted, *marked):
+    placed = place_by_codes(patches, markers)
+    marked = _with_discs(frame, patches, board) if board.discs else None
+    if marked is not None and not _plausible(index, predicted, *marked):
+        marked = None
+    if board.codes is not None and not placed and reach is not None:
+        raise TargetNotFound(_why_no_codes(markers))
+    if marked is None and not placed and reach is not None:
+        board, place = place_by_count(frame, patches[0], board, (index, predicted), reach)
+        marked = patches[0], place
+    if marked is not None:
         placed = [marked]
-        predicted = _corrected(index, predicted, *marked)
-        patches = [patch for patch in patches if patch is not marked[0]]
+    if placed:
+        predicted = _corrected(index, predicted, *placed[0])
+        patches = [patch for patch in patches if all(patch is not other for other, _ in placed)]
     for patch in patches:
         placing = place_by_prediction(patch, index, predicted, board)
         if placing is not None:
@@ -331,14 +366,16 @@ def corners_in_view(
         grid = np.arange(-half, half + 1)
         every = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
         pixel = np.asarray(predict(board.corner_mm(every)), dtype=np.float64)
-        inside = ((pixel >= 0.0) & (pixel <= size)).all(axis=1)  # False for NaN
+        inside = ((pixel >= 0.0) & (pixel <= size)).all(axis=1) & board.has_corner(every)  # False for NaN
         index, pixels = every[inside].astype(np.int64), pixel[inside]
         half *= 2
     return index, pixels
 
 
-def _patches(image: NDArray[Any], mask: NDArray[np.bool_] | None) -> tuple[NDArray[Any], list[Patch]]:
-    """Check the frame; return it with its patches of lattice."""
+def _patches(
+    image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None
+) -> tuple[NDArray[Any], list[Patch], list[Marker]]:
+    """Check the frame; return it with its patches of lattice, and the markers of the board in it."""
     full = saturated_fraction(np.asarray(image))
     frame = checked_frame(image)
     if mask is not None and mask.shape != frame.shape:
@@ -350,14 +387,24 @@ def _patches(image: NDArray[Any], mask: NDArray[np.bool_] | None) -> tuple[NDArr
             f"{100 * full:.0f} % of the pixels are at full scale {int(frame.max())}, which displaces every edge;"
             " expose shorter or close the aperture"
         )
-    patches = grow_patches(find_saddles(frame, mask))
+    markers = [] if board.codes is None else read_markers(frame, board)
+    saddles = coarse_saddles(frame, square_px(board, markers), mask) if markers else find_saddles(frame, mask)
+    patches = grow_patches(saddles)
     if not patches or len(patches[0].index) < LEAST_BOARD:
         seen = len(patches[0].index) if patches else 0
         raise TargetNotFound(
             f"no chessboard in the frame (largest lattice: {seen} corners, {LEAST_BOARD} are needed); check light,"
             " focus and that squares are at least 8 px wide"
         )
-    return frame, patches
+    return frame, patches, markers
+
+
+def _why_no_codes(markers: list[Marker]) -> str:
+    """Say why codes place nothing."""
+    return (
+        f"{len(markers)} markers of the board could be read, which are too few to say which squares are seen; use"
+        " squares of 16 px or more, more light, or give the dictionary that it was printed with"
+    )
 
 
 def _with_discs(frame: NDArray[Any], patches: list[Patch], board: Chessboard) -> tuple[Patch, Placing] | None:

@@ -17,6 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from correction.errors import BoardError
 from tracer.board import Board, Square
 
+LEAST_SQUARES = 4
+ARM = 0.15  # squares: clear of discs of up to 0.6 of one, and of their blur
+WIDEST_MARKER = 0.8  # squares
+CLEAR_ARM = 0.7  # of the room between an edge and what is printed in the square: blur takes the rest
 QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
     ((1, 0), (0, 1)),
     ((0, -1), (1, 0)),
@@ -45,13 +49,27 @@ class Chessboard(Board):
     def __post_init__(self) -> None:
         if not (self.square_mm > 0.0 and self.disc_mm > 0.0):
             raise BoardError("square_mm and disc_mm must be positive")
+        if self.squares is not None and min(self.squares) < LEAST_SQUARES:
+            raise BoardError(
+                f"a board of {self.squares[0]} x {self.squares[1]} squares has too few corners; use"
+                f" {LEAST_SQUARES} x {LEAST_SQUARES} or more"
+            )
+        if self.codes is not None and (self.squares is None or self.discs):
+            raise BoardError("a board with codes has so many squares, and no discs")
+        if self.codes is not None and not 0.2 <= self.codes.marker_share <= WIDEST_MARKER:
+            raise BoardError(
+                f"markers of {self.codes.marker_share * self.square_mm:g} mm leave no clear edge in squares of"
+                f" {self.square_mm:g} mm; use {WIDEST_MARKER * self.square_mm:g} mm or less"
+            )
+        if not self.discs:
+            return
         if not self.disc_mm <= 0.6 * self.square_mm:
             raise BoardError(
                 f"discs of {self.disc_mm:g} mm leave no clear edge in squares of {self.square_mm:g} mm;"
                 f" use {0.6 * self.square_mm:g} mm or less"
             )
         if len(set(self.discs)) != len(self.discs) or len(self.discs) < 2:
-            raise BoardError("the origin needs at least two discs, each in a square of its own")
+            raise BoardError("the origin needs at least two discs, each in a square of its own, or none")
         shapes = {self._shape(turn) for turn in QUARTER_TURNS}
         if len(shapes) < len(QUARTER_TURNS):
             raise BoardError(
@@ -67,7 +85,14 @@ class Chessboard(Board):
 
     def is_bright(self, squares: ArrayLike) -> NDArray[np.bool_]:
         """True for squares (..., 2) int that are bright apart from their disc."""
-        return np.asarray(np.asarray(squares).sum(axis=-1) % 2 == 1)
+        return np.asarray((np.asarray(squares).sum(axis=-1) % 2 == 1) == self.odd_bright)
+
+    def has_corner(self, index: ArrayLike) -> NDArray[np.bool_]:
+        """True for indices (..., 2) int of corners that the board has: not those on its edges."""
+        lines, index = self.outer_lines, np.asarray(index)
+        if lines is None:
+            return np.ones(index.shape[:-1], dtype=bool)
+        return np.asarray(((index > lines[0]) & (index < lines[1])).all(axis=-1))
 
     def corner_mm(self, index: ArrayLike) -> NDArray[np.float64]:
         """Positions (..., 2) [mm] of the corners with index (..., 2) int."""
@@ -77,6 +102,11 @@ class Chessboard(Board):
         """Return the same board, its squares wider and higher by two factors (2,)."""
         x, y = np.multiply(self.scale, by).tolist()
         return replace(self, scale=(x, y))
+
+    @property
+    def arm(self) -> float:
+        """Half width of the strips along edges [squares] in which nothing but the edge is printed."""
+        return ARM if self.codes is None else min(ARM, CLEAR_ARM * 0.5 * (1.0 - self.codes.marker_share))
 
     def corner_sign(self, index: ArrayLike) -> NDArray[np.int8]:
         """Return +1 for corners (..., 2) int whose square to +x, +y is bright, else -1 (...)."""
@@ -119,6 +149,13 @@ class Chessboard(Board):
         for disc in self.discs:
             centre = (np.array(disc) + 0.5) * self.square_mm
             bright = bright ^ (np.sum((points - centre) ** 2, axis=-1) < 0.25 * self.disc_mm**2)
+        if self.codes is not None:
+            from correction.target.codes import marked  # it knows boards, and OpenCV loads slowly
+
+            bright = bright & ~marked(self, points / self.square_mm)
+        lines = self.outer_lines
+        if lines is not None:  # paper
+            bright = bright | ~((squares >= lines[0]) & (squares < lines[1])).all(axis=-1)
         return bright.astype(np.float64)
 
 

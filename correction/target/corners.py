@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from correction.target.chessboard import ARM
 from correction.target.kernels import corner_fit, corner_model
 from ground.rows import run_rows
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
 WINDOW = 0.45  # half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
-ARM = 0.15  # half width of the arms in squares, clear of discs of up to half a square
 LEAST_PX = 4.0  # smallest half window: below, twelve numbers are not worth fitting
 DRAWN = 256  # corners drawn at a time: some 8 MB
 CLEAR_PX = 3.0  # of a drawn corner's window from those of the next

@@ -18,7 +18,7 @@ Indices are relative here: i along the first axis, j along the second, handed as
 view from the front (v points down, hence det < 0).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ import scipy
 from numpy.typing import NDArray
 
 SMOOTH_PX = 1.6  # standard deviation; squares down to 8 px still have one saddle a corner
+LEAST_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddles
 NEAREST_PX = 3  # two corners are never closer
 WEAKEST = 0.06  # of the strength of the strongest corners
 TOLERANCE = 0.28  # largest miss of a predicted corner, in squares
@@ -107,6 +108,21 @@ def _edges(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack((c * up - s * across, c * up + s * across), axis=1)
 
 
+def coarse_saddles(frame: NDArray[Any], square_px: float, mask: NDArray[np.bool_] | None = None) -> Saddles:
+    """Saddles of a frame, looked for in one that is shrunk as far as its squares of `square_px` allow."""
+    import cv2
+
+    by = max(1, int(square_px // LEAST_SQUARE_PX))
+    if by == 1:
+        return find_saddles(frame, mask)
+    size = frame.shape[1] // by, frame.shape[0] // by
+    part = frame[: size[1] * by, : size[0] * by]
+    small = cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    seen = None if mask is None else mask[by // 2 : size[1] * by : by, by // 2 : size[0] * by : by]
+    found = find_saddles(np.asarray(small), seen)
+    return replace(found, position_px=found.position_px * by + 0.5 * (by - 1))
+
+
 @dataclass(frozen=True)
 class Patch:
     """A connected piece of lattice with N corners.
@@ -142,6 +158,35 @@ def grow_patches(saddles: Saddles) -> list[Patch]:
             if len(patch.index) >= LEAST_CORNERS:
                 patches.append(patch)
     return sorted(patches, key=lambda patch: -len(patch.index))
+
+
+def lattice_saddles(frame: NDArray[Any], saddles: Saddles, square_px: float) -> Saddles:
+    """Saddles of a frame that belong to lattices, of squares of any size up to twice `square_px`.
+
+    Parameters
+    ----------
+    frame : (H, W) uint8, uint16 or float32
+        The frame.
+    saddles : Saddles
+        All that are in it.
+    square_px : float
+        Usual side of a square.
+    """
+    found: list[Saddles] = []
+    for times in (0.0, 1.0, 2.0):
+        some = saddles if times == 0.0 else coarse_saddles(frame, times * square_px)
+        patches = grow_patches(some)
+        if not patches or (times and times * square_px < 2.0 * LEAST_SQUARE_PX):
+            continue
+        at = scipy.spatial.cKDTree(some.position_px).query(np.concatenate([one.position_px for one in patches]))[1]
+        if found:
+            known = scipy.spatial.cKDTree(np.concatenate([one.position_px for one in found]))
+            at = at[known.query(some.position_px[at])[0] > NEAREST_PX]
+        found.append(Saddles(some.position_px[at], some.edges[at], some.strength[at]))
+    if not found:
+        return saddles
+    parts = [(one.position_px, one.edges, one.strength) for one in found]
+    return Saddles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def lattice_axes(index: NDArray[np.int64], position: NDArray[np.float64], axes: NDArray[np.float64]) -> None:

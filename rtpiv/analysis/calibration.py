@@ -19,7 +19,6 @@ from correction.fit.judge.weakness import Weakness, weaknesses
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.unknowns import unit_of
 from correction.fitted.map_sigma import MapSigma
-from correction.target import Chessboard
 from rtpiv.analysis.digits import two_digits
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 
@@ -144,19 +143,16 @@ class Calibration:
         }
 
 
-def calibration_of(
-    fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], board: Chessboard, seconds: float
-) -> Calibration:
+def calibration_of(fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], seconds: float) -> Calibration:
     """Compare nominal and fitted glass in both senses of Table 2, on the frame through glass at z = 0."""
-    board = board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
     senses: dict[str, list[RegionErrors]] = {}
     grids: dict[str, TargetError] = {}
     panels: list[Panel] = []
     for frame in [frame for frame in frames if frame.glass and frame.height_mm == 0.0][:1]:
         number = fit.frames.index(frame.name)
         scenes = {"nominal glass": aligned(fit), "fitted": fit.scene}
-        grids = dict(zip(scenes, corrected_against_grid([*scenes.values()], frame.image, board), strict=True))
+        grids = dict(zip(scenes, corrected_against_grid([*scenes.values()], frame.image, fit.board), strict=True))
         for name, scene in scenes.items():
-            senses[name], pixel, error = computed_against_acquired(scene, fit.corners, number, board)
+            senses[name], pixel, error = computed_against_acquired(scene, fit.corners, number, fit.board)
             panels.append((f"{name}, computer-generated minus acquired", pixel, error))
     return Calibration(fit, sigma, senses, grids, panels, weaknesses(fit), seconds)

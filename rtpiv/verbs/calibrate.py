@@ -96,7 +96,7 @@ def calibrate(
     say("standard deviation of the map")
     sigma = map_sigma(fit)
     say("errors before and after")
-    found = calibration_of(fit, sigma, frames, target, seconds)
+    found = calibration_of(fit, sigma, frames, seconds)
     out.mkdir(parents=True, exist_ok=True)
     save_fit(out / "fit.npz", fit)
     sigma.save(out / "map_sigma.npz")

@@ -17,12 +17,13 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.renderer.reflectance import chessboard, particles, printed_image
+from sim.renderer.reflectance import chessboard, particles, printed_image, sharp_image
 from tracer.board import Board
 from tracer.camera import Vector3
 from tracer.errors import SceneError
 
 Points = NDArray[np.float64]
+MOST_SIDE_PX = 400  # of a square in the picture of a coded board
 REACH_SIGMAS = 5.0  # a Gaussian is 4e-6 of its peak there: below one count in 12 bit
 
 
@@ -64,7 +65,7 @@ class Pattern(Protocol):
         """Reflectance (N,), 0 to 1, at points (N, 2) of the sheet [mm]."""
 
 
-AnyPattern = TypeVar("AnyPattern", "Chessboard", "ParticleSheet", "Image")
+AnyPattern = TypeVar("AnyPattern", "Chessboard", "CodedBoard", "ParticleSheet", "Image")
 
 
 def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
@@ -74,7 +75,7 @@ def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
 
 @dataclass(frozen=True)
 class Chessboard(Board):
-    """An endless chessboard in print: a `Board` with an inner corner at its origin, in two shades.
+    """A chessboard in print, on paper as bright as its bright squares: a `Board` in two shades.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ class Chessboard(Board):
     pose: Pose = field(default_factory=Pose)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.disc_mm < self.square_mm:
+        if self.discs and not 0.0 <= self.disc_mm < self.square_mm:
             raise SceneError("the chessboard's discs must fit into its squares; lower disc_mm")
         if not 0.0 <= self.dark <= self.bright <= 1.0:
             raise SceneError("the chessboard's shades must be 0 <= dark <= bright <= 1")
@@ -99,8 +100,68 @@ class Chessboard(Board):
         out = np.empty(len(points_mm), np.float32)
         discs = np.array(self.discs, np.float64).reshape(-1, 2)
         drawn_mm = points_mm / np.array(self.scale)
-        chessboard(drawn_mm, self.square_mm, 0.5 * self.disc_mm, discs, self.dark, self.bright, out)
+        lines = np.array([(-np.inf, -np.inf), (np.inf, np.inf)])
+        if self.squares is not None:
+            middle = np.array(self.origin_corner or (self.squares[0] // 2, self.squares[1] // 2))
+            lines = np.array((-middle, np.array(self.squares) - middle), np.float64)
+        shades = np.array([self.dark, self.bright], np.float32)
+        chessboard(drawn_mm, self.square_mm, 0.5 * self.disc_mm, discs, lines, self.odd_bright, shades, out)
         return out
+
+
+@dataclass(frozen=True)
+class CodedBoard(Board):
+    """A ChArUco board in print: the picture that OpenCV draws of it, with sharp edges, on white paper.
+
+    Parameters
+    ----------
+    dark, bright : float
+        Reflectance of the two shades.
+    pose : Pose
+        Place of the board.
+    """
+
+    dark: float = 0.08
+    bright: float = 0.92
+    pose: Pose = field(default_factory=Pose)
+
+    def __post_init__(self) -> None:
+        if self.codes is None or self.squares is None:
+            raise SceneError("a coded board has codes, and so many squares")
+
+    def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,) at points (N, 2) of the board [mm]."""
+        out = np.empty(len(points_mm), np.float32)
+        columns, rows = self.squares or (0, 0)
+        middle = np.array(self.origin_corner or (columns // 2, rows // 2))
+        squares = points_mm / (np.array(self.scale) * self.square_mm) + middle
+        sharp_image(squares, self._picture, len(self._picture) // rows, self.dark, self.bright, out)
+        return out
+
+    @cached_property
+    def _picture(self) -> NDArray[np.uint8]:
+        """The board in whole pixels a cell, row 0 at the top."""
+        import cv2
+
+        assert self.codes is not None
+        assert self.squares is not None
+        names = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.codes.dictionary))
+        cells, share = names.markerSize + 2, self.codes.marker_share
+        for side in range(2 * cells, MOST_SIDE_PX):
+            marker = side * share
+            if (
+                abs(marker - round(marker)) < 1e-6
+                and round(marker) % cells == 0
+                and (side - round(marker)) % 2 == 0
+            ):
+                break
+        else:
+            raise SceneError(
+                "no picture has whole pixels a cell of such markers; take a rounder share of the square"
+            )
+        board = cv2.aruco.CharucoBoard(self.squares, 1.0, share, names)
+        size = self.squares[0] * side, self.squares[1] * side
+        return np.asarray(board.generateImage(size, marginSize=0, borderBits=1), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)

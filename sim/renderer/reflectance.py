@@ -1,6 +1,7 @@
 """The loops of the patterns over millions of points of the sheet."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ground.jit import kernel
 from sim.renderer.rays import Float32, Int64
@@ -9,9 +10,16 @@ from sim.renderer.surfaces import Float64
 
 @kernel
 def chessboard(
-    points: Float64, square: float, disc_radius: float, discs: Float64, dark: float, bright: float, out: Float32
+    points: Float64,
+    square: float,
+    disc_radius: float,
+    discs: Float64,
+    lines: Float64,
+    odd_bright: bool,
+    shades: Float32,
+    out: Float32,
 ) -> None:
-    """Reflectance of the chessboard at points (N, 2) [mm]; discs in the squares (M, 2) named."""
+    """Reflectance of the chessboard at points (N, 2) [mm]; discs in the squares (M, 2) named, `lines` end it."""
     for index in range(points.shape[0]):
         i, j = np.floor(points[index, 0] / square), np.floor(points[index, 1] / square)
         odd = (i + j) - 2.0 * np.floor(0.5 * (i + j)) == 1.0
@@ -20,7 +28,8 @@ def chessboard(
                 x, y = points[index, 0] - (i + 0.5) * square, points[index, 1] - (j + 0.5) * square
                 if x * x + y * y < disc_radius * disc_radius:
                     odd = not odd
-        out[index] = bright if odd else dark
+        paper = i < lines[0, 0] or j < lines[0, 1] or i >= lines[1, 0] or j >= lines[1, 1]
+        out[index] = shades[1] if paper or odd == odd_bright else shades[0]
 
 
 @kernel
@@ -74,3 +83,15 @@ def printed_image(points: Float64, image: Float32, pixel: float, outside: float,
         upper = (1.0 - a) * image[row, column] + a * image[row, right]
         lower = (1.0 - a) * image[below, column] + a * image[below, right]
         out[index] = (1.0 - b) * upper + b * lower
+
+
+@kernel
+def sharp_image(
+    places: Float64, image: NDArray[np.uint8], side: int, dark: float, bright: float, out: Float32
+) -> None:
+    """What an image with `side` pixels a unit shows at places (N, 2) from its lower left; bright around it."""
+    rows, columns = image.shape
+    for index in range(places.shape[0]):
+        column, row = np.floor(places[index, 0] * side), rows - 1.0 - np.floor(places[index, 1] * side)
+        inside = 0.0 <= column < columns and 0.0 <= row < rows
+        out[index] = dark if inside and image[int(row), int(column)] == 0 else bright

@@ -11,6 +11,7 @@ from correction.fit.seen.masked_parts import BRANCH_LIMIT
 from correction.fit.solve.doubted import ShapeRoot
 from correction.fit.solve.light import LightDoubt
 from correction.fit.solve.unknowns import Unknowns
+from correction.target import Chessboard
 from ground.short_repr import short_repr
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import text_of
@@ -127,6 +128,8 @@ class SceneFit:
         What is not known of the light of the target frames.
     shapes : ShapeRoot
         What is not known of the shapes of balls taken for spheres, in the draws of `root`.
+    board : Chessboard
+        The target, as large as its print was found to be.
     """
 
     scene: Scene
@@ -145,6 +148,7 @@ class SceneFit:
     history: tuple[FitStep, ...] = field(default=())
     light: LightDoubt = field(default_factory=LightDoubt)
     shapes: ShapeRoot = field(default_factory=ShapeRoot)
+    board: Chessboard = field(default_factory=Chessboard)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -171,8 +171,16 @@ def whitening(sigma_px: NDArray[np.float64], scale: NDArray[np.float64] | float 
     return np.asarray(np.eye(2) / spread[:, :, None])
 
 
-def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_number: int) -> MeasuredFrame:
-    """Find the board without glass, with the help of a camera that may be rough.
+def bare_frame(
+    frame: TargetFrame, board: Chessboard, camera: Camera, height_number: int, reach: float | None = None
+) -> tuple[MeasuredFrame, Chessboard]:
+    """Find the board without glass, with the help of a camera; it may be off by `reach` squares, if that is given.
+
+    Returns
+    -------
+    MeasuredFrame
+    Chessboard
+        The same board, with what the frame shows of its shades.
 
     Raises
     ------
@@ -184,13 +192,13 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_num
         return camera.project(np.c_[board_mm, np.full(len(board_mm), frame.height_mm)])
 
     try:
-        found = track_board(frame.image, board, predict)
+        found = track_board(frame.image, board, predict, reach=reach)
     except TargetNotFound as error:
         raise TargetNotFound(f"{frame.name}: {error}") from None
     count = len(found)
     corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
     nothing = np.zeros_like(found.blurs_px)
-    return MeasuredFrame(
+    measured = MeasuredFrame(
         frame.name,
         corners,
         found.index,
@@ -202,6 +210,7 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_num
         dict(found.refused),
         spread=EdgeSpread(found.blurs_px**2, nothing, nothing),
     )
+    return measured, found.board
 
 
 def bare_frame_through_walls(

@@ -115,7 +115,7 @@ def nearest_nodes(
 ) -> NDArray[np.float64]:
     """Nearest lattice corner of the right kind (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
     towards = (pixel_rate @ bright[:, :, None])[:, :, 0]
-    odd = np.where(towards[:, 0] * towards[:, 1] > 0.0, 1.0, 0.0)
+    odd = np.where((towards[:, 0] * towards[:, 1] > 0.0) == board.odd_bright, 1.0, 0.0)
     x, y = (point_mm / board.sides_mm).T
     p = 2.0 * np.rint((x + y - odd) / 2.0) + odd
     q = 2.0 * np.rint((x - y - odd) / 2.0) + odd

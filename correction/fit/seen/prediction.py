@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
-from correction.target.corners import LEAST_PX, CornerFit, half_widths_px, refine_corners
+from correction.target.corners import LEAST_PX, CornerFit, CornerSearch, half_widths_px, refine_corners
 from tracer.camera import Vector3
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Numbers, text_of
@@ -158,6 +158,7 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
     rim = away[at[:, 1], at[:, 0]].astype(np.float64) * times
     branches = tuple(found.branches)
     every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > RIM_PX)
+    held &= board.has_corner(index)
     return every.take(held & (window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
 
 
@@ -184,6 +185,7 @@ def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> Corne
         sign=board.corner_sign(expected.index),
         mask=expected.usable,
         window=expected.window,
+        search=CornerSearch(board.arm),
     )
 
 

@@ -84,7 +84,12 @@ def chessboard(size_mm: tuple[float, float], square_mm: float) -> Sheet:
     centres = (np.array(board.discs) + 0.5) * square_mm
     discs = np.column_stack((centres, np.full(len(centres), board.disc_mm)))
     on_bright = np.array(board.discs).sum(axis=1) % 2 == 1
-    about = {"square_mm": square_mm, "disc_mm": board.disc_mm}
+    about: dict[str, Any] = {
+        "square_mm": square_mm,
+        "disc_mm": board.disc_mm,
+        "squares": [columns[1] - columns[0], rows[1] - rows[0]],
+        "origin_corner": [-columns[0], -rows[0]],  # from the lower left corner of the board
+    }
     return Sheet("chessboard", _bounds(columns, rows, square_mm), dark, discs, on_bright, about=about)
 
 

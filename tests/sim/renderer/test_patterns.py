@@ -98,3 +98,13 @@ def test_image_is_exact_at_its_pixels_and_linear_between():
     assert at(image, (1.6, 0.0), (0.0, -1.1), (np.nan, 0.0)) == pytest.approx(0.3)
     with pytest.raises(SceneError, match="scale them"):
         Image(values * 255.0, 0.5)
+
+
+def test_a_board_of_so_many_squares_lies_on_paper():
+    board = Chessboard(2.0, discs=(), squares=(5, 4), origin_corner=(2, 1), odd_bright=False, scale=(1.5, 1.0))
+    dark, bright = np.float32(0.08), np.float32(0.92)
+    assert at(board, (0.1, 0.1), (3.1, 0.1), (0.1, 2.1)).tolist() == [bright, dark, dark]
+    inside = [(-5.9, 0.1), (8.9, 0.1), (0.1, -1.9), (3.1, 5.9)]
+    beyond = [(-6.1, 0.1), (9.1, 2.1), (0.1, -2.1), (3.1, 6.1)]
+    assert at(board, *inside).tolist() == [bright, bright, dark, dark]
+    assert (at(board, *beyond) == bright).all()

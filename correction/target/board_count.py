@@ -1,0 +1,194 @@
+"""Where on the board a patch of lattice lies when no mark says it: by its edges, its size, and the view.
+
+A plain chessboard looks the same wherever it is moved by whole squares.  Of all such places those are left where
+
+* the patch is turned as the camera is believed to be,
+* its corners are corners of the board, which has so many squares,
+* an end that is seen (`board_ends`) is an edge of the board,
+* it lies no farther from where it is expected than the camera may be off.
+
+One place left is the place.  Several are refused, and what is missing is said; the nearest of them would be right
+often, and else wrong by a whole square with nothing to show for it.
+"""
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.errors import TargetNotFound
+from correction.target.board_ends import Ends, ends_of
+from correction.target.board_origin import Placing
+from correction.target.chessboard import QUARTER_TURNS, Chessboard
+from correction.target.corners import CornerSearch, refine_corners
+from correction.target.lattice_growth import Patch
+
+UPRIGHT = 0.8  # cosine between an axis of the board and where it is expected: 37 degrees
+LEAST_LINE = 3  # corners on a line of the lattice that count it as one of the board
+ASKED = 25  # corners of a patch that say how far it lies from where it is expected
+HALF = 0.5  # squares
+
+
+def place_by_count(
+    frame: NDArray[Any],
+    patch: Patch,
+    board: Chessboard,
+    view: tuple[NDArray[np.int64], NDArray[np.float64]],
+    reach: float,
+) -> tuple[Chessboard, Placing]:
+    """Place a patch of a board without marks, and say which of its squares are bright.
+
+    Parameters
+    ----------
+    frame : (H, W) array
+        The checked frame.
+    patch : Patch
+        The largest in it.
+    board : Chessboard
+    view : (M, 2) int64 and (M, 2) float64
+        Board corners in view and where they are expected.
+    reach : float
+        How far the view may be off, in squares.
+
+    Raises
+    ------
+    TargetNotFound
+        Several places are possible, or none.
+    """
+    fit = refine_corners(
+        frame,
+        patch.position_px,
+        patch.axes_px,
+        sign=patch.sign,
+        search=CornerSearch(board.arm, 0.5, max_shift=0.3),
+    )
+    corners = Patch(
+        patch.index[fit.valid], fit.position_px[fit.valid], patch.axes_px[fit.valid], patch.sign[fit.valid]
+    )
+    if len(corners.index) < LEAST_LINE**2:
+        raise TargetNotFound("the corners of the board are too blurred to be measured; check focus and light")
+    turn, expected = _as_expected(corners, *view)
+    ends = ends_of(frame, corners)
+    found = _possible(corners, board, ends, turn, expected, reach)
+    if len(found) != 1:
+        raise TargetNotFound(_why(found, corners, board, ends.turned(turn), turn, reach))
+    if not board.discs:
+        board = replace(board, odd_bright=_odd_bright(corners, found[0]))
+    return board, found[0]
+
+
+def _as_expected(
+    patch: Patch, index: NDArray[np.int64], predicted: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Turn (2, 2) of a patch, relative = turn @ board, and where its corner (0, 0) is expected (2,), as index."""
+    place = {(i, j): p for (i, j), p in zip(index.tolist(), predicted, strict=True)}
+    known = [(i, j) for i, j in place if {(i + 1, j), (i, j + 1)} <= place.keys()]
+    if not known:
+        raise TargetNotFound(
+            "the camera should see too little of the board; check its place, and the board's size"
+        )
+    tree = scipy.spatial.cKDTree([place[corner] for corner in known])
+    near = np.argsort(np.linalg.norm(patch.position_px - np.median(patch.position_px, axis=0), axis=1))[:ASKED]
+    turns = np.array(QUARTER_TURNS)
+    upright, where = np.zeros((len(turns), 0)), np.zeros((0, len(turns), 2))
+    for n in near.tolist():
+        i, j = known[int(tree.query(patch.position_px[n])[1])]
+        axes = np.stack((place[i + 1, j] - place[i, j], place[i, j + 1] - place[i, j]), axis=1)
+        own = patch.axes_px[n] @ turns
+        cosine = np.sum(own * axes, axis=1) / np.linalg.norm(own, axis=1) / np.linalg.norm(axes, axis=0)
+        upright = np.column_stack((upright, cosine.min(axis=1)))
+        here = np.array((i, j)) + np.linalg.solve(axes, patch.position_px[n] - place[i, j])
+        where = np.concatenate((where, (here - patch.index[n] @ turns)[None]))
+    if np.median(upright, axis=1).max() < UPRIGHT:
+        raise TargetNotFound(
+            "the board in the frame hangs turned against the camera as described, by more than a plain chessboard"
+            " can tell; hang it upright, or give the camera its roll"
+        )
+    best = int(np.median(upright, axis=1).argmax())
+    return turns[best], np.median(where[:, best], axis=0)
+
+
+def _possible(
+    patch: Patch,
+    board: Chessboard,
+    ends: Ends,
+    turn: NDArray[np.int64],
+    expected: NDArray[np.float64],
+    reach: float,
+) -> list[Placing]:
+    """All places that a patch may have."""
+    low, high = np.sort(_extent(patch) @ turn, axis=0)
+    reach = max(reach, HALF)  # the nearest place at least
+    moves = []
+    for axis, middle in enumerate(expected.tolist()):
+        near = (
+            np.arange(np.ceil(middle - reach), np.floor(middle + reach) + 1.0)
+            if reach > HALF
+            else np.rint([middle])
+        )
+        if board.outer_lines is not None:
+            first, last = board.outer_lines[:, axis]
+            near = near[(low[axis] + near > first) & (high[axis] + near < last)]
+            for line, edge in zip(ends.turned(turn)[axis], (first, last), strict=True):
+                near = near if line is None else near[line + near == edge]
+        moves.append(near.astype(int).tolist())
+    (a, b), (c, d) = turn.tolist()
+    places = [
+        Placing(((a, b), (c, d)), (-(a * x + b * y), -(c * x + d * y))) for x, y in itertools.product(*moves)
+    ]
+    return [one for one in places if not board.discs or _odd_bright(patch, one) == board.odd_bright]
+
+
+def _extent(patch: Patch) -> NDArray[np.int64]:
+    """Lowest and highest line (2, 2) of the lattice along i and j with corners enough to count."""
+    extent = np.empty((2, 2), np.int64)
+    for axis in range(2):
+        lines, count = np.unique(patch.index[:, axis], return_counts=True)
+        kept = lines[count >= min(LEAST_LINE, count.max())]
+        extent[:, axis] = kept.min(), kept.max()
+    return extent
+
+
+def _odd_bright(patch: Patch, placing: Placing) -> bool:
+    """Whether squares with i + j odd are bright, if a patch lies there."""
+    odd = placing.board_index(patch.index).sum(axis=1) % 2 == 1
+    turned = 1 if placing.turn[0][0] else -1  # after a quarter turn the square towards +x, +y is another
+    return bool(np.sum(np.where(odd, patch.sign, -patch.sign)) * turned > 0)
+
+
+def _why(
+    found: list[Placing],
+    patch: Patch,
+    board: Chessboard,
+    ends: list[tuple[int | None, int | None]],
+    turn: NDArray[np.int64],
+    reach: float,
+) -> str:
+    """Say why a patch has no place, or several."""
+    across, up = (np.abs(np.diff(_extent(patch) @ turn, axis=0)[0]) + 1).tolist()
+    seen = f"a lattice of {across} x {up} corners is in the frame"
+    if found and board.discs:
+        return f"{seen}, but not the {len(board.discs)} discs that mark the origin; bring them into view"
+    if board.squares is None:
+        return (
+            f"{seen}, and no mark that says which they are, and the camera is known to {reach:.0f} squares only:"
+            " say how many squares the board has (squares: [columns, rows] in board.yaml) and bring one of its"
+            " corners into view, or print one with marks (rtpiv target)"
+        )
+    columns, rows = board.squares
+    if found:
+        return (
+            f"{seen}, which may be any of {len(found)} places on a board of {columns} x {rows} squares: bring a"
+            " corner of the board into view with white paper around it, print one with marks (rtpiv target), or"
+            " give the camera's place better in fit.camera"
+        )
+    apart = [
+        f"{high - low} squares from edge to edge" for low, high in ends if low is not None and high is not None
+    ]
+    return (
+        f"{' and '.join([seen, *apart])}, and no such place on a board of {columns} x {rows} squares lies within"
+        f" {reach:.0f} squares of where the camera should see it; count the squares again, or correct the camera"
+    )
