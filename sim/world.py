@@ -20,11 +20,12 @@ from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.lit_flow import LitFlow
 from sim.prepared_pairs import PreparedPairs
-from sim.renderer.patterns import Chessboard, ParticleSheet, placed, printed_particles
+from sim.renderer.patterns import Chessboard, CodedBoard, ParticleSheet, placed, printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
+from tracer.board import Board
 from tracer.scene.scene import Scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
@@ -33,6 +34,7 @@ PRINTER = 7  # what is drawn for the printer is drawn by this beside the seed
 KEPT_FLOW_VIEWS = 2  # the glass in and out
 LATER_S = 1.0  # in the flow for each exposure that was made before this process began
 FLOW = "flow"  # what a flow run shows: no print, but light on particles
+Print = Chessboard | CodedBoard | ParticleSheet
 
 
 class World:
@@ -145,27 +147,27 @@ class World:
             self._views[key] = light * (np.float32(1.0) + np.float32(self._table.uneven_light) * across)
         return self._views[key]
 
-    def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Chessboard | ParticleSheet]:
+    def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Print]:
         """Scene and print at the true places of their carriages."""
         scene, pose = arranged(self._bench, self.scene, true_mm, self._table.glass_off_mm)
-        if isinstance(self.print, Chessboard):
-            return scene, placed(self.print, pose)
         return scene, placed(self.print, pose)
 
 
-def _board_of(bench: Bench, seed: int) -> Chessboard:
-    """The board on paper, as large as its printer has made it: what was measured of it is not quite that."""
-    if bench.printed is None:
-        return Chessboard(bench.table.target.square_mm, bench.table.target.disc_mm)
-    rng = np.random.default_rng((seed, PRINTER))
-    x, y = (
-        s + sigma * rng.standard_normal()
-        for s, sigma in zip(bench.printed.scale, bench.printed.scale_sigma, strict=True)
-    )
-    return Chessboard(bench.board.square_mm, bench.board.disc_mm, scale=(x, y))
+def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard:
+    """The board on paper, as large as its printer has made it: what was measured of it is not quite that.
+
+    A plain board hangs either way round: which of its squares are bright nobody has said.
+    """
+    told, rng = bench.board, np.random.default_rng((seed, PRINTER))
+    x, y = (s + sigma * rng.standard_normal() for s, sigma in zip(told.scale, told.scale_sigma, strict=True))
+    on_paper = Board(
+        told.square_mm, told.disc_mm, discs=told.discs, squares=told.squares, origin_corner=told.origin_corner,
+        codes=told.codes, scale=(x, y), odd_bright=bool(rng.integers(2)) if told.is_plain else True,
+    )  # fmt: skip
+    return (Chessboard if told.codes is None else CodedBoard)(**vars(on_paper))
 
 
-def _print_of(bench: Bench, seed: int, shows: str) -> Chessboard | ParticleSheet:
+def _print_of(bench: Bench, seed: int, shows: str) -> Print:
     if shows == "chessboard":
         return _board_of(bench, seed)
     camera = bench.scene.camera

@@ -72,6 +72,11 @@ class Board:
         return self.square_mm * np.array(self.scale)
 
     @property
+    def is_plain(self) -> bool:
+        """Whether it has no mark, so that nothing but its edges says where it is."""
+        return not self.discs and self.codes is None
+
+    @property
     def outer_lines(self) -> NDArray[np.int64] | None:
         """Lowest and highest lattice line (2, 2) along x and y, the edges of the board; None if it has none."""
         if self.squares is None:

@@ -36,6 +36,7 @@ from correction.alignment.spheres_seen import SphereSeen, find_spheres
 from correction.errors import RimUnclear, TargetNotFound
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
+from correction.target.board_count import place_by_count
 from correction.target.board_origin import place_by_prediction
 from correction.target.board_search import SATURATED, corners_in_view
 from correction.target.corners import CornerSearch, refine_corners, saturated_fraction
@@ -156,6 +157,8 @@ def find_camera(
         return nominal.project(_world(plane_mm, board_mm))
 
     index, expected = corners_in_view(board, predict, nominal.shape)
+    if board.is_plain and patches and len(index):  # which squares are bright is seen
+        board, _ = place_by_count(frame, patches[0], board, (index, expected))
     indices, pixels, axes = [], [], []
     for patch in patches:
         if len(patch.index) < LEAST_CORNERS:
@@ -211,7 +214,8 @@ def _levels(
     middle = camera.project(_world(board.corner_mm(index + 0.5), board_mm))
     at = np.rint(middle).astype(np.intp)
     inside = (at >= 0).all(axis=1) & (at < np.array(camera.sensor_px)).all(axis=1)
-    value, bright = frame[at[inside, 1], at[inside, 0]], board.is_bright(index[inside])
+    value = frame[at[inside, 1], at[inside, 0]]
+    bright = board.shade(board.corner_mm(index[inside] + 0.5)) > 0.5
     return float(np.median(value[~bright])), float(np.median(value[bright]))
 
 

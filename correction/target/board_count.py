@@ -37,9 +37,9 @@ def place_by_count(
     patch: Patch,
     board: Chessboard,
     view: tuple[NDArray[np.int64], NDArray[np.float64]],
-    reach: float,
+    reach: float | None = None,
 ) -> tuple[Chessboard, Placing]:
-    """Place a patch of a board without marks, and say which of its squares are bright.
+    """Place a patch of a board of which no mark is seen, and say which of its squares are bright.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def place_by_count(
     view : (M, 2) int64 and (M, 2) float64
         Board corners in view and where they are expected.
     reach : float
-        How far the view may be off, in squares.
+        How far the view may be off, in squares; not given, it is believed, and the nearest place is the place.
 
     Raises
     ------
@@ -72,10 +72,11 @@ def place_by_count(
         raise TargetNotFound("the corners of the board are too blurred to be measured; check focus and light")
     turn, expected = _as_expected(corners, *view)
     ends = ends_of(frame, corners)
+    reach = max(reach or 0.0, HALF)
     found = _possible(corners, board, ends, turn, expected, reach)
     if len(found) != 1:
         raise TargetNotFound(_why(found, corners, board, ends.turned(turn), turn, reach))
-    if not board.discs:
+    if board.is_plain:
         board = replace(board, odd_bright=_odd_bright(corners, found[0]))
     return board, found[0]
 
@@ -121,7 +122,6 @@ def _possible(
 ) -> list[Placing]:
     """All places that a patch may have."""
     low, high = np.sort(_extent(patch) @ turn, axis=0)
-    reach = max(reach, HALF)  # the nearest place at least
     moves = []
     for axis, middle in enumerate(expected.tolist()):
         near = (
@@ -174,7 +174,7 @@ def _why(
         return f"{seen}, but not the {len(board.discs)} discs that mark the origin; bring them into view"
     if board.squares is None:
         return (
-            f"{seen}, and no mark that says which they are, and the camera is known to {reach:.0f} squares only:"
+            f"{seen}, and no mark that says which they are, and the camera is known to {reach:.2g} squares only:"
             " say how many squares the board has (squares: [columns, rows] in board.yaml) and bring one of its"
             " corners into view, or print one with marks (rtpiv target)"
         )
@@ -190,5 +190,5 @@ def _why(
     ]
     return (
         f"{' and '.join([seen, *apart])}, and no such place on a board of {columns} x {rows} squares lies within"
-        f" {reach:.0f} squares of where the camera should see it; count the squares again, or correct the camera"
+        f" {reach:.2g} squares of where the camera should see it; count the squares again, or correct the camera"
     )

@@ -100,6 +100,7 @@ class PrintedBoard(Table):
         if self.kind not in ("chessboard", "charuco"):
             raise BoardError(
                 f"a board of kind {self.kind} is printed, but not found in frames yet; calibrate with a chessboard"
+                " or charuco"
             )
         assert self.square_mm is not None
         board = Chessboard(self.square_mm, discs=(), scale=self.scale, scale_sigma=self.scale_sigma)

@@ -270,7 +270,7 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     TargetNotFound
         No lattice, no discs, another board, or a saturated frame; the message says which and the cure.
     """
-    if not board.discs and board.codes is None:
+    if board.is_plain:
         raise TargetNotFound("a plain board is found by its edges and a prediction of its view; give one")
     frame, patches, markers = _patches(image, board, mask)
     placed = place_by_codes(patches, markers)
@@ -303,7 +303,7 @@ def track_board(
     predict : callable
         Board points (M, 2) [mm] -> expected pixels (M, 2); NaN where the view cannot show the point.
     reach : float, optional
-        How far the prediction may be off, in squares.  Without, it is taken to say where a patch lies.
+        How far the prediction may be off, in squares.  Without, it is believed: what is nearest lies there.
 
     Returns
     -------
@@ -327,7 +327,7 @@ def track_board(
         marked = None
     if board.codes is not None and not placed and reach is not None:
         raise TargetNotFound(_why_no_codes(markers))
-    if marked is None and not placed and reach is not None:
+    if marked is None and not placed and (reach is not None or board.is_plain):
         board, place = place_by_count(frame, patches[0], board, (index, predicted), reach)
         marked = patches[0], place
     if marked is not None:

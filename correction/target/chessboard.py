@@ -113,7 +113,7 @@ class Chessboard(Board):
         return np.where(self.is_bright(index), np.int8(1), np.int8(-1))
 
     def corners_within(self, outline_mm: ArrayLike) -> NDArray[np.int64]:
-        """Index (N, 2) of all corners inside a polygon.
+        """Index (N, 2) of all corners of the board inside a polygon.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Chessboard(Board):
         high = np.floor(outline.max(axis=0) / self.sides_mm).astype(np.int64)
         columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
         index = np.stack((columns.ravel(), rows.ravel()), axis=-1)
-        return index[_inside(self.corner_mm(index), outline)]
+        return index[_inside(self.corner_mm(index), outline) & self.has_corner(index)]
 
     def shade(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Reflectance (...) of board points (..., 2) [mm]: 0 dark, 1 bright."""

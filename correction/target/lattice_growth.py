@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 SMOOTH_PX = 1.6  # standard deviation; squares down to 8 px still have one saddle a corner
 LEAST_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddles
+WORTH_IT = 1.25  # times that a frame is shrunk at least, or not at all
 NEAREST_PX = 3  # two corners are never closer
 WEAKEST = 0.06  # of the strength of the strongest corners
 TOLERANCE = 0.28  # largest miss of a predicted corner, in squares
@@ -109,18 +110,23 @@ def _edges(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def coarse_saddles(frame: NDArray[Any], square_px: float, mask: NDArray[np.bool_] | None = None) -> Saddles:
-    """Saddles of a frame, looked for in one that is shrunk as far as its squares of `square_px` allow."""
+    """Saddles of a frame, looked for in one that is shrunk as far as its squares of `square_px` allow.
+
+    Large frames are searched faster, and what is printed in the squares, a marker or a disc, blurs into grey.
+    """
     import cv2
 
-    by = max(1, int(square_px // LEAST_SQUARE_PX))
-    if by == 1:
+    shrink = square_px / LEAST_SQUARE_PX
+    if shrink < WORTH_IT:
         return find_saddles(frame, mask)
-    size = frame.shape[1] // by, frame.shape[0] // by
-    part = frame[: size[1] * by, : size[0] * by]
-    small = cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    seen = None if mask is None else mask[by // 2 : size[1] * by : by, by // 2 : size[0] * by : by]
+    size = round(frame.shape[1] / shrink), round(frame.shape[0] / shrink)
+    small = cv2.resize(frame.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    by = np.array((frame.shape[1] / size[0], frame.shape[0] / size[1]))
+    seen = None
+    if mask is not None:
+        seen = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     found = find_saddles(np.asarray(small), seen)
-    return replace(found, position_px=found.position_px * by + 0.5 * (by - 1))
+    return replace(found, position_px=(found.position_px + 0.5) * by - 0.5)
 
 
 @dataclass(frozen=True)
@@ -211,8 +217,10 @@ def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.
     crossed = np.minimum(cosine[:, 0, 1], cosine[:, 1, 0]) > COS_EDGE
     bright = edges[:, 0] + edges[:, 1]
     both, apart = unit[..., 0] + unit[..., 1], unit[..., 0] - unit[..., 1]
-    # The bisector of the axes is compared in length-free form, so sheared squares count as well.
-    along, across = (np.abs((bright * way).sum(axis=1)) / np.linalg.norm(way, axis=1) for way in (both, apart))
+    # The bisector of the axes is compared in length-free form, so sheared squares count as well; multiplied out,
+    # as axes along one line have none.
+    along, across = (np.abs((bright * way).sum(axis=1)) for way in (both, apart))
+    along, across = along * np.linalg.norm(apart, axis=1), across * np.linalg.norm(both, axis=1)
     return np.where(straight | crossed, np.where(along > across, 1, -1), 0).astype(np.int8)
 
 

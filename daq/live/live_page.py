@@ -23,6 +23,7 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from importlib.util import find_spec
 from types import TracebackType
 from typing import IO, Any, Self
@@ -129,8 +130,7 @@ class LivePage:
         self.rate_limiter = RateLimiter()
         self._orders: dict[str, Any] = {"token": self._token}
         if scene is not None and board is not None:
-            sizes = {"square_mm": board.square_mm, "disc_mm": board.disc_mm, "scale": board.scale}
-            self._orders |= {"scene": dump_scene(scene), "board": sizes}
+            self._orders |= {"scene": dump_scene(scene), "board": asdict(board)}
         self._server: subprocess.Popen[bytes] | None = None
         self._input: IO[bytes] | None = None  # of a server that has its orders
         self._doing, self._over = "", threading.Event()

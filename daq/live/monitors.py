@@ -24,6 +24,7 @@ from daq.pipeline.live_slot import SlotReader, Snapshot
 from ground.config import Document, validate
 from ground.errors import GroundError
 from piv.errors import PivError
+from tracer.board import Codes
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import scene_from
@@ -124,6 +125,16 @@ def scene_told(text: str) -> Scene | None:
         return scene_from(document, validate(document, SceneTable))
     except (GroundError, SceneError, OSError):
         return None
+
+
+def board_told(told: dict[str, Any]) -> Chessboard:
+    """Board of what JSON makes of its `asdict`: tuples come as lists."""
+
+    def of_tuples(value: Any) -> Any:  # noqa: ANN401 - whatever a board holds
+        return tuple(map(of_tuples, value)) if isinstance(value, list) else value
+
+    words = {name: of_tuples(value) for name, value in told.items()}
+    return Chessboard(**words | {"codes": told["codes"] and Codes(**told["codes"])})
 
 
 def begin(slot: SlotReader, scene: Scene, board: Chessboard) -> tuple[Monitor, ...]:

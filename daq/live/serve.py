@@ -306,17 +306,16 @@ def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
     return server, page
 
 
-def _look_at_scene(page: Page, text: str, sizes: dict[str, Any]) -> None:
+def _look_at_scene(page: Page, text: str, board: dict[str, Any]) -> None:
     """Draw what a scene says over its frames, and look whether it is so."""
-    from correction.target import Chessboard
-    from daq.live.monitors import begin, scene_told
+    from daq.live.monitors import begin, board_told, scene_told
     from daq.live.scene_lines import scene_lines
 
     scene = scene_told(text)
     if scene is None:
         return
     page.lines = scene_lines(scene, whole=False)
-    page.monitors = begin(page.slot, scene, Chessboard(**sizes))
+    page.monitors = begin(page.slot, scene, board_told(board))
     while not (page.slot.is_watched and page.slot.number):  # the run has compiled then what folds are found with
         if page.slot.is_over:
             return

@@ -65,7 +65,7 @@ class Pattern(Protocol):
         """Reflectance (N,), 0 to 1, at points (N, 2) of the sheet [mm]."""
 
 
-AnyPattern = TypeVar("AnyPattern", "Chessboard", "CodedBoard", "ParticleSheet", "Image")
+AnyPattern = TypeVar("AnyPattern", bound="Chessboard | CodedBoard | ParticleSheet | Image")
 
 
 def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:

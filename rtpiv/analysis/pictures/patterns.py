@@ -55,9 +55,18 @@ class Target:
 
     def add(self, plane_mm: NDArray[np.float64], picture: NDArray[np.float32]) -> None:
         """As `Pattern`."""
-        board = self.board
-        discs = (np.array(board.discs, dtype=np.float64) + 0.5) * board.square_mm
-        add_target(plane_mm, board.square_mm, discs, board.disc_mm, picture)
+        board, lines = self.board, self.board.outer_lines
+        middles = np.array(board.discs, dtype=np.float64).reshape(-1, 2) + 0.5
+        discs = np.column_stack((middles, np.full(len(middles), board.disc_mm / board.square_mm)))
+        ends = np.array([(-np.inf, -np.inf), (np.inf, np.inf)]) if lines is None else lines.astype(np.float64)
+        shown = np.zeros((len(plane_mm), 1), np.float32)
+        add_target(plane_mm, board.sides_mm, discs, ends, board.odd_bright, shown)
+        if board.codes is not None:
+            from correction.target.codes import marked
+
+            lit = np.flatnonzero(shown[:, 0])
+            shown[lit[marked(board, plane_mm[lit] / board.sides_mm)]] = 0.0
+        picture += shown
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ def moved(scene, *, glass_mm=(0.0, 0.0, 0.0), camera_mm=(0.0, 0.0, 0.0)):
     return replace(scene, camera=replace(scene.camera, position_mm=(x, y, z)), bodies=bodies)
 
 
-def drawn(scene, *, blur_px=2.0, uneven=0.03, noise=20.0, seed=0, board=True, lower_mm=0.0):
+def drawn(scene, *, blur_px=2.0, uneven=0.03, noise=20.0, seed=0, board=BOARD, lower_mm=0.0):
     """A frame (H, W) uint16 of a scene; balls stand `lower_mm` lower than there, where no scene may have them."""
     camera = scene.camera
     height, width = camera.shape
@@ -50,7 +50,7 @@ def drawn(scene, *, blur_px=2.0, uneven=0.03, noise=20.0, seed=0, board=True, lo
     )  # a sample a pixel, anywhere in it: the blur makes a mean of them
     ray = camera.directions(np.stack((u, v), axis=-1) + within)
     plane = eye - ray * (eye[2] / ray[..., 2:])
-    value = 0.1 + 0.8 * BOARD.shade(plane[..., :2]) if board else np.full(camera.shape, 0.7)
+    value = 0.1 + 0.8 * board.shade(plane[..., :2]) if board else np.full(camera.shape, 0.7)
     for ball in sorted(scene.spheres, key=lambda one: one.centre_mm[2]):  # the nearest last
         away = np.array(ball.centre_mm) - eye - (0.0, 0.0, lower_mm)
         along = ray @ away

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from correction.alignment.rim import rim_of
-from correction.alignment.seen import Expected, find_arrangement
+from correction.alignment.seen import Expected, find_arrangement, find_camera
 from correction.errors import AlignmentError, RimNotFound, RimUnclear, TargetNotFound
+from correction.target import Chessboard
+from correction.target.codes import with_codes
 from piv.errors import FrameError
 from sim.demo.scenes import at_size, misaligned, named_scene
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.alignment.drawn import BOARD, drawn, moved, ring, scene_of
+from tracer.board import Codes
 
 NOMINAL = scene_of()
 GLASS, CAMERA = (1.1, -0.9, 0.8), (-0.2, 0.3, 0.4)
@@ -41,6 +44,24 @@ def test_glass_and_camera_are_where_they_were_drawn(frame):
     assert np.all(np.abs(seen.glass_mm[:2] - GLASS[:2]) < 0.05)
     assert seen.sigma_mm[2] > 0.9 * min(one.sigma_mm[2] for one in seen.spheres)  # light shifts all edges alike
     assert seen.remarks == ()
+
+
+def test_a_plain_board_shows_as_well_where_glass_and_camera_are():
+    plain = Chessboard(discs=(), squares=(99, 99))
+    shown = replace(plain, odd_bright=False)  # nobody has said which of its squares are bright
+    frame = drawn(moved(NOMINAL, glass_mm=GLASS, camera_mm=CAMERA), board=shown)
+    seen = find_arrangement(frame, NOMINAL, plain, HERE)
+    assert np.all(np.abs(seen.camera_mm - CAMERA) < 4.0 * seen.camera_sigma_mm)
+    assert np.all(np.abs(seen.glass_mm[:2] - GLASS[:2]) < 0.05)
+
+
+def test_a_coded_board_shows_where_the_camera_is():
+    coded = with_codes(
+        Chessboard(4.0, discs=(), squares=(44, 42), origin_corner=(20, 22)), Codes("DICT_4X4_1000", 0.7)
+    )
+    frame = drawn(moved(NOMINAL, glass_mm=GLASS, camera_mm=CAMERA), board=coded)
+    seen = find_camera(frame, NOMINAL, coded, np.zeros(3), 3.0)
+    assert np.all(np.abs(seen.off_mm - CAMERA) < 4.0 * seen.sigma_mm)
 
 
 def test_without_a_board_the_glass_is_seen_before_the_camera():

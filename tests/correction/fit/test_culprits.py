@@ -45,7 +45,7 @@ def bare_stage(seed: int, decentred_mm: float, turn: float = 0.0) -> Progress:
     frames = [TargetFrame("bare", image, False), TargetFrame("glass", image, True)]
     work = Progress(nominal, frames, BOARD, CLOSE, lambda text: None)
     with pytest.MonkeyPatch.context() as context:
-        context.setattr(camera_stage, "bare_frame", lambda *asked: bare)
+        context.setattr(camera_stage, "bare_frame", lambda frame, board, *asked: (bare, board))
         find_camera(work)
     return work
 

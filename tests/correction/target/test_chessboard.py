@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,10 @@ def test_corners_within_a_box_and_a_triangle():
     triangle = {tuple(c) for c in board.corners_within([(-0.1, -0.2), (4.5, -0.2), (-0.1, 4.4)]).tolist()}
     assert triangle == {(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (0, 2)}
     assert len(board.corners_within([(0.1, 0.1), (0.2, 0.2)])) == 0
+    ends = replace(board, squares=(4, 4), origin_corner=(1, 2), discs=())
+    assert {tuple(c) for c in ends.corners_within([(-9, -9), (9, 9)]).tolist()} == {
+        (i, j) for i in (0, 1, 2) for j in (-1, 0, 1)
+    }
 
 
 def test_arms_stay_clear_of_every_disc():

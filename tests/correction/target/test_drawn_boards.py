@@ -43,7 +43,7 @@ def counted(seeds):
 
 
 def test_of_some_drawn_boards_none_is_wrong():
-    count, wrong = counted(range(100, 116))
+    count, wrong = counted(range(9))
     assert not wrong
     assert all(count[kind, "right"] > 1 for kind in KINDS), count
 
@@ -52,8 +52,9 @@ def test_of_some_drawn_boards_none_is_wrong():
 def test_of_a_thousand_drawn_boards_none_is_wrong():
     count, wrong = counted(range(1000))
     assert not wrong
-    assert count["discs", "right"] > 400, count
-    assert count["plain", "right"] > 100, count
+    assert count["discs", "right"] > 250, count
+    assert count["charuco", "right"] > 280, count
+    assert count["plain", "right"] > 80, count
 
 
 @pytest.mark.parametrize("odd_bright", [True, False])

@@ -1,5 +1,7 @@
 """The board file that a bench names: read with it, wrong with it, printed in its simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -9,6 +11,8 @@ from correction.target.board_file import PrintedBoard, write_board
 from daq.bench.bench_file import load_bench
 from ground.errors import ConfigError
 from sim.bench import SimulatedBench
+from sim.renderer.patterns import Chessboard as Print
+from sim.renderer.patterns import CodedBoard
 from tests.daq.small_bench import write_bench
 
 PRINTED = PrintedBoard(
@@ -52,6 +56,26 @@ def test_a_bench_has_the_board_of_its_file_with_the_scale_of_the_print(tmp_path)
 def test_a_wrong_board_file_is_told_with_the_bench(tmp_path, target, printed, words):
     with pytest.raises(ConfigError, match=words):
         load_bench(bench_with(tmp_path, target, printed))
+
+
+SOME = {"square_mm": 5.0, "squares": [20, 14], "origin_corner": [3, 4]}
+PLAIN = PrintedBoard(kind="chessboard", **SOME)
+CHARUCO = PrintedBoard(kind="charuco", marker_mm=3.5, dictionary="DICT_4X4_1000", **SOME)
+
+
+@pytest.mark.parametrize(("printed", "kind"), [(PLAIN, Print), (CHARUCO, CodedBoard)])
+def test_the_simulated_bench_prints_the_board_of_its_file(tmp_path, printed, kind):
+    told = load_bench(bench_with(tmp_path, {"board": "board.yaml"}, printed)).board
+    bench = SimulatedBench(load_bench(bench_with(tmp_path, {"board": "board.yaml"}, printed)), "chessboard")
+    try:
+        paper = bench.world.print
+        assert isinstance(paper, kind)
+        assert (paper.squares, paper.origin_corner, paper.discs) == ((20, 14), (3, 4), ())
+        places = np.random.default_rng(2).uniform(-20.0, 60.0, (4000, 2))
+        shade = replace(told, scale=paper.scale, odd_bright=told.odd_bright if paper.codes else paper.odd_bright)
+        assert np.mean((paper.reflectance(places) > 0.5) == (shade.shade(places) > 0.5)) > 0.999
+    finally:
+        bench.close()
 
 
 def test_the_simulated_print_is_not_quite_as_large_as_it_was_measured(tmp_path):

@@ -1,12 +1,18 @@
 """Glass beside its place is said on the page, glass at its place is not."""
 
+import json
+from dataclasses import asdict
+
+from correction.target import Chessboard
+from correction.target.codes import with_codes
 from daq.live.frame_quality import FrameQuality
-from daq.live.monitors import RimMonitor, SphereMonitor, begin, scene_told
+from daq.live.monitors import RimMonitor, SphereMonitor, begin, board_told, scene_told
 from daq.pipeline.live_slot import SlotReader, SlotWriter
 from tests.correction.alignment.drawn import BOARD, drawn, moved, scene_of
 from tests.correction.self_check.test_moved_sphere import drawn_flow
 from tests.correction.self_check.test_moved_sphere import moved as sphere_moved
 from tests.daq.live.test_figures import board
+from tracer.board import Codes
 from tracer.scene.scene_file import dump_scene
 
 SHOWS = {"rims": True, "shows": "chessboard"}
@@ -37,6 +43,12 @@ def test_glass_that_stands_beside_its_outline_is_red():
         assert watch.said["rims"][0]
     finally:
         slot.close()
+
+
+def test_a_board_is_told_whole():
+    coded = with_codes(Chessboard(4.0, discs=(), squares=(9, 8), scale=(1.01, 0.99)), Codes("DICT_4X4_50", 0.7))
+    for one in (BOARD, coded):
+        assert board_told(json.loads(json.dumps(asdict(one)))) == one
 
 
 def test_scenes_that_say_nothing_are_not_watched(tmp_path):

@@ -42,8 +42,11 @@ def test_compiled_loops_do_what_the_python_says(aperture):
     prints.particles.py_func(flat, *sheet._bins, sheet.sigma_mm, sheet.background, out)
     assert sheet.reflectance(flat) == pytest.approx(out, abs=1e-6)
     board = Chessboard()
-    prints.chessboard.py_func(flat, 2.5, 0.5, np.array(board.discs, float), 0.08, 0.92, out)
-    assert np.array_equal(board.reflectance(flat), out)
+    discs, shades = np.array(board.discs, float), np.array([0.08, 0.92], np.float32)
+    for squares, lines in ((None, [[-np.inf] * 2, [np.inf] * 2]), ((9, 8), [[-4.0, -4.0], [5.0, 4.0]])):
+        board = Chessboard(squares=squares)
+        prints.chessboard.py_func(flat, 2.5, 0.5, discs, np.array(lines), True, shades, out)
+        assert np.array_equal(board.reflectance(flat), out)
 
 
 def test_index_one_gives_the_direct_view():

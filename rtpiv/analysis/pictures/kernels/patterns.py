@@ -46,18 +46,24 @@ def add_markers(plane: Array, square: float, spacing: float, size: float, colour
 
 
 @kernel
-def add_target(plane: Array, square: float, discs: Array, disc: float, picture: Array) -> None:
-    """Add a target: squares bright where i + j is odd, turned over within `disc` [mm] across at `discs` (M, 2)."""
+def add_target(plane: Array, sides: Array, discs: Array, lines: Array, odd_bright: bool, picture: Array) -> None:
+    """Add a target: squares of `sides` (2,), turned over in `discs` (M, 3: x, y, diameter), paper beyond `lines`.
+
+    `sides` and `plane` in mm, the rest in squares; where i + j is odd they are bright, or the others.
+    """
     for k in range(plane.shape[0]):
         x, y = plane[k, 0], plane[k, 1]
         if not (np.isfinite(x) and np.isfinite(y)):
             continue
-        bright = (int(np.floor(x / square)) + int(np.floor(y / square))) % 2 == 1
+        x, y = x / sides[0], y / sides[1]
+        i, j = np.floor(x), np.floor(y)
+        bright = ((int(i) + int(j)) % 2 == 1) == odd_bright
         for number in range(discs.shape[0]):
             across, up = x - discs[number, 0], y - discs[number, 1]
-            if across * across + up * up < 0.25 * disc * disc:
+            if across * across + up * up < 0.25 * discs[number, 2] * discs[number, 2]:
                 bright = not bright
-        if bright:
+        paper = i < lines[0, 0] or j < lines[0, 1] or i >= lines[1, 0] or j >= lines[1, 1]
+        if bright or paper:
             picture[k, 0] += 1.0
 
 

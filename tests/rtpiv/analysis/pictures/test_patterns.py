@@ -1,13 +1,17 @@
 """What hangs on the plane in computer-generated pictures, and what a frame is taken for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from correction.target import Chessboard
+from correction.target.codes import with_codes
 from rtpiv.analysis.pictures.kernels.patterns import add_markers, add_particles, add_target
 from rtpiv.analysis.pictures.patterns import MarkerBoard, Particles, Target, seen, shows_particles, square_for
 from rtpiv.analysis.through_glass import shown_small
 from tests.rtpiv.analysis.test_plane_share import GLASS, scene_of
+from tracer.board import Codes
 from tracer.bodies import Sphere
 
 POINTS = np.random.default_rng(3).uniform(-12.0, 12.0, (500, 2))
@@ -46,10 +50,21 @@ def test_particles_are_few_bright_and_the_same_every_time():
     assert picture.max() <= 1.0
 
 
+@pytest.mark.parametrize("kind", ["discs", "plain", "charuco"])
+def test_any_board_is_drawn_as_it_is(kind):
+    board = Chessboard(2.5, 1.0, squares=(9, 8), origin_corner=(3, 4), scale=(1.01, 0.99))
+    if kind != "discs":
+        board = replace(board, discs=(), odd_bright=False)
+    board = with_codes(board, Codes("DICT_4X4_50", 0.7)) if kind == "charuco" else board
+    points = np.random.default_rng(1).uniform(-14.0, 18.0, (3000, 2))
+    assert np.array_equal(drawn(Target(board), points)[:, 0], board.shade(points))
+
+
 def test_kernels_do_what_python_does():
-    discs, colours = np.array([[1.25, 1.25], [-3.75, 1.25]]), np.eye(3)
+    discs, colours = np.array([[0.5, 0.5, 0.4], [-1.5, 0.5, 0.4]]), np.eye(3)
+    lines = np.array([[-4.0, -np.inf], [3.0, np.inf]])
     for kernel, arguments, channels in (
-        (add_target, (2.5, discs, 1.0), 1),
+        (add_target, (np.array([2.5, 2.4]), discs, lines, True), 1),
         (add_markers, (2.5, 4.2, 1.9, colours), 3),
         (add_particles, (2.0, 0.8), 1),
     ):

@@ -1,0 +1,62 @@
+"""Boards that are not ours, behind two balls: the fit is as good by them, and a wrong count is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.errors import TargetNotFound
+from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.target import Chessboard
+from correction.target.codes import with_codes
+from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.renderer.patterns import Chessboard as Print
+from sim.renderer.patterns import CodedBoard
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
+from tests.correction.fit.benches import SQUARE_MM, errors_behind
+from tracer.board import Codes
+
+CODES = Codes("DICT_4X4_1000", 0.7)
+SIZE = {"squares": (42, 41), "origin_corner": (20, 22)}
+PLAIN = Chessboard(SQUARE_MM, discs=(), **SIZE)
+BOARDS = {
+    "discs": (Chessboard(SQUARE_MM, 0.4 * SQUARE_MM, **SIZE), Print(SQUARE_MM, 0.4 * SQUARE_MM, **SIZE)),
+    "plain": (PLAIN, Print(SQUARE_MM, discs=(), odd_bright=False, **SIZE)),
+    "charuco": (
+        with_codes(Chessboard(2.0 * SQUARE_MM, discs=(), squares=(26, 27), origin_corner=(12, 13)), CODES),
+        CodedBoard(2.0 * SQUARE_MM, discs=(), squares=(26, 27), origin_corner=(12, 13), codes=CODES),
+    ),
+}
+
+
+def seen(paper, seed=3):
+    """A nominal scene, the true one, and frames of the target, bare and through two balls."""
+    nominal = at_size(named_scene("two_spheres_500"), 1008)
+    truth = misaligned(nominal, seed)
+    frames = [
+        TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=3, seed=1), False),
+        TargetFrame("glass", render(truth, paper, Sensor(), samples=3, seed=2), True),
+    ]
+    return nominal, truth, frames
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", BOARDS)
+def test_the_map_is_right_by_any_board(kind):
+    board, paper = BOARDS[kind]
+    nominal, truth, frames = seen(paper)
+    fit = fit_scene(nominal, frames, board)
+    error, _, compared = errors_behind(fit, truth)
+    assert compared > 0.99
+    assert np.sqrt(np.mean(error**2)) < (0.02 if kind == "charuco" else 0.01)  # whose squares are twice as large
+    assert fit.board.odd_bright == (paper.odd_bright if kind != "charuco" else board.odd_bright)
+
+
+def test_a_plain_board_of_another_count_is_refused_with_both():
+    nominal = at_size(named_scene("two_spheres_500"), 1008)
+    bare = render(misaligned(nominal, 3).with_bodies(()), BOARDS["plain"][1], Sensor(), samples=2, seed=1)
+    frames = [TargetFrame("clear", bare, False), TargetFrame("glass", bare, True)]
+    with pytest.raises(TargetNotFound, match=r"clear: .* squares from edge to edge .* 41 x 41 squares .* count"):
+        fit_scene(nominal, frames, replace(PLAIN, squares=(41, 41)))
