@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
+from correction.fit.seen.bent_view import taken_aside
 from correction.fit.seen.prediction import Expected, expect, measure
 from correction.fit.seen.smear import (
     UNEVEN,
@@ -117,7 +118,7 @@ class MeasuredFrame:
         What colours, and what the pupil, may do to corners beyond what is taken off, all alike, one standard
         deviation.
     bent_px : (N, 2) float64
-        The same of the bending of the view, alike on every way (`prediction`).
+        The same of the bending of the view, alike on every way (`bent_view`).
     """
 
     name: str
@@ -242,6 +243,8 @@ def glass_frame(
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
     spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px), np.zeros_like(fit.blurs_px))
+    aside, bent = taken_aside(scene, pose, board, expected, fit.blur_px)
+    fit = replace(fit, position_px=fit.position_px - aside)
     doubt, alike = np.zeros(len(expected.pixel)), np.zeros((len(expected.pixel), 2, 2))
     if dispersion is not None:
         parts = colour_steps(scene, pose, dispersion, expected.pixel)
@@ -259,7 +262,7 @@ def glass_frame(
     doubt = np.hypot(doubt, np.linalg.norm(alike, axis=(1, 2)))
     fit = replace(fit, sigma_px=np.hypot(fit.sigma_px, doubt[:, None]))
     measured = _measured(frame.name, board, expected, fit, spread, height_number)
-    return replace(measured, doubt_px=doubt[fit.valid], smear_px=alike[fit.valid])
+    return replace(measured, doubt_px=doubt[fit.valid], smear_px=alike[fit.valid], bent_px=bent[fit.valid])
 
 
 def _measured(
@@ -289,5 +292,4 @@ def _measured(
             expected.axes_px[lost],
         ),
         spread.taken(valid),
-        bent_px=expected.bent_px[valid],
     )

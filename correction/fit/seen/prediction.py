@@ -12,8 +12,8 @@ The corner fit knows straight and evenly curved edges.  Next to a fold the view 
 the landing point, (X(u + d) - X(u - d))/2 - h, that no affine frame explains grows with the cube of the
 window.  Windows are shortened until it is below TWIST_PX at their ends.  What is left of it displaces corners
 where the view is uneven as well.  With t the twist and e = sum over both axes of (X(u + d) + X(u - d))/2 - X(u),
-both at the ends of a window of half length l and in px, corners of exact renders lie off along e by about
-PULLED t |e| / l, all that bend alike on the same side (0.01 to 0.11 of it, behind chains of one to three balls).
+both at the ends of a window of half length l and in px, corners of exact renders lie off along e by
+PULLED t |e| / l, or by a sixth to twice that: a forecast that says which corners must be drawn (`bent_view`).
 """
 
 from dataclasses import dataclass, replace
@@ -66,7 +66,7 @@ class Expected:
     window : (N,) float64
         Half length of the window to fit in, in squares.
     bent_px : (N, 2) float64
-        How far the bending of the view in the window may pull a corner, all in its direction.
+        How far the bending of the view in the window may pull a corner: a rough forecast.
     branches : tuple of tuple of str
         Names of the spheres crossed.
     usable : (H, W) bool

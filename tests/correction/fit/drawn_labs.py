@@ -12,6 +12,7 @@ import numpy as np
 
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import SceneFit
+from correction.fit.seen.bent_view import taken_aside
 from correction.fit.seen.measurement import LostCorners, MeasuredFrame, whitening
 from correction.fit.seen.prediction import expect
 from correction.fit.seen.smear_test import EdgeSpread
@@ -48,7 +49,7 @@ SIZES = {  # least and largest of a fault, drawn evenly in the logarithm
 EDGE_PX2, EDGE_NOISE_PX2 = 0.28, 0.015  # variance of the edge spread as corners of rendered frames have it
 TAKEN_UP = 0.6  # of a smear's variance in that of a fitted edge, on rendered frames
 COLOURS = 6
-PULLED = 0.06  # times twist and unevenness of the view, a half window: rendered corners lie off so much
+PULLED = 0.018  # times twist and unevenness of the view, a half window: so much rendered corners are off still
 WINDOW, TWIST_PX = 0.42, 1.0  # half window in squares, shortened to so much twist
 NODES = 60  # points of the map that are asked, behind glass and beside it
 
@@ -253,7 +254,7 @@ def photographed(
         {},
         lost,
         spread,
-        bent_px=shown.bent_px,
+        bent_px=taken_aside(truth, TargetPose(), board, shown, np.full(len(shown), EDGE_PX2**0.5))[1],
     )
 
 

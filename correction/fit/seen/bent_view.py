@@ -1,0 +1,138 @@
+"""Where a corner is found in a view that bends more than the corner fit can follow.
+
+The fit knows straight and evenly curved edges.  Next to a fold, and behind chains of balls, edges twist as well,
+and what no model of an edge follows draws the corner aside, all corners alike that are seen so.  How far, the fit
+itself says: the view around each corner is traced pixel by pixel, its two edges are drawn as they are bent there,
+blurred as they were measured, and fitted as those of the frame are.
+
+With X(u) the traced point of the board about the corner, an edge is where one part of it is zero, and
+X_k / |grad X_k| how far a point is off edge k.  Between pixels X is a cubic spline: it is smooth within a branch.
+"""
+
+from functools import cache
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.fit.seen.prediction import Expected, in_target_frame
+from correction.target import Chessboard
+from correction.target.corners import ASIDE_PX, refine_corners
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose
+from tracer.strategies.trace import trace
+
+FINER = 4  # points a pixel that are drawn
+DRAWN_PX = 0.2  # blur of what is drawn, before the rest of it is added
+BESIDE_PX = 3  # what is drawn beyond a window
+AT_ONCE = 64  # corners drawn at a time
+WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
+LEFT = 0.3  # of what is taken off, one standard deviation: renders show 0.7 behind two balls, all behind three
+
+
+def taken_aside(
+    scene: Scene,
+    pose: TargetPose,
+    board: Chessboard,
+    expected: Expected,
+    blur_px: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far corners (N, 2) [px] are found from where they are, and what is not known of that, all alike.
+
+    Parameters
+    ----------
+    scene, pose, board
+        As `expect` got them.
+    expected : Expected
+        N corners.
+    blur_px : (N,) float64
+        Of their edges as measured, pixel included; NaN where a corner was not found.
+    """
+    aside, doubt = np.zeros((len(expected), 2)), expected.bent_px.copy()
+    asked = (np.linalg.norm(expected.bent_px, axis=1) > WORTH_PX) & np.isfinite(blur_px)
+    if not asked.any():
+        return aside, doubt
+    found = found_bent(scene, pose, board, expected.take(asked), float(np.median(blur_px[asked])))
+    known = np.isfinite(found[:, 0])
+    here = np.flatnonzero(asked)[known]
+    aside[here], doubt[here] = found[known], LEFT * found[known]
+    return aside, doubt
+
+
+def found_bent(
+    scene: Scene, pose: TargetPose, board: Chessboard, expected: Expected, blur_px: float
+) -> NDArray[np.float64]:
+    """How far corners (N, 2) [px] are found from where the scene shows them; NaN where the fit gives up.
+
+    Arguments are those of `taken_aside`, with one blur for all.
+    """
+    seen, aside = in_target_frame(scene, pose), np.full((len(expected), 2), np.nan)
+    node = board.corner_mm(expected.index)
+    extent = np.abs(expected.axes_px).sum(axis=2).max(axis=1, initial=0.0) * expected.window
+    by_size = np.argsort(extent)
+    for some in np.split(by_size, range(AT_ONCE, len(by_size), AT_ONCE)) if len(by_size) else ():
+        half = int(np.ceil(extent[some].max())) + BESIDE_PX
+        middle = np.rint(expected.pixel[some]).astype(np.int64)
+        around = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1)
+        pixel = middle[:, None, None] + around
+        rays = trace(seen, pixel.astype(np.float64))
+        key = rays.rays["key"]
+        there = rays.recovered & (key == key[:, half, half][:, None, None])
+        off = pixel - expected.pixel[some][:, None, None]
+        affine = np.linalg.inv(expected.axes_px[some]) * board.sides_mm[:, None]
+        flat = np.einsum("nij,nvuj->nvui", affine, off)
+        point = rays.plane_mm - node[some][:, None, None]
+        tiles = drawn(flat + carried_on(point - flat, there), blur_px)
+        height, width = expected.usable.shape
+        inside = ((pixel >= 0) & (pixel < (width, height))).all(axis=-1)
+        u, v = np.clip(pixel, 0, (width - 1, height - 1)).transpose(3, 0, 1, 2)
+        place = expected.pixel[some] - middle + half
+        place[:, 1] += tiles.shape[1] * np.arange(len(some))
+        fit = refine_corners(
+            tiles.reshape(-1, tiles.shape[2]),
+            place + ASIDE_PX,
+            expected.axes_px[some],
+            mask=(expected.usable[v, u] & inside & there).reshape(-1, tiles.shape[2]),
+            window=expected.window[some],
+        )
+        aside[some] = np.where(fit.valid[:, None], fit.position_px - place, np.nan)
+    return aside
+
+
+def carried_on(value: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Values (N, n, n, 2), those that are not `there` (N, n, n) from the nearest one of their tile that is."""
+    apart = (1e6, 1.0, 1.0)
+    nearest = scipy.ndimage.distance_transform_edt(~there, apart, return_distances=False, return_indices=True)
+    return np.asarray(value[tuple(nearest)])
+
+
+def drawn(point: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
+    """Corners as pixels show them (N, n, n), whose edges are where a part of points (N, n, n, 2) is zero.
+
+    The blur has the pixel in it.
+    """
+    size = point.shape[1]
+    between, spread = _between(size), _spread(size, blur_px)
+    fine = np.einsum("av,nvuk,bu->nabk", between, point, between, optimize=True)
+    shade = np.ones(fine.shape[:3])
+    for edge in range(2):
+        slope = np.hypot(*np.gradient(fine[..., edge], 1.0 / FINER, axis=(1, 2)))
+        shade *= scipy.special.erf(fine[..., edge] / np.maximum(slope, 1e-12) / (np.sqrt(2.0) * DRAWN_PX))
+    return np.asarray(spread @ shade @ spread.T)
+
+
+@cache
+def _between(size: int) -> NDArray[np.float64]:
+    """What stands between n places one apart (M, n), by what stands there."""
+    return np.asarray(scipy.interpolate.CubicSpline(np.arange(size), np.eye(size))(_places(size)))
+
+
+def _spread(size: int, blur_px: float) -> NDArray[np.float64]:
+    """What n places show (n, M) of what is drawn between them."""
+    off = np.arange(size)[:, None] - _places(size)
+    weight = np.exp(-0.5 * off**2 / max(blur_px**2 - DRAWN_PX**2, DRAWN_PX**2))
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+
+def _places(size: int) -> NDArray[np.float64]:
+    return np.linspace(0.0, size - 1.0, FINER * (size - 1) + 1)

@@ -1,0 +1,66 @@
+"""Corners behind chains of balls, rendered by optics of their own, once the bending of the view is taken off."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import scipy
+
+from correction.fit.seen.bent_view import LEFT
+from correction.fit.seen.measurement import TargetFrame, glass_frame
+from correction.fit.seen.prediction import Expected, expect
+from correction.target import Chessboard
+from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.renderer.patterns import Chessboard as Print
+from sim.renderer.render import render_irradiance
+from sim.renderer.sensor import Sensor
+from tracer.strategies.sensitivity import TargetPose
+
+BARE = Sensor(white_counts=53000.0, electrons_per_count=float("inf"), read_noise_counts=0.0, bits=16, blur_px=0.6)
+RIM_PX = 6.0
+
+
+@cache
+def found(name: str, square_mm: float) -> tuple[Expected, np.ndarray, np.ndarray, np.ndarray]:
+    """Corners behind glass, how far off they are found, with what sigma, and what is doubted of it (N, 2)."""
+    scene, board = misaligned(at_size(named_scene(name), 1008), 5), Chessboard(square_mm, 0.4 * square_mm)
+    light = render_irradiance(scene, Print(square_mm, 0.4 * square_mm), samples=3, seed=1)
+    shown = expect(scene, TargetPose(), board)
+    shown = shown.take((shown.branch > 0) & (shown.rim_px > RIM_PX))
+    frame = glass_frame(
+        TargetFrame("glass", BARE.expose(light, seed=0), True), board, scene, TargetPose(), 0, True
+    )
+    apart, nearest = scipy.spatial.KDTree(frame.corners.pixel).query(shown.pixel)
+    seen = apart < 0.5
+    shown, nearest = shown.take(seen), nearest[seen]
+    away = frame.corners.pixel[nearest] - shown.pixel
+    return shown, away, np.hypot(frame.sigma_px[nearest], 0.01), frame.bent_px[nearest]
+
+
+def left(away: np.ndarray, sigma: np.ndarray, doubt: np.ndarray) -> float:
+    """Share of what was taken off by which corners are still off, as the fit of a scene weighs them."""
+    return LEFT * float(np.sum(away * doubt / sigma**2) / np.sum(doubt**2 / sigma**2))
+
+
+def test_what_the_bending_of_a_view_does_to_corners_is_taken_off():
+    shown, away, sigma, doubt = found("three_spheres_500", 2.5)
+    chain = shown.ways == "sphere3 > sphere2 > sphere1"
+    assert chain.sum() > 50
+    assert np.linalg.norm(doubt[chain], axis=1).max() > 0.02
+    assert abs(left(away[chain], sigma[chain], doubt[chain])) < LEFT
+
+
+@pytest.mark.slow
+def test_two_balls_pull_half_as_much_as_is_taken_off_at_least():
+    shown, away, sigma, doubt = found("three_spheres_500", 2.5)
+    chain = shown.ways == "sphere3 > sphere2"
+    assert abs(left(away[chain], sigma[chain], doubt[chain])) < 2.0 * LEFT
+
+
+@pytest.mark.slow
+def test_a_view_that_hardly_bends_leaves_no_doubt_of_its_corners():
+    shown, _, _, doubt = found("pair_off_axis", 3.5)
+    clear = shown.rim_px > 20.0
+    rough = np.linalg.norm(shown.bent_px[clear], axis=1).max()  # what the size of the bending alone makes of it
+    assert rough > 0.01
+    assert np.linalg.norm(doubt[clear], axis=1).max() < 0.3 * rough
