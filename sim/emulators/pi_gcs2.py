@@ -19,8 +19,8 @@ from stages.errors import ProtocolViolation
 from stages.protocols import pi_gcs2 as gcs
 
 HELP = (
-    "CSV? *IDN? SAI? SVO SVO? FRF FRF? FNL FPL TRS? LIM? MOV MVR MOV? POS? ONT? VEL VEL? ACC DEC TMN? TMX? "
-    "HLT STP ERR? HLP?"
+    "#5 #7 #24 CSV? *IDN? SAI? SVO SVO? FRF FRF? FNL FPL TRS? LIM? MOV MVR MOV? POS? ONT? VEL VEL? ACC DEC TMN? "
+    "TMX? HLT STP ERR? HLP?"
 )
 ON_SWITCH = 216
 REFERENCE_MM_S = 20.0  # a parameter of its own, not VEL

@@ -19,7 +19,8 @@ them:
 
 An output that is switched off gives no pulse that has not begun, and it begins at the tick after it was switched
 on. MUX is a sum of outputs whose pulses come out here: that of an output itself has its own bit. With a trigger
-mode other than DIS, T0 only waits for an edge that never comes. With autorun, power brings T0 and the outputs
+mode other than DIS, T0 waits for an edge, which only the word *TRG gives: one tick, or the ticks of a burst. With
+autorun, power brings T0 and the outputs
 back as they were; else everything is off. The pulses go out at `outputs`.
 
 Gate: in mode OUTP outputs are inhibited while the input is not at the level of GAT:LOG, and what counts goes on
@@ -228,7 +229,9 @@ class QuantumComposersEmulator(PulsingEmulator):
         if self._variant.arms == "state":
             for channel in self._channels:
                 channel.on = channel.on and not (channel.is_spent and channel.words["CMOD"] in ("SING", "BURS"))
-        self._period_begins_s = time_s + float(self._t0.words["PER"]) if self._t0.on else None
+        bursts = self._t0.words["MOD"] == "BURS" and not self._t0.is_spent
+        goes_on = self._t0.on and (bursts or not self._waits_for_edge)
+        self._period_begins_s = time_s + float(self._t0.words["PER"]) if goes_on else None
         for number, channel in enumerate(self._channels):
             for source, is_active in enumerate(active):
                 if is_active and int(channel.words["MUX"]) >> source & 1:
@@ -250,9 +253,13 @@ class QuantumComposersEmulator(PulsingEmulator):
         elif self._variant.arms == "state":
             channel.arm()
 
+    @property
+    def _waits_for_edge(self) -> bool:
+        return self._t0.words["TRIG:MOD"] != "DIS"
+
     def _run(self) -> None:
         """RUN is pressed, perhaps a second time: T0 starts unless it runs, and channels are armed."""
-        if self._period_begins_s is None and self._t0.words["TRIG:MOD"] == "DIS":
+        if self._period_begins_s is None and not self._waits_for_edge:
             self._period_begins_s = self.event_s
         self._t0.arm()
         for channel in self._channels:
@@ -305,7 +312,11 @@ class QuantumComposersEmulator(PulsingEmulator):
                     self._switch(number, False)
                 return "ok"
             case "*TRG", False:
-                return "?8"
+                if not (self._t0.on and self._waits_for_edge and self._period_begins_s is None):
+                    return "?8"
+                self._t0.arm()
+                self._period_begins_s = self.event_s
+                return "ok"
             case "*RST", True:
                 return "?7"
         return "?3"
@@ -318,6 +329,8 @@ class QuantumComposersEmulator(PulsingEmulator):
             return str(int(self._autorun)) if command.asks else self._set_autorun(command.value)
         if words == ["SYST", "COMM", "SER", "ECH"] and not command.asks:
             self._echo = (command.value or "").upper() in ("1", "ON")
+            return "ok"
+        if words == ["DISP", "ENAB"] and not command.asks:
             return "ok"
         if words[:1] == ["SPUL"]:
             words = ["PULS", "0", *words[1:]]

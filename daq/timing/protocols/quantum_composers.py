@@ -47,6 +47,7 @@ WORDS = {  # short form: long form
     "LOG": "LOGIC", "ICL": "ICLOCK", "RAT": "RATE", "SYST": "SYSTEM", "AUT": "AUTORUN", "KLOC": "KLOCK",
     "SERN": "SERNUMBER", "COMM": "COMMUNICATE", "SER": "SERIAL", "USB": "USB", "BAUD": "BAUD", "ECH": "ECHO",
     "INST": "INSTRUMENT", "CAT": "CATALOG", "COUN": "COUNTER", "CLE": "CLEAR", "VERS": "VERSION",
+    "DISP": "DISPLAY", "ENAB": "ENABLE",
 }  # fmt: skip
 _SHORT = {form: short for short, long in WORDS.items() for form in (short, long)}
 _COMMAND = re.compile(r"([:*][A-Za-z0-9:]*)(\?)?(?: +(.*))?")

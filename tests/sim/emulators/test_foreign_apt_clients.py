@@ -23,8 +23,8 @@ STEPPER = Mechanics(lead_mm=1.0, steps_per_rev=409_600, high_switch_mm=50.0, ind
 
 
 @contextmanager
-def box_on_a_port(motors, **options):
-    clock = ScaledClock(20.0)
+def box_on_a_port(motors, speed=20.0, **options):
+    clock = ScaledClock(speed)
     line = Line(AptEmulator(motors, clock, **options), clock)
     with PtyPort(line) as port:
         yield port.path, line
@@ -43,6 +43,8 @@ def wait_until(condition, limit_s=10.0):
 WRITTEN = {
     "hw_req_info": ({"dest": 0x11}, apt.Order(Kind.HW_REQ_INFO, to=0x11)),
     "hw_stop_updatemsgs": ({}, apt.Order(Kind.HW_STOP_UPDATEMSGS)),
+    "hw_no_flash_programming": ({}, apt.Order(Kind.HW_NO_FLASH_PROGRAMMING)),
+    "mot_ack_dcstatusupdate": ({}, apt.Order(Kind.MOT_ACK_DCSTATUSUPDATE)),
     "rack_req_bayused": ({"dest": 0x11, "bay_ident": 2}, apt.Order(Kind.RACK_REQ_BAYUSED, 2, 0, 0x11)),
     "mod_set_chanenablestate": (
         {"chan_ident": 1, "enable_state": 1},
@@ -222,19 +224,25 @@ def test_thorlabs_apt_device_homes_and_moves_a_cube():
             client._thread.join()
 
 
+@pytest.mark.slow
 def test_thorlabs_apt_device_is_told_the_state_by_itself():
-    """Automatic messages, kept alive by its thanks; a wheel that somebody turns is seen."""
+    """Automatic messages, kept alive by its thanks; a wheel that somebody turns is seen, also seconds later."""
     pytest.importorskip("thorlabs_apt_device", reason="thorlabs-apt-device is not installed")
-    from thorlabs_apt_device import KDC101
+    from thorlabs_apt_device.devices.aptdevice_motor import APTDevice_Motor
+    from thorlabs_apt_device.enums import EndPoint
 
     motor = Motor(SERVO)
-    with box_on_a_port({"1": motor}, model="KDC101") as (path, line):
-        client = KDC101(serial_port=path, home=False)
+    with box_on_a_port({"1": motor}, speed=1.0, model="KDC101", falls_silent=True) as (path, line):
+        client = APTDevice_Motor(
+            serial_port=path, home=False, controller=None, bays=(EndPoint.USB,), status_updates="auto"
+        )
         try:
-            wait_until(lambda: client.status["msg"] == "mot_get_dcstatusupdate")
-            with line.lock:
-                line.emulator.turn_wheel("1", 34_304 * 2)
-            wait_until(lambda: client.status["position"] == 34_304 * 2)
+            wait_until(lambda: client.status_[0][0]["msg"] == "mot_get_dcstatusupdate")
+            for turns in (1, 2):
+                time.sleep(1.5)
+                with line.lock:
+                    line.emulator.turn_wheel("1", 34_304)
+                wait_until(lambda turns=turns: client.status_[0][0]["position"] == 34_304 * turns)
             assert motor.carriage_mm == pytest.approx(14.0, abs=0.001)
         finally:
             client.close()

@@ -8,7 +8,7 @@ import pytest
 
 from sim.emulators.faults import Fault, FaultSchedule
 from sim.emulators.line import Line
-from sim.emulators.pi_gcs2 import PiEmulator
+from sim.emulators.pi_gcs2 import PiEmulator, StageMake
 from sim.emulators.pty import PtyPort
 from sim.emulators.zaber_ascii import ZaberEmulator
 from sim.mechanics.clock import ScaledClock
@@ -46,6 +46,17 @@ def test_zaber_official_client_detects_homes_moves_and_waits(zaber):
     assert axis.get_position() == 20 * PER_MM
     assert motors["1/1"].carriage_mm - zero_mm == pytest.approx(20.0, abs=0.001)
     assert motors["1/2"].carriage_mm == 20.0  # the other axis never moved
+
+
+def test_zaber_official_client_reads_who_it_is_and_sets_how_it_moves(zaber):
+    connection, _, _ = zaber
+    device = connection.get_device(1)
+    for name, value in (("deviceid", 50081), ("system.axiscount", 2), ("version", 7.33)):
+        assert device.settings.get(name) == value
+    assert device.settings.get("system.serial") > 0
+    axis = device.get_axis(1)
+    axis.settings.set("accel", 205)
+    assert axis.settings.get("accel") == 205
 
 
 def test_zaber_official_client_understands_our_faults_and_refusals(zaber):
@@ -149,17 +160,25 @@ def test_zaber_official_client_notices_a_pulled_plug(zaber):
         to_and_fro()
 
 
+@pytest.fixture
+def pi_serial(monkeypatch):
+    """The official client's port, which tells every device that was ever made of another one."""
+    serial = pytest.importorskip(
+        "pipython.pidevice.interfaces.piserial", reason="pipython is not installed"
+    ).PISerial
+    monkeypatch.setattr(serial, "_connection_status_changed_callbacks", [])
+    return serial
+
+
 @pytest.mark.slow
-def test_pi_official_client_starts_references_and_moves():
+def test_pi_official_client_starts_references_and_moves(pi_serial):
     """pipython is a bench tool with a licence of its own: never required, used where somebody has it."""
-    pytest.importorskip("pipython", reason="pipython is not installed")
     from pipython import GCSDevice, GCSError, pitools
-    from pipython.pidevice.interfaces.piserial import PISerial
 
     clock = ScaledClock(20.0)
     motors = {"1": Motor(SCREW), "2": Motor(SCREW)}
     line = Line(PiEmulator(motors, clock), clock)
-    with PtyPort(line) as port, PISerial(port.path, 115200) as gateway:
+    with PtyPort(line) as port, pi_serial(port.path, 115200) as gateway:
         device = GCSDevice(gateway=gateway)
         assert "Physik Instrumente" in device.qIDN()
         assert device.axes == ["1", "2"]
@@ -178,3 +197,31 @@ def test_pi_official_client_starts_references_and_moves():
         with pytest.raises(GCSError, match="out of limits"):
             device.MOV("1", 1e4)
         device.STP(noraise=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("switches", "how"), [("reference", "FRF"), ("limits", "FNL"), ("limits", "FPL")])
+def test_pi_official_client_starts_up_sets_speeds_and_stops(pi_serial, switches, how):
+    """Its own startup: servos on, each axis referenced, waited for by byte 7 as long as HLP? lists it."""
+    from pipython import GCSDevice, pitools
+
+    clock = ScaledClock(20.0)
+    motors = {"1": Motor(SCREW), "2": Motor(SCREW)}
+    line = Line(PiEmulator(motors, clock, StageMake(switches=switches)), clock)
+    with PtyPort(line) as port, pi_serial(port.path, 115200) as gateway:
+        device = GCSDevice(gateway=gateway)
+        pitools.startup(device, stages=None, refmodes=[how, how])
+        assert device.qFRF() == {"1": True, "2": True}
+        assert set(device.qTRS().values()) == {switches == "reference"}
+        assert set(device.qLIM().values()) == {True}
+        for set_it in (device.VEL, device.ACC, device.DEC):
+            set_it("1", 40.0)
+        device.MOV({"1": 60.0, "2": 30.0})
+        assert device.IsMoving("1")["1"]
+        assert device.IsControllerReady()
+        pitools.waitontarget(device, timeout=60)
+        assert list(device.qPOS().values()) == pytest.approx([60.0, 30.0], abs=0.001)
+        device.MOV("1", 120.0)
+        device.StopAll(noraise=True)
+        pitools.waitontarget(device, timeout=60)
+        assert device.qPOS("1")["1"] < 110.0
