@@ -111,16 +111,19 @@ def test_a_wrong_protocol_or_a_swapped_cable(box, meant, there, words):
     assert "probe" in str(caught.value)
 
 
-def test_a_box_that_falls_silent_half_way(box):
-    url, line, clock = box("zaber_ascii")
-    made = driver_of("zaber_ascii", clock)
+@pytest.mark.parametrize("sort_of_box", DRIVERS)
+def test_a_box_that_falls_silent_half_way(box, sort_of_box):
+    url, line, clock = box(sort_of_box)
+    made = driver_of(sort_of_box, clock)
     made.connect(url)
+    channel = made.example_channels[0]
     line.emulator.switch_off()
-    with pytest.raises(NoReply, match=r"rail on sim://.* at 115200 baud has answered before .* switched off"):
-        made.position_mm("1/1")
+    words = rf"rail on sim://.* at {USUAL[sort_of_box]} baud has answered before .* switched off"
+    with pytest.raises(NoReply, match=words):
+        made.position_mm(channel)
     line.unplug()
     with pytest.raises(DeviceLost, match="plug it in"):
-        made.position_mm("1/1")
+        made.position_mm(channel)
 
 
 def test_a_port_that_is_not_there_busy_or_forbidden(tmp_path, monkeypatch):

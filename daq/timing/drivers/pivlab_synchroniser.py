@@ -79,7 +79,10 @@ class _Synchroniser(TimingBox):
 
     def _identify(self) -> str:
         def accept(answer: object) -> str | None:
-            return answer.text if isinstance(answer, Identity) else None  # others are older answers
+            match answer:  # others are older answers; and any line of another box would be a name
+                case Identity(text) if "sync" in text.lower() or text == self.address:
+                    return text
+            return None
 
         return self._transact(Question("WhoAreYou?").to_bytes(), accept)
 

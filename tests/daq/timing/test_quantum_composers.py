@@ -191,28 +191,6 @@ def test_every_line_but_off_waits_for_the_answer_to_the_one_before():
         assert len(log) > 500
 
 
-@pytest.mark.parametrize(("baud", "silent", "words"), [
-    (9600, False, "laser on sim://desk at 38400 baud says nothing; .* is the rate its own"),
-    (None, True, "laser on sim://desk at 38400 baud says nothing; is it switched on"),
-])  # fmt: skip
-def test_a_box_that_does_not_answer_is_named_with_port_rate_and_cure(baud, silent, words):
-    with desk() as d:
-        d.line.baud = baud
-        if silent:
-            d.emulator.switch_off()
-        with pytest.raises(StageError, match=words) as caught:
-            d.laser.open("sim://desk")
-        assert "rtpiv probe sim://desk" in str(caught.value)
-
-
-def test_a_box_that_falls_silent_half_way_is_named():
-    with desk() as d:
-        d.to_armed()
-        d.emulator.switch_off()
-        with pytest.raises(StageError, match="laser on sim://desk at 38400 baud has answered before"):
-            d.laser.box.require_lamps(True)
-
-
 def test_a_refusal_says_why():
     with desk() as d:
         d.laser.open("sim://desk")
