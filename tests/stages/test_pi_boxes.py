@@ -2,11 +2,17 @@
 
 import pytest
 
-from sim.emulators.pi_gcs2 import StageMake
+from sim.emulators.line import Line
+from sim.emulators.pi_gcs2 import PiEmulator, StageMake
+from sim.emulators.protocol_sim import LINES
+from sim.mechanics.clock import VirtualClock
+from sim.mechanics.motion import Mechanics, Motor
 from stages.controller import Channel
 from stages.drivers.pi_gcs2 import PiController
 from stages.errors import StageError, StageUsageError, WrongDevice
 from stages.protocols import pi_gcs2 as gcs
+
+SCREW = Mechanics(lead_mm=1.0, steps_per_rev=2000, high_switch_mm=100.0, index_mm=50.0, power_up_mm=30.0)
 
 
 def sent(made):
@@ -110,3 +116,29 @@ def test_an_answer_of_another_controller_is_nobodys():
     assert stream.feed(b"2 \x053 POS? 1\n\x18") == [
         gcs.SingleByte(5, 2), gcs.Command("POS?", ("1",), 3), gcs.SingleByte(24),
     ]  # fmt: skip
+
+
+def test_three_controllers_on_one_port_at_the_rate_of_their_front_switches():
+    """Three axes, as they are mostly bought; the bench file says no rate."""
+    clock = VirtualClock()
+    motors = {f"{address}/1": Motor(SCREW) for address in (1, 2, 3)}
+    line = LINES["chain"] = Line(PiEmulator(motors, clock), clock)
+    line.baud = 38_400
+    controller = PiController("chain", {name: Channel(name) for name in motors}, clock)
+    try:
+        assert controller.connect("sim://chain").count("Physik Instrumente") == 3
+        assert controller.baud == 38_400
+        for number, name in enumerate(motors, 1):
+            controller.token = controller.latch.count
+            controller.start_home(name)
+            while controller.moving(name):
+                clock.sleep_s(0.1)
+            controller.start_move(name, 10.0 * number, 20.0, 100.0)
+            while controller.moving(name):
+                clock.sleep_s(0.1)
+        places = [controller.position_mm(name) for name in motors]
+        assert places == pytest.approx([10.0, 20.0, 30.0], abs=0.002)
+        assert [motor.carriage_mm for motor in motors.values()] == pytest.approx(places, abs=0.05)
+    finally:
+        controller.close()
+        del LINES["chain"]
