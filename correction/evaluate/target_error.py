@@ -17,7 +17,7 @@ scenes with the same camera, the corner is measured once.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -162,6 +162,8 @@ def _error_of(
     nearest = np.clip(np.rint(expected).astype(int), 0, np.array(grid.shape[::-1]) - 1)
     seen = inner[nearest[:, 1], nearest[:, 0]] > 0
     expected, nearest = expected[seen], nearest[seen]
+    if board.is_plain:
+        board = _as_lit(board, soft, index[seen], expected, square)
     now = _Measured(soft, usable, {})
     nodes = [(int(i), int(j)) for i, j in index[seen]]
     known = np.zeros(len(nodes), bool)
@@ -187,6 +189,22 @@ def _error_of(
     chosen = dict(zip(REGIONS, (np.ones(len(glass), bool), ~glass, glass), strict=True))
     regions = {name: _region(errors[which], valid[which]) for name, which in chosen.items() if which.any()}
     return TargetError(regions, expected[valid], errors[valid]), now
+
+
+def _as_lit(
+    board: Chessboard,
+    soft: NDArray[Any],
+    index: NDArray[np.int64],
+    expected: NDArray[np.float64],
+    square: float,
+) -> Chessboard:
+    """Return a plain board with those of its squares bright that are: its file does not say which."""
+    u, v = np.rint(expected + 0.25 * square * np.array((1.0, -1.0))).astype(int).T  # in the square up and right
+    inside = (v >= 0) & (u < soft.shape[1])
+    value, odd = soft[v[inside], u[inside]], index[inside].sum(axis=1) % 2 == 1
+    if not odd.any() or odd.all():
+        return board
+    return replace(board, odd_bright=bool(np.median(value[odd]) > np.median(value[~odd])))
 
 
 def _same_branch(branch: NDArray[np.uint16]) -> NDArray[np.uint8]:

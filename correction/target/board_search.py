@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
@@ -46,6 +47,7 @@ ORDER = 5
 LARGEST_SQUARES = 0.35  # from the smooth map, at most
 SMALLEST_SQUARES = 0.03  # nothing is judged more finely than this
 TIMES_MEDIAN = 12.0  # of all deviations: between, the limit follows how well the map fits
+APART_SQUARES = 0.3  # from where the largest piece says, at most
 KNEE_SQUARES = 0.15  # deviations beyond weigh little
 ROUNDS = 25
 LEAST_BOARD = 12  # corners: the six squares around the discs and a little more
@@ -97,6 +99,43 @@ def on_smooth_map(
         weight = 1.0 / (1.0 + (off / knee) ** 2)
     limit = min(max(TIMES_MEDIAN * float(np.median(off)), SMALLEST_SQUARES), LARGEST_SQUARES)
     return np.asarray(off <= limit, dtype=bool)
+
+
+def as_the_largest_piece_says(
+    index: NDArray[np.int64], position_px: NDArray[np.float64], axes_px: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Corners (N,) of the largest piece of lattice, and of those pieces apart that lie where it has them.
+
+    Pieces apart are few corners at the end of a polynomial, which follows them wherever they lie: a view through a
+    ball beside the board passes for a part of it.  So they are judged by what the largest says without them.
+
+    Parameters
+    ----------
+    index, position_px, axes_px
+        As in `on_smooth_map`.
+    """
+    number = {(i, j): n for n, (i, j) in enumerate(index.tolist())}
+    pairs = [
+        (n, number[i + di, j + dj])
+        for (i, j), n in number.items()
+        for di, dj in ((1, 0), (0, 1))
+        if (i + di, j + dj) in number
+    ]
+    count = len(index)
+    start, end = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    joined = scipy.sparse.coo_array((np.ones(len(pairs)), (start, end)), shape=(count, count))
+    pieces, piece = scipy.sparse.csgraph.connected_components(joined, directed=False)
+    if pieces < 2:  # usually
+        return np.ones(count, dtype=bool)
+    kept = np.asarray(piece == np.bincount(piece).argmax())
+    x, y = ((index - index[kept].mean(axis=0)) / max(float(np.ptp(index[kept], axis=0).max()), 1.0)).T
+    terms = np.stack((np.ones(count), x, y, x * x, x * y, y * y), axis=-1)
+    solution = np.linalg.lstsq(terms[kept], position_px[kept], rcond=None)[0]
+    side = np.hypot(axes_px[:, 0], axes_px[:, 1]).mean(axis=1)
+    near = np.hypot(*(position_px - terms @ solution).T) < APART_SQUARES * side
+    for other in range(pieces):
+        kept |= (piece == other) & near[piece == other].all()
+    return kept
 
 
 @dataclass(frozen=True)
@@ -198,6 +237,7 @@ def measure_lattice(
             break
     refused = refused or {}
     smooth = on_smooth_map(known_index, position, known_axes)
+    smooth[smooth] = as_the_largest_piece_says(known_index[smooth], position[smooth], known_axes[smooth])
     foreign += int(np.count_nonzero(~smooth))
     known_index, known_axes = known_index[smooth], known_axes[smooth]
     position, sigma, blurs = position[smooth], sigma[smooth], blurs[smooth]

@@ -21,6 +21,8 @@ from correction.target.lattice_growth import Patch
 from tracer.board import Codes
 
 AGREE, SHARE = 2, 0.7  # markers, and of all that are read on a patch
+WINDOWS_PX = 23, 3  # of the threshold, the smallest: one window is three times as fast as all of them
+ENOUGH = 10  # markers, with which no smaller windows are tried
 NEAR = 1.5  # squares from a marker's middle to the nearest corner of a patch
 
 
@@ -78,16 +80,21 @@ def read_markers(frame: NDArray[Any], board: Chessboard) -> list[Marker]:
 
     low, high = np.percentile(frame, (0.5, 99.5))
     grey = np.clip((frame.astype(np.float32) - low) * (255.0 / max(float(high - low), 1e-6)), 0.0, 255.0)
-    settings = cv2.aruco.DetectorParameters()
-    settings.errorCorrectionRate = 0.0  # what is nearly a marker is none
-    reader = cv2.aruco.ArucoDetector(_dictionary(_coded(board)[1].dictionary), settings)
-    found, numbers, _ = reader.detectMarkers(grey.astype(np.uint8))
-    squares = marker_squares(board)
-    return [
-        Marker(np.asarray(corners, dtype=np.float64).reshape(4, 2), squares[int(number)])
-        for number, corners in zip(np.ravel(numbers) if numbers is not None else (), found, strict=True)
-        if int(number) in squares
-    ]
+    squares, read = marker_squares(board), list[Marker]()
+    for smallest in WINDOWS_PX:
+        settings = cv2.aruco.DetectorParameters()
+        settings.errorCorrectionRate = 0.0  # what is nearly a marker is none
+        settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = smallest, max(WINDOWS_PX)
+        reader = cv2.aruco.ArucoDetector(_dictionary(_coded(board)[1].dictionary), settings)
+        found, numbers, _ = reader.detectMarkers(grey.astype(np.uint8))
+        read = [
+            Marker(np.asarray(corners, dtype=np.float64).reshape(4, 2), squares[int(number)])
+            for number, corners in zip(np.ravel(numbers) if numbers is not None else (), found, strict=True)
+            if int(number) in squares
+        ]
+        if len(read) >= ENOUGH:
+            break
+    return read
 
 
 def square_px(board: Chessboard, markers: Sequence[Marker]) -> float:

@@ -1,6 +1,7 @@
 """Several corrections of one frame of the target: what they have in common is measured once, to the same bits."""
 
 import numpy as np
+import pytest
 
 from correction.evaluate import target_error as measured_in
 from correction.evaluate.target_error import target_error, target_errors
@@ -46,6 +47,12 @@ def test_common_corners_are_measured_once_and_to_the_same_bits(monkeypatch, tmp_
         assert np.array_equal(one.corners_px, other.corners_px)
         assert np.array_equal(one.errors_px, other.errors_px)
         assert one.to_dict() == other.to_dict()
+
+
+@pytest.mark.parametrize("odd_bright", [True, False])
+def test_which_squares_of_a_plain_board_are_bright_is_seen(tmp_path, odd_bright):
+    frame, plain = made(tmp_path, -4.0), Chessboard(discs=(), odd_bright=odd_bright)
+    assert target_error(*frame, plain).to_dict() == target_error(*frame, BOARD).to_dict()
 
 
 def test_frames_of_another_size_have_nothing_in_common(tmp_path):

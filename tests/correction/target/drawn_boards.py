@@ -17,11 +17,14 @@ from sim.renderer.patterns import CodedBoard, Pose, placed
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tracer.board import Codes
+from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, look_at
+from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 
 SIZE_PX = (320, 270)
 FOCAL_PX, AWAY_MM = 1600.0, 300.0
+VIEW_MM = tuple(side * AWAY_MM / FOCAL_PX for side in SIZE_PX)
 OFF_MM, OFF_DEG = 5.0, 3.0  # of the camera, from where it is believed
 REACH_MM = 3.0 * np.hypot(
     2.0, np.deg2rad(2.0) * AWAY_MM
@@ -61,6 +64,9 @@ def drawn(seed, kind=None):
     square = float(rng.uniform(2.2, 4.2))
     squares = tuple(int(n) for n in rng.integers(6, 34, 2))
     origin = tuple(int(rng.integers(1, n)) for n in squares) if rng.random() < 0.3 else None
+    if kind == "plain" and seed % 2:  # one that fits into the frame: nothing else of it says where it is
+        squares = tuple(min(n, int(0.8 * side / square)) for n, side in zip(squares, VIEW_MM, strict=True))
+        origin = None if origin is None else tuple(min(o, n - 1) for o, n in zip(origin, squares, strict=True))
     if kind == "charuco":
         square, squares = 1.5 * square, tuple(min(n, 20) for n in squares)
         origin = None if origin is None else tuple(min(o, n - 1) for o, n in zip(origin, squares, strict=True))
@@ -80,10 +86,24 @@ def drawn(seed, kind=None):
     else:
         odd_bright = kind != "plain" or bool(rng.integers(2))
         real = Print(square, 0.4 * square, odd_bright=odd_bright, **on_paper)
-    light = render_irradiance(Scene(true, ()), placed(real, Pose()), samples=3, seed=seed)
+    balls = balls_before(seed)
+    light = render_irradiance(Scene(true, balls), placed(real, Pose()), samples=3, seed=seed)
     light, words = _as_a_lab_sees_it(light, true, board, squares, rng)
+    words += f", {len(balls)} balls" if balls else ""
     image = Sensor().expose(light.astype(np.float32), seed=seed, illumination=float(rng.uniform(0.25, 1.0)))
     return Drawn(image, kind, board, NOMINAL, true, f"{kind} {seed}: {square:.2f} mm, {squares}, {words}")
+
+
+def balls_before(seed):
+    """None to three balls of glass between board and camera, apart from each other."""
+    rng, balls = np.random.default_rng((seed, 4)), []
+    for _ in range(rng.choice(4, p=(0.4, 0.2, 0.2, 0.2))):
+        radius = float(rng.uniform(4.0, 9.0))
+        centre = np.array((*rng.uniform(-20.0, 20.0, 2), radius + rng.uniform(0.2, 30.0)))
+        if all(np.linalg.norm(centre - ball.centre_mm) > radius + ball.radius_mm for ball in balls):
+            place = tuple(centre.tolist())
+            balls.append(Sphere(f"ball{len(balls)}", place, radius, ConstantMedium(1.517)))
+    return tuple(balls)
 
 
 def _as_a_lab_sees_it(light, true, board, squares, rng):

@@ -6,7 +6,7 @@ import tifffile
 
 from correction.errors import TargetNotFound
 from correction.target import Chessboard
-from correction.target.board_search import find_board, on_smooth_map, track_board
+from correction.target.board_search import as_the_largest_piece_says, find_board, on_smooth_map, track_board
 from correction.target.corners import CornerSearch, refine_corners
 from correction.target.lattice_growth import find_saddles, grow_patches
 from piv.errors import FrameError
@@ -259,3 +259,13 @@ def test_no_corner_lies_on_any_map():
     """A small frame in which nothing of the board is found is for the caller to refuse, in words."""
     none = np.zeros((0, 2))
     assert on_smooth_map(none.astype(int), none, np.zeros((0, 2, 2))).shape == (0,)
+
+
+@pytest.mark.parametrize(("off", "kept"), [(0.0, True), (0.1, True), (0.7, False)])
+def test_a_piece_of_lattice_apart_counts_where_the_largest_says(off, kept):
+    index = np.array([(i, j) for i in range(8) for j in range(8)] + [(i, j) for i in (10, 11) for j in (2, 3, 4)])
+    position = 12.0 * index + 0.05 * index**2
+    position[64:, 0] += 12.0 * off
+    axes = np.broadcast_to(12.0 * np.eye(2), (len(index), 2, 2))
+    assert as_the_largest_piece_says(index, position, axes).tolist() == [True] * 64 + [kept] * 6
+    assert as_the_largest_piece_says(index[:0], position[:0], axes[:0]).shape == (0,)

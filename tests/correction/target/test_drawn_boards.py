@@ -15,6 +15,7 @@ from sim.renderer.sensor import Sensor
 from tests.correction.target.drawn_boards import KINDS, NOMINAL, camera, drawn, verdict
 from tracer.scene.scene import Scene
 
+FEW = (1, 2, 3, 5, 7, 8, 9, 13)  # of each kind some, behind none, two and three balls
 PLAIN = Chessboard(3.0, discs=(), squares=(14, 11))
 
 
@@ -43,7 +44,7 @@ def counted(seeds):
 
 
 def test_of_some_drawn_boards_none_is_wrong():
-    count, wrong = counted(range(9))
+    count, wrong = counted(FEW)
     assert not wrong
     assert all(count[kind, "right"] > 1 for kind in KINDS), count
 
@@ -52,9 +53,9 @@ def test_of_some_drawn_boards_none_is_wrong():
 def test_of_a_thousand_drawn_boards_none_is_wrong():
     count, wrong = counted(range(1000))
     assert not wrong
-    assert count["discs", "right"] > 250, count
-    assert count["charuco", "right"] > 280, count
-    assert count["plain", "right"] > 80, count
+    assert count["discs", "right"] > 240, count  # of 334: their discs are hidden, or out of the frame
+    assert count["charuco", "right"] > 310, count
+    assert count["plain", "right"] > 110, count  # half of them are larger than the frame
 
 
 @pytest.mark.parametrize("odd_bright", [True, False])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from correction.target import Chessboard
-from correction.target.board_file import read_board
+from correction.target.board_file import PrintedBoard, read_board
+from correction.target.board_search import find_board
 from daq.errors import RunUsageError
 from ground.errors import ConfigError
 from rtpiv.analysis.prints import pages, sheets
@@ -111,6 +112,17 @@ def test_a_charuco_board_is_read_by_opencv_where_it_is():
     x, y = of_board[:, 0] / 5.0, up - of_board[:, 1] / 5.0
     expected = 5.0 * (np.column_stack((x, y)) - about["origin_corner"])
     assert np.max(np.abs(to_mm(corners.reshape(-1, 2)) - expected)) < 0.02
+
+
+@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
+def test_a_printed_board_is_found_by_what_its_board_file_says(kind):
+    sheet = {"chessboard": sheets.chessboard, "charuco": sheets.charuco}[kind]((42.0, 36.0), 5.0)
+    board = PrintedBoard(kind=kind, **sheet.about).board()
+    shown, to_mm = picture(sheet, 10.0)
+    found = find_board(cv2.GaussianBlur(shown, (0, 0), 1.0), board)
+    columns, rows = sheet.about["squares"]
+    assert len(found) == (columns - 1) * (rows - 1)
+    assert np.abs(to_mm(found.position_px) - found.plane_mm).max() < 0.02
 
 
 def test_three_dots_tell_origin_and_turn():
