@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def of_the_tests(file: str) -> Any:  # noqa: ANN401
     """Return a module of the evaluator's tests: its generator of pairs and its flows share nothing with it."""
-    path = ROOT / "tests" / "correction" / file
+    path = ROOT / "tests" / "piv" / file
     spec = importlib.util.spec_from_file_location(f"evaluator_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise FileNotFoundError(path)
@@ -40,7 +40,7 @@ SIDE = 512  # of the frames of the cases below
 
 def cases() -> dict[str, tuple[Truth, dict[str, float]]]:
     """Flow and image of each case: what is hard about it stands in its name."""
-    flows = of_the_tests("piv/flows.py")
+    flows = of_the_tests("correlation/flows.py")
     found: dict[str, tuple[Truth, dict[str, float]]] = {"all fractions": (flows.mix, {})}
     for diameter in (1.0, 1.2, 1.5, 2.0, 5.0, 8.0):
         found[f"particles of {diameter:g} px"] = (flows.mix, {"diameter_px": diameter})

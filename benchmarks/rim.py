@@ -41,7 +41,7 @@ def compared(pairs: int, per_px: float, lost: float) -> dict[str, float]:
         outwards = np.hypot(u - MIDDLE, v - MIDDLE) / RADIUS
         return np.asarray(0.1 + lost * np.clip((outwards - 0.6) / 0.4, 0.0, 1.0))
 
-    drawn = of_the_tests("flow/test_ensemble.py").frames
+    drawn = of_the_tests("statistics/test_ensemble.py").frames
     columns, rows = np.meshgrid(np.arange(SIDE), np.arange(SIDE))
     valid = np.hypot(columns - MIDDLE, rows - MIDDLE) < RADIUS
     grid = window_grid((SIDE, SIDE), 32, 0.5)

@@ -14,21 +14,24 @@ A fit that misses a gate is raised as FitFailed with the gate, what was reached 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from correction.errors import FitFailed
 from correction.fit.camera_stage import find_camera
 from correction.fit.glass_stage import find_glass
 from correction.fit.judge.result import SceneFit, check
 from correction.fit.progress import Progress
 from correction.fit.seen.masked_parts import unconfirmed_ways, unlisted_parts
-from correction.fit.seen.measurement import (
-    TargetFrame,
-)
-from correction.fit.seen.smear import Dispersion
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.seen.smear import Dispersion, moved_by_light
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.target import Chessboard
 from tracer.light import Light
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
+
+OFF_NM = 10.0  # of a mean wavelength, of which it is said what it would do
+WORTH_A_WORD_PX = 0.01
 
 
 def _silent(text: str) -> None:
@@ -85,6 +88,8 @@ def fit_scene(
     except FitFailed as failed:
         raise FitFailed(failed.gate, failed.value, failed.limit, _blamed(work, failed.reason)) from None
     doubt = doubt_of(nominal, light, _rivals(fit, priors, light))
+    if light is not None and not doubt.sentence:
+        doubt = replace(doubt, sentence=_rests_on(work, fit, nominal, light))
     measured = replace(back_from_light(fit.scene, nominal, light), masked=fit.verdict.masked)
     board = work.board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
     return replace(fit, measured_scene=measured, light=doubt, board=board)
@@ -109,6 +114,27 @@ def _blamed(work: Progress, reason: str) -> str:
     """Say what the rims of the balls show, then the reason of a failure."""
     seen = work.outlines.in_words(0.0) if work.outlines else ""
     return f"{seen}; {reason}" if seen else reason
+
+
+def _rests_on(work: Progress, fit: SceneFit, nominal: Scene, light: Light) -> str:
+    """Say what no frame shows: that the mean of the light is as given; nothing where it hardly matters."""
+    if not nominal.spheres or not (fit.corners.behind & fit.corners.inlier).any():
+        return ""
+    off, full = replace(light, unsure_nm=OFF_NM), fit.unknowns.full(fit.x)
+    moved = []
+    for frame in work.glass_frames:
+        behind = fit.corners.behind & fit.corners.inlier & (fit.corners.frame == fit.frames.index(frame.name))
+        pose = fit.unknowns.pose(full, work.height_number(frame))
+        steps = moved_by_light(fit.scene, nominal, off, pose, fit.corners.pixel[behind])
+        moved.append(np.linalg.norm(steps, axis=1))
+    typical = float(np.sqrt(np.mean(np.concatenate(moved) ** 2)))
+    if not typical > WORTH_A_WORD_PX:
+        return ""
+    return (
+        f"the map rests on fit.light (mean {light.mean_nm:.0f} nm): no frame shows a mean wavelength, and a lamp"
+        f" {OFF_NM:g} nm off that moves what is seen behind glass by {typical:.2g} px; compare it with the lamp's"
+        " data sheet, or take target and particles in one light"
+    )
 
 
 def _rivals(fit: SceneFit, priors: FitTable, light: Light | None) -> list[Rival]:

@@ -23,6 +23,15 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def test_benchmarks_draw_their_pairs_with_generator_and_flows_of_these_tests():
+    from benchmarks.piv_cases import cases, generator, of_the_tests
+
+    flow, image = cases()["all fractions"]
+    a, b = generator()(flow, shape=(64, 64), **image)
+    assert a.shape == b.shape == (64, 64)
+    assert callable(of_the_tests("statistics/test_ensemble.py").frames)  # `benchmarks.rim`
+
+
 @pytest.mark.parametrize(("length_px", "least", "most"), [(48, 0.93, 1.03), (64, 0.97, 1.03), (96, 0.98, 1.02)])
 def test_gain_of_waves_of_one_and_a_half_two_and_three_windows(particle_pair, length_px, least, most):
     truth = wave(length_px)
