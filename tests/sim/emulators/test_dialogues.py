@@ -41,6 +41,8 @@ class Replay:
         options = {key: value for key, value in setup.items() if key != "motors"}
         if "settings" in options:
             options["settings"] = {int(number): value for number, value in options["settings"].items()}
+        if "variant" in options:
+            options["variant"] = quantum_composers.Variant(**options["variant"])
         made = TIMING[protocol] if protocol in TIMING else emulator_class(protocol)
         self.device = made(motors, self.clock, **options)
         self.framed = protocol != "isel_dnc"
