@@ -75,7 +75,8 @@ coverage: $(STAMP)
 	$(BIN)/python -m coverage html -q
 	$(BIN)/python -m coverage report --skip-covered --sort=cover
 
-# Wheel and sdist in dist/; a version is written into every file that says it: make dist VERSION=0.2.0
+# In dist/ the sdist, a plain wheel, and on Linux one with machine code for this Python, some minutes of compiling;
+# a version is written into every file that says it: make dist VERSION=0.2.0
 VERSION ?=
 dist: $(STAMP)
 ifneq ($(VERSION),)
@@ -83,8 +84,10 @@ ifneq ($(VERSION),)
 	sed -i.bak -E 's/^version( = "|: )[^"]*("?)$$/version\1$(VERSION)\2/' pyproject.toml {piv,stages,tracer}/pyproject.toml CITATION.cff
 	rm -f *.bak {piv,stages,tracer}/*.bak
 endif
-	rm -rf dist
+	rm -rf dist build/machine_code
 	$(BIN)/python -m hatchling build -t sdist -t wheel -d dist
+	@[ "$$(uname -sm)" = "Linux x86_64" ] || { echo "Machine code is made on Linux x86-64 alone: the wheel is plain."; exit 0; }; \
+	$(BIN)/python -m release.machine_code build/machine_code && $(BIN)/python -m hatchling build -t wheel -d dist
 
 # Hundreds of drawn labs, right and wrong ones: is the wrong model named, is one sigma one sigma?
 LABS ?= 100

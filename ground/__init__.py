@@ -8,7 +8,7 @@
     memory        what needs more than is free is refused before it begins
     map_file      arrays in a file, nothing trusted
     rows          a kernel over the rows of an image, on all cores
-    jit           compiling of kernels: options, cache, news
+    jit           compiling of kernels: options, cache, news, and code that came with a wheel
 
 Nothing here knows a scene, a camera or a stage; what only one package needs lives there.
 """

@@ -19,11 +19,14 @@ from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.extending import overload, typeof_impl
 
 import ground.jit.compile_news as compile_news
+import ground.jit.shipped as shipped
 import ground.jit.without_owner  # noqa: F401 - teaches numba
 from ground.jit import Kernel, overloads
 from ground.jit.compile_news import CompileCount
-from ground.jit.kernel_cache import cache_folder
+from ground.jit.kernel_cache import cache_folder, digest_of
 from ground.jit.signatures import plain
+
+use_shipped = True  # False: compile for this very processor what the wheel has for its kind (`rtpiv warm`)
 
 
 class _ByContent:
@@ -64,7 +67,10 @@ class _KeptByContent(caching.CompileResultCacheImpl):
 
 
 class _KernelCache(caching.FunctionCache):
-    """Numba's cache of a function, found by content, quick to read, and silent where the disk is full."""
+    """Numba's cache of a function, found by content, quick to read, and silent where the disk is full.
+
+    What this computer has not compiled is taken from the wheel (`ground.jit.shipped`), if that has it.
+    """
 
     _impl_class = _KeptByContent
 
@@ -80,10 +86,27 @@ class _KernelCache(caching.FunctionCache):
         rtsys.initialize(target_context)
         try:
             with self._guard_against_spurious_io_errors():
-                return self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+                found = self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
         except Exception:
+            found = None
             with suppress(OSError):
                 self.flush()  # type: ignore[no-untyped-call]
+        return self._from_wheel(signature, target_context) if found is None else found
+
+    def _from_wheel(self, signature: object, target_context: Any) -> object:  # noqa: ANN401
+        """Machine code for processors of this one's kind, as if it had been compiled here."""
+        folder = shipped.shipped_folder(numba.__version__, shipped.FOLDER)
+        if not use_shipped or folder is None:
+            return None
+        digest = digest_of(Path(inspect.getfile(self._py_func)).resolve())
+        kept = caching.IndexDataCacheFile(  # type: ignore[no-untyped-call]
+            str(folder / digest), self._impl.filename_base, digest
+        )
+        _, (system, *_), code = self._index_key(signature, target_context.codegen())  # type: ignore[no-untyped-call]
+        try:
+            data = kept.load((signature, (system, folder.name, ""), code))  # type: ignore[no-untyped-call]
+            return None if data is None else self._impl.rebuild(target_context, data)
+        except Exception:  # as above: whatever is wrong with it costs the time to compile
             return None
 
     def save_overload(self, signature: object, data: object) -> None:

@@ -168,12 +168,24 @@ def print_warning(
 def print_compiling(functions: int, seconds: float) -> None:
     """Say on standard error why nothing else happens: kernels are compiled once on each computer."""
     if functions == 0:
-        text = "compiling, first use on this computer, less than a minute in all"
+        text = f"compiling, first use on this computer{_why_not_shipped()}, less than a minute in all"
     else:
         left = getattr(compile_news.helper, "seconds_left", lambda: None)()
         text = f"compiling: {functions} functions, {seconds:.0f} s"
         text += "" if left is None else f", about {left:.0f} s left"
     print(text, file=sys.stderr, flush=True)
+
+
+def _why_not_shipped() -> str:
+    """Name the numba that the machine code of this wheel was made by, where another one is installed."""
+    import numba
+
+    from ground.jit.shipped import FOLDER, other_numba
+
+    made_by = other_numba(numba.__version__, FOLDER)
+    if made_by is None:
+        return ""
+    return f" (the machine code of this wheel is for numba {made_by}, not {numba.__version__})"
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """`rtpiv warm`: compile what scenes of balls need before anybody waits for it, for an image or a cluster."""
 
+import ground.jit.compiler as compiler
 from ground.terminal import console, progress
 from rtpiv.command_line.first_use import calls_of, compile_call
 
@@ -7,14 +8,16 @@ from rtpiv.command_line.first_use import calls_of, compile_call
 def warm() -> int:
     """Compile, or find compiled, what the verbs call for scenes of balls; on all cores.
 
-    The folder is that of all compiled code: RTPIV_CACHE, else the user's cache folder.  Commands that find it
-    there need not be able to write to it.
+    It is compiled for this very processor, also where code for its kind came with the wheel, which is a little
+    slower.  The folder is that of all compiled code: RTPIV_CACHE, else the user's cache folder.  Commands that
+    find it there need not be able to write to it.
 
     Returns
     -------
     int
         Kernels that are now ready.
     """
+    compiler.use_shipped = False
     calls = calls_of("warm")
     for call in progress(calls, len(calls), "compiling"):
         compile_call(call)

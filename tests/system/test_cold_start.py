@@ -13,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from llvmlite.binding import get_host_cpu_features
 
 from correction.fit.seen.prediction import expect, measure
 from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
 from correction.target import Chessboard
+from ground.jit.shipped import KINDS
 from piv.correlation.pair import evaluate_pair
 from rtpiv.command_line.first_use import calls_of, compile_call
 from sim.demo.scenes import at_size, named_scene
@@ -87,16 +89,29 @@ def compile_frames() -> None:
     render(at_size(named_scene(SCENES[0]), 64), Print(5.0, 2.0), Sensor(), seed=1)
 
 
+def printed(cache: Path, **wanted: str) -> str:
+    """Fingerprint of a process with a cache of its own."""
+    environment = {**os.environ, "RTPIV_CACHE": str(cache), "PYTHONPATH": str(ROOT), **wanted}
+    code = "from tests.system.test_cold_start import fingerprint; print(fingerprint())"
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    assert ran.stdout.count(":") == len(SCENES)
+    return ran.stdout
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_compiling_and_loading_give_the_same_bits(tmp_path):
-    environment = {**os.environ, "RTPIV_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    code = "from tests.system.test_cold_start import fingerprint; print(fingerprint())"
-    runs = [
-        subprocess.run(
-            [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
-        ).stdout
-        for _ in range(2)
-    ]
-    assert runs[0].count(":") == len(SCENES)
-    assert runs[0] == runs[1]
+    assert printed(tmp_path) == printed(tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("kind", KINDS)
+def test_code_for_a_kind_of_processor_gives_the_bits_of_code_for_this_one(tmp_path, kind):
+    """What a wheel carries, and what a computer compiles for itself."""
+    if not all(map(get_host_cpu_features().get, KINDS[kind])):
+        pytest.skip(f"this processor is no {kind}")
+    of_kind = printed(tmp_path / kind, NUMBA_CPU_NAME=kind, NUMBA_CPU_FEATURES="")
+    assert of_kind == printed(tmp_path / "here")
