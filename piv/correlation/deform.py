@@ -41,6 +41,18 @@ class DeformedPair(NamedTuple):
         return (self.valid > SOLID).view(np.uint8)
 
 
+class Frames(NamedTuple):
+    """What passes sample: spline coefficients of both frames, their mask (H, W) float32, and how sure pixels are.
+
+    `floor` is the mean square up to which a window counts as constant.
+    """
+
+    coefficients: tuple[NDArray[np.float32], NDArray[np.float32]]
+    valid: NDArray[np.float32]
+    floor: float
+    doubt: Doubt | None
+
+
 def deform_pair(
     coefficients: tuple[NDArray[np.float32], NDArray[np.float32]],
     valid: NDArray[np.float32],

@@ -60,6 +60,7 @@ def live_vectors(
         window_px=2 * field.window_px,
         step_px=2 * field.step_px,
         nan_pixels=4 * field.nan_pixels,
+        side_px=None if field.side_px is None else 2 * field.side_px,
         resolution_px=None if field.resolution_px is None else 2.0 * field.resolution_px,
     )
 

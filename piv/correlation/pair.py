@@ -29,17 +29,19 @@ from numpy.typing import NDArray
 
 from ground.memory import require_memory
 from piv.correlation.correlate import peak_ratios
-from piv.correlation.deform import DeformedPair, deform_pair
-from piv.correlation.denoise import kept_share, split
+from piv.correlation.deform import DeformedPair, Frames
+from piv.correlation.denoise import Denoised, denoised
 from piv.correlation.evidence import unproven
-from piv.correlation.passes import Measured, moved, refine_pass, search
-from piv.correlation.planes import filled, smoothed
+from piv.correlation.halving import find_sizes
+from piv.correlation.passes import Course, Measured, search
+from piv.correlation.planes import filled
 from piv.correlation.prepare import Pair, prepared
 from piv.correlation.refine import refine, window_weights
-from piv.correlation.resolution import matched_share, unmatched_px, unresolved_px
-from piv.correlation.response import COARSE, last_filter, noise_growth, smoothing_after, transfers_between
+from piv.correlation.resolution import Window, matched_share, unmatched_px, unresolved_px
+from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
 from piv.correlation.settings import PivSettings
-from piv.correlation.uncertainty import LARGEST_PX, correlation_statistics, sampling_error_px
+from piv.correlation.sizes import Sizes, leaning_of
+from piv.correlation.uncertainty import LARGEST_PX, correlation_statistics, leaning, sampling_error_px
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import PairError
@@ -49,6 +51,7 @@ FEWEST_MOVED = 12  # windows, for a median
 BYTES_PER_PX = 32  # that all passes hold at most; measured 30 at 2016 x 2016 and 4032 x 4032
 DOUBTFUL_SHARE, GAIN = 0.6, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
 LEAST_MATCHED, OTHERWISE_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
+MEASURED_PX = 0.5  # noise of a correlation up to which a vector that is known to a pixel says more than that
 CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time
 Floats = NDArray[np.float64]
 
@@ -62,19 +65,19 @@ def still_correlation(pair: DeformedPair, grid: WindowGrid, window_sigma: float,
     return np.where(power > 0.0, sums[..., 0] / np.where(power > 0.0, power, 1.0), np.nan)
 
 
-def static_share(still: Floats, field: VectorField, spread_px2: float) -> float:
+def static_share(still: Floats, vectors: Floats, spread_px2: float) -> float:
     """Share of the light that stands still, median over windows; NaN where all moves too little.
 
     Parameters
     ----------
     still : ndarray of float64
-        From `still_correlation`, on the grid of `field`.
-    field : VectorField
+        From `still_correlation`, on the grid of `vectors`.
+    vectors : ndarray of float64, shape (ny, nx, 2)
         How far it moves.
     spread_px2 : float
         Variance of a particle image.
     """
-    far = np.hypot(field.u_px, field.v_px)[::2, ::2] > FAR_MOVED * np.sqrt(spread_px2)
+    far = np.linalg.norm(vectors, axis=-1)[::2, ::2] > FAR_MOVED * np.sqrt(spread_px2)
     known = still[far & np.isfinite(still)]
     return float(np.median(known)) if len(known) >= FEWEST_MOVED else float("nan")
 
@@ -102,7 +105,7 @@ def evaluate_pair(
     Returns
     -------
     VectorField
-        Displacements on the grid of the last pass.
+        Displacements on a regular grid, each with the side of its window.
 
     Raises
     ------
@@ -140,70 +143,71 @@ def _share(field: VectorField) -> float:
 
 
 def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int | None) -> VectorField:
-    """Make all passes, the last one several times if vectors still move."""
+    """Make all passes: down to usual windows, then with those that places find, the last ones again if need be."""
     shape = (pair.a.shape[0], pair.a.shape[1])
     grids = [window_grid(shape, side, settings.overlap) for side in sides]
     found = search(pair, grids[0], settings, threads)
     deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
     still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
-    coefficients = pair.coefficients(threads)
-    valid, floor, spread_px2, nan_pixels = pair.valid, pair.floor, pair.spread_px2, pair.nan_pixels
-    doubt = pair.doubt
+    frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt)
+    spread_px2, nan_pixels = pair.spread_px2, pair.nan_pixels
     del pair  # 8 bytes a pixel that nobody needs any more
-    number = added = 0
-    while number + 1 < len(grids):
-        before, grid = grids[number : number + 2]
-        steps, order = smoothing_after(number, before.size_px, before.step_px, settings)
-        predictor = smoothed(found.vectors_px, found.good, steps, order)
-        number += 1
-        del deformed  # and 12 that the next ones need
-        known = doubt if number >= COARSE else None  # frames complete each other where they are known to match
-        deformed = deform_pair(coefficients, valid, predictor, before, floor, threads, known)
-        predictor = moved(predictor, before, grid)
-        found = refine_pass(deformed, grid, predictor, number == 1, settings, threads)
-        if number + 1 == len(grids) and added < settings.extra_passes and _changes(found, settings):
-            added += 1
-            grids.append(grid)
-    del coefficients
+    course = Course(frames, settings, threads, grids[0], found, deformed)
+    for grid in grids[1:]:
+        course.look(grid)
+    still_share = static_share(still, filled(course.found.vectors_px, course.found.good)[0], spread_px2)
+    every, added = 1, 0
+    while course.found.refined is not None and added < settings.extra_passes and _changes(course):
+        course.look(course.grid)
+        added += 1
+    if settings.finds:
+        own, every = settings.own_grid(shape)
+        added = find_sizes(course, own, spread_px2)
     if settings.peak_ratios:
-        everywhere = found.valid_fraction >= settings.min_valid
-        ratio = peak_ratios(deformed, grids[-1], everywhere, settings.min_valid, threads)
-        found = found._replace(peak_ratio=ratio)
-    field = _result(found, deformed, grids, spread_px2, settings, threads)
-    still_share = static_share(still, field, spread_px2)
-    return replace(field, nan_pixels=nan_pixels, static_share=still_share, added_passes=added)
+        dense = course.found.valid_fraction >= settings.min_valid
+        ratio = peak_ratios(course.deformed, course.grid, dense, settings.min_valid, threads)
+        course.found = course.found._replace(peak_ratio=ratio)
+    field = _result(course, spread_px2, added)
+    return _sparser(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
 
 
-def _changes(found: Measured, settings: PivSettings) -> bool:
+def _sparser(field: VectorField, every: int) -> VectorField:
+    """One vector of so many along each axis."""
+    if every == 1:
+        return field
+    places: dict[str, Any] = {
+        name: value[(slice(None, None, every),) * value.ndim]
+        for name, value in vars(field).items()
+        if isinstance(value, np.ndarray)
+    }
+    return replace(field, **places, step_px=every * field.step_px)
+
+
+def _changes(course: Course) -> bool:
     """Whether a pass has still moved more than a few vectors."""
-    dense = found.valid_fraction >= settings.min_valid
-    moved = ~(np.linalg.norm(found.left_px, axis=-1) < CHANGE_PX)
-    return bool((moved & dense).sum() > CHANGED_SHARE * dense.sum())
+    dense = course.found.valid_fraction >= course.settings.min_valid
+    far = ~(np.linalg.norm(course.found.left_px, axis=-1) < CHANGE_PX)
+    return bool((far & dense).sum() > CHANGED_SHARE * dense.sum())
 
 
-def _result(
-    found: Measured,
-    deformed: DeformedPair,
-    grids: list[WindowGrid],
-    spread_px2: float,
-    settings: PivSettings,
-    threads: int | None,
-) -> VectorField:
+def _result(course: Course, spread_px2: float, added: int) -> VectorField:
     """Judge the vectors of the last pass by their own uncertainty, and take noise off them."""
-    grid, vectors, good = grids[-1], found.vectors_px, found.good
+    found, grid, settings = course.found, course.grid, course.settings
+    vectors, good = found.vectors_px, found.good
+    sizes = found.sizes or Sizes((grid.size_px,), np.zeros(grid.shape, np.int64))
     sigma, resolution = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
     if found.refined is not None:
         left, _ = filled(found.left_px, good)
-        one, pieces = correlation_statistics(
-            deformed, grid, settings.window_sigma, found.refined, left, spread_px2, threads
-        )
-        good = good & ~_empty(found, one, deformed, grid, settings, threads)
+        lean = leaning(course.deformed, grid, settings.window_sigma, left, spread_px2, course.threads)
+        lean = leaning_of(lean, grid, sizes, settings.window_sigma)
+        one, pieces = correlation_statistics(lean, found.refined)
+        good = good & ~_empty(course, one)
         good = good & ~_beside_the_point(found, good)
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
         one = np.where(good[..., None] & np.isnan(one), LARGEST_PX, one)
-        vectors, sigma, taken = _denoised(vectors, good, one, grids, settings)
+        vectors, sigma, taken = _denoised(course, sizes, good, one, added)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
-        resolution = unresolved_px(filled(vectors, good)[0], taken, pieces, grid, settings)
+        resolution = _unresolved(course, sizes, filled(vectors, good)[0], taken, pieces)
         resolution = np.maximum(resolution, unmatched_px(vectors, found.seen_px, found.correlation, good))
     fill, near = filled(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
@@ -225,26 +229,26 @@ def _result(
         sigma_u_px=sigma[..., 0],
         sigma_v_px=sigma[..., 1],
         valid_fraction=found.valid_fraction,
-        window_px=grid.size_px,
+        window_px=settings.windows_px[-1],
         step_px=grid.step_px,
         nan_pixels=0,
         resolution_px=np.where(told & np.isfinite(sigma).all(axis=-1), resolution, np.nan),
+        added_passes=added,
+        side_px=None if found.sizes is None else found.sizes.side_px,
     )
 
 
-def _empty(
-    found: Measured,
-    sigma: Floats,
-    pair: DeformedPair,
-    grid: WindowGrid,
-    settings: PivSettings,
-    threads: int | None,
-) -> NDArray[np.bool_]:
-    """Windows (ny, nx) in which nothing was measured: no uncertainty, and a weak peak."""
+def _empty(course: Course, sigma: Floats) -> NDArray[np.bool_]:
+    """Windows (ny, nx) in which nothing was measured: no uncertainty worth the name, and a weak peak."""
+    found, settings = course.found, course.settings
+    # Windows larger than their spacing see the same light, and support each other even where there is nothing.
+    largest_px = np.inf if found.sizes is None else MEASURED_PX
+    sigma = np.where(sigma < largest_px, sigma, np.nan)
     doubtful = found.good & np.isnan(sigma).any(axis=-1)
     if not doubtful.any():
         return doubtful
-    empty = unproven(peak_ratios(pair, grid, doubtful, settings.min_valid, threads), sigma)
+    ratio = peak_ratios(course.deformed, course.grid, doubtful, settings.min_valid, course.threads)
+    empty = unproven(ratio, sigma)
     if not (found.good & ~empty).any():
         raise PairError("no window gave a vector that its own correlation supports; check exposure and pairing")
     return empty
@@ -257,24 +261,32 @@ def _beside_the_point(found: Measured, good: NDArray[np.bool_]) -> NDArray[np.bo
     return np.asarray(little & (apart_px > OTHERWISE_PX))
 
 
-def _denoised(
-    vectors: Floats, good: NDArray[np.bool_], sigma: Floats, grids: list[WindowGrid], settings: PivSettings
-) -> tuple[Floats, Floats, Floats]:
-    """Vectors without the detail that is noise, their sigma, and that of what went of the flow (ny, nx).
+def _denoised(course: Course, sizes: Sizes, good: NDArray[np.bool_], sigma: Floats, added: int) -> Denoised:
+    """Vectors without the detail that is noise; `sigma` (ny, nx, 2) is that of one correlation."""
+    settings, step, vectors = course.settings, course.grid.step_px, course.found.vectors_px
+    levels = levels_of(settings, step) if settings.denoise > 0.0 and min(course.grid.shape) >= 2 else []
+    growths = []
+    for part in parts_of(levels) if levels else [everything]:
+        of_side = [
+            noise_growth(
+                window_weights(side, settings.window_sigma), step, smoothings_of(settings, side, step, added), part
+            )
+            for side in sizes.sides_px
+        ]
+        growths.append(np.array(of_side)[sizes.which])
+    if not levels:
+        return Denoised(vectors, sigma * growths[0][..., None], np.zeros(good.shape))
+    return denoised(vectors, good, sigma, growths, levels, settings.denoise)
 
-    `sigma` is that of one correlation.
-    """
-    grid = grids[-1]
-    weights = window_weights(grid.size_px, settings.window_sigma)
-    transfers = transfers_between([other.size_px for other in grids], grid.step_px, settings)
-    if not settings.denoise or min(grid.shape) < 2:
-        return vectors, sigma * noise_growth(weights, grid.step_px, transfers), np.zeros(grid.shape)
-    smooth = last_filter(grid.size_px, grid.step_px)
-    parts = split(vectors, good, sigma, grid.size_px, grid.step_px)
-    growth = noise_growth(weights, grid.step_px, transfers, smooth)
-    growth_of_rest = noise_growth(weights, grid.step_px, transfers, lambda wave: 1.0 - smooth(wave))
-    share, loss = (
-        part[..., None] for part in kept_share(parts.rest, good, growth_of_rest * sigma, settings.denoise)
-    )
-    random = np.hypot(growth * parts.smooth_sigma_px, share * growth_of_rest * sigma)
-    return parts.smooth + share * parts.rest, np.where(np.isfinite(sigma), random, np.nan), loss[..., 0]
+
+def _unresolved(course: Course, sizes: Sizes, vectors: Floats, taken: Floats, pieces: Floats) -> Floats:
+    """What windows do not resolve (ny, nx), each of its size."""
+    settings, step = course.settings, course.grid.step_px
+    parts = []
+    for side in sizes.sides_px:
+        weights = window_weights(side, settings.window_sigma)
+        shown = gain(weights, step, smoothings_of(settings, side, step), np.array([np.pi / side, 0.0]))
+        parts.append(
+            unresolved_px(vectors, taken, pieces, Window(side, step, weights, float(shown), settings.finds))
+        )
+    return sizes.picked(parts)

@@ -1,17 +1,21 @@
 """One pass: look at whole windows, or within a pixel of what is known, and say which vectors to believe."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piv.correlation.correlate import correlate_some, correlate_windows, peak_ratios
-from piv.correlation.deform import DeformedPair
+from piv.correlation.deform import DeformedPair, Frames, deform_pair
 from piv.correlation.evidence import WEAK, proven
 from piv.correlation.outliers import outliers
+from piv.correlation.planes import smoothed
 from piv.correlation.prepare import Pair
 from piv.correlation.refine import Refined, refine
+from piv.correlation.response import COARSE, smoothing_after
 from piv.correlation.settings import PivSettings
+from piv.correlation.sizes import Sizes, chosen
 from piv.correlation.windows import WindowGrid, interpolated
 from piv.errors import PairError
 
@@ -21,13 +25,15 @@ LEAST_CORRELATION = (
 )
 
 Floats = NDArray[np.float64]
+NOTHING = np.empty((0, 0), np.float32)
 
 
 class Measured(NamedTuple):
     """What a pass has found: vectors_px, seen_px, left_px (ny, nx, 2), the others (ny, nx).
 
     seen_px is what whole windows showed where they were asked, even if their peak was one of many, and elsewhere
-    the vectors. `refined` is None of a pass that has searched.
+    the vectors. `refined` is what windows of the nodes' sizes showed, `own` what those of the grid did; None of
+    a pass that has searched. `sizes` is None where all windows are those of the grid.
     """
 
     vectors_px: Floats
@@ -38,6 +44,66 @@ class Measured(NamedTuple):
     good: NDArray[np.bool_]
     left_px: Floats
     refined: Refined | None
+    own: Refined | None = None
+    sizes: Sizes | None = None
+
+
+@dataclass
+class Course:
+    """Passes of one pair, one after another.
+
+    Parameters
+    ----------
+    frames : Frames
+        What is sampled.
+    settings : PivSettings
+        How.
+    threads : int or None
+        Threads to use.
+    grid : WindowGrid
+        Windows of the last pass.
+    found : Measured
+        What it has found.
+    deformed : DeformedPair
+        Frames that it looked at.
+    number : int
+        Passes so far that have refined.
+    """
+
+    frames: Frames
+    settings: PivSettings
+    threads: int | None
+    grid: WindowGrid
+    found: Measured
+    deformed: DeformedPair
+    number: int = 0
+
+    def predictor(self, sizes: Sizes | None = None) -> Floats:
+        """What the last pass says about the frames (ny, nx, 2), smoothed for its windows, or for `sizes`."""
+        vectors, good, grid = self.found.vectors_px, self.found.good, self.grid
+
+        def smoothing(side_px: int) -> tuple[float, int]:
+            return smoothing_after(self.number, side_px, grid.step_px, self.settings)
+
+        if sizes is not None:
+            return sizes.smoothed(vectors, good, smoothing)
+        return smoothed(vectors, good, *smoothing(grid.size_px))
+
+    def look(self, grid: WindowGrid, predictor: Floats | None = None, sizes: Sizes | None = None) -> None:
+        """Make one more pass with the windows of `grid`, or with the sizes that its nodes have.
+
+        `predictor` (ny, nx, 2) is on the last pass's grid; default what that one says.
+        """
+        predictor = self.predictor(sizes) if predictor is None else predictor
+        before, self.number = self.grid, self.number + 1
+        frames, settings = self.frames, self.settings
+        self.deformed = self.deformed._replace(a=NOTHING, b=NOTHING, valid=NOTHING)  # 12 bytes a pixel, not 24
+        doubt = frames.doubt if self.number >= COARSE else None  # frames complete each other where they match
+        self.deformed = deform_pair(
+            frames.coefficients, frames.valid, predictor, before, frames.floor, self.threads, doubt
+        )
+        predictor, self.grid = moved(predictor, before, grid), grid
+        self.found = refine_pass(self.deformed, grid, predictor, self.number == 1, settings, self.threads, sizes)
 
 
 def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | None) -> Measured:
@@ -59,6 +125,7 @@ def refine_pass(
     is_first: bool,
     settings: PivSettings,
     threads: int | None,
+    sizes: Sizes | None = None,
 ) -> Measured:
     """Look within a pixel, and at whole windows where no peak is there or little correlates.
 
@@ -66,6 +133,9 @@ def refine_pass(
     may be wrong everywhere.
     """
     raw = refine(pair, grid, settings.window_sigma, threads)
+    own = raw
+    if sizes is not None:
+        raw = chosen(own, sizes, grid, settings.window_sigma, pair.floor)
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
     dense = raw.valid_fraction >= settings.min_valid
     shift[~dense] = np.nan
@@ -82,8 +152,8 @@ def refine_pass(
     if dense.any() and not np.isfinite(shift).any():
         raise PairError("no window shows a peak that stands out; check exposure, seeding and pairing")
     vectors = predictor + shift
-    good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads)
-    return Measured(vectors, seen, raw.correlation, ratio, raw.valid_fraction, good, shift, raw)
+    good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads, sizes)
+    return Measured(vectors, seen, raw.correlation, ratio, raw.valid_fraction, good, shift, raw, own, sizes)
 
 
 def _accepted(
@@ -93,10 +163,11 @@ def _accepted(
     grid: WindowGrid,
     settings: PivSettings,
     threads: int | None,
+    sizes: Sizes | None = None,
 ) -> tuple[NDArray[np.bool_], Floats]:
     """Vectors that were measured and fit their neighbours, or are proven by their own peak; and peak ratios."""
     candidates: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=-1)
-    suspects = outliers(vectors, candidates, settings.outlier_threshold, settings.outlier_epsilon_px)
+    suspects = _suspects(vectors, candidates, grid, settings, sizes)
     good = candidates & ~suspects
     unknown = suspects & np.isnan(ratio)
     if unknown.any():
@@ -113,6 +184,26 @@ def _accepted(
             "windows"
         )
     return good, ratio
+
+
+def _suspects(
+    vectors: Floats, candidates: NDArray[np.bool_], grid: WindowGrid, settings: PivSettings, sizes: Sizes | None
+) -> NDArray[np.bool_]:
+    """Vectors (ny, nx) that their neighbours contradict: those half a window away, as nearer ones see the same."""
+    apart = [1] if sizes is None else [max(1, round(0.5 * side / grid.step_px)) for side in sizes.sides_px]
+    found = np.zeros(grid.shape, bool)
+    for steps in sorted(set(apart)):
+        here = np.array(apart)[sizes.which] == steps if sizes is not None else candidates
+        if not here.any():
+            continue
+        for part in np.ndindex(steps, steps):
+            every = tuple(slice(first, None, steps) for first in part)
+            if here[every].any():
+                suspects = outliers(
+                    vectors[every], candidates[every], settings.outlier_threshold, settings.outlier_epsilon_px
+                )
+                found[every] |= suspects & here[every]
+    return found
 
 
 def moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -> NDArray[np.float64]:

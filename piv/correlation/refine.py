@@ -25,7 +25,8 @@ class Refined(NamedTuple):
     """What the middle of the correlation says: shift_px (ny, nx, 2), the others (ny, nx), sums (ny, nx, SUMS).
 
     `gain` is what differences between the frames are worth, see `DeformedPair`: as much of a displacement is seen,
-    and shift_px is already corrected for it. valid_fraction counts filled pixels among the valid ones.
+    and shift_px is already corrected for it; `gain_squares` the mean of its square. valid_fraction counts filled
+    pixels among the valid ones.
     """
 
     shift_px: Floats
@@ -33,6 +34,7 @@ class Refined(NamedTuple):
     valid_fraction: Floats
     sums: Floats
     gain: Floats
+    gain_squares: Floats
 
 
 def window_weights(size_px: int, window_sigma: float, half: bool = False) -> Floats:
@@ -75,26 +77,47 @@ def refine(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: i
     """
     whole = window_weights(grid.size_px, window_sigma)
     sums = np.empty((*grid.shape, SUMS))
-    shift, correlation, share = np.empty((*grid.shape, 2)), np.empty(grid.shape), np.empty(grid.shape)
     weights = whole.astype(np.float32), window_weights(grid.size_px, window_sigma, half=True).astype(np.float32)
-    total = float(whole.sum()) ** 2
 
     def rows(first: int, last: int) -> None:
         columns = np.empty((SUMS, pair.a.shape[1]), np.float32)
         for j in range(first, last):
             lag_sums(pair.a, pair.b, pair.valid, grid.row[j], grid.column, *weights, columns, sums[j])
-            read_lags(sums[j], total, pair.floor, shift[j], correlation[j], share[j])
 
     run_rows(rows, grid.shape[0], block=2, threads=threads)
-    if pair.worth is None:
-        return Refined(shift, correlation, share, sums, np.ones(grid.shape))
-    whole = whole / whole.sum()
-    gain = np.maximum(_means(pair.worth, grid, whole), LEAST_GAIN)
+    total = float(whole.sum())
+    gain = squares = np.ones(grid.shape)
+    if pair.worth is not None:
+        gain, squares = (_means(part, grid, whole / total) for part in (pair.worth, np.square(pair.worth)))
+    return read_windows(sums, total**2, pair.floor, gain, squares)
+
+
+def read_windows(sums: Floats, total: float, floor: float, gain: Floats, gain_squares: Floats) -> Refined:
+    """What sums over windows say.
+
+    Parameters
+    ----------
+    sums : ndarray of float64, shape (ny, nx, SUMS)
+        See `piv.correlation.kernels.lags`.
+    total : float
+        Sum of a window's weights.
+    floor : float
+        Mean square up to which a window counts as constant.
+    gain, gain_squares : ndarray of float64, shape (ny, nx)
+        See `Refined`.
+    """
+    shape = sums.shape[:2]
+    shift, correlation, share = np.empty((*shape, 2)), np.empty(shape), np.empty(shape)
+    read_lags(sums.reshape(-1, SUMS), total, floor, shift.reshape(-1, 2), correlation.ravel(), share.ravel())
+    if (gain == 1.0).all():
+        return Refined(shift, correlation, share, sums, gain, gain_squares)
+    gain = np.maximum(gain, LEAST_GAIN)
     # Frames that complete each other match there, whatever they show: what is left of their difference counts.
-    power, squares = sums[..., 8] + sums[..., 9], _means(np.square(pair.worth), grid, whole)
-    apart = np.divide(power - 2.0 * sums[..., 0], power * squares, out=np.ones_like(power), where=power > 0.0)
+    power = sums[..., 8] + sums[..., 9]
+    seen = power * gain_squares
+    apart = np.divide(power - 2.0 * sums[..., 0], seen, out=np.ones_like(power), where=seen > 0.0)
     shift[~(1.0 - apart > LEAST_MATCH)] = np.nan
-    return Refined(np.clip(shift / gain[..., None], -1.0, 1.0), 1.0 - apart, share, sums, gain)
+    return Refined(np.clip(shift / gain[..., None], -1.0, 1.0), 1.0 - apart, share, sums, gain, gain_squares)
 
 
 def _means(values: NDArray[np.float32], grid: WindowGrid, weights: Floats) -> Floats:

@@ -1,5 +1,7 @@
 """What an evaluation makes of waves and of noise: the linear theory of its passes.
 
+Where places find their windows, strong waves are seen by the finest and weak ones by the usual.
+
 A pass adds to the predictor what its windows see of the rest. With the response R of the windows to the flow, K to
 what is interpolated between nodes, and S the smoothing before the next pass, a field and the noise n of one
 correlation come out of P passes as
@@ -16,15 +18,17 @@ evaluation is the integral of gain^2 over all waves: who wants more of the short
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piv.correlation.denoise import ORDER, SMOOTH
+from piv.correlation.denoise import LEVELS, ORDER
 from piv.correlation.refine import window_weights
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import spline_weights
 
+FOUND = 3  # smoothings between the passes with windows that places have found
 COARSE = 2  # passes after which the predictor is smoothed more
 SMOOTH_COARSE, SMOOTH_FINE = 0.35, 0.25  # of the window's side: standard deviation of the predictor's smoothing
 
@@ -51,9 +55,40 @@ def transfers_between(windows_px: Sequence[int], step_px: int, settings: PivSett
     ]
 
 
-def last_filter(window_px: int, step_px: int) -> Transfer:
-    """Transfer of the smooth part of the result: what is left where there is nothing but noise."""
-    return smoothing_transfer(SMOOTH * window_px / step_px, ORDER)
+def smoothings_of(settings: PivSettings, side_px: int, step_px: int, added_passes: int = 0) -> list[Transfer]:
+    """Smoothings between the passes of the last windows of a side, `step_px` apart.
+
+    `added_passes` are those of the very field (`VectorField.added_passes`).
+    """
+    if not settings.finds:
+        return transfers_between((*settings.windows_px, *(side_px,) * added_passes), step_px, settings)
+    return [smoothing_transfer(*smoothing_after(COARSE, side_px, step_px, settings))] * (FOUND + added_passes)
+
+
+def everything(wave: Floats) -> Floats:
+    """Transfer of no filter at all."""
+    return np.ones(wave.shape[:-1])
+
+
+def parts_of(levels_steps: Sequence[float]) -> list[Transfer]:
+    """Transfers of the parts that the last filter splits a field into, from the finest to the smoothest.
+
+    The last one is what is left where there is nothing but noise.
+    """
+    smooth = [smoothing_transfer(level, ORDER) for level in levels_steps]
+    between = [_difference(upper, lower) for upper, lower in pairwise([everything, *smooth])]
+    return [*between, smooth[-1]]
+
+
+def levels_of(settings: PivSettings, step_px: int) -> list[float]:
+    """Smoothings of the last filter [grid steps]: large windows at near nodes leave noise over more than one."""
+    levels = LEVELS if settings.finds else LEVELS[:1]
+    return [level * settings.windows_px[-1] / step_px for level in levels]
+
+
+def _difference(upper: Transfer, lower: Transfer) -> Transfer:
+    """What passes the one and not the other."""
+    return lambda wave: upper(wave) - lower(wave)
 
 
 def response_of(settings: PivSettings, wavelength_px: Floats) -> tuple[Floats, Floats]:
@@ -67,15 +102,15 @@ def response_at(settings: PivSettings, wave_rad_px: Floats, added_passes: int = 
 
     `added_passes` are those of the very field (`VectorField.added_passes`).
     """
-    size = settings.windows_px[-1]
-    step = max(1, round(size * (1.0 - settings.overlap)))
-    weights, between = (
-        window_weights(size, settings.window_sigma),
-        transfers_between((*settings.windows_px, *(size,) * added_passes), step, settings),
-    )
-    strong = gain(weights, step, between, wave_rad_px)
-    weak = gain(weights, step, between, wave_rad_px, last_filter(size, step)) if settings.denoise else strong
-    return strong, weak
+    usual, finest = settings.windows_px[-1], settings.finest
+    step = max(1, round(finest * (1.0 - settings.overlap)))
+
+    def shown(side: int, last: Transfer | None = None) -> Floats:
+        between = smoothings_of(settings, side, step, added_passes)
+        return gain(window_weights(side, settings.window_sigma), step, between, wave_rad_px, last)
+
+    strong = shown(finest)
+    return strong, shown(usual, parts_of(levels_of(settings, step))[-1]) if settings.denoise else shown(usual)
 
 
 def smoothing_transfer(sigma_steps: float, order: int) -> Transfer:

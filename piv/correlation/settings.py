@@ -1,10 +1,14 @@
 """How a pair is evaluated, and what cannot be meant.
 
+Passes go down to the usual windows, the last of `windows_px`. Where a finest window is told, each place finds its
+own from there (`piv.correlation.halving`): down to `finest_px` where halving shows more, up where noise asks for
+it.
+
 The range of a number stands once, in its type: settings made in Python are held to it here, and a file of settings
 by whoever reads it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from math import isfinite
@@ -13,9 +17,11 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 from annotated_types import Interval
 
+from piv.correlation.windows import WindowGrid, spaced
 from piv.errors import PairError
 
 SMALLEST_WINDOW_PX = 8
+ADD_UP = 0.5  # overlap from which on sums over windows add up to those over larger ones
 Overlap = Annotated[float, Interval(ge=0.0, lt=1.0)]
 WindowSigma = Annotated[float, Interval(ge=0.15, le=2.0)]
 MinValid = Annotated[float, Interval(gt=0.0, le=1.0)]
@@ -33,8 +39,10 @@ class PivSettings:
     windows_px : tuple of int
         Side of the square windows of each pass; the first one must hold about three times the largest
         displacement. It searches whole windows, all others look for what is left within a pixel.
+    finest_px : int, optional
+        Side of the smallest windows that a place may find for itself; default: all are the usual ones.
     overlap : float
-        Shared part of neighbouring windows, in every pass.
+        Shared part of neighbouring windows, in every pass; of the finest in the result.
     window_sigma : float
         The windows' weights are exp(-x^2/(2 (s w)^2)) in each frame, w the side and s this number; 0 for windows
         without weights. A smaller one resolves more and is noisier.
@@ -63,6 +71,7 @@ class PivSettings:
     """
 
     windows_px: tuple[int, ...] = (64, 32, 32, 32)
+    finest_px: int | None = None
     overlap: Overlap = 0.5
     window_sigma: WindowSigma = 0.3  # or 0
     min_valid: MinValid = 0.3
@@ -87,8 +96,56 @@ class PivSettings:
                 raise PairError(f"{field.name} must be a finite number, got {value}")
             if value is not None and not (field.name == "window_sigma" and value == 0.0):
                 _require(field.name, value)
+        if self.finest_px is not None and not (
+            int(self.finest_px) == self.finest_px and SMALLEST_WINDOW_PX <= self.finest_px < sides[-1] < sum(sides)
+        ):
+            raise PairError(
+                f"finest_px is a whole number of pixels, at least {SMALLEST_WINDOW_PX} and smaller than the last "
+                f"of two windows or more, got {self.finest_px} below {sides}"
+            )
         if self.extra_passes != int(self.extra_passes):
             raise PairError(f"extra_passes is a whole number, got {self.extra_passes}")
+
+    @property
+    def finds(self) -> bool:
+        """Whether places find their windows."""
+        return self.finest_px is not None
+
+    @property
+    def finest(self) -> int:
+        """Side of the smallest windows there are."""
+        return self.windows_px[-1] if self.finest_px is None else self.finest_px
+
+    def own_grid(self, shape: tuple[int, int]) -> tuple[WindowGrid, int]:
+        """Finest windows of a frame (H, W), close enough to add up to larger ones; and every how many'th is kept.
+
+        The finest are a pixel larger than told if the usual ones have a middle pixel and they would have none, or
+        the other way round.
+        """
+        usual = self.windows_px[-1]
+        size = self.finest + (usual - self.finest) % 2
+        step = max(1, round(size * (1.0 - self.overlap)))
+        every = 1 if not self.finds or self.overlap >= ADD_UP else 2
+        return spaced(shape, size, -(-step // every)), every
+
+    def result_grid(self, shape: tuple[int, int]) -> WindowGrid:
+        """Windows of usual size where the vectors of a frame (H, W) stand; those at its edge reach beyond it."""
+        own, every = self.own_grid(shape)
+        usual = self.windows_px[-1]
+        row, column = (first[::every] - (usual - own.size_px) // 2 for first in (own.row, own.column))
+        return WindowGrid(row, column, usual, every * own.step_px)
+
+
+def settings_of(kept: Mapping[str, Any]) -> PivSettings:
+    """Settings from what a file has kept of them.
+
+    Raises
+    ------
+    PairError, TypeError
+        A number that makes no sense, or a name that is none.
+    """
+    given: Any = {name: tuple(value) if isinstance(value, list) else value for name, value in kept.items()}
+    return PivSettings(**given)
 
 
 @cache

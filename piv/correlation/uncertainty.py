@@ -49,6 +49,18 @@ SAMPLING = (  # variance of a particle image [px^2], and the error that it leave
 )
 
 
+class Leaning(NamedTuple):
+    """What makes the correlation of windows lean, all (ny, nx, 2) for u and v.
+
+    `variance` is that of the asymmetry summed over a window; `light` and `squares` are sums of what a displacement
+    makes of each block, with the window's weights, and of its square, with their squares.
+    """
+
+    variance: Floats
+    light: Floats
+    squares: Floats
+
+
 class Statistics(NamedTuple):
     """Sigma (ny, nx, 2) of u and v [px], NaN without a clear peak; independent pieces (ny, nx) of a window."""
 
@@ -62,16 +74,15 @@ def sampling_error_px(spread_px2: float) -> float:
     return float(np.exp(np.interp(spread_px2, sizes, np.log(errors))))
 
 
-def correlation_statistics(
+def leaning(
     pair: DeformedPair,
     grid: WindowGrid,
     window_sigma: float,
-    refined: Refined,
     left_px: Floats,
     spread_px2: float,
     threads: int | None = None,
-) -> Statistics:
-    """Standard uncertainty of u and v for every window, of one correlation.
+) -> Leaning:
+    """How unevenly windows lean, apart from what a displacement makes of them.
 
     Parameters
     ----------
@@ -81,15 +92,12 @@ def correlation_statistics(
         Windows.
     window_sigma : float
         Their weights, see `piv.correlation.refine.window_weights`.
-    refined : Refined
-        What was measured with them.
     left_px : ndarray of float64, shape (ny, nx, 2)
         Displacement that was left to find, finite everywhere.
     spread_px2 : float
         Variance of a particle image.
     threads : int, optional
         Threads to use.
-
     """
     height, width = pair.a.shape
     block = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 3))
@@ -105,21 +113,39 @@ def correlation_statistics(
         _square_weights(place, node, grid.size_px, window_sigma)
         for place, node in zip(centres, nodes, strict=True)
     ]
+    sides = [np.sqrt(weights) for weights in along]
     between = [interpolation_matrix(node, place, grid.step_px) for place, node in zip(centres, nodes, strict=True)]
-    sigma, pieces = np.empty(left_px.shape), np.empty(left_px.shape)
+    found = Leaning(*(np.empty(left_px.shape) for _ in range(3)))
     for axis in range(2):
         lean, by_shift = sums[axis], sums[2 + axis]
         left = between[0] @ (left_px[..., axis].astype(np.float32) @ between[1].T)
         left *= by_shift
         power = float(np.vdot(left, left))
         share = np.float32(np.clip(float(np.vdot(lean, left)) / power, 0.0, 1.5) if power > 0.0 else 0.0)
-        noise = lean - share * left
-        variance = _whole(noise, along)
-        pieces[..., axis] = _pieces(by_shift, along)
-        variance /= np.maximum(1.0 - LOST / pieces[..., axis], LEAST_LEFT)
-        c = refined.sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1)
-        sigma[..., axis] = _peak_sigma(refined.sums[..., 0], c, np.sqrt(variance))
-    return Statistics(np.minimum(sigma / refined.gain[..., None], LARGEST_PX), pieces.mean(axis=-1))
+        found.variance[..., axis] = _whole(lean - share * left, along)
+        light = by_shift + np.roll(by_shift, -1, 0)
+        light = np.maximum(light + np.roll(light, -1, 1), 0.0)
+        found.light[..., axis] = sides[0] @ light @ sides[1].T
+        found.squares[..., axis] = along[0] @ np.square(light) @ along[1].T
+    return found
+
+
+def correlation_statistics(lean: Leaning, refined: Refined) -> Statistics:
+    """Standard uncertainty of u and v for every window, of one correlation.
+
+    Parameters
+    ----------
+    lean : Leaning
+        How the windows lean.
+    refined : Refined
+        What was measured with them.
+    """
+    pieces = np.maximum(lean.light**2 / np.maximum(4.0 * lean.squares, 1e-30), 1.0)
+    variance = lean.variance / np.maximum(1.0 - LOST / pieces, LEAST_LEFT)
+    sums = refined.sums
+    c = np.stack([sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1) for axis in range(2)], axis=-1)
+    sigma = _peak_sigma(sums[..., :1], c, np.sqrt(variance)) / refined.gain[..., None]
+    return Statistics(np.minimum(sigma, LARGEST_PX), pieces.mean(axis=-1))
 
 
 def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigma: float) -> NDArray[np.float32]:
@@ -127,17 +153,6 @@ def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigm
     off = place_px[None] - node_px[:, None]
     weights = np.exp(-2.0 * (off / (window_sigma * size_px)) ** 2) if window_sigma else np.ones_like(off)
     return np.where(np.abs(off) <= size_px / 2, weights, 0.0).astype(np.float32)
-
-
-def _pieces(by_shift: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:
-    """Number of independent pieces (ny, nx) that a window holds."""
-    light = by_shift + np.roll(by_shift, -1, 0)
-    light = np.maximum(light + np.roll(light, -1, 1), 0.0)
-    sides = [np.sqrt(weights) for weights in along]
-    total = sides[0] @ light @ sides[1].T
-    squares = along[0] @ np.square(light) @ along[1].T
-    pieces: Floats = np.maximum(total**2 / np.maximum(4.0 * squares, 1e-30), 1.0)
-    return pieces
 
 
 def _whole(noise: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:

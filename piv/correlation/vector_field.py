@@ -53,7 +53,7 @@ class VectorField:
     valid_fraction : ndarray of float64, shape (ny, nx)
         Share of valid pixels in the window, single dead ones that could be filled among them.
     window_px, step_px : int
-        Size and spacing of the last windows.
+        Size of usual windows, and spacing of the vectors.
     nan_pixels : int
         Pixels that were NaN, infinite or masked in a frame although the mask called them valid; treated as masked.
     static_share : float
@@ -64,6 +64,8 @@ class VectorField:
     added_passes : int
         Passes with the last windows beyond those asked for, made because vectors still moved: each shows more of
         short waves (`piv.correlation.response`).
+    side_px : ndarray of int64, shape (ny, nx), optional
+        Side of the window that each vector comes from: its resolution.
     """
 
     x_px: Floats
@@ -82,6 +84,7 @@ class VectorField:
     static_share: float = float("nan")
     resolution_px: Floats | None = None
     added_passes: int = 0
+    side_px: NDArray[np.int64] | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:

@@ -69,11 +69,15 @@ def window_grid(shape: tuple[int, int], size_px: int, overlap: float) -> WindowG
     PairError
         A window does not fit into the frame.
     """
+    return spaced(shape, size_px, max(1, round(size_px * (1.0 - overlap))))
+
+
+def spaced(shape: tuple[int, int], size_px: int, step_px: int) -> WindowGrid:
+    """The same with their spacing told."""
     if size_px > min(shape):
         raise PairError(
             f"a window of {size_px} px does not fit a frame of {shape[1]} x {shape[0]} px; choose smaller"
         )
-    step_px = max(1, round(size_px * (1.0 - overlap)))
     row, column = (np.arange((side - size_px) % step_px // 2, side - size_px + 1, step_px) for side in shape)
     return WindowGrid(row, column, size_px, step_px)
 

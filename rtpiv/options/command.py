@@ -24,6 +24,7 @@ WORDS = {  # options that are not called what their parameter is
     "sigma_limit_px": ("--sigma-limit",),
     "first_window_px": ("--first-window",),
     "final_window_px": ("--final-window",),
+    "finest_window_px": ("--finest-window",),
     "slurm_options": ("--slurm-set",),
 }
 UNITS = ("mm", "um", "px", "us", "s", "hz", "nm", "deg")

@@ -32,7 +32,7 @@ from daq.atomic_write import why
 from daq.errors import DiskError, RunUnsuitable
 from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Text
 from ground.plain_file import open_plain, read_plain
-from piv.correlation.settings import PivSettings
+from piv.correlation.settings import settings_of
 from piv.errors import SeriesError
 from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.campaign.chunk_task import read_lease
@@ -129,9 +129,8 @@ class CampaignFolder:
 
 def choice_of(how: HowAsked) -> PivChoice:
     """How pairs are evaluated, as it was asked; SeriesError if that cannot be."""
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in how["settings"].items()}
     try:
-        settings = PivSettings(**given)  # type: ignore[arg-type]  # it checks them by itself
+        settings = settings_of(how["settings"])
         return PivChoice(settings, None if how["prepare"] is None else Preparation(tuple(how["prepare"])))
     except (TypeError, ValueError) as error:
         raise SeriesError(

@@ -18,7 +18,6 @@ from daq.frames.source import is_source
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import is_run, scene_file
 from ground.plain_words import counted
-from piv.correlation.windows import window_grid
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.campaign.campaign_folder import (
@@ -287,7 +286,7 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
     """What is there of a run, and what the rest will cost; by what this campaign has shown, if it has."""
     scene, settings = planned.given.method.scene, planned.given.method.settings
     shape = (planned.given.method.grid or grid_of(scene.camera)).shape
-    vectors = int(np.prod(window_grid(shape, settings.windows_px[-1], settings.overlap).shape))
+    vectors = int(np.prod(settings.result_grid(shape).shape))
     pixels = float(np.prod(scene.camera.shape))
     series = folder.series(planned.name).path  # not that of the jobs, if the plan is a trial
     finished = SeriesFolder(series).finished()

@@ -23,7 +23,6 @@ from ground.short_repr import short_repr
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
-from piv.correlation.windows import window_grid
 from piv.errors import FrameError, PairError
 from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import Preparation
@@ -139,7 +138,7 @@ class Evaluation:
     def vectors(self) -> Vectors:
         """The pair as a series of one, with all that is known of its quality."""
         task, field, settings = self.task, self.field, self.settings
-        windows = window_grid(self.grid.shape, settings.windows_px[-1], settings.overlap)
+        windows = settings.result_grid(self.grid.shape)
         more = quality_of(field, self.grid, self.map_sigma, self.by_velocity, task.dt_s)
         return vectors_of_pairs([PairResult(task.name, field, task.dt_s)], windows, self.grid, self.about, more)
 

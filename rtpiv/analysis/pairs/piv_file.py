@@ -54,6 +54,9 @@ class PivOptions(TypedDict, total=False):
         vectors come out.
     final_window_px : int
         Side of the last windows (default 32): smaller ones show shorter waves and are noisier.
+    finest_window_px : int
+        Side of the smallest windows, such as 16, that a place may find for itself, and larger ones where light is
+        poor; vectors stand as dense as the finest make them (default: all windows are the last ones).
     passes : int
         How many (default 4 or more): sides are halved from pass to pass, and the last one repeats.
     overlap : float
@@ -85,6 +88,7 @@ class PivOptions(TypedDict, total=False):
     piv: Path | str
     first_window_px: Side | None
     final_window_px: Side
+    finest_window_px: Side | None
     passes: Annotated[int, Interval(ge=1, le=20)] | None
     overlap: Overlap
     window: Window
@@ -119,6 +123,7 @@ class _Settings(Table):
             given.pop("final_window_px", FINAL_PX),
             given.pop("passes", None),
         )
+        given["finest_px"] = given.pop("finest_window_px", None)
         if window == "square":
             given["window_sigma"] = 0.0
         settings = PivSettings(windows_px=windows_of(*sides), **given)

@@ -14,7 +14,7 @@ from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
 from ground.whole_file import whole_file
-from piv.correlation.windows import WindowGrid, window_grid
+from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError
 from piv.files.vector_file import vectors_netcdf
 from rtpiv.analysis.pairs.evaluation import Correlated, Evaluation, PairMethod, Task, correlated, evaluated
@@ -150,8 +150,7 @@ def correction_of(maps: Path, method: Method) -> PreparedCorrection:
 
 def windows_of(prepared: PreparedCorrection, method: Method) -> WindowGrid:
     """Where the vectors of a series lie on its corrected image."""
-    settings = method.settings
-    return window_grid(prepared.corrector.map.grid.shape, settings.windows_px[-1], settings.overlap)
+    return method.settings.result_grid(prepared.corrector.map.grid.shape)
 
 
 @lru_cache(maxsize=2)

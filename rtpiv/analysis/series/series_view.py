@@ -9,8 +9,9 @@ from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
-from piv.correlation.windows import WindowGrid, window_grid
-from piv.errors import SeriesError
+from piv.correlation.settings import settings_of
+from piv.correlation.windows import WindowGrid
+from piv.errors import PairError, SeriesError
 from rtpiv.analysis.recipe import SCENE_FILE, scene_sigma_beside
 from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder
 from tracer.scene.scene import Scene
@@ -84,10 +85,10 @@ class SeriesView:
         """Where its vectors lie on the corrected image."""
         content: dict[str, Any] = self.about["content"]
         try:
-            side_px, overlap = int(content["settings"]["windows_px"][-1]), float(content["settings"]["overlap"])
-        except (KeyError, IndexError, TypeError, ValueError):
+            settings = settings_of(content["settings"])
+        except (KeyError, IndexError, TypeError, PairError):
             raise self._says_too_little() from None
-        return window_grid(self.grid.shape, side_px, overlap)
+        return settings.result_grid(self.grid.shape)
 
     @cached_property
     def correction(self) -> PreparedCorrection:

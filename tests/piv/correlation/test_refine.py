@@ -5,15 +5,19 @@ import pytest
 from scipy import ndimage
 
 from piv.correlation.deform import DeformedPair
-from piv.correlation.denoise import kept_share, split
+from piv.correlation.denoise import LEVELS, denoised
 from piv.correlation.kernels import lags, statistics
 from piv.correlation.prepare import prepared
 from piv.correlation.refine import Refined, refine, window_weights
-from piv.correlation.response import gain, noise_growth, smoothing_transfer
+from piv.correlation.response import gain, noise_growth, parts_of, smoothing_transfer
 from piv.correlation.settings import PivSettings
-from piv.correlation.uncertainty import correlation_statistics
+from piv.correlation.uncertainty import correlation_statistics, leaning
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def smooth_noise(shape, seed=0, sigma_px=1.2):
@@ -128,18 +132,32 @@ def test_gain_of_waves():
     assert oblique == pytest.approx(one[1] ** 2)
 
 
+def denoised_at_32_16(vectors, sigma):
+    """As windows of 32 px, 16 px apart, of one pass; noise of neighbours is taken as independent."""
+    one = np.zeros(32)
+    one[16] = 1.0
+    levels = [2.0 * level for level in LEVELS]
+    growths = [np.full(sigma.shape[:2], noise_growth(one, 16, [], part)) for part in parts_of(levels)]
+    good = np.ones(sigma.shape[:2], bool)
+    return denoised(vectors, good, sigma, growths, levels, 2.0)
+
+
 def test_noise_goes_and_a_wave_stays():
     rng = np.random.default_rng(5)
-    y, x = np.mgrid[:30, :30]
-    everything, sigma = np.ones((30, 30), bool), np.full((30, 30, 2), 0.05)
-    noise = rng.normal(0, 0.05, (30, 30, 2))
-    wave = np.stack([np.sin(2 * np.pi * y / 4), np.sin(2 * np.pi * x / 4)], axis=-1)
-    for truth, least, most in ((0 * wave, 0.0, 0.25), (wave, 0.97, 1.0)):
-        parts = split(truth + noise, everything, sigma, 32, 16)
-        share, _ = kept_share(parts.rest, everything, sigma, 2.0)
-        assert least <= share.mean() <= most
-        assert np.allclose(parts.smooth + parts.rest, truth + noise)
-    assert kept_share(parts.rest, everything, np.full_like(sigma, np.nan), 2.0)[0].min() == 1.0
+    y, x = np.mgrid[:60, :60]
+    sigma, inner = np.full((60, 60, 2), 0.05), np.s_[6:-6, 6:-6]
+    noise = rng.normal(0, 0.05, (60, 60, 2))
+    for nodes, height, least, most in ((4, 0.0, 0.02, 0.25), (4, 1.0, 0.9, 1.1), (16, 0.5, 0.25, 0.8)):
+        truth = height * np.stack([np.sin(2 * np.pi * y / nodes), np.sin(2 * np.pi * x / nodes)], axis=-1)
+        found = denoised_at_32_16(truth + noise, sigma)
+        off = (found.vectors_px - truth)[inner]
+        assert least < rms(off) / 0.05 < most
+        assert rms(off) / rms(np.hypot(found.sigma_px, found.taken_px[..., None])[inner]) == pytest.approx(
+            1, abs=0.2
+        )
+    unknown = denoised_at_32_16(truth + noise, np.full_like(sigma, np.nan))
+    assert np.allclose(unknown.vectors_px, truth + noise)  # what nobody knows the noise of stays
+    assert np.isnan(unknown.sigma_px).all()
 
 
 def test_a_noisy_vector_counts_less():
@@ -147,10 +165,7 @@ def test_a_noisy_vector_counts_less():
     sigma = np.full((20, 20, 2), 0.01)
     sigma[5::6, 5::6] = 0.15
     field = rng.normal(0, 1, (20, 20, 2)) * sigma
-    parts = split(field, np.ones((20, 20), bool), sigma, 32, 16)
-    share = kept_share(parts.rest, np.ones((20, 20), bool), sigma, 2.0)[0][..., None]
-    result = (parts.smooth + share * parts.rest)[5::6, 5::6]
-    assert np.sqrt((result**2).mean()) < 0.02
+    assert rms(denoised_at_32_16(field, sigma).vectors_px[5::6, 5::6]) < 0.012
 
 
 def test_frames_of_any_scale_and_kind_become_the_same():
@@ -206,10 +221,11 @@ def test_no_sigma_is_larger_than_what_was_searched():
     pair = DeformedPair(*frames, np.ones((64, 64), np.float32), 0.0)
     grid = window_grid((64, 64), 32, 0.5)
     one = np.ones(grid.shape)
+    lean = leaning(pair, grid, 0.3, np.zeros((*grid.shape, 2)), 1.0)
     told = []
     for lower in np.geomspace(1e-8, 1e-2, 20):
         sums = np.full((*grid.shape, 5), 1e3 * (1.0 - lower))
         sums[..., 0] = 1e3
-        refined = Refined(np.zeros((*grid.shape, 2)), one, one, sums, one)
-        told.append(correlation_statistics(pair, grid, 0.3, refined, np.zeros((*grid.shape, 2)), 1.0).sigma_px)
+        refined = Refined(np.zeros((*grid.shape, 2)), one, one, sums, one, one)
+        told.append(correlation_statistics(lean, refined).sigma_px)
     assert 0.3 < np.nanmax(told) <= 3.0**-0.5

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from piv.correlation.pair import evaluate_pair
-from piv.correlation.resolution import UNEVEN, second_differences, unresolved_px
+from piv.correlation.refine import window_weights
+from piv.correlation.resolution import TWICE_PX, UNEVEN, Window, second_differences, unresolved_px
+from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
 from tests.piv.correlation.flows import mix, turbulence, vortex, wave
@@ -68,17 +70,22 @@ def test_second_differences_of_a_parabola_and_of_a_plane():
 
 
 def test_the_parts_add_as_squares_and_fall_with_the_pieces():
-    grid, settings = window_grid((200, 200), 32, 0.5), PivSettings()
+    grid, weights = window_grid((200, 200), 32, 0.5), window_weights(32, 0.3)
+    shown = float(response_of(PivSettings(), np.array([64.0]))[0][0])
+    windows = Window(32, 16, weights, shown)
     x = np.broadcast_to(np.arange(float(grid.shape[1])), grid.shape)
     field = np.stack([0.5 * x**2, 0.0 * x], -1)  # 1 px a step squared
     middle = grid.shape[0] // 2, grid.shape[1] // 2
     few, many = (
-        unresolved_px(field, np.zeros(grid.shape), np.full(grid.shape, n), grid, settings)[middle]
-        for n in (4.0, 16.0)
+        unresolved_px(field, np.zeros(grid.shape), np.full(grid.shape, n), windows)[middle] for n in (4.0, 16.0)
     )
     # The weights exp(-x^2/9.6^2) have a variance of 9.6^2/2 but for what the window cuts off.
     expected = UNEVEN * 0.5 * 9.6**2 / 16**2 * np.sqrt(0.5) / 4.0
     assert few == pytest.approx(expected, rel=0.15)
     assert few > 3.0 * many
-    taken = unresolved_px(field, np.full(grid.shape, few), np.full(grid.shape, 4.0), grid, settings)[middle]
+    taken = unresolved_px(field, np.full(grid.shape, few), np.full(grid.shape, 4.0), windows)[middle]
     assert taken == pytest.approx(np.sqrt(2.0) * few, rel=1e-6)
+    # Passes that go on from what larger windows have bent leave it to second order.
+    found = windows._replace(shown=1.0, found=True)
+    again = unresolved_px(0.1 * field, np.zeros(grid.shape), np.full(grid.shape, 4.0), found)[middle]
+    assert again == pytest.approx(np.square(0.1 * few) / TWICE_PX, rel=0.15)

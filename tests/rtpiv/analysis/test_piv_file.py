@@ -42,6 +42,7 @@ def test_the_command_line_wins(tmp_path):
     from_file = piv_choice(piv=path).settings
     assert (from_file.windows_px, from_file.overlap, from_file.window_sigma) == ((64, 32, 16, 16, 16), 0.75, 0.0)
     both = piv_choice(piv=path, overlap=0.25, window="gaussian").settings
+    assert (both.finest_px, piv_choice(piv=path, finest_window_px=8).settings.finest_px) == (None, 8)
     assert (both.windows_px[-1], both.overlap, both.window_sigma) == (16, 0.25, PivSettings.window_sigma)
 
 
@@ -49,6 +50,7 @@ def test_the_command_line_wins(tmp_path):
     ("text", "said"),
     [
         ("final_windw_px: 16\n", "did you mean 'final_window_px'"),
+        ("finest_window_px: 32\n", "smaller than the last"),
         ("overlap: 1.0\n", "overlap"),
         ("smoothing_px: .nan\n", "finite"),
         ("final_window_px: 4\n", "final_window_px"),

@@ -1,0 +1,87 @@
+"""Places that find their windows: fine where those show more, large where light is poor, of the same sums."""
+
+import numpy as np
+import pytest
+
+from piv.correlation.deform import DeformedPair
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.prepare import prepared
+from piv.correlation.refine import refine
+from piv.correlation.settings import PivSettings, settings_of
+from piv.correlation.sizes import widened
+from piv.correlation.windows import WindowGrid, spaced
+from piv.errors import PairError
+from tests.piv.correlation import flows
+
+FOUND = PivSettings(finest_px=16)
+SHAPE, MARGIN = (512, 512), 48
+
+
+def errors(field, truth):
+    """Errors (n, 2) and sigma (n, 2) of valid vectors away from the edge, and their sides (n,)."""
+    u, v = np.meshgrid(field.x_px, field.y_px)
+    inner = (np.minimum(u, v) > MARGIN) & (np.maximum(u, v) < SHAPE[0] - MARGIN) & field.valid
+    off = np.stack([field.u_px, field.v_px], axis=-1) - np.stack(truth(u, v), axis=-1)
+    return off[inner], field.total_sigma_px[inner], None if field.side_px is None else field.side_px[inner]
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_large_windows_are_sums_of_small_ones(particle_pair):
+    pair = prepared(*particle_pair(flows.uniform(0.3, -0.2), (128, 128)), None, 32)
+    frames = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
+    small = spaced((128, 128), 16, 4)
+    large = WindowGrid(small.row - 8, small.column - 8, 32, 4)
+    inside = slice(6, -6)
+    large = WindowGrid(large.row[inside], large.column[inside], 32, 4)
+    summed = widened(refine(frames, small, 0.3, 1), small, 32, 0.3, pair.floor)
+    told = refine(frames, large, 0.3, 1)
+    apart = summed.shift_px[inside, inside] - told.shift_px
+    assert rms(apart) < 0.25 * rms(told.shift_px - [0.3, -0.2])  # a small part of what is random in it
+    assert np.allclose(summed.correlation[inside, inside], told.correlation, atol=0.003)
+
+
+def test_turbulence_is_seen_by_the_finest_with_a_sigma_of_its_size(particle_pair):
+    truth = flows.turbulence(3, 2.0, 200, 30)
+    pair = particle_pair(truth, SHAPE, seed=7, ppp=0.05)
+    off, sigma, side = errors(evaluate_pair(*pair, settings=FOUND, threads=1), truth)
+    before = errors(evaluate_pair(*pair, threads=1), truth)[0]
+    assert np.mean(side == 16) > 0.95
+    assert np.median(np.abs(off)) < 0.45 * np.median(np.abs(before))
+    assert 0.6 < np.mean(np.abs(off) < sigma) < 0.9
+    assert 0.65 < rms(off) / rms(sigma) < 1.35
+
+
+@pytest.mark.parametrize(
+    ("image", "side", "most"),
+    [({}, 32, 1.0), ({"diameter_px": 2.0, "ppp": 0.015, "loss": 0.2, "noise": 0.08}, 48, 0.85)],
+)
+def test_where_nothing_is_finer_no_noise_of_small_windows_comes_in(particle_pair, image, side, most):
+    pair = particle_pair(flows.mix, SHAPE, seed=7, **image)
+    off, _, sides = errors(evaluate_pair(*pair, settings=FOUND, threads=1), flows.mix)
+    before = errors(evaluate_pair(*pair, threads=1), flows.mix)[0]
+    assert np.median(sides) == side
+    assert rms(off) < most * rms(before)
+
+
+def test_vectors_stand_where_the_settings_say(particle_pair):
+    pair = particle_pair(flows.uniform(1.0, 0.5), (100, 140))
+    for overlap, step in ((0.0, 16), (0.5, 8), (0.75, 4)):
+        settings = PivSettings(finest_px=16, overlap=overlap)
+        field, grid = evaluate_pair(*pair, settings=settings, threads=1), settings.result_grid((100, 140))
+        assert field.step_px == grid.step_px == step
+        assert np.array_equal(field.x_px, grid.x_px)
+        assert np.array_equal(field.y_px, grid.y_px)
+        assert field.side_px.shape == field.flags.shape == grid.shape
+
+
+def test_settings_that_a_file_has_kept():
+    assert settings_of({"windows_px": [64, 32], "overlap": 0.5}) == PivSettings(windows_px=(64, 32))
+    assert settings_of({"windows_px": [64, 32], "finest_px": 12}).finest_px == 12
+    for finest in (4, 32, 12.5):
+        with pytest.raises(PairError, match="finest_px is a whole number"):
+            PivSettings(finest_px=finest)
+    with pytest.raises(PairError, match="two windows"):
+        PivSettings(windows_px=(32,), finest_px=16)
