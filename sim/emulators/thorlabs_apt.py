@@ -242,16 +242,17 @@ class AptEmulator(Emulator):
                 channel.stop(words.STOP_SLOWING)
 
     def person_homes(self) -> None:
-        """Somebody homes every channel from the menu of the box."""
+        """Somebody homes every channel from the menu of the box; without power there is none."""
         self.advance()
-        for channel in self._channels.values():
+        for channel in self._channels.values() if self.is_on else ():
             channel.is_on = True
             channel.home()
 
     def turn_wheel(self, name: str, steps: int) -> None:
-        """Somebody turns the wheel of a channel that rests."""
+        """Somebody turns the wheel of a channel that rests; without power nothing reads it."""
         self.advance()
-        self._channels[name].turn(steps)
+        if self.is_on:
+            self._channels[name].turn(steps)
 
     def purpose(self, channel: str) -> Purpose:
         """A reference run, a wheel, or a motion."""

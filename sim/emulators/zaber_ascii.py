@@ -178,9 +178,10 @@ class ZaberEmulator(Emulator):
             axis.stop()
 
     def turn_knob(self, device: int, axis: int, steps: int) -> None:
-        """Somebody turns the knob of an axis that rests."""
+        """Somebody turns the knob of an axis that rests; without power nothing reads it."""
         self.advance()
-        self._axes[device, axis].turn(steps)
+        if self.is_on:
+            self._axes[device, axis].turn(steps)
 
     def purpose(self, channel: str) -> Purpose:
         """Look for a sensor, follow a knob, or neither."""

@@ -6,6 +6,7 @@ from sim.emulators.grbl import GrblEmulator
 from sim.emulators.isel_dnc import IselEmulator
 from sim.emulators.line import Line
 from sim.emulators.pi_gcs2 import PiEmulator, StageMake
+from sim.emulators.thorlabs_apt import AptEmulator
 from sim.emulators.zaber_ascii import ZaberEmulator
 from sim.mechanics.clock import VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
@@ -313,3 +314,21 @@ def test_homing_of_grbl_fails_if_the_switch_stays_closed():
     heard = box.ask(b"$H\n", 300.0)
     assert heard.startswith(b"ALARM:8\r\nGrbl 1.1h")
     assert box.ask(b"?").startswith(b"<Alarm|")
+
+
+@pytest.mark.parametrize(("made", "channel", "turn"), [
+    (ZaberEmulator, "1/1", lambda device: device.turn_knob(1, 1, 640)),
+    (AptEmulator, "1", lambda device: device.turn_wheel("1", 34_304)),
+])  # fmt: skip
+@pytest.mark.parametrize("off_s", [0.0, 1.0])
+def test_a_knob_turns_nothing_without_power(made, channel, turn, off_s):
+    """Found by the fuzz: a box that was off drove its axis, and once it was on again the motion was nobody's."""
+    clock, motor = VirtualClock(), Motor(SCREW)
+    device = made({channel: motor}, clock)
+    device.restart(off_s)
+    before_mm = motor.carriage_mm
+    turn(device)
+    clock.sleep_s(10.0)
+    device.advance()
+    assert device.is_on
+    assert (motor.carriage_mm == before_mm) == (off_s > 0.0)
