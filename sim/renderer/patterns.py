@@ -74,8 +74,8 @@ def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
 
 
 @dataclass(frozen=True)
-class Chessboard(Board):
-    """A chessboard in print, on paper as bright as its bright squares: a `Board` in two shades.
+class PrintedBoard(Board):
+    """A `Board` in two shades, on paper as bright as its bright squares.
 
     Parameters
     ----------
@@ -90,10 +90,18 @@ class Chessboard(Board):
     pose: Pose = field(default_factory=Pose)
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.dark <= self.bright <= 1.0:
+            raise SceneError("the board's shades must be 0 <= dark <= bright <= 1")
+
+
+@dataclass(frozen=True)
+class Chessboard(PrintedBoard):
+    """A chessboard in print."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.discs and not 0.0 <= self.disc_mm < self.square_mm:
             raise SceneError("the chessboard's discs must fit into its squares; lower disc_mm")
-        if not 0.0 <= self.dark <= self.bright <= 1.0:
-            raise SceneError("the chessboard's shades must be 0 <= dark <= bright <= 1")
 
     def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
         """Reflectance (N,) at points (N, 2) of the board [mm]."""
@@ -110,22 +118,11 @@ class Chessboard(Board):
 
 
 @dataclass(frozen=True)
-class CodedBoard(Board):
-    """A ChArUco board in print: the picture that OpenCV draws of it, with sharp edges, on white paper.
-
-    Parameters
-    ----------
-    dark, bright : float
-        Reflectance of the two shades.
-    pose : Pose
-        Place of the board.
-    """
-
-    dark: float = 0.08
-    bright: float = 0.92
-    pose: Pose = field(default_factory=Pose)
+class CodedBoard(PrintedBoard):
+    """A ChArUco board in print: the picture that OpenCV draws of it, with sharp edges."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.codes is None or self.squares is None:
             raise SceneError("a coded board has codes, and so many squares")
 
