@@ -1,6 +1,5 @@
 """`rtpiv warm`: compile what scenes of balls need before anybody waits for it, for an image or a cluster."""
 
-import ground.jit.compiler as compiler
 from ground.terminal import console, progress
 from rtpiv.command_line.first_use import calls_of, compile_call
 
@@ -17,6 +16,8 @@ def warm() -> int:
     int
         Kernels that are now ready.
     """
+    import ground.jit.compiler as compiler  # and numba with it
+
     compiler.use_shipped = False
     calls = calls_of("warm")
     for call in progress(calls, len(calls), "compiling"):
