@@ -156,6 +156,7 @@ def merged_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMea
         map_sigma_position_mm=_rms([mean.map_sigma_position_mm for mean in means], weights) if has_maps else None,
         no_map_sigma=nothing,
         too_few=too_few_of(means, moments.count == 0),
+        slope=_slope([mean.slope for mean in means], weights),
     )
     return CampaignMean(
         merged, {name: _apart(mean, merged.moments) for name, mean in zip(names, means, strict=True)}
@@ -170,6 +171,18 @@ def _rms(parts: Sequence[Floats | None], weights: Floats) -> Floats:
     total = weight.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         found: Floats = np.sqrt((weight * np.nan_to_num(values) ** 2).sum(axis=0) / total)
+    return found
+
+
+def _slope(parts: Sequence[Floats | None], weights: Floats) -> Floats | None:
+    """Slopes (ny, nx, 2) of the rays of several runs: their weighted mean; None where one does not know them."""
+    known = [part for part in parts if part is not None]
+    if len(known) < len(parts):
+        return None
+    values = np.stack(known)
+    weight = np.where(np.isfinite(values), weights[..., None], 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: Floats = (weight * np.nan_to_num(values)).sum(axis=0) / weight.sum(axis=0)
     return found
 
 

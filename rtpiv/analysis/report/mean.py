@@ -118,7 +118,8 @@ def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str]
 
     unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
     asked = (("scatter of the pairs", mean.sigma_m_s), ("not resolved by the windows", unresolved),
-             ("timing error of dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s))  # fmt: skip
+             ("timing error of dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s),
+             ("flow through the sheet", mean.slant_sigma_m_s))  # fmt: skip
     rows: list[tuple[str, ...]] = []
     for what, part in (*asked, ("total", mean.total_sigma_m_s)):
         sizes = () if part is None else (of_it(part), of_it(part) * mean.px_per_m_s)

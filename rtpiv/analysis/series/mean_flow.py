@@ -9,11 +9,12 @@ is usual in its series: a failed flash or two strangers still give some vectors,
 Effective samples come from the autocorrelation of each vector while the whole series fits into `KEPT_BYTES`, and
 from blocking beyond that.
 
-**Four errors, kept apart**, since only the first becomes smaller with more pairs: the random one; what windows do
+**Five errors, kept apart**, since only the first becomes smaller with more pairs: the random one; what windows do
 not resolve of the mean (`piv.statistics.unresolved`), together with what dropped vectors take from it where some
 pairs have none (`piv.statistics.unresolved`; where most have none there is no mean); the time between the
 pulses, which is measured once for a run, so that its relative error is one factor for all vectors (and two for
-stresses); and the fitted map (`rtpiv.analysis.series.series_mean`).
+stresses); the fitted map (`rtpiv.analysis.series.series_mean`); and a steady flow through the sheet, which rays
+that meet it aslant show as one within it (`piv.statistics.out_of_plane`).
 """
 
 from collections.abc import Iterable
@@ -30,6 +31,7 @@ from piv.files.vector_file import Vectors
 from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
 from piv.statistics.merge_tree import MergeTree
 from piv.statistics.moments import Moments
+from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
 from piv.statistics.unresolved import Unresolved, measured_often, selection_sigma
 from rtpiv.analysis.pairs.pair_vectors import ChunkContent, SeriesField
 
@@ -81,6 +83,10 @@ class MeanFlow:
         Why these two are None.
     too_few : (ny, nx) bool or None
         Places without a mean because fewer than half of the pairs that looked at them have a vector there.
+    slope : (ny, nx, 2) float64 or None
+        dX/dz, dY/dz of the rays that show the vectors, y up; None where nobody has asked.
+    out_of_plane : OutOfPlane
+        What is known of the velocity through the sheet.
     by_ensemble : Vectors, optional
         The same by ensemble correlation, if that was asked for.
     """
@@ -103,6 +109,8 @@ class MeanFlow:
     map_sigma_position_mm: Floats | None = None
     no_map_sigma: str = ""
     too_few: NDArray[np.bool_] | None = None
+    slope: Floats | None = None
+    out_of_plane: OutOfPlane = NOTHING_TOLD
     by_ensemble: Vectors | None = None
 
     def __str__(self) -> str:
@@ -185,9 +193,23 @@ class MeanFlow:
     def total_sigma_m_s(self) -> Floats:
         """All that is known of the uncertainty of the mean (ny, nx, 2), added as squares."""
         parts = [self.local_sigma_m_s, np.nan_to_num(self.dt_sigma_m_s)]
-        parts += [] if self.map_sigma_m_s is None else [np.nan_to_num(self.map_sigma_m_s)]
+        more = (self.map_sigma_m_s, self.slant_sigma_m_s)
+        parts += [np.nan_to_num(part) for part in more if part is not None]
         total: Floats = np.sqrt(np.square(parts).sum(axis=0))
         return total
+
+    @property
+    def slant_sigma_m_s(self) -> Floats | None:
+        """Sigma of the mean (ny, nx, 2) by a steady flow through the sheet; None where slopes are not known."""
+        if self.slope is None:
+            return None
+        field = SlantedField(self.mean_m_s, self.sigma_m_s, self.slope, self.window_px / self.step_px)
+        return field.sigma(self.out_of_plane.of_mean(field))
+
+    @property
+    def slanted_stresses(self) -> SlantedStresses | None:
+        """What fluctuations through the sheet add to the stresses; None where slopes are not known."""
+        return None if self.slope is None else self.out_of_plane.of_stresses(self.stresses_m2_s2, self.slope)
 
     @property
     def stresses_m2_s2(self) -> Floats:

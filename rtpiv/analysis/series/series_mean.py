@@ -11,6 +11,10 @@ mean.nc, where rows begin at the lowest y:
                                   if that was not measured
     map_sigma_u, _v, _x, _y       by the fitted map: of the mean [m s-1] and of the place [mm]; no number of pairs
                                   makes it smaller, so it is kept apart; missing where there was no fit
+    slant_sigma_u, _v             by a steady velocity w through the sheet, which rays that meet it aslant show as
+                                  one within it (`piv.statistics.out_of_plane`; `out_of_plane` says what w is
+                                  taken to be); the same in all pairs, too
+    dxdz, dydz                    slopes of the rays: measured are u - w dxdz, v - w dydz; w is towards the camera
     total_sigma_u, _v             all of these that are known, added as squares
     n, n_effective_u, _v          vectors, and independent ones that they are worth
     R_uu, R_vv, R_uv              Reynolds stresses without the noise of correlation [m2 s-2]; may be below 0
@@ -18,6 +22,8 @@ mean.nc, where rows begin at the lowest y:
     noise_uu, noise_vv            what was taken off: the mean of sigma^2 of the vectors
     sigma_R_uu, _vv, _uv          random standard uncertainty of the stresses
     resolution_R_uu, _vv, _uv     by how much they may be too small, as windows do not resolve it: an upper limit
+    slant_R_uu, _vv, _uv          by how much they are too large (R_uv: off), as w changes from pair to pair; it is
+                                  not taken off, and as unsure as slant_sigma_R_uu, _vv, _uv say
     skewness_u, _v; lowest_u, _v, highest_u, _v
     chc                           1 where there is a mean
 
@@ -36,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fitted.map_sigma import vector_map_sigma
+from correction.maps.slant import vector_slopes
 from daq.atomic_write import why
 from daq.errors import DiskError
 from piv.files.vector_file import SPEED, Vectors, write_vectors
@@ -68,11 +75,13 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
     DiskError
         A map cannot be kept.
     """
-    mean, sigma = mean_flow(Chunks.of(view.folder)), view.sigma
+    mean, sigma, found_map = mean_flow(Chunks.of(view.folder)), view.sigma, view.correction.corrector.map
+    slope = vector_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)[::-1]
+    mean = replace(mean, slope=slope)
     if isinstance(sigma, str):
         return replace(mean, no_map_sigma=sigma)
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
-    found = vector_map_sigma(field, view.correction.corrector.map, view.scene, sigma)
+    found = vector_map_sigma(field, found_map, view.scene, sigma)
     return replace(
         mean,
         map_sigma_m_s=found.displacement_px[::-1] / mean.px_per_m_s,
@@ -116,6 +125,8 @@ def mean_vectors(
         "delta_t_sigma_share": np.float64(mean.dt_sigma_share),
         "no_map_sigma": mean.no_map_sigma or "known",
     }
+    if mean.slope is not None:
+        said["out_of_plane"] = mean.out_of_plane.sentence
     beside = {name: (each, "1") for name, each in (more or {}).items()}
     return _one_time(mean.x_mm, mean.y_mm, _variables(mean) | beside, said | dict(about))
 
@@ -182,6 +193,13 @@ def _variables(mean: MeanFlow) -> Named:
     if mean.map_sigma_m_s is not None and mean.map_sigma_position_mm is not None:
         apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, SPEED))
         apart.append(("map_sigma_", "xy", mean.map_sigma_position_mm, "mm"))
+    slanted = mean.slanted_stresses
+    if mean.slope is not None and mean.slant_sigma_m_s is not None and slanted is not None:
+        apart.append(("slant_sigma_", "uv", mean.slant_sigma_m_s, SPEED))
+        found |= {"dxdz": (mean.slope[..., 0], "1"), "dydz": (mean.slope[..., 1], "1")}
+        for number, name in enumerate(("uu", "vv", "uv")):
+            found[f"slant_R_{name}"] = (slanted.bias[..., number], STRESS)
+            found[f"slant_sigma_R_{name}"] = (slanted.sigma[..., number], STRESS)
     for before, names, values, unit in apart:
         for number, name in enumerate(names):
             found[before + name] = (values[..., number], unit)

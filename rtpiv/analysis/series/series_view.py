@@ -9,7 +9,7 @@ from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
-from piv.correlation.settings import settings_of
+from piv.correlation.settings import PivSettings, settings_of
 from piv.correlation.windows import WindowGrid
 from piv.errors import PairError, SeriesError
 from rtpiv.analysis.recipe import SCENE_FILE, scene_sigma_beside
@@ -81,14 +81,18 @@ class SeriesView:
             raise self._says_too_little() from None
 
     @cached_property
-    def windows(self) -> WindowGrid:
-        """Where its vectors lie on the corrected image."""
+    def settings(self) -> PivSettings:
+        """How its pairs were correlated."""
         content: dict[str, Any] = self.about["content"]
         try:
-            settings = settings_of(content["settings"])
+            return settings_of(content["settings"])
         except (KeyError, IndexError, TypeError, PairError):
             raise self._says_too_little() from None
-        return settings.result_grid(self.grid.shape)
+
+    @cached_property
+    def windows(self) -> WindowGrid:
+        """Where its vectors lie on the corrected image."""
+        return self.settings.result_grid(self.grid.shape)
 
     @cached_property
     def correction(self) -> PreparedCorrection:

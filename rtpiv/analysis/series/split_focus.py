@@ -139,6 +139,9 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
         map_sigma_position_mm=None,
         no_map_sigma="of two runs: see their own means",
         too_few=too_few_of((first, second), source == 0),
+        slope=None
+        if first.slope is None or second.slope is None
+        else _by_source(source, first.slope, second.slope),
     )
     return JoinedMean(mean, source, _apart(first, second))
 

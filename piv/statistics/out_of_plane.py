@@ -1,0 +1,191 @@
+"""What a velocity through the sheet does to velocities within it, where the camera looks at the sheet aslant.
+
+With the slope a = dX/dz, b = dY/dz of the ray at the plane and w the velocity through it, towards the camera, what
+is measured is
+
+    u_m = u - a w,        v_m = v - b w.
+
+One camera cannot tell w from u and v: it stays unknown, of the size sigma_w, and is a part of sigma of its own,
+
+    sigma of u by the slant = |a| sigma_w,        of v  |b| sigma_w.
+
+w = W + w': a steady part, which is the same in all pairs and which no number of them makes smaller, and one that
+changes from pair to pair.  The mean of many pairs errs by a W alone: what w' leaves is in the scatter of the pairs
+already.  Reynolds stresses err by w' alone,
+
+    R_uu,m = R_uu + a^2 R_ww - 2 a R_uw
+    R_vv,m = R_vv + b^2 R_ww - 2 b R_vw
+    R_uv,m = R_uv + a b R_ww - b R_uw - a R_vw
+
+of which the terms in R_ww are a bias, known as well as R_ww is, and those in R_uw and R_vw are of either sign:
+|R_uw| is taken as evenly spread up to CORRELATED of sqrt(R_uu R_ww), which is what shear layers have at most.
+
+**How large w is.**  It may be told: `sigma_w_m_s` for w', and `w_over_u`, the ratio of |W| to the speed within the
+plane (0: nothing flows through the sheet on average).  What is not told is assumed:
+
+    of one field, single pair or mean    w varies around each place as much as u and v do there: half the sum of
+                                         their variances over a neighbourhood, noise taken off
+    of stresses                          w' is as strong as u' and v' are: R_ww = (R_uu + R_vv)/2
+
+An isotropic share is right for turbulence within some ten per cent, as long as eddies fit into the neighbourhood,
+five windows across; a single field cannot tell shear of the mean from them, so near shear it is too much.  For
+the steady part of a flow between walls or spheres it is a guess of the right size, and too much for a flow that
+lies in its plane: then say so.  What is measured holds its share of w already, which is taken out: a^2 and b^2
+below.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import scipy
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from piv.errors import PairError
+
+CORRELATED = 0.4  # of sqrt(R_uu R_ww): u'v' of shear layers, jets and walls
+UNSURE = 0.5  # of R_ww where it is assumed: w'w' over (u'u' + v'v')/2 is 0.6 to 1 in jets, layers and channels
+REACH_WINDOWS = 1.0  # standard deviation of the neighbourhood: less lacks eddies, more takes in the mean's shear
+FEWEST = 4.0  # vectors in it that say how much the field varies; where there are fewer, it is as elsewhere
+NotNegative = Annotated[float, Interval(ge=0.0)]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OutOfPlane:
+    """What is known of the velocity w through the sheet; None: it is assumed.
+
+    Parameters
+    ----------
+    sigma_w_m_s : float, optional
+        Standard deviation of what changes from pair to pair [m/s].
+    w_over_u : float, optional
+        Steady part over the speed within the plane: standard uncertainty, as either sign is possible.
+
+    Raises
+    ------
+    PairError
+        One is negative, or no number.
+    """
+
+    sigma_w_m_s: NotNegative | None = None
+    w_over_u: NotNegative | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not 0.0 <= value < np.inf:
+                raise PairError(f"{name} is a size, 0 or more, not {value}")
+
+    @property
+    def sentence(self) -> str:
+        """What is told, and what is assumed where nothing is."""
+        assumed = "as much as u and v vary around each place (assumed, isotropic)"
+        w = assumed if self.sigma_w_m_s is None else f"{self.sigma_w_m_s:g} m/s (told)"
+        steady = assumed if self.w_over_u is None else f"{self.w_over_u:g} of the speed in the plane (told)"
+        if w == steady:
+            return f"w through the sheet: {assumed}"
+        return f"w through the sheet, from pair to pair: {w}; steady: {steady}"
+
+    def of_pair(self, field: "SlantedField", per_m_s: float) -> Floats:
+        """Sigma of w (ny, nx) of a single pair, in the unit of its vectors.
+
+        Parameters
+        ----------
+        field : SlantedField
+            Its vectors.
+        per_m_s : float
+            1 m/s in their unit; NaN where the time between the frames is not known, and no speed can be told.
+        """
+        told = None if self.sigma_w_m_s is None else self.sigma_w_m_s * per_m_s
+        varying = field.varied() if told is None or np.isnan(told) else np.full(field.shape, told)
+        return np.asarray(np.hypot(varying, 0.0 if self.w_over_u is None else self.w_over_u * field.speed))
+
+    def of_mean(self, field: "SlantedField") -> Floats:
+        """Sigma of the steady part of w (ny, nx), in the unit of the mean."""
+        return field.varied() if self.w_over_u is None else self.w_over_u * field.speed
+
+    def of_stresses(self, stresses: Floats, slope: Floats) -> "SlantedStresses":
+        """What w' adds to Reynolds stresses R_uu, R_vv, R_uv (ny, nx, 3) [m2/s2] as they were measured."""
+        a, b = np.moveaxis(slope, -1, 0)
+        normal = np.maximum(stresses[..., :2], 0.0)
+        if self.sigma_w_m_s is None:
+            r_ww = normal.sum(axis=-1) / (2.0 + a**2 + b**2)
+            unsure = UNSURE * r_ww
+        else:
+            r_ww, unsure = np.full(a.shape, self.sigma_w_m_s**2), np.zeros(a.shape)
+        products = np.stack((a * a, b * b, a * b), axis=-1)
+        r_uw, r_vw = (CORRELATED / np.sqrt(3.0) * np.sqrt(normal[..., k] * r_ww) for k in (0, 1))
+        either = np.stack((2.0 * a * r_uw, 2.0 * b * r_vw, np.hypot(b * r_uw, a * r_vw)), axis=-1)
+        return SlantedStresses(products * r_ww[..., None], np.hypot(products * unsure[..., None], either))
+
+
+NOTHING_TOLD = OutOfPlane()
+
+
+class SlantedStresses(NamedTuple):
+    """What is too much in stresses R_uu, R_vv, R_uv (ny, nx, 3), and its standard uncertainty, in their unit."""
+
+    bias: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class SlantedField:
+    """A field that was seen aslant.
+
+    Parameters
+    ----------
+    uv : ndarray of float64, shape (ny, nx, 2)
+        Vectors in any one unit; NaN where there is none.
+    noise : ndarray of float64, shape (ny, nx, 2)
+        Their random standard uncertainty; NaN where not known.
+    slope : ndarray of float64, shape (ny, nx, 2)
+        dX/dz, dY/dz of the rays; NaN where not known.
+    windows : float
+        Vectors in the side of a window.
+    """
+
+    uv: Floats
+    noise: Floats
+    slope: Floats
+    windows: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of the grid."""
+        ny, nx, _ = self.uv.shape
+        return ny, nx
+
+    @property
+    def speed(self) -> Floats:
+        """Within the plane (ny, nx)."""
+        return np.asarray(np.linalg.norm(self.uv, axis=-1))
+
+    def sigma(self, sigma_w: Floats) -> Floats:
+        """Standard uncertainty (ny, nx, 2) of u and v by w; NaN where there is no vector or no slope."""
+        there = np.isfinite(self.uv).all(axis=-1, keepdims=True)
+        return np.where(there, np.abs(self.slope) * sigma_w[..., None], np.nan)
+
+    def varied(self) -> Floats:
+        """Isotropic share (ny, nx) of what the field varies by around each place; NaN where nothing tells."""
+        good: NDArray[np.bool_] = np.asarray(np.isfinite(self.uv).all(axis=-1), np.bool_)
+        count = self._around(good.astype(np.float64))
+
+        def mean(values: Floats) -> Floats:
+            shown = np.where(good[..., None], np.nan_to_num(values), 0.0)
+            sums = [self._around(shown[..., k]) for k in (0, 1)]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                return np.asarray(np.stack(sums, axis=-1) / count[..., None])
+
+        middle = mean(self.uv)
+        squares = mean(np.square(self.uv)) - np.square(middle) - mean(np.square(self.noise))
+        share = np.maximum(squares.sum(axis=-1), 0.0) / (2.0 + mean(np.square(self.slope)).sum(axis=-1))
+        enough = good & (count * 2.0 * np.pi * (REACH_WINDOWS * self.windows) ** 2 >= FEWEST)
+        usual = float(np.sqrt(np.median(share[enough]))) if enough.any() else np.nan
+        return np.where(enough, np.sqrt(share), usual)
+
+    def _around(self, values: Floats) -> Floats:
+        """Share of values (ny, nx) in the neighbourhood of each place."""
+        reach = REACH_WINDOWS * self.windows
+        return np.asarray(scipy.ndimage.gaussian_filter(values, reach, mode="constant"), np.float64)
