@@ -195,6 +195,14 @@ class QuantumComposersEmulator(PulsingEmulator):
         """Whether T0 (0) or an output is on, for tests that look inside."""
         return self._all[number].on
 
+    def fed_by(self, number: int) -> set[str]:
+        """Plugs that give the pulses of an output, its own or another one that is mixed with it."""
+        return {
+            LETTERS[plug]
+            for plug, channel in enumerate(self._channels)
+            if plug + 1 == number or int(channel.words["MUX"]) >> (number - 1) & 1
+        }
+
     def set_inside(self, number: int, keyword: str, value: str) -> None:
         """Somebody sets something at the keys of the box."""
         if keyword == "STAT":

@@ -27,6 +27,7 @@ that takes one line at a time may hear the first of it alone: that stops everyth
 import math
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TypeVar
 
 from daq.timing.box import TimingBox
@@ -47,6 +48,7 @@ T0 = 0
 OUTPUTS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
 PAUSE_S = 0.05  # between lines to a box that loses those that come sooner
+SOON_S = 0.1  # without an answer to the first off of a burst, until off is written to all of its outputs
 INSISTS = 6  # how often off is said again to such a box, before anything is asked: 0.3 s
 MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
@@ -177,14 +179,16 @@ class QuantumComposersBox(TimingBox):
     def end(self) -> None:
         """Every output of the burst off and read back; T0 too, where no lamp needs it.
 
+        Q-switches before anything is asked: a knob may have made the burst endless, and an answer may stay away.
         T0 runs on behind a burst: if it does not, somebody has stopped it, or the box was restarted.
         """
         with self._lock:
+            numbers = self._numbers(*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
+            self._end_outputs(numbers)
             ran_on = self._flag(T0, "STAT")
-            roles = (*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
-            numbers = self._numbers(*roles) + ([] if self._has_lamps else [T0])
-            for number in numbers:
-                self._off(number)
+            if not self._has_lamps:
+                self._off(T0)
+                numbers.append(T0)
             if any(self._flag(number, "STAT") for number in numbers):
                 raise LaserDoubt(f"{self.name} does not end its burst")
             if not ran_on:
@@ -287,6 +291,22 @@ class QuantumComposersBox(TimingBox):
                 return unheard
         return trouble
 
+    def _end_outputs(self, numbers: Sequence[int]) -> None:
+        """Off, each answered; written to all of them as soon as one is not, before anybody waits for that."""
+        told: list[int] = []
+        with suppress(NoReply, ProtocolViolation):
+            while not self._suspect and len(told) < len(numbers):
+                told.append(numbers[len(told)])
+                self._set(told[-1], "STAT", "0", timeout_s=SOON_S)
+        if not self._suspect:
+            return
+        for number in [*numbers[len(told) :], *told]:
+            self.clock.sleep_s(self._pause_s)
+            self.port.write(Command(f":PULSE{number}:STAT", "0").to_bytes())
+        self._suspect = True
+        for number in numbers:
+            self._off(number)
+
     def _off(self, number: int) -> None:
         self._repeated(lambda: self._set(number, "STAT", "0"))
 
@@ -363,7 +383,9 @@ class QuantumComposersBox(TimingBox):
 
         return self._transact(Command(keyword, asks=True).to_bytes(), accept)
 
-    def _set(self, number: int, keyword: str, value: str, moves: bool = False) -> bool:
+    def _set(
+        self, number: int, keyword: str, value: str, moves: bool = False, timeout_s: float | None = None
+    ) -> bool:
         command = Command(f":PULSE{number}:{keyword}", value)
 
         def accept(answer: object) -> bool | None:
@@ -372,7 +394,7 @@ class QuantumComposersBox(TimingBox):
             self._judge(answer, f"{command.keyword} {value}")
             return None
 
-        return self._transact(command.to_bytes(), accept, moves=moves)
+        return self._transact(command.to_bytes(), accept, timeout_s, moves=moves)
 
     def _judge(self, answer: object, what: str) -> None:
         """Skip an echo; raise what is no answer to this."""

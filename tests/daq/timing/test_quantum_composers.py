@@ -294,6 +294,54 @@ def test_somebody_at_its_keys_is_found_before_it_is_armed(number, keyword, value
         assert d.laser.state is LaserState.FAULT
 
 
+def keys_make_the_burst_endless(d):
+    """In its middle somebody takes the count away from both Q-switches."""
+    d.to_armed()
+    d.laser.fire(20)
+    d.clock.sleep_s(1.0)
+    for number in (2, 4):
+        d.emulator.set_inside(number, "CMOD", "NORM")
+
+
+def test_a_burst_made_endless_at_the_keys_ends_with_its_time_and_is_found():
+    with desk() as d:
+        keys_make_the_burst_endless(d)
+        d.laser.wait()
+        ended_s = d.clock.now_s()
+        d.clock.sleep_s(60.0)
+        assert 20 <= d.pulses(Role.Q_SWITCH_1) <= 21  # one period may begin until off is said
+        assert d.emulator.outputs.recent[-1].rises_s > ended_s  # lamps run on
+        with pytest.raises(LaserDoubt, match="CMOD is NORM"):
+            d.laser.arm(GOOD, d.laser.challenge)
+
+
+def test_a_burst_made_endless_at_the_keys_ends_with_its_time_though_no_answer_comes():
+    with desk() as d:
+        keys_make_the_burst_endless(d)
+        d.clock.sleep_s(0.9)
+        d.line.faults = FaultSchedule(Fault("lost", number) for number in range(40))
+        with pytest.raises(StageError):
+            d.laser.wait()
+        assert 20 <= d.pulses(Role.Q_SWITCH_1) <= 21
+
+
+def test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the_first_word():
+    """Only the person at the keys can end it before that: no word of ours reaches the box."""
+    with desk() as d:
+        keys_make_the_burst_endless(d)
+        d.line.unplug()
+        with pytest.raises(StageError):
+            d.laser.wait()
+        d.clock.sleep_s(5.0)
+        assert d.pulses(Role.Q_SWITCH_1) > 50
+        d.line.plug_in()
+        before = d.pulses(Role.Q_SWITCH_1)
+        assert d.laser.confirm_off()
+        d.clock.sleep_s(60.0)
+        assert d.pulses(Role.Q_SWITCH_1) == before
+        assert d.laser.state is LaserState.FAULT
+
+
 def test_a_restart_while_it_fires_is_not_taken_for_the_end():
     with desk() as d:
         d.to_armed()

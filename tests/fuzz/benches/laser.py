@@ -4,9 +4,18 @@
 
 The judge hangs on the Q-switch outputs of the emulated box and knows the state of the laser at the moment of
 every pulse. A pulse is allowed while it is FIRING or ALIGNING, at most as many for each Q-switch as were asked
-for; and in UNKNOWN only what is left of a burst whose cable has been pulled, until somebody opens the port again:
-nobody can stop that but the box.  Whoever leaves the bench opens it again, also one whose cable is put back
-meanwhile; nothing is on after that.
+for; and in UNKNOWN only while no open port leads to the box: nobody can stop that but the box, or a person at it.
+Whoever leaves the bench opens it again, also one whose cable is put back meanwhile; nothing is on after that.
+
+**Somebody turns a knob.** Whether that makes light is judged by the box itself, never by what the program
+believes. While T0 of the box does not run, a knob gives no light, and whatever comes of it later is the program's.
+While T0 runs, what leaves by the knob is for whoever has turned it to answer, until the program next hears of it:
+
+==============  ===============================================================================================
+cable in        a burst that is made endless ends with the time of its chunk: `LATE_S` after that it is found
+cable out       until the cable is in again and a port is open: the first word over it is off
+between bursts  an output that is mixed with a lamp gives its pulses until the box is asked for what it holds
+==============  ===============================================================================================
 """
 
 import argparse
@@ -30,9 +39,10 @@ from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.mechanics.clock import VirtualClock
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator
-from sim.timing_boxes.quantum_composers import MODELS, QuantumComposersEmulator, Variant
+from sim.timing_boxes.quantum_composers import LETTERS, MODELS, QuantumComposersEmulator, Variant
 from stages.errors import StageError
 
+BETWEEN = (LaserState.WARM, LaserState.READY, LaserState.ARMED)  # lamps run, and the box is not asked
 GOOD = Conditions(True, True, True, 5.0, 10_000)
 LAMPS = {Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH_2: "D", Role.CAMERA: "E"}
 PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.MARKER: "D"}
@@ -41,6 +51,8 @@ RULES = Rules(warmup_s=5.0, uncounted=True, align=LowEnergyRules(q_switch_delay_
 FIELDS = {
     "camera_armed": False, "at_rest": False, "sheet_clearance_mm": 1.0, "frames_fit": -1,
 }  # fmt: skip
+LOOKS = ("wait", "look")  # verbs that end a chunk whose time is over
+LATE_S = 0.3  # after the time of a chunk, or after somebody begins to look: until a box in reach is dark
 NUDGES = (("PER", "0.05"), ("CMOD", "NORM"), ("BCO", "77"), ("MUX", "3"), ("POL", "COMP"), ("DEL", "0.001"))
 
 
@@ -88,10 +100,24 @@ class Story:
         self.q_switches = {wiring[role] for role in Q_SWITCHES if role in wiring}
         self.emulator.outputs.listen(self.judge)
         self.left = Counter()
-        self.cut = False  # the cable was pulled while a burst went on
+        self.turned = set()  # (output, keyword) of outputs that may give more because of a knob; see above
+        for name in ("load", "confirm", "silence"):
+            self.note_what_was_heard(name)
         self.put_back_s = math.inf  # when somebody puts the cable back while the bench is left
         self.log, self.found = [], []
-        self.pulses = self.firings = 0
+        self.pulses = self.firings = self.by_knobs = 0
+        self.looks_s = None  # since when somebody looks whether the time of a chunk is over
+
+    def note_what_was_heard(self, name):
+        """When the box was asked for all that it holds, and it was well, no knob is an excuse any more."""
+        ask = getattr(self.laser.box, name)
+
+        def asks(*values, **named):
+            answer = ask(*values, **named)
+            self.turned.clear()
+            return answer
+
+        setattr(self.laser.box, name, asks)
 
     def lives(self):
         """Time has passed: the timing unit does what is due, and so does a person."""
@@ -106,10 +132,27 @@ class Story:
         self.pulses += 1
         state = self.laser._states._state  # without its clock
         self.left[pulse.output] -= 1
+        knobs = {keyword for output, keyword in self.turned if output == pulse.output}
         if self.left[pulse.output] < 0 and self.kind != "oltSync":  # which does not count
-            self.found.append(f"one pulse too many on {pulse.output} at {pulse.rises_s:.4f} s")
-        if state not in EMITS and not (state is LaserState.UNKNOWN and self.cut):
+            self.by_knobs += bool(knobs)
+            if not knobs:
+                self.found.append(f"one pulse too many on {pulse.output} at {pulse.rises_s:.4f} s")
+        if state in EMITS:
+            self.judge_end(pulse, knobs)
+        elif not (self.is_out_of_reach(state) or (state in BETWEEN and "MUX" in knobs)):
             self.found.append(f"a pulse on {pulse.output} at {pulse.rises_s:.4f} s while {state.value}")
+
+    def judge_end(self, pulse, knobs):
+        """Of a box in reach at which somebody looks whether the time of its chunk is over."""
+        if self.looks_s is None or not self.line.reached or "MUX" in knobs:
+            return
+        late_s = pulse.rises_s - max(self.laser._ends_s, self.looks_s)
+        if late_s > LATE_S:
+            self.found.append(f"a pulse on {pulse.output} {late_s:.3f} s after the time of its chunk")
+
+    def is_out_of_reach(self, state):
+        """Whether the program knows that light may leave, and no word of it can reach the box."""
+        return state is LaserState.UNKNOWN and not self.line.reached
 
     # ---- what may happen -----------------------------------------------------------------------------
 
@@ -117,7 +160,6 @@ class Story:
         for output in self.q_switches:
             self.left[output] = pairs
         self.firings += 1
-        self.cut = self.cut and self.line.dead  # what was left of another burst was seen to be off before this one
 
     def fire(self):
         pairs = self.rng.choice((1, 3, 20, 50))
@@ -169,7 +211,6 @@ class Story:
 
     def unplug(self):
         self.emulator.advance()
-        self.cut = self.cut or self.laser.state in EMITS
         self.line.unplug()
 
     def later_unplug(self):
@@ -187,9 +228,20 @@ class Story:
         number = self.rng.randrange(len(self.emulator._all))
         words = [each for each in NUDGES if each[0] in self.emulator._all[number].words]
         keyword, value = self.rng.choice(words)
-        if self.laser.state in EMITS or (keyword == "MUX" and self.emulator.is_on_at(0)):
-            return  # somebody who turns a knob while pulses leave is out of our reach
+        self.turn(number, keyword, value)
+
+    def endless(self):
+        """A person makes a burst that goes on endless, or longer."""
+        if self.kind != "oltSync":
+            number = 1 + LETTERS.index(self.rng.choice(sorted(self.q_switches)))
+            self.turn(number, *self.rng.choice((("CMOD", "NORM"), ("BCO", "5000"))))
+
+    def turn(self, number, keyword, value):
+        """Somebody turns a knob at the box, whatever the program believes."""
+        self.emulator.advance()
         self.emulator.set_inside(number, keyword, value)
+        if self.emulator.is_on_at(0) and number > 0:
+            self.turned |= {(output, keyword) for output in self.emulator.fed_by(number)}
 
     def refuse_off(self):
         """One output, or T0, is not switched off when it is told to, a few times."""
@@ -237,12 +289,12 @@ class Story:
         "safe": 4, "warm": 8, "sleep": 6, "set": 8, "arm": 8, "fire": 10, "wait": 4, "look": 3, "watch": 3,
         "stop": 2, "align": 2, "confirm": 2, "disarm": 1, "fault": 3, "later_fault": 3, "refuse": 2,
         "refuse_off": 2, "later_refuse": 2, "unplug": 1, "later_unplug": 1, "plug_in": 3, "power": 1,
-        "keys": 2, "stop_key": 1, "stop_at_any_byte": 2,
+        "keys": 2, "endless": 1, "stop_key": 1, "stop_at_any_byte": 2,
     }  # fmt: skip
     USUAL: ClassVar = {  # what a person does next, so that sequences get as far as light
         LaserState.SAFE: ("warm",), LaserState.WARM: ("sleep",), LaserState.ARMED: ("fire",),
         LaserState.FAULT: ("safe",), LaserState.UNKNOWN: ("safe", "sleep", "confirm"),
-        LaserState.FIRING: ("wait", "sleep", "stop", "watch", "later_fault"),
+        LaserState.FIRING: ("wait", "sleep", "stop", "watch", "later_fault", "endless"),
         LaserState.ALIGNING: ("wait", "sleep"),
     }  # fmt: skip
 
@@ -270,10 +322,14 @@ class Story:
 
     def do(self, name):
         self.log.append(f"{self.clock.now_s():9.3f} {self.laser.state.value:9s} {name}")
+        self.looks_s = self.clock.now_s() if name in LOOKS else None
         try:
             getattr(self, name)()
         except (DaqError, StageError) as error:
             self.log[-1] += f" -> {type(error).__name__}: {error}"
+        is_over = self.laser._states._state in EMITS and self.clock.now_s() > self.laser._ends_s
+        if name in LOOKS and self.line.reached and is_over:
+            self.found.append("it goes on although its time is over, and was looked at")
 
     def end(self):
         self.line.hooks.clear()
@@ -299,6 +355,7 @@ def play(sequences, seed, length=14, until_s=None):
         books["sequences"] += 1
         books["pulses"] += story.pulses
         books["bursts"] += story.firings
+        books["pulses by knobs"] += story.by_knobs
         if story.found:
             return books, [f"seed {seed}-{number}", *story.log, *story.found]
         if until_s is not None and time.monotonic() > until_s:

@@ -89,6 +89,7 @@ def play(numbers, seed, length=14, playground=None):
         books["sequences"] += 1
         books["pulses"] += story.pulses
         books["bursts"] += story.firings
+        books["pulses by knobs"] += story.by_knobs
         books["motions"] += story.moves
         if story.found:
             return books, [f"seed {seed}-{number}", *story.log, *story.found]

@@ -246,6 +246,7 @@ class LightStory(laser.Story):
         LaserState.ARMED: ("fire", "fire", "move"), LaserState.ALIGNING: ("wait", "sleep", "move"),
         LaserState.FIRING: (
             "wait", "watch", "watch", "move", "home", "nudge_at_any_byte", "stage_power", "stage_fault",
+            "endless",
         ),
     }  # fmt: skip
 

@@ -3,9 +3,11 @@
 import pytest
 
 from daq.timing.box import TimingBox
+from daq.timing.drivers.quantum_composers import QuantumComposersBox
 from daq.timing.laser import Laser
 from daq.timing.states import Event, LaserState
-from tests.fuzz.benches.laser import play
+from sim.emulators.protocol_sim import LINES
+from tests.fuzz.benches.laser import Story, play
 
 
 def test_no_pulse_that_was_not_asked_for():
@@ -40,6 +42,36 @@ def test_the_judge_sees_a_state_that_goes_ahead_of_the_box(monkeypatch):
     assert any("while ready" in line for line in found)
 
 
+def test_the_judge_sees_a_burst_whose_end_is_left_to_the_box(monkeypatch):
+    """A knob has made it endless, and the cable is in."""
+    assert not any(map(endless, range(10)))
+    monkeypatch.setattr(QuantumComposersBox, "end", says_nothing)
+    assert any("while ready" in line for number in range(10) for line in endless(number))
+
+
+def endless(number):
+    """What the judge finds in a burst that is made endless at the keys, and waited for."""
+    story = Story(f"endless {number}")
+    story.begin()
+    story.do("warm")
+    story.clock.sleep_s(6.0)
+    for name in ("set", "set", "arm", "fire", "endless", "wait", "sleep"):
+        story.do(name)
+    LINES.pop(story.address)
+    return story.found
+
+
+def test_the_judge_sees_an_end_that_comes_late(monkeypatch):
+    monkeypatch.setattr(QuantumComposersBox, "end", ends_late)
+    _, found = play(60, "late 0")
+    assert any("after the time of its chunk" in line for line in found), found
+
+
+def ends_late(box, end=QuantumComposersBox.end):
+    box.clock.sleep_s(0.5)
+    end(box)
+
+
 def ends_early(laser):
     if laser.state is LaserState.FIRING:
         laser._states.enter(Event.DONE)
@@ -48,5 +80,5 @@ def ends_early(laser):
 
 def test_the_judge_sees_a_laser_that_is_given_up_while_its_cable_is_loose(monkeypatch):
     monkeypatch.setattr("daq.timing.darkness.LEAVING_S", 0.0)
-    _, found = play(50, "loose 0")
+    _, found = play(20, "loose 11")
     assert found[-1:] == ["something is on after the end"]
