@@ -6,13 +6,10 @@ import re
 import subprocess
 import sys
 import textwrap
-from types import SimpleNamespace
 
 import pytest
 
 from tests.slow_suite import KEPT, ROOT, SHARDS, balance, commit, main, shard_of, summary, write
-from tests.thinned import TESTS as PLACE
-from tests.thinned import thin
 
 NOW = dt.datetime(2026, 11, 24, 12, 0, tzinfo=dt.UTC)
 SECONDS = (900, 20, 30, 400, 300, 200, 10, 5, 500, 60, 70, 80)
@@ -138,15 +135,3 @@ def test_dealing_out_anew_takes_what_was_measured_and_forgets_what_is_gone():
 def test_a_shard_that_is_none_is_refused_in_one_sentence(word):
     with pytest.raises(SystemExit, match="name one of all, as in SHARD=3/16"):
         main([word])
-
-
-@pytest.mark.parametrize(("case", "marks"), [("[8.0]", ["slow"]), ("[1.5]", [])])
-def test_cases_that_are_thinned_out_are_slow(case, marks):
-    test, seen = "test_peak_locking_stays_below_4_thousandths", []
-    item = SimpleNamespace(
-        path=PLACE / "piv" / "correlation" / "test_flows.py", originalname=test, name=f"{test}{case}",
-        add_marker=lambda mark: seen.append(mark.name),
-    )  # fmt: skip
-    left = thin([item])
-    assert seen == marks
-    assert (f"piv/correlation/test_flows.py::{test}[1.5]" in left) == bool(marks)

@@ -11,6 +11,7 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.correction_map import build_correction_map
 from tests.correction.evaluate.vectors import uniform_field
 from tests.correction.small_scenes import small_scene
+from tests.slow_cases import slow
 from tracer.errors import StaleMap
 from tracer.scene.fit_section import FitCameraTable, FitSphereTable, FitTable
 from tracer.strategies.ray_map import build_ray_map
@@ -45,7 +46,7 @@ def drawn_landings(bench, draw, pixels, glass):
         yield trace(scene if glass else scene.with_bodies(()), pixels).plane_mm
 
 
-@pytest.mark.parametrize("glass", [True, False])
+@pytest.mark.parametrize("glass", [True, slow(False)])
 def test_sigma_is_the_spread_of_drawn_scenes(known, glass):
     bench, sigma, cmap, draw = known
     scene = bench.scene

@@ -27,7 +27,7 @@ from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import TargetPose, landings
 from tracer.strategies.trace import trace
 
-FAST_AND_SLOW = ["one_sphere", pytest.param("two_spheres", marks=pytest.mark.slow)]
+NAMES = ("one_sphere", "two_spheres")
 BARE_MM, GLASS_MM = (-20.0, -10.0, 10.0, 20.0), (-10.0, -20.0)
 
 
@@ -45,14 +45,16 @@ def fit_of(name: str, stack: bool = False) -> tuple[Supplied, SceneFit]:
     return made, fit_scene(made.nominal, frames, Chessboard())
 
 
-@pytest.mark.parametrize("name", FAST_AND_SLOW)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_reprojection_and_share(name):
     _, fit = fit_of(name)
     assert fit.corners.rms_px(behind=True).max() <= 0.07
     assert fit.share >= 0.85
 
 
-@pytest.mark.parametrize("name", FAST_AND_SLOW)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_corrected_frame_against_the_regular_grid(name):
     made, fit = fit_of(name)
     corrector = Corrector(build_correction_map(fit.scene, build_ray_map(fit.scene)))
@@ -61,7 +63,8 @@ def test_corrected_frame_against_the_regular_grid(name):
     assert max(error.regions["seen directly"].rms_px) <= 0.07
 
 
-@pytest.mark.parametrize("name", FAST_AND_SLOW)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_geometry_against_the_true_file(name):
     made, fit = fit_of(name)
     assert np.abs(np.subtract(fit.scene.camera.position_mm, made.truth.camera.position_mm)).max() <= 0.015
@@ -72,7 +75,7 @@ def test_geometry_against_the_true_file(name):
         assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.004
 
 
-@pytest.mark.parametrize("name", ["one_sphere", "two_spheres"])
+@pytest.mark.parametrize("name", NAMES)
 def test_corners_lie_where_the_rays_of_their_renderer_put_them(name):
     made = supplied(name)
     expected = expect(made.truth, TargetPose(), Chessboard())
@@ -94,7 +97,8 @@ def test_corners_lie_where_the_rays_of_their_renderer_put_them(name):
     assert np.abs(outwards(0.0)).max() > 0.04
 
 
-@pytest.mark.parametrize("name", FAST_AND_SLOW)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_fitted_map_against_the_true_file_and_against_what_the_frames_show(name):
     made, fit = fit_of(name)
     grid = grid_of(made.truth.camera)

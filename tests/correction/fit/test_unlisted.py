@@ -16,6 +16,7 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import Aperture, render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import map_error_px, photograph
+from tests.slow_cases import slow_but
 from tracer.bodies import Body, Rod, Sphere, Tube, Window
 from tracer.media import MEDIA, ConstantMedium
 from tracer.scene.scene import Scene
@@ -58,7 +59,7 @@ def nodes_off(scene: Scene, stray: str) -> int:
     return int(np.count_nonzero(~(error < 0.5)))
 
 
-@pytest.mark.parametrize("stray", BODIES)
+@pytest.mark.parametrize("stray", slow_but(BODIES, "wire", "drop"))
 def test_a_stray_body_is_masked_and_little_else(stray):
     scene = masked_by(frame(stray))
     assert scene.masked

@@ -11,6 +11,7 @@ from correction.inversion.kernels.newton import solve_node
 from correction.inversion.kernels.sheets import GLASS, RUN, SIGN, USEFUL, join_runs, list_runs
 from correction.maps.correction_map import MAX_MAGNIFICATION, MIN_MAGNIFICATION, build_correction_map
 from tests.correction.small_scenes import SCENES, small_scene
+from tests.slow_cases import slow_but
 from tracer.bodies import Sphere
 from tracer.kernels.march import march_pixel_tangents
 from tracer.media import ConstantMedium
@@ -107,7 +108,7 @@ def test_hardly_a_node_is_missing_to_which_its_neighbour_leads() -> None:
     assert len(missing) < 0.0025 * found.recovered.sum()  # 0.0020 on writing
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", slow_but(SCENES, "two_spheres_500", "hollow_pair"))
 def test_derivatives_are_those_of_the_stored_pixel_to_what_float32_holds(name: str) -> None:
     """The last step is not traced again: what it leaves in Jacobian and transmittance is bounded by its size."""
     scene = small_scene(name)

@@ -7,6 +7,7 @@ from correction.light_sheet.double_views import ACROSS, double_views
 from correction.light_sheet.layers import ROOM, layers
 from sim.flow.view import ParticleView
 from tests.correction.light_sheet.particle_frames import camera
+from tests.slow_cases import slow
 from tracer.strategies.sensitivity import TargetPose, landings
 
 SHARP_PX2 = 1e-8
@@ -21,7 +22,7 @@ def seen():
     return scene, views.at(chosen)
 
 
-@pytest.mark.parametrize("number", [0, 17, 40])
+@pytest.mark.parametrize("number", [slow(0), 17, slow(40)])
 def test_middles_lie_where_the_simulator_draws_them(seen, number):
     scene, views = seen
     bells = layers(scene, views, 0.5, SHARP_PX2)

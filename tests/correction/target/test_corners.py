@@ -9,6 +9,7 @@ from ground.kernels import cholesky
 from piv.errors import FrameError
 from tests.correction.frame_truth import FRAMES, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
+from tests.slow_cases import slow_but
 
 SQUARE = 2.5
 
@@ -37,7 +38,7 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize("name", slow_but(VIEWS, "upright", "sheared"))
 def test_noise_free_corners_are_exact_and_noisy_ones_as_good_as_they_say(name):
     matrix, origin, shape = np.array(VIEWS[name]), np.array((150.3, 161.7)), (320, 320)
     clean = soft_board(affine(matrix, origin), shape)

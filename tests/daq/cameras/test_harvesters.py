@@ -17,6 +17,7 @@ from daq.runner.camera_watch import camera_facts
 from sim.camera.config import CameraConfig, FaultPlan
 from sim.camera.gentl import write_producer
 from tests.daq.cameras.rigs import need_harvesters
+from tests.slow_cases import slow
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 
@@ -65,7 +66,7 @@ def test_a_process_that_dies_is_a_lost_camera(make):
             camera.next_frame(1.0).release()
 
 
-@pytest.mark.parametrize("wait", [HarvestersCamera.trigger, lambda camera: camera.poll(0.1)])
+@pytest.mark.parametrize("wait", [HarvestersCamera.trigger, slow(lambda camera: camera.poll(0.1))])
 def test_a_camera_that_was_lost_between_steps_is_still_lost_when_frames_are_waited_for(make, wait):
     """A run asks for the clock between steps and lets it pass: who waits for frames is to find out."""
     camera = make()
@@ -77,7 +78,7 @@ def test_a_camera_that_was_lost_between_steps_is_still_lost_when_frames_are_wait
         wait(camera)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [slow(signal.SIGINT), signal.SIGHUP])
 def test_what_a_terminal_sends_is_for_the_parent_to_decide(make, number):
     """A closed window ends a run after its step; the camera must live as long."""
     camera = make()
@@ -106,7 +107,7 @@ camera.close()
 """
 
 
-@pytest.mark.parametrize("ending", ["close", "leave"])
+@pytest.mark.parametrize("ending", [slow("close"), "leave"])
 def test_a_script_needs_no_guard_and_may_stand_beside_any_file(tmp_path, ending):
     """The camera's process neither runs the caller's script again nor looks into the folder it was started in."""
     need_harvesters()

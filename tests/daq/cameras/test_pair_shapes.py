@@ -16,6 +16,7 @@ from daq.runner.pair_finder import PairFinder
 from sim.camera.config import CameraConfig, FaultPlan
 from sim.camera.wires import Wires
 from tests.daq.cameras.rigs import RIGS
+from tests.slow_cases import slow_but
 
 RATE_HZ, EXPOSURE_US = 50.0, 500.0
 PERIOD_NS = round(1e9 / RATE_HZ)
@@ -105,7 +106,7 @@ def taken(camera, wires, section, settings):
     return found, finder, frames
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", slow_but(SHAPES, "double_height", "two_blocks, line", "burst, counter"))
 def test_pairs_come_whole_and_of_one_pulse_each(rig, tmp_path, name):
     section, settings = SHAPES[name]
     wires = Wires(tmp_path)

@@ -15,6 +15,7 @@ from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, SIDE_PX, files_bench, load, write_frames
+from tests.slow_cases import slow
 
 PLAN = SHIFT + "frames: 3\n"
 
@@ -23,7 +24,7 @@ def pixels_of(folder):
     return [path.read_bytes()[-2 * SIDE_PX**2 :] for path in sorted((folder.path / "frames").glob("*.tif"))]
 
 
-@pytest.mark.parametrize("is_corrected", [True, False])
+@pytest.mark.parametrize("is_corrected", [True, slow(False)])
 def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
     bench, plan = load(tmp_path, PLAN, camera=FILES_CAMERA)
     files, folders, seen = write_frames(tmp_path / "frames_in", 40), [], []

@@ -13,6 +13,7 @@ from daq.runner.session import Request, begin
 from daq.runs.run_folder import finished_steps, frame_entries
 from stages.errors import MotionStopped, NotInPosition
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
+from tests.slow_cases import slow
 
 PLAN = SHIFT + "frames: 2\n"
 
@@ -69,7 +70,7 @@ def slip_reading(hardware, axis="target_x", mm=6.0):
     part.controller.position_mm = lambda channel: read(channel) + (mm if channel == part.settings.channel else 0.0)
 
 
-@pytest.mark.parametrize("controller", ["rail", "portal", "glass", "target"])
+@pytest.mark.parametrize("controller", [slow("rail"), "portal", slow("glass"), "target"])
 def test_a_controller_that_restarts_while_frames_are_taken_fails_its_step(run, disturbed, controller):
     bench, plan, folder, files = run
     with files_bench(bench, files, disturbed) as hardware:

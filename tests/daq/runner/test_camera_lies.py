@@ -16,6 +16,7 @@ from daq.runs.run_folder import frame_entries
 from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load
+from tests.slow_cases import slow
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 SMALL = {"width": 64, "height": 16, "row_time_us": 20.0}
@@ -38,7 +39,7 @@ def exposures_of(camera, **settings):
     return exposures
 
 
-@pytest.mark.parametrize("settings", [SOFTWARE, {"TriggerMode": "Off", "AcquisitionFrameRate": 50.0}])
+@pytest.mark.parametrize("settings", [slow(SOFTWARE), {"TriggerMode": "Off", "AcquisitionFrameRate": 50.0}])
 def test_frames_in_another_format_than_read_back_are_refused_at_the_first(rig, settings):
     exposures = exposures_of(rig.make(CameraConfig(**SMALL, delivers="Mono8")), PixelFormat="Mono12", **settings)
     with pytest.raises(OtherFormat, match=r"sends Mono8 of 64 x 16 px and reads Mono12 of 64 x 16 px back"):
@@ -106,7 +107,7 @@ def test_no_frame_is_kept_that_was_exposed_after_the_settings_were_lost(rig, tmp
         assert shown == sorted(set(shown))
 
 
-@pytest.mark.parametrize("kind", [{"has_clock": False}, {"stamp_offset_ns": 10**15}])
+@pytest.mark.parametrize("kind", [slow({"has_clock": False}), {"stamp_offset_ns": 10**15}])
 def test_a_clock_that_is_another_or_cannot_be_read_still_tells_late_frames(rig, kind):
     camera = rig.make(CameraConfig(**SMALL, faults=FaultPlan(late_s={"9": 1.6}), **kind))
     exposures = exposures_of(camera)

@@ -10,6 +10,7 @@ from daq.cameras import camera as waiting
 from daq.runner.camera_session import CameraSession
 from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
+from tests.slow_cases import slow
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 SECTION = CameraSection(backend="any", settings=SOFTWARE, timeout_s=0.3, buffers=8, retakes=20)
@@ -47,7 +48,7 @@ def take(exposures, camera, stops):
     return seen
 
 
-@pytest.mark.parametrize("late_s", [{"2": 0.8}, {"1": 0.8, "4": 0.8}, {"0": 0.8}])
+@pytest.mark.parametrize("late_s", [slow({"2": 0.8}), {"1": 0.8, "4": 0.8}, {"0": 0.8}])
 def test_no_frame_is_filed_under_a_stop_that_it_does_not_show(rig, late_s):
     camera = counted(rig.make(CameraConfig(**SMALL, faults=FaultPlan(late_s=late_s))))
     camera.open()

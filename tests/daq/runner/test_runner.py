@@ -16,6 +16,7 @@ from daq.runs.raw_frame import checksum, read_raw, write_raw
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
 from stages.errors import DeviceLost, MotionStopped
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
+from tests.slow_cases import slow
 
 PLAN = SHIFT + "frames: 2\n"
 
@@ -87,7 +88,7 @@ def test_frames_enter_the_journal_before_their_step(bench_and_plan, folder, file
             assert set(plan.steps[entry["step"]].numbers) <= seen
 
 
-@pytest.mark.parametrize("step", [0, 3, 7])
+@pytest.mark.parametrize("step", [slow(0), 3, slow(7)])
 def test_ctrl_c_once_finishes_the_step_and_resume_does_the_rest(bench_and_plan, folder, files, step):
     bench, plan = bench_and_plan
 

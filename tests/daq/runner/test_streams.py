@@ -19,6 +19,7 @@ from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
 from stages.errors import MotionStopped
 from tests.daq.small_bench import SIDE_PX, files_bench, load
+from tests.slow_cases import slow
 
 FRAMES = 60
 PLAN = f"experiment: stream\nview: clear\nframes: {FRAMES}\n"
@@ -127,7 +128,7 @@ def test_a_whole_stream_has_no_gaps_and_no_further_arm(run):
     assert all(number == picture for number, picture in shown(run[2]).items())
 
 
-@pytest.mark.parametrize("killed_after", [37, 38])
+@pytest.mark.parametrize("killed_after", [37, slow(38)])
 def test_what_a_killed_stream_has_stays_and_the_rest_is_taken(run, tmp_path, killed_after):
     """The folder is copied in the middle of the run: what a kill at that moment leaves."""
     bench, plan, folder, files = run

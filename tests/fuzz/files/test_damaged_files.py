@@ -1,4 +1,4 @@
-"""Two thousand damaged files every time: read, or refused in one sentence, in two seconds and 500 MB each.
+"""Some hundred damaged files every time: read, or refused in one sentence, in two seconds and 500 MB each.
 
 `make fuzz CASES=100000` plays a hundred thousand, and any number again by itself.
 """
@@ -21,11 +21,11 @@ def quiet(text):
 
 
 def test_thousands_of_damaged_files(playground):
-    tally = fuzz("fast", range(700), playground)
+    tally = fuzz("fast", range(350), playground)
     assert not tally.findings
     assert tally.longest_s <= LONGEST_S
     assert tally.most_mb <= MOST_MB
-    assert tally.refused > 350
+    assert tally.refused > 175
     assert set(tally.by_file) == {each.path for each in ORIGINALS}
 
 

@@ -6,6 +6,7 @@ import pytest
 from piv.correlation.evidence import PROVEN, WEAK, proven, unproven
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
+from tests.slow_cases import slow
 
 
 def wave(length_px):
@@ -25,7 +26,7 @@ def gain_and_valid(pair, truth):
     return found.sum() / (du**2 + dv**2).sum(), field.valid[inner].mean()
 
 
-@pytest.mark.parametrize(("length_px", "least"), [(48, 0.45), (64, 0.70), (96, 0.92), (128, 0.97)])
+@pytest.mark.parametrize(("length_px", "least"), [(48, 0.45), slow(64, 0.70), slow(96, 0.92), slow(128, 0.97)])
 def test_crests_of_short_waves_are_kept(particle_pair, length_px, least):
     truth = wave(length_px)
     gain, valid = gain_and_valid(particle_pair(truth, seed=3, ppp=0.05), truth)

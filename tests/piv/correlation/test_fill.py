@@ -12,6 +12,7 @@ from piv.correlation.pair import evaluate_pair
 from piv.correlation.prepare import prepared
 from piv.correlation.windows import window_grid
 from tests.piv.correlation.flows import mix, uniform, vortex
+from tests.slow_cases import slow
 
 MARGIN = 3
 
@@ -30,7 +31,10 @@ def scattered(share, seed=3, shape=(512, 512)):
     return np.random.default_rng(seed).uniform(size=shape) >= share
 
 
-@pytest.mark.parametrize("truth", [mix, uniform(9.9, 9.9), uniform(5.0, -3.0)], ids=["mix", "9.9", "whole"])
+@pytest.mark.parametrize(
+    "truth",
+    [slow(mix, name="mix"), slow(uniform(9.9, 9.9), name="9.9"), pytest.param(uniform(5.0, -3.0), id="whole")],
+)
 def test_a_fifth_of_all_pixels_dead_costs_less_than_twice_the_error(particle_pair, truth):
     """They stand still while the flow moves: at whole pixels they meet themselves nowhere, at none everywhere."""
     without, off, sigma = [], [], []
@@ -69,7 +73,7 @@ def test_a_vortex_through_dead_pixels(particle_pair):
     assert rms(errors(field, vortex())) < 0.02  # 0.026 before filled pixels weighed what they are worth
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
+@pytest.mark.parametrize("share", [slow(0.05), 0.2, slow(0.3)])
 def test_strangers_do_not_become_a_pair_by_completing_each_other(particle_pair, share):
     field = evaluate_pair(particle_pair(mix, seed=1)[0], particle_pair(mix, seed=2)[1], scattered(share))
     assert field.valid.mean() <= 0.2

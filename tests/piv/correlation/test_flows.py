@@ -9,6 +9,7 @@ from piv.correlation.response import response_at
 from piv.correlation.settings import PivSettings
 from piv.errors import PairError
 from tests.piv.correlation.flows import mix, turbulence, uniform, wave
+from tests.slow_cases import slow
 
 MARGIN = 3  # windows at the edge that are not counted here
 
@@ -32,7 +33,9 @@ def test_benchmarks_draw_their_pairs_with_generator_and_flows_of_these_tests():
     assert callable(of_the_tests("statistics/test_ensemble.py").frames)  # `benchmarks.rim`
 
 
-@pytest.mark.parametrize(("length_px", "least", "most"), [(48, 0.93, 1.03), (64, 0.97, 1.03), (96, 0.98, 1.02)])
+@pytest.mark.parametrize(
+    ("length_px", "least", "most"), [(48, 0.93, 1.03), slow(64, 0.97, 1.03), slow(96, 0.98, 1.02)]
+)
 def test_gain_of_waves_of_one_and_a_half_two_and_three_windows(particle_pair, length_px, least, most):
     truth = wave(length_px)
     field = evaluate_pair(*particle_pair(truth, seed=3, ppp=0.05))
@@ -52,8 +55,8 @@ def test_noise_of_a_uniform_flow(particle_pair):
 @pytest.mark.parametrize(
     ("flow", "window", "median_px", "wrong"),
     [
-        (turbulence(2, 2.5, 300, 40), 32, 0.07, 0.02),
-        (turbulence(3, 2.0, 200, 30), 32, 0.17, 0.05),
+        slow(turbulence(2, 2.5, 300, 40), 32, 0.07, 0.02),
+        slow(turbulence(3, 2.0, 200, 30), 32, 0.17, 0.05),
         (turbulence(3, 2.0, 200, 30), 16, 0.09, 0.005),
     ],
 )
@@ -68,7 +71,7 @@ def test_turbulence_with_known_truth(particle_pair, flow, window, median_px, wro
     assert field.valid.mean() > 0.97
 
 
-@pytest.mark.parametrize("diameter_px", [1.2, 1.5, 2.0, 3.0, 8.0])
+@pytest.mark.parametrize("diameter_px", [slow(1.2), 1.5, slow(2.0), slow(3.0), slow(8.0)])
 def test_peak_locking_stays_below_4_thousandths(particle_pair, diameter_px):
     found, fraction = [], []
     for seed in (1, 2, 3):
@@ -80,7 +83,7 @@ def test_peak_locking_stays_below_4_thousandths(particle_pair, diameter_px):
     assert abs(2 * np.mean(off * np.sin(phase))) < 0.0042
 
 
-@pytest.mark.parametrize("shift_px", [36.3, 60.2])
+@pytest.mark.parametrize("shift_px", [slow(36.3), 60.2])
 def test_a_displacement_beyond_the_first_window_is_found_without_being_told(particle_pair, shift_px):
     truth = uniform(shift_px, 0.0)
     field = evaluate_pair(*particle_pair(truth, seed=3))
@@ -99,7 +102,8 @@ def test_what_stands_still_is_found_and_named(particle_pair):
 
 
 SIGMA_CASES = [
-    {"noise": 0.01}, {"noise": 0.1}, {"loss": 0.2}, {"ppp": 0.1}, {"ppp": 0.01}, {"diameter_px": 2.0},
+    slow({"noise": 0.01}), {"noise": 0.1}, {"loss": 0.2}, slow({"ppp": 0.1}), slow({"ppp": 0.01}),
+    slow({"diameter_px": 2.0}),
 ]  # fmt: skip
 
 
@@ -128,7 +132,7 @@ def test_live_vectors_are_those_of_a_whole_evaluation_but_rougher(particle_pair)
         live_vectors(pair[0], pair[1][:-2])
 
 
-@pytest.mark.parametrize("step_px", [2.0, 4.0])
+@pytest.mark.parametrize("step_px", [slow(2.0), 4.0])
 def test_beside_a_step_vectors_stay_what_they_are(particle_pair, step_px):
     """Quiet neighbours beyond the step know of no detail: a vector whose own rest is far above its noise stays."""
 
@@ -156,7 +160,7 @@ def test_light_that_differs_within_and_between_frames_changes_little(particle_pa
 
 
 @pytest.mark.parametrize(
-    ("length_px", "angle_deg", "height_px"), [(50, 45.0, 1.0), (40, 30.0, 0.3), (40, 30.0, 1.0)]
+    ("length_px", "angle_deg", "height_px"), [(50, 45.0, 1.0), slow(40, 30.0, 0.3), slow(40, 30.0, 1.0)]
 )
 def test_the_response_to_oblique_waves_is_the_one_that_is_said(particle_pair, length_px, angle_deg, height_px):
     """Measured, it is what a judge may compare stresses with (`benchmarks.flow_truth`)."""

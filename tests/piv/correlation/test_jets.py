@@ -5,17 +5,18 @@ import pytest
 
 from piv.correlation.pair import evaluate_pair
 from tests.piv.correlation.flows import gaussian_jet, plane_jet
+from tests.slow_cases import slow
 
 MARGIN = 2
 STEEP = [
-    pytest.param(gaussian_jet(), id="Gaussian"),
-    pytest.param(gaussian_jet(angle_rad=0.5), id="Gaussian, oblique"),
-    pytest.param(plane_jet(), id="flat core"),
+    slow(gaussian_jet(), name="Gaussian"),
+    slow(gaussian_jet(angle_rad=0.5), name="Gaussian, oblique"),
+    slow(plane_jet(), name="flat core"),
     pytest.param(plane_jet(angle_rad=0.5), id="flat core, oblique"),
-    pytest.param(plane_jet(width_px=62.0, angle_rad=0.3), id="twice as wide"),
+    slow(plane_jet(width_px=62.0, angle_rad=0.3), name="twice as wide"),
 ]
 UNRESOLVED = [
-    pytest.param(gaussian_jet(width_px=16.0), id="half a window wide"),
+    slow(gaussian_jet(width_px=16.0), name="half a window wide"),
     pytest.param(gaussian_jet(width_px=16.0, angle_rad=0.5), id="half a window wide, oblique"),
 ]
 

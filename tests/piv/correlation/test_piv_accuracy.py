@@ -6,6 +6,7 @@ import pytest
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorFlag
+from tests.slow_cases import slow
 
 
 def uniform(du, dv):
@@ -102,7 +103,10 @@ def test_vectors_at_a_mask_edge(particle_pair, truth, texture):
     assert np.isnan(field.u_px[field.flags == VectorFlag.MASKED]).all()
 
 
-CASES = [{"noise": 0.01}, {"noise": 0.03}, {"noise": 0.1}, {"loss": 0.05}, {"loss": 0.1}, {"loss": 0.2}]
+CASES = [
+    {"noise": 0.03}, {"loss": 0.1},
+    *map(slow, ({"noise": 0.01}, {"noise": 0.1}, {"loss": 0.05}, {"loss": 0.2})),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)

@@ -7,6 +7,7 @@ from piv.errors import SeriesError
 from piv.statistics.effective_samples import Blocking, from_series, mean_sigma, stress_sigma
 from piv.statistics.merge_tree import MergeTree, merged_in_order
 from piv.statistics.moments import Moments
+from tests.slow_cases import slow
 
 
 def autoregressive(rho, count, shape, seed=3):
@@ -25,7 +26,7 @@ def both(series):
     return moments, merged_in_order((k, Blocking.of(x)) for k, x in fields)
 
 
-@pytest.mark.parametrize(("rho", "lost"), [(0.0, 0.0), (0.5, 0.0), (0.9, 0.0), (0.5, 0.15)])
+@pytest.mark.parametrize(("rho", "lost"), [slow(0.0, 0.0), slow(0.5, 0.0), slow(0.9, 0.0), (0.5, 0.15)])
 def test_sigma_of_the_mean_covers_what_it_says(rho, lost):
     series = autoregressive(rho, 1000, (16, 40))
     gone = np.random.default_rng(5).uniform(size=series.shape[:3]) < lost

@@ -1,0 +1,22 @@
+"""Cases of a dear test that are left to the slow suite (`make slow`).
+
+What stays fast shows what no other case does; where all show the same, the hardest of the cheap ones stays.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+
+def slow(*values: Any, name: str | None = None) -> Any:
+    """One case, of as many values as the test takes, that the slow suite runs."""
+    return pytest.param(*values, marks=pytest.mark.slow, id=name)
+
+
+def slow_but(names: Iterable[str], *fast: str) -> list[Any]:
+    """All names, of which only the fast ones are no slow cases."""
+    every = list(names)
+    unknown = {*fast} - {*every}
+    assert not unknown, f"no case is called {', '.join(sorted(unknown))}"
+    return [name if name in fast else slow(name) for name in every]
