@@ -37,6 +37,11 @@ SPEED, LENGTH = "m s-1", "mm"
 STANDARD_NAMES = {
     "x": "projection_x_coordinate", "y": "projection_y_coordinate", "t": "time", "chc": "validity_flag",
 }  # fmt: skip
+LONG_NAMES = {
+    "dxdz": "slope dX/dz of the rays at the plane", "dydz": "slope dY/dz of the rays at the plane",
+    "slant_sigma_u": "standard uncertainty of u by the velocity through the sheet",
+    "slant_sigma_v": "standard uncertainty of v by the velocity through the sheet",
+}  # fmt: skip
 LARGEST = 1 << 31  # bytes of a file that is read
 DAMAGE = (ValueError, TypeError, IndexError, KeyError, AttributeError, OverflowError, AssertionError, EOFError,
           MemoryError, NotImplementedError, struct.error)  # fmt: skip
@@ -156,6 +161,7 @@ def vectors_netcdf(vectors: Vectors) -> bytes:
 
     def variable(name: str, dimensions: tuple[str, ...], values: NDArray[Any], unit: str) -> Variable:
         said = {"standard_name": names[name]} if name in names else {}
+        said |= {"long_name": LONG_NAMES[name]} if name in LONG_NAMES else {}
         return Variable(dimensions, values, unit, said | ({"axis": name.upper()} if name in GRID else {}))
 
     axes = (("t", vectors.times, vectors.time_unit), ("y", vectors.y_mm, "mm"), ("x", vectors.x_mm, "mm"))

@@ -22,6 +22,7 @@ WORDS = {  # options that are not called what their parameter is
     "as_float": ("--float",),
     "scenes": ("--scene",),
     "sigma_limit_px": ("--sigma-limit",),
+    "sigma_w_m_s": ("--sigma-w",),
     "first_window_px": ("--first-window",),
     "final_window_px": ("--final-window",),
     "finest_window_px": ("--finest-window",),

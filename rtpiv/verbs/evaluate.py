@@ -119,7 +119,7 @@ def evaluate(
         )
     run = paths[0] if len(paths) == 1 and (is_run(paths[0]) or is_source(paths[0])) else None
     preparation = choice.preparation or Preparation()
-    how = PairMethod("", details, choice.settings, preparation, output.pictures)
+    how = PairMethod("", details, choice.settings, preparation, output.pictures, choice.out_of_plane)
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
         out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, run.resolve().name))

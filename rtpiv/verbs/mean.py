@@ -10,6 +10,7 @@ from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import is_run, where_lit
 from ground.terminal import console
 from piv.errors import PairError
+from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
@@ -23,6 +24,8 @@ from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, require_folder
 from rtpiv.verbs.show import show_mean, show_series, show_through
+
+TOLD = ("sigma_w_m_s", "w_over_u")  # options on which sigma alone depends
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,8 @@ def mean(
         Also by ensemble correlation with windows of this side [px], into ``mean_ensemble.nc``: for rims, walls and
         thin seeding, where single pairs fail; of a run only.
     **options
-        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`; of a run only.
+        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`; of a run only, but for
+        `sigma_w_m_s` and `w_over_u`, which change no vector.
 
     Returns
     -------
@@ -109,12 +113,13 @@ def mean(
             or recipe != CorrectionRecipe()
             or dt_us is not None
             or ensemble is not None
-            or any(value is not None for value in options.values())
+            or any(value is not None for name, value in options.items() if name not in TOLD)
         ):
             raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
     else:
         raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
-    view = SeriesView(folder)
+    told = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
+    view = SeriesView(folder, None if series is not None or told == NOTHING_TOLD else told)
     found = mean_of_series(view)
     if output.files:
         write_mean(view, found)

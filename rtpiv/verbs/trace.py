@@ -14,6 +14,7 @@ from correction.node_status import MEANING, NodeStatus
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.pictures.saved import short
+from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
 from rtpiv.analysis.views.arranged import little
 from rtpiv.verbs.paths import Named, folder_for
@@ -43,6 +44,8 @@ class Traced:
         Areas, as a whole and of each body.
     view : FieldOfView or None
         Radial figures, of spheres in a row on the camera's perpendicular only.
+    steepness : Steepness
+        How steeply rays meet the plane, behind glass and beside it.
     sheet : SheetForecast or None
         How well frames of a flow will tell where the light sheet is; None if it runs through a body.
     pictures : tuple of Path
@@ -51,6 +54,7 @@ class Traced:
 
     share: PlaneShare
     view: FieldOfView | None
+    steepness: Steepness
     sheet: SheetForecast | None
     pictures: tuple[Path, ...] = field(repr=False)
 
@@ -65,8 +69,9 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
     out : path, optional
         Folder, default ``trace`` (or ``trace-2`` ... where that has results), for ``plane.png`` (what is recovered
         of the plane, why the rest is not, and the magnification), ``camera_view.png`` (a board with markers as
-        the camera sees it), ``scene.png`` (the scene to scale, cut where the rays lie), of spheres in a row only
-        ``radial_curve.png``, and ``blur.png`` if the scene says the camera's aperture.
+        the camera sees it), ``slant.png`` (how steeply rays meet the plane), ``scene.png`` (the scene to scale,
+        cut where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says
+        the camera's aperture.
     pictures : bool
         Draw them, after the figures are printed; else the folder is left alone.
 
@@ -112,6 +117,9 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
             f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
             f" {100.0 * blur.left_out:.1f} % of the view behind glass"
         )
+    slant = ShownSlant.of(correction_map, loaded)
+    if slant.steepness.sentence:
+        screen.print(slant.steepness.sentence)
     forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
     if forecast is not None:
         screen.print(forecast.sentence)
@@ -119,9 +127,9 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
     if pictures:
         del ray_map
         out.mkdir(parents=True, exist_ok=True)
-        names = _draw(out, name, loaded, correction_map, share, blur, view)
+        names = _draw(out, name, loaded, correction_map, share, blur, view, slant)
         screen.print(f"{', '.join(names)} are in {out}")
-    return Traced(share, view, forecast, tuple(out / name for name in names))
+    return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names))
 
 
 def _draw(
@@ -132,16 +140,18 @@ def _draw(
     share: PlaneShare,
     blur: "BlurMap | None",
     view: FieldOfView | None,
+    slant: ShownSlant,
 ) -> list[str]:
     """Draw all pictures; return their names."""
     from rtpiv.analysis.pictures.patterns import WIDEST_PX, MarkerBoard, seen, square_for
     from rtpiv.analysis.pictures.rasters import ShownPlane
     from rtpiv.analysis.through_glass import shown_small
 
-    names = ["plane.png", "camera_view.png", "scene.png"]
+    names = ["plane.png", "camera_view.png", "slant.png", "scene.png"]
     with drawing() as draw:
         draw(f"{PICTURES}.drawing:draw_scene", out / "scene.png", scene)
         draw(f"{PICTURES}.traced:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
+        draw(f"{PICTURES}.traced:draw_slant", out / "slant.png", scene, correction_map.grid, slant)
         square_mm = square_for(share.size_mm[0])
         image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
         view_of = image, scene.camera.sensor_px, square_mm, name

@@ -169,6 +169,6 @@ def test_several_problems_are_reported_at_once(bench, capsys):
 def test_trace_leaves_pictures(bench):
     assert main(["trace", str(bench / "scene.yaml"), "-o", str(bench / "trace")]) == 0
     names = {path.name for path in (bench / "trace").iterdir()}
-    assert names == {"plane.png", "camera_view.png", "scene.png", "radial_curve.png"}
+    assert names == {"plane.png", "camera_view.png", "slant.png", "scene.png", "radial_curve.png"}
     for path in (bench / "trace").iterdir():
         assert path.stat().st_size > 1000

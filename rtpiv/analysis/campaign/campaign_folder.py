@@ -23,10 +23,14 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import (
+    Annotated,
+    Literal,
+    NotRequired,  # that of typing cannot be checked before Python 3.12
+)
 
 from pydantic import Field, TypeAdapter, ValidationError, with_config
-from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+from typing_extensions import TypedDict
 
 from daq.atomic_write import why
 from daq.errors import DiskError, RunUnsuitable
@@ -35,6 +39,7 @@ from ground.plain_file import open_plain, read_plain
 from piv.correlation.settings import settings_of
 from piv.errors import SeriesError
 from piv.preprocessing.preparation import Preparation
+from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.campaign.chunk_task import read_lease
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of
@@ -66,6 +71,7 @@ class HowAsked(TypedDict):
     dewarp_order: DewarpOrder
     dt_us: Positive | None
     sigma_limit_px: Positive | None
+    out_of_plane: NotRequired[dict[str, float | None]]  # of OutOfPlane
 
 
 @with_config(STRICT)
@@ -131,7 +137,8 @@ def choice_of(how: HowAsked) -> PivChoice:
     """How pairs are evaluated, as it was asked; SeriesError if that cannot be."""
     try:
         settings = settings_of(how["settings"])
-        return PivChoice(settings, None if how["prepare"] is None else Preparation(tuple(how["prepare"])))
+        preparation = None if how["prepare"] is None else Preparation(tuple(how["prepare"]))
+        return PivChoice(settings, preparation, OutOfPlane(**how.get("out_of_plane", {})))
     except (TypeError, ValueError) as error:
         raise SeriesError(
             f"its settings are not those of this version ({error})", place=FILE, cure="plan again"

@@ -190,6 +190,7 @@ def ask_for(
         "dewarp_order": settings.dewarp_order or 2,
         "dt_us": settings.dt_us,
         "sigma_limit_px": settings.sigma_limit_px,
+        "out_of_plane": asdict(choice.out_of_plane),
     }
     asked: CampaignFile = {
         "layout": LAYOUT,

@@ -26,7 +26,9 @@ from piv.correlation.vector_field import VectorField
 from piv.errors import FrameError, PairError
 from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import Preparation
+from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.pair_vectors import PairResult, quality_of, vectors_of_pairs
+from rtpiv.analysis.pairs.slanted import Slanted, slanted
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from rtpiv.options.numbers import Positive
 from tracer.scene.scene import Scene
@@ -111,6 +113,8 @@ class Evaluation:
         Single particles, if asked for and found.
     no_tracks : str
         Why none were found though they were asked for.
+    slant : Slanted or None
+        What a flow through the sheet may have made of the vectors; None if they were moved by a known way.
     """
 
     task: Task
@@ -127,19 +131,21 @@ class Evaluation:
     settings: PivSettings
     tracks: Tracked | None
     no_tracks: str
+    slant: Slanted | None = None
 
     @property
     def about(self) -> dict[str, str]:
         """Where it comes from."""
         frames = ", ".join(path.name for path in self.task.frames)
-        return {"scene_hash": self.task.scene.content_hash(), "frames": frames, "rtpiv_version": version("rtpiv")}
+        said = {"scene_hash": self.task.scene.content_hash(), "frames": frames, "rtpiv_version": version("rtpiv")}
+        return said if self.slant is None else {**said, "out_of_plane": self.slant.said}
 
     @property
     def vectors(self) -> Vectors:
         """The pair as a series of one, with all that is known of its quality."""
         task, field, settings = self.task, self.field, self.settings
         windows = settings.result_grid(self.grid.shape)
-        more = quality_of(field, self.grid, self.map_sigma, self.by_velocity, task.dt_s)
+        more = quality_of(field, self.grid, self.map_sigma, self.by_velocity, task.dt_s, self.slant)
         return vectors_of_pairs([PairResult(task.name, field, task.dt_s)], windows, self.grid, self.about, more)
 
     def _repr_html_(self) -> str:
@@ -202,6 +208,8 @@ class PairMethod:
         What is done to the corrected frames; two frames have no background.
     pictures : bool
         Also make what only a page shows: `Evaluation.seen`.
+    out_of_plane : OutOfPlane
+        What is known of the velocity through the sheet.
     """
 
     sigma: SceneSigma | str
@@ -209,6 +217,7 @@ class PairMethod:
     settings: PivSettings = made_by(default_factory=PivSettings)
     preparation: Preparation = made_by(default_factory=Preparation)
     pictures: bool = True
+    out_of_plane: OutOfPlane = NOTHING_TOLD
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,10 +330,13 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
+    slant = None
+    if truth is None:
+        slant = slanted(field, corrector.map, scene, settings, how.out_of_plane, task.dt_s)
     seen = before_after(frame_a, pair.first, corrector, scene) if how.pictures else None
     return Evaluation(
         task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
-        no_tracks,
+        no_tracks, slant,
     )  # fmt: skip
 
 

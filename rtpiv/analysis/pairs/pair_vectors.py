@@ -16,6 +16,10 @@ of a pair that is evaluated alone, with more of its quality:
 
     map_sigma_u, _v               standard uncertainty of u, v by the fitted map
     map_sigma_x, _y               that of the position by the fitted map [mm]
+    dxdz, dydz                    slopes of the rays: measured are u - w dxdz, v - w dydz, w through the sheet
+    slant_sigma_u, _v             standard uncertainty of u, v by that w (`out_of_plane` says what it is taken to
+                                  be); missing where particles were moved by a known way
+    total_sigma_u, _v             all of these that are known, added as squares
     peak_ratio, valid_fraction    of the highest peaks; share of valid pixels in the window
     route                         1 = the vector was traced (velocity route), only where routes were mixed
 
@@ -37,8 +41,12 @@ from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.files.vector_file import LENGTH, SPEED, Vectors, read_vectors
+from rtpiv.analysis.pairs.slanted import Slanted
 
-PER_TIME = ("u", "v", "sigma_u", "sigma_v", "resolution", "map_sigma_u", "map_sigma_v")  # in m/s, or in mm
+PER_TIME = (  # in m/s, or in mm
+    "u", "v", "sigma_u", "sigma_v", "resolution", "map_sigma_u", "map_sigma_v", "slant_sigma_u", "slant_sigma_v",
+    "total_sigma_u", "total_sigma_v",
+)  # fmt: skip
 UNITS = {
     "displacement_x": "pixel", "displacement_y": "pixel", "delta_t": "s", "sigma_delta_t": "s",
     "x": LENGTH, "y": LENGTH, "map_sigma_x": LENGTH, "map_sigma_y": LENGTH,
@@ -203,9 +211,19 @@ def quality_of(
     map_sigma: VectorMapSigma | None = None,
     by_velocity: NDArray[np.bool_] | None = None,
     dt_s: float | None = None,
+    slant: Slanted | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Fields (1, ny, nx) of a pair that is evaluated alone, beside its vectors; see the top of this file."""
     found: dict[str, NDArray[Any]] = {"peak_ratio": field.peak_ratio, "valid_fraction": field.valid_fraction}
+    parts = [field.total_sigma_px]
+    parts += [] if map_sigma is None else [map_sigma.displacement_px]
+    parts += [] if slant is None else [slant.sigma_px]
+    total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0)) * per_px(grid.pitch_mm, dt_s)
+    for number, along in enumerate("uv"):
+        found[f"total_sigma_{along}"] = np.where(np.isnan(parts[0][..., number]), np.nan, total[..., number])
+        if slant is not None:
+            found["dxdz" if along == "u" else "dydz"] = slant.slope[..., number]
+            found[f"slant_sigma_{along}"] = slant.sigma_px[..., number] * per_px(grid.pitch_mm, dt_s)
     if map_sigma is not None:
         for number, (along, place) in enumerate((("u", "x"), ("v", "y"))):
             found[f"map_sigma_{along}"] = map_sigma.displacement_px[..., number] * per_px(grid.pitch_mm, dt_s)

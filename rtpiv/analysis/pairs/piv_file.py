@@ -8,6 +8,9 @@
 Windows are named by the first, the last, and how many passes there are: the side is halved from pass to pass
 until it is the last one's, which then repeats.  `prepare` names what is done to frames, in order (see
 `piv.preprocessing.preparation`); left out, each kind of run has its own.
+
+`sigma_w_m_s` and `w_over_u` change no vector: they tell what flows through the sheet, which rays that meet it
+aslant show as a flow within it, and so how unsure vectors and their mean are (`piv.statistics.out_of_plane`).
 """
 
 from dataclasses import dataclass
@@ -31,6 +34,7 @@ from piv.correlation.settings import (
 )
 from piv.errors import PairError
 from piv.preprocessing.preparation import Preparation
+from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.options.numbers import steps
 
 Window = Literal["gaussian", "square"]
@@ -80,6 +84,12 @@ class PivOptions(TypedDict, total=False):
         Usual noise that the residual is normalised with (default 0.1).
     peak_ratios : bool
         Look for every second peak, not only where something speaks against a vector.
+    sigma_w_m_s : float
+        Velocity through the sheet, its standard deviation from pair to pair [m/s], for the sigma of vectors and
+        stresses (default: as u and v vary around each place).
+    w_over_u : float
+        Steady velocity through the sheet over the speed within it, for the sigma of vectors and mean; 0: none
+        (default: as u and v vary around each place).
     prepare : list of str
         What is done to frames, in order, such as sliding-minimum,min-max, or none (of a flow run the default is
         sliding-minimum).
@@ -100,15 +110,21 @@ class PivOptions(TypedDict, total=False):
     outlier_threshold: AboveZero
     outlier_epsilon_px: AboveZero
     peak_ratios: bool
+    sigma_w_m_s: NotNegative | None
+    w_over_u: NotNegative | None
     prepare: Annotated[list[str], steps] | None
 
 
 @dataclass(frozen=True)
 class PivChoice:
-    """How pairs are evaluated, and what is done to their frames; None: as is usual for the kind of run."""
+    """How pairs are evaluated, what is done to their frames, and what is known of the flow through the sheet.
+
+    A preparation that is None is the usual one for the kind of run.
+    """
 
     settings: PivSettings
     preparation: Preparation | None
+    out_of_plane: OutOfPlane = NOTHING_TOLD
 
 
 class _Settings(Table):
@@ -126,8 +142,9 @@ class _Settings(Table):
         given["finest_px"] = given.pop("finest_window_px", None)
         if window == "square":
             given["window_sigma"] = 0.0
+        through = OutOfPlane(given.pop("sigma_w_m_s", None), given.pop("w_over_u", None))
         settings = PivSettings(windows_px=windows_of(*sides), **given)
-        return PivChoice(settings, None if prepare is None else Preparation(tuple(prepare)))
+        return PivChoice(settings, None if prepare is None else Preparation(tuple(prepare)), through)
 
 
 _KEYS: dict[str, Any] = {

@@ -2,6 +2,7 @@
 
 plane          recovered or not and why, and at which magnification
 camera view    a board with markers through the glass, with the axes of the sensor
+slant          how steeply the rays meet the plane, and which way they lean
 radial curve   the radial distortion r_i/R against r_o/R: Fig. 5 of Martins et al. (2018)
 blur           how sharp a camera with an aperture shows each point of the plane: its depth of field
 """
@@ -22,6 +23,7 @@ from correction.node_status import MEANING, NodeStatus
 from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, bare, colour_bar, draw_outlines, plane_panels
 from rtpiv.analysis.pictures.rasters import COLOURS, THROUGH, Colour, ShownPlane, mask_picture, web
 from rtpiv.analysis.pictures.saved import save_picture, short
+from rtpiv.analysis.steepness import ShownSlant
 from rtpiv.analysis.through_glass import PlaneShare
 from tracer.scene.scene import Scene
 from tracer.strategies.fov import FieldOfView, radial_curve
@@ -117,6 +119,44 @@ def draw_camera_view(
     axes.set_title(said, fontsize=10, parse_math=False)
     axes.set(xlabel="u [px]", ylabel="v [px]")
     save_picture(figure, path, 130)
+
+
+LEANS = 24  # lines along the longer side
+
+
+def draw_slant(path: Path, scene: Scene, grid: PlaneGrid, found: ShownSlant) -> None:
+    """Draw the size of the slopes, and by arrows where a particle that rises is seen to go, as PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    scene : Scene
+        Whose bodies are outlined.
+    grid : PlaneGrid
+        Of the whole map.
+    found : ShownSlant
+        Slopes of some of its nodes.
+    """
+    height, width = (side * found.every for side in found.slopes.shape[:2])
+    figure, (axes,) = plane_panels(height / width)
+    FigureCanvasAgg(figure)
+    (x0, y0), pitch = grid.origin_mm, grid.pitch_mm
+    extent = (x0, x0 + width * pitch, y0 - height * pitch, y0)
+    size = np.hypot(found.slopes[..., 0], found.slopes[..., 1])
+    known = size[np.isfinite(size)]
+    top = float(np.quantile(known, 0.99)) if known.size else 1.0
+    shown = axes.imshow(size, extent=extent, cmap="viridis", vmin=0.0, vmax=top, interpolation="nearest")
+    every = max(1, max(size.shape) // LEANS)
+    some = (slice(every // 2, None, every),) * 2
+    lean = -found.slopes[some]  # it is found before its own place
+    rows, columns = (np.arange(side)[every // 2 :: every] for side in size.shape)
+    at = x0 + (columns + 0.5) * found.every * pitch, y0 - (rows + 0.5) * found.every * pitch
+    axes.quiver(*at, lean[..., 0], lean[..., 1], color="white", width=0.002, pivot="mid", angles="xy")
+    draw_outlines(axes, scene, names=False)
+    colour_bar(shown, axes, "slope of the rays: seen within the plane for 1 through it", "max")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
+    save_picture(figure, path, 110)
 
 
 def draw_curve(path: Path, scene: Scene, view: FieldOfView, title: str) -> None:

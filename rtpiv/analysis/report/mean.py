@@ -23,7 +23,7 @@ from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, through_lead
-from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
+from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter, slant_lines
 from rtpiv.analysis.report.run import books_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
@@ -31,6 +31,7 @@ from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.run_series import Evaluated
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_view import SeriesView
+from rtpiv.analysis.steepness import Steepness
 from rtpiv.analysis.through_glass import through_glass
 from tracer.scene.scene_file import load_scene
 
@@ -74,6 +75,9 @@ def write_mean_page(
     _velocity_figures(page, view, mean)
     page.tiles(mean_tiles(mean))
     mean_chapters(page, view, mean)
+    if mean.slope is not None:
+        behind, beside = regions.region == Region.GLASS, regions.region == Region.DIRECT
+        slant_lines(page, Steepness.of(mean.slope, behind, beside), mean.out_of_plane.sentence)
     if series is not None and (shown := shown_pair(*series)) is not None:
         frames_chapter(page, shown)
         pair_chapter(page, series[0], shown)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.regions import shift_errors
+from correction.evaluate.regions import Region, shift_errors
 from daq.runs.run_views import where_lit
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pictures.before_after import BeforeAfter
@@ -44,6 +44,7 @@ from rtpiv.analysis.report.tables import (
     totals_of,
     track_rows,
 )
+from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
 
 
@@ -136,6 +137,12 @@ def light_sheet_line(page: Page, scene: Scene) -> None:
     """Say where particles were taken to lie; `scene` still has its light sheet."""
     say = page.warning if scene.sheet is None and scene.bodies else page.text
     say(where_lit(scene))
+
+
+def slant_lines(page: Page, steepness: Steepness, said: str) -> None:
+    """Say how steeply the sheet is seen, and what flows through it as far as anybody knows."""
+    if steepness.sentence:
+        page.text(f"{steepness.sentence[0].upper()}{steepness.sentence[1:]}. Taken for {said}.")
 
 
 def _vector_figure(page: Page, evaluation: Evaluation) -> None:
@@ -233,6 +240,11 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
         "linear theory of the passes: smaller windows show more and are noisier (--final-window)"
     )
     page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
+    if evaluation.slant is not None:
+        region, slope = evaluation.regions.region, evaluation.slant.slope
+        slant_lines(
+            page, Steepness.of(slope, region == Region.GLASS, region == Region.DIRECT), evaluation.slant.said
+        )
     if evaluation.map_sigma is None:
         page.text(f"The uncertainty of the correction map is not known: {evaluation.no_map_sigma}.")
         return

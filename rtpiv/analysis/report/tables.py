@@ -7,7 +7,8 @@ Where the true shift is known the total error of a region is the rms of its vect
 The page begins with the scatter, and says the bias, a common offset, below. It may be the stage's (it moved the
 sheet by something else than it reported) or the map's; how large either may be stands in the budget of the
 comparison, and is no part of the total. Where no shift is known, the total is what vectors are unsure of:
-random sigma of the correlation and map sigma, in squares. Beside it stands whether sigma keeps its claim.
+random sigma of the correlation, map sigma and what flows through the sheet, in squares. Beside it stands whether
+sigma keeps its claim.
 """
 
 from collections.abc import Mapping
@@ -110,10 +111,15 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
         return Total(
             name, count, found.total_px, (("bias", found.bias_px), ("scatter", found.std_px)), is_error=True
         )
-    random = _rms_uv(np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where])
-    by_map = None if joined is None else _rms_uv(joined.displacement_px[where])
-    parts = [("random sigma", random)] + ([] if by_map is None else [("sigma by the fitted map", by_map)])
-    return Total(name, count, _hypot(random, by_map or (0.0, 0.0)), tuple(parts), is_error=False)
+    parts = [("random sigma", _rms_uv(np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]))]
+    if joined is not None:
+        parts.append(("sigma by the fitted map", _rms_uv(joined.displacement_px[where])))
+    if evaluation.slant is not None:
+        parts.append(("sigma by the flow through the sheet", _rms_uv(evaluation.slant.sigma_px[where])))
+    total = parts[0][1]
+    for _, part in parts[1:]:
+        total = _hypot(total, part)
+    return Total(name, count, total, tuple(parts), is_error=False)
 
 
 def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | None:

@@ -77,7 +77,7 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
     """
     mean, sigma, found_map = mean_flow(Chunks.of(view.folder)), view.sigma, view.correction.corrector.map
     slope = vector_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)[::-1]
-    mean = replace(mean, slope=slope)
+    mean = replace(mean, slope=slope, out_of_plane=view.out_of_plane)
     if isinstance(sigma, str):
         return replace(mean, no_map_sigma=sigma)
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)

@@ -25,6 +25,7 @@ from piv.correlation.settings import PivSettings
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from piv.preprocessing.sliding_minimum import REACH_STEPS
 from piv.statistics.merge_tree import chunks_of
+from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from tracer.scene.scene import Scene
 
 LAYOUT = 2
@@ -86,6 +87,8 @@ class Method:
         Nodes of which the map is less sure are left out.
     grid : PlaneGrid, optional
         Nodes of the corrected frames, where they are not the camera's own: those of another run.
+    out_of_plane : OutOfPlane
+        What is known of the velocity through the sheet.
     """
 
     scene: Scene
@@ -94,9 +97,10 @@ class Method:
     preparation: Preparation
     limit: SigmaLimit | None = None
     grid: PlaneGrid | None = None
+    out_of_plane: OutOfPlane = NOTHING_TOLD
 
     @cached_property
-    def content(self) -> dict[str, Any]:
+    def recipe(self) -> dict[str, Any]:
         """Everything that a vector depends on but its frames, as plain data."""
         return {
             "layout": LAYOUT,
@@ -106,6 +110,12 @@ class Method:
             "settings": asdict(self.settings),
             "preparation": list(self.preparation.steps),
         }
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The same, and what is told of the flow through the sheet, on which sigma alone depends."""
+        told = {name: value for name, value in asdict(self.out_of_plane).items() if value is not None}
+        return {**self.recipe, **({"out_of_plane": told} if told else {})}
 
 
 @dataclass(frozen=True)
@@ -150,7 +160,7 @@ class ChunkJob:
     def key(self) -> str:
         """SHA-256 of all that the chunk's file is a function of."""
         tree = {
-            **self.method.content,
+            **self.method.recipe,
             "light": None if self.light is None else self.light.key,
             "first": self.number,
             "pairs": [[p.tag, p.crc32, p.dt_s, p.dt_sigma_s, p.time_s] for p in self.pairs],

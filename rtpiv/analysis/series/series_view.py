@@ -12,6 +12,7 @@ from daq.runs.glass_place import with_glass_at
 from piv.correlation.settings import PivSettings, settings_of
 from piv.correlation.windows import WindowGrid
 from piv.errors import PairError, SeriesError
+from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.recipe import SCENE_FILE, scene_sigma_beside
 from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder
 from tracer.scene.scene import Scene
@@ -26,6 +27,8 @@ class SeriesView:
     ----------
     folder : Path
         Of the series.
+    told : OutOfPlane, optional
+        What is known of the velocity through the sheet, in place of what was told when its pairs were evaluated.
 
     Raises
     ------
@@ -38,6 +41,7 @@ class SeriesView:
     """
 
     folder: Path
+    told: OutOfPlane | None = None
 
     @cached_property
     def about(self) -> SeriesFile:
@@ -87,6 +91,16 @@ class SeriesView:
         try:
             return settings_of(content["settings"])
         except (KeyError, IndexError, TypeError, PairError):
+            raise self._says_too_little() from None
+
+    @cached_property
+    def out_of_plane(self) -> OutOfPlane:
+        """What is known of the velocity through the sheet: as told now, or when its pairs were evaluated."""
+        if self.told is not None:
+            return self.told
+        try:
+            return OutOfPlane(**self.about["content"].get("out_of_plane", {}))
+        except (TypeError, PairError):
             raise self._says_too_little() from None
 
     @cached_property

@@ -12,7 +12,7 @@ from tests.correction.evaluate.vectors import uniform_field
 SHIFT_PX = (4.0, -3.0)
 
 
-def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=True, moved=None):
+def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=True, moved=None, slanted=None):
     rng = np.random.default_rng(4)
     field = uniform_field((640, 640), SHIFT_PX, step_px=16, window_px=16)
     field.sigma_u_px[:], field.sigma_v_px[:] = sigma, sigma
@@ -25,7 +25,8 @@ def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=Tru
     joined = None
     if moved is not None:
         joined = SimpleNamespace(displacement_px=np.full((*field.flags.shape, 2), moved))
-    return SimpleNamespace(field=field, regions=regions, shift=shift, map_sigma=joined)
+    slant = None if slanted is None else SimpleNamespace(sigma_px=np.full((*field.flags.shape, 2), slanted))
+    return SimpleNamespace(field=field, regions=regions, shift=shift, map_sigma=joined, slant=slant)
 
 
 def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
@@ -48,8 +49,11 @@ def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
 
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("moved", [0.3, 0.001, None])
-def test_no_part_is_larger_than_its_total(known, moved):
-    for total in totals_of(evaluation(known=known, moved=moved)):
+@pytest.mark.parametrize("slanted", [0.1, None])
+def test_no_part_is_larger_than_its_total(known, moved, slanted):
+    for total in totals_of(evaluation(known=known, moved=moved, slanted=slanted)):
+        named = "sigma by the flow through the sheet" in dict(total.parts)
+        assert named == (slanted is not None and not known)
         for _, part in total.parts:
             assert all(abs(one) <= whole * (1.0 + 1e-9) for one, whole in zip(part, total.total_px, strict=True))
         squares = np.sum(np.square([part for _, part in total.parts]), axis=0)

@@ -1,0 +1,71 @@
+"""How steeply rays meet the light sheet, behind glass and beside it: the figure that pages and `trace` say."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.maps.correction_map import CorrectionMap
+from correction.maps.slant import STEP, node_slopes
+from tracer.scene.scene import Scene
+
+MOST = 0.9  # of the places are no steeper than the second figure
+
+
+@dataclass(frozen=True)
+class Steepness:
+    """Size of the slopes dX/dz, dY/dz of rays at the plane: median, and what 90 % of the places stay below.
+
+    Parameters
+    ----------
+    behind, beside : (float, float) or None
+        Of what is seen through glass, and directly; None where nothing is.
+    """
+
+    behind: tuple[float, float] | None
+    beside: tuple[float, float] | None
+
+    @classmethod
+    def of(
+        cls, slopes: NDArray[np.float64], is_behind: NDArray[np.bool_], is_beside: NDArray[np.bool_]
+    ) -> "Steepness":
+        """Of slopes (..., 2) of places behind glass and beside it (...); NaN counts nowhere."""
+        size = np.hypot(slopes[..., 0], slopes[..., 1])
+
+        def figures(where: NDArray[np.bool_]) -> tuple[float, float] | None:
+            known = size[where & np.isfinite(size)]
+            return (float(np.median(known)), float(np.quantile(known, MOST))) if known.size else None
+
+        return cls(figures(is_behind), figures(is_beside))
+
+    @property
+    def sentence(self) -> str:
+        """What one camera makes of a flow through the sheet; empty where nothing is seen."""
+        parts = [
+            f"{median:.2f} {name} ({most:.2f} at {100 * MOST:.0f} % of the places)"
+            for figures, name in ((self.behind, "behind glass"), (self.beside, "seen directly"))
+            if figures is not None
+            for median, most in (figures,)
+        ]
+        if not parts:
+            return ""
+        return (
+            "rays meet the sheet aslant: 1 m/s through it is seen as so many m/s within it, in the median "
+            f"{', '.join(parts)}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ShownSlant:
+    """Slopes (h, w, 2) of the best view of some nodes of a map, every so many along each axis, and its figures."""
+
+    slopes: NDArray[np.float64]
+    every: int
+    steepness: Steepness
+
+    @classmethod
+    def of(cls, found: CorrectionMap, scene: Scene) -> "ShownSlant":
+        """Of a map and its scene; StaleMap if it belongs to another."""
+        slopes = node_slopes(found, scene, STEP)[0]
+        seen, glass = (each[::STEP, ::STEP] for each in (found.recovered, found.behind_glass))
+        return cls(slopes, STEP, Steepness.of(slopes, glass, seen & ~glass))
