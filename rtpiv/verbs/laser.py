@@ -96,8 +96,9 @@ def _known(file: Path | None, name: str | None, anywhere: bool = False) -> list[
     where = f"the bench files of {folder} and above" if file is None or anywhere else str(file)
     there = ", ".join(map(str, found)) or "none"
     which = "laser" if name is None else f"device {name!r} of kind {KIND}"
+    name_it = "Name a bench file with --bench" if file is None else "Name one that has it"
     raise RunUsageError(
-        f"no {which}", place=where, cure=f"there is {there}. Name a bench file with --bench, or use its own key"
+        f"no {which}", place=where, cure=f"there is {there}. {name_it}, or use the laser's own key"
     )
 
 

@@ -30,6 +30,8 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
     "acquire plan-shift.yaml --live": HARDWARE,
     "acquire plan-flow.yaml --bench bench-flow.yaml": HARDWARE,
     "laser off": HARDWARE,
+    "laser prove --bench bench-flow.yaml": HARDWARE,
+    "probe /dev/ttyUSB0": HARDWARE,
     "focus runs/*focus": "its run is one of plan-focus.yaml, with a lens of its own: tests/system/test_focus.py",
     "campaign run RUN1 RUN2 --scene fit/scene.yaml -o week": NAMES,
     "campaign run -o week --scheduler tcp://10.0.0.1:8786": CLUSTER,

@@ -26,7 +26,7 @@ SAYS = {"doctor --bench bench.yaml": DEVICE}  # what a command ends with where n
 SIMULATED = {  # commands at real devices -> what makes them commands of this lab
     command: ["--simulate", "--home", "--operator", "page"] if command.startswith("acquire") else ["--simulate"]
     for command, why in NOT_RUN.items()
-    if why == HARDWARE and command.startswith(("acquire", "align"))
+    if why == HARDWARE and command.startswith(("acquire", "align", "laser prove"))
 }
 FIRST = {"report": "runs/*plan-shift/report/report.html", "mean": "runs/*flow/series/*.html"}  # through glass
 FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
