@@ -223,9 +223,9 @@ def _pi(asked: Probe, baud: int) -> Found | None:
             channels = [name if "/" in name else f"1/{name}" for name in channels]
             channels += [f"{address}/{name}" for name in names]
     unknown = [MOTION, "whether a stage has a reference switch (asked when it is homed)"]
-    if version.startswith("3"):
-        unknown.append("how GCS 3 is driven: this program speaks GCS 2")
     lines = _stage_lines("pi_gcs2", asked.url, baud, 115_200, serial, channels)
+    if re.fullmatch(r"\d\.\d+", version) and float(version) > 2.0:
+        lines = "# GCS 3 is not spoken here, and is refused: put a controller of GCS 2 there (docs/devices.md)"
     return Found("PI controller", identity, baud, tuple(facts), tuple(unknown), lines)
 
 

@@ -160,6 +160,9 @@ class PiEmulator(Emulator):
         Serial number.
     knows_switches : bool
         Whether it answers TRS? and LIM?.
+    command_set : str, optional
+        What it says to CSV?; None for one that does not know the question. Of one beyond 2.0 no more is
+        emulated than that, its name and ERR?, and that it knows no word of GCS 2.
     """
 
     def __init__(
@@ -169,8 +172,10 @@ class PiEmulator(Emulator):
         stages: StageMake = AS_BUILT,
         serial: int = 118_040_001,
         knows_switches: bool = True,
+        command_set: str | None = "2.0",
     ) -> None:
         super().__init__(motors, clock)
+        self._command_set = command_set
         self._stages, self._serial, self._knows_switches = stages, serial, knows_switches
         self._stream = gcs.CommandStream()
         self._chain: dict[int | None, dict[str, _Axis]] = {}  # axes by address; one without an address is alone
@@ -211,6 +216,10 @@ class PiEmulator(Emulator):
         return self._chain[self._spoken_to]
 
     @property
+    def _is_newer(self) -> bool:
+        return self._command_set is not None and float(self._command_set) > 2.0
+
+    @property
     def _error(self) -> int:
         return self._errors[self._spoken_to]
 
@@ -236,11 +245,14 @@ class PiEmulator(Emulator):
             if not self._is_there(None if isinstance(command, ProtocolViolation) else command.address):
                 continue
             if isinstance(command, gcs.SingleByte):
-                self._single(command.code)
+                if not self._is_newer:
+                    self._single(command.code)
             elif isinstance(command, ProtocolViolation):
                 self._error = gcs.UNKNOWN_COMMAND
             elif command.is_query:
                 self._query(command)
+            elif self._is_newer:
+                self._error = gcs.UNKNOWN_COMMAND
             elif command.name not in ("STP", "HLT") and any(axis.referencing for axis in self._axes.values()):
                 self._error = gcs.NOT_ALLOWED
             else:
@@ -271,8 +283,9 @@ class PiEmulator(Emulator):
         plain = {
             "*IDN?": "(c)2019 Physik Instrumente (PI) GmbH & Co. KG, C-663.12, "
             f"{self._serial + (self._spoken_to or 0):010d}, 1.2.1.0",
-            "CSV?": "2.0",
         }
+        if self._command_set is not None:
+            plain["CSV?"] = self._command_set
         per_axis: dict[str, Callable[[_Axis], str]] = {
             "POS?": lambda axis: f"{axis.position_mm:.7f}",
             "MOV?": lambda axis: f"{axis.target_mm:.7f}",
@@ -292,6 +305,8 @@ class PiEmulator(Emulator):
         elif command.name == "ERR?":
             self._answer(str(self._error))
             self._error = gcs.NO_ERROR
+        elif self._is_newer:
+            self._error = gcs.UNKNOWN_COMMAND
         elif command.name == "SAI?":
             self._answer(*self._axes)
         elif command.name == "HLP?":

@@ -11,6 +11,9 @@ Failures show only in ``ERR?``, which is sent behind every command in the same w
 10 behind, which would look like a failure of the next command; it is read away before that. While a reference
 move runs, only the one-byte commands are answered. Error -1024 means that the motor did not follow and the
 servo has switched itself off. ``ONT?`` is not used: its window is the controller's, ours is in the bench file.
+**Command sets.** ``CSV?`` tells which one a controller has; one beyond 2.0 (pipython calls it GCS 3) is another
+language: STP for #24, STV? for #5 and #7, EAX for SVO. It is refused before anything else is asked of it.
+
 After a restart ``FRF?`` says 0 (an axis with an absolute encoder keeps its reference), the servo is off and the
 velocity is the parameter's: `_forget_references` forgets all of it.
 """
@@ -34,6 +37,7 @@ from stages.protocols import pi_gcs2 as gcs
 
 ON_LIMIT_SWITCH = (49, 216)
 _MAKER = re.compile(r"(?i)physik|\bPI\b")  # a Grbl board answers the ? in *IDN? with commas as well
+COMMAND_SET = 2.0  # the newest that is spoken here
 NOISE_MM = 0.001  # an encoder at rest may flicker by some counts
 
 
@@ -158,6 +162,8 @@ class PiController(Controller):
         return sorted({_address_of(name) for name in self._channels}, key=lambda address: address or 0)
 
     def _set_up(self) -> None:
+        for address in self._addresses:
+            self._require_command_set(address)
         self._axes = {
             address: self._repeated(lambda a=address: self._ask("SAI?", address=a)).lines  # type: ignore[misc]
             for address in self._addresses
@@ -167,6 +173,27 @@ class PiController(Controller):
             if _axis_of(channel) not in there:
                 raise WrongDevice(f"{self.name} has axes {', '.join(there)}, not {channel}")
             self._repeated(lambda c=channel: self._error_of(c))  # type: ignore[misc]  # whatever stands there is not ours
+
+    def _require_command_set(self, address: int | None) -> None:
+        """WrongDevice if a controller has another one than GCS 2; older ones do not know the question."""
+
+        def ask() -> float:
+            answer = self._ask("CSV?", address=address)
+            try:
+                return gcs.number(" ".join(answer.lines))
+            except ProtocolViolation:
+                self._suspect = True
+                raise
+
+        try:
+            said = self._repeated(ask)
+        except NoReply:
+            return
+        if said > COMMAND_SET:
+            raise WrongDevice(
+                f"{self.name} ({self.identity}) has command set {said}, which is GCS 3, and pi_gcs2 speaks GCS 2; "
+                "put a controller of GCS 2 there, or write a driver for it (docs/add-a-stage.md)"
+            )
 
     def _still_referenced(self, channel: str) -> bool:
         return self._remembers_reference(channel)

@@ -56,6 +56,21 @@ def test_a_stage_with_no_switch_at_all_is_not_homed(bench):
     assert b"FNL 1" not in sent(made)
 
 
+@pytest.mark.parametrize("said", ["3.0", "2.1"])
+def test_a_controller_of_gcs_3_is_refused_by_name(bench, said):
+    """pipython takes whatever says more than 2.0 to CSV? for GCS 3."""
+    with pytest.raises(WrongDevice, match=f"C-663.12.* has command set {said}, which is GCS 3") as refused:
+        bench("pi_gcs2", firmware={"command_set": said})
+    assert "add-a-stage" in str(refused.value)
+
+
+def test_a_controller_that_does_not_know_its_command_set_is_driven(bench):
+    made = bench("pi_gcs2", firmware={"command_set": None})
+    made.stage.home()
+    made.stage.move({"a": 20.0})
+    assert made.stage.where_mm()["a"] == pytest.approx(20.0, abs=0.01)
+
+
 @pytest.fixture
 def chain(bench, monkeypatch):
     """Two Mercurys on one port."""

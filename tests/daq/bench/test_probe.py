@@ -9,6 +9,7 @@ from daq.bench.probe import RATES, Found, probe, why_nobody
 from rtpiv.command_line.cli import DEVICE, DONE, main
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
+from sim.emulators.pi_gcs2 import PiEmulator
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.recorded import RecordedBox
 from sim.mechanics.clock import VirtualClock
@@ -155,6 +156,16 @@ def test_a_chain_of_pi_controllers_is_named_by_address(monkeypatch):
         found, asked = probe("sim://probed", clock)
     assert found is not None
     assert '"1/1", "3/1"' in found.lines
+    assert only_questions(asked)
+
+
+def test_a_controller_of_gcs_3_is_named_with_its_cure_and_without_bench_lines():
+    clock = VirtualClock()
+    with on_a_line(PiEmulator({}, clock, command_set="3.0"), clock, 115_200):
+        found, asked = probe("sim://probed", clock)
+    assert "command set 3.0" in found.facts
+    assert "GCS 3 is not spoken here" in found.lines
+    assert "driver:" not in found.lines
     assert only_questions(asked)
 
 
