@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow slow slow-balance docs docs-check coverage dist labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
+.PHONY: demo test test-slow slow slow-balance docs docs-check coverage dist labs lab-table fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -93,6 +93,12 @@ endif
 LABS ?= 100
 labs: $(STAMP)
 	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_many_labs.py tests/correction/fit/test_strangers.py
+
+# The same as a table, one row a lab, and labs that are photographed: make lab-table KIND=rendered LABS=300 WORKERS=8
+KIND ?= benches
+WORKERS ?= 2
+lab-table: $(STAMP)
+	$(BIN)/python -m tests.correction.fit.lab_table $(KIND) --labs $(LABS) --workers $(WORKERS) -o labs_$(KIND).csv
 
 # Random sequences of commands, faults, stops and restarts before the judge, and random damage to every file that is
 # read: make fuzz SEQUENCES=100000 CASES=100000 SEED=1

@@ -13,18 +13,21 @@ A fit that misses a gate is raised as FitFailed with the gate, what was reached 
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from correction.errors import FitFailed
 from correction.fit.camera_stage import find_camera
 from correction.fit.glass_stage import find_glass
 from correction.fit.judge.result import SceneFit, check
 from correction.fit.progress import Progress
-from correction.fit.seen.masked_parts import unconfirmed_ways, unlisted_parts
+from correction.fit.seen.masked_parts import View, unconfirmed_ways, unlisted_parts
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.smear import Dispersion, moved_by_light
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
+from correction.fit.solve.solver import Corners, residuals
 from correction.target import Chessboard
 from tracer.light import Light
 from tracer.scene.fit_section import FitTable
@@ -98,16 +101,26 @@ def fit_scene(
 def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
     """Look in all frames with glass whether they show, and corners confirm, what the fitted scene shows."""
     full = fit.unknowns.full(fit.x)
-    views = [
-        (frame.name, frame.image, fit.unknowns.pose(full, work.height_number(frame)))
-        for frame in work.glass_frames
-    ]
+    views = []
+    for frame in work.glass_frames:
+        height = work.height_number(frame)
+        pose, sigma_mm = fit.unknowns.pose(full, height), partial(_place_sigma_mm, fit, height)
+        views.append(View(frame.name, frame.image, pose, sigma_mm))
     unlisted = unlisted_parts(fit.scene, views, work.board, [frame.index for frame in work.bare])
     sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
     place = {name[:-2]: size for name, size in sigma.items() if name.endswith(".x")}
     paired = {way: fit.paired(way) for way in fit.expected}
     lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene))
     return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted, unconfirmed=lost))
+
+
+def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard deviation (N, 2) [mm] of the places on the target at a height that pixels (N, 2) show."""
+    numbers = fit.unknowns.full_names
+    each = replace(fit.unknowns, names=numbers, columns=np.eye(len(numbers)))
+    asked = Corners(height_number, True, pixels, np.zeros_like(pixels), 1.0)
+    by_number = residuals(each, fit.unknowns.columns @ fit.x, asked).rate
+    return np.asarray(np.sqrt(((by_number @ fit.root) ** 2).sum(axis=2)))
 
 
 def _blamed(work: Progress, reason: str) -> str:

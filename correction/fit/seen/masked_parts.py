@@ -8,7 +8,9 @@ frame nearby, over pixels of the same branch that show bright and dark squares, 
     a = +-(I - (W + B) / 2) / ((W - B) / 2),   + where a bright square is shown:  1 as it should, -1 as the other.
 
 Asked are pixels off every edge, disc and border of a branch, where squares are wide enough to be seen.  Blur
-changes no sign there, nor does slow shading.  What disagrees (a < 0), with all around it that agrees by halves
+changes no sign there, nor does slow shading.  Where a ball shows squares many times as large as they are, the fit
+may not know which of them a pixel shows: a pixel says nothing whose place is known to less than UNSURE standard
+deviations from the next edge.  What disagrees (a < 0), with all around it that agrees by halves
 (a < HALF), is one part.  Its hull is masked, made wider by a share of a square: next to what disagrees the same
 body agrees by chance.  So do the squares between two parts of one body, a dark wire before a dark square: parts
 that are nearer to each other than SAME_BODY squares are masked with what lies between them.
@@ -31,7 +33,7 @@ few are seen must therefore also stand where its own rim hides the lattice (`sil
 masked is around both places.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -57,6 +59,7 @@ NARROWEST_PX = 8.0  # views of a square that can be told bright from dark
 NEARBY = 4.0  # squares: side of what W and B are taken from
 HALF = 0.4  # agreement below which a pixel next to one that disagrees belongs to the same part
 LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
+UNSURE = 3.0  # standard deviations of the place that a pixel shows
 FEWEST, CERTAIN = 16, 5  # pixels of a part, and those of them that disagree
 SHARE = 0.0005  # of the disc in which the smallest ball is seen, likewise
 JOIN_PX = 9  # side of what joins pixels to parts
@@ -110,9 +113,29 @@ class Unlisted:
         )
 
 
+@dataclass(frozen=True)
+class View:
+    """A frame with glass to be compared with what a scene shows.
+
+    Parameters
+    ----------
+    name : str
+    image : (H, W)
+    pose : TargetPose
+        Where the target stood.
+    sigma_mm : callable, optional
+        How well the place (N, 2) on the target that pixels (N, 2) show is known; it is exact if not given.
+    """
+
+    name: str
+    image: NDArray[Any]
+    pose: TargetPose
+    sigma_mm: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+
+
 def unlisted_parts(
     scene: Scene,
-    views: Iterable[tuple[str, NDArray[Any], TargetPose]],
+    views: Iterable[View],
     board: Chessboard,
     lattice: Sequence[NDArray[np.int64]],
 ) -> tuple[Unlisted, ...]:
@@ -122,8 +145,8 @@ def unlisted_parts(
     ----------
     scene : Scene
         As fitted.
-    views : iterable of (str, (H, W), TargetPose)
-        Frames with glass: name, image, and where the target stood.
+    views : iterable of View
+        Frames with glass.
     board : Chessboard
     lattice : sequence of (N, 2) int64
         Corners that bare frames show; beyond them the board may end.
@@ -133,20 +156,34 @@ def unlisted_parts(
     index = np.concatenate(lattice)
     bounds = board.corner_mm(index.min(axis=0)), board.corner_mm(index.max(axis=0))
     found: list[Unlisted] = []
-    for name, image, pose in views:
-        seen = in_target_frame(scene, pose)
+    for view in views:
+        seen = in_target_frame(scene, view.pose)
         rays = build_ray_map(seen)
         width = _square_px(rays, board)
-        agrees = agreement(rays, image, board, bounds, width, board.square_mm / grid_of(seen.camera).pitch_mm)
-        for body in _bodies(_parts(agrees, _least_px(seen)), width):
+        agrees = agreement(rays, view.image, board, bounds, width, board.square_mm / grid_of(seen.camera).pitch_mm)
+        least_px = _least_px(seen)
+        unsure = list(_parts(agrees, least_px)) if view.sigma_mm is not None else []
+        for part in unsure:
+            row, column = part[_unsure(part, rays, board, view)].T
+            agrees[row, column] = np.nan
+        for body in _bodies(_parts(agrees, least_px), width):
             largest = max(body, key=len)
             row, column = largest[len(largest) // 2]
             outlines = tuple(_outlines(body, width))
             known = [part for one in found for part in one.masked]  # in another frame
             if not any(part.within(agrees.shape)[row, column] for part in known):
                 way = text_of(rays.branches[int(rays.branch[row, column])])
-                found.append(Unlisted(name, way, sum(map(len, body)), outlines))
+                found.append(Unlisted(view.name, way, sum(map(len, body)), outlines))
     return tuple(sorted(found, key=lambda one: -one.pixels))
+
+
+def _unsure(part: Pixels, rays: RayMap, board: Chessboard, view: View) -> NDArray[np.bool_]:
+    """Which pixels (N,) of a part may as well show the next square."""
+    assert view.sigma_mm is not None
+    place = rays.plane_mm[part[:, 0], part[:, 1]] / board.sides_mm
+    apart = np.abs(place - np.rint(place)) * board.sides_mm
+    sigma = view.sigma_mm(part[:, ::-1].astype(np.float64))
+    return np.asarray(~(UNSURE * sigma < apart).all(axis=1))
 
 
 def agreement(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from correction.fit.scene_fit import fit_scene
-from correction.fit.seen.masked_parts import unlisted_parts
+from correction.fit.seen.masked_parts import View, unlisted_parts
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from correction.target import Chessboard
@@ -16,6 +16,7 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import Aperture, render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import map_error_px, photograph
+from tests.correction.fit.rendered_labs import compared, photographed
 from tests.slow_cases import slow_but
 from tracer.bodies import Body, Rod, Sphere, Tube, Window
 from tracer.media import MEDIA, ConstantMedium
@@ -47,7 +48,7 @@ def frame(stray: str) -> np.ndarray:
 
 def masked_by(image: np.ndarray) -> Scene:
     """The scene, which lists no stray body, as it comes out of a fit."""
-    parts = unlisted_parts(lab(), [("glass", image, TargetPose())], BOARD, LATTICE)
+    parts = unlisted_parts(lab(), [View("glass", image, TargetPose())], BOARD, LATTICE)
     return replace(lab(), masked=tuple(part for one in parts for part in one.masked))
 
 
@@ -87,14 +88,29 @@ def test_frames_that_show_what_they_should_mask_nothing(change):
 def test_what_lies_beyond_the_board_is_not_asked():
     image = frame("").copy()
     image[:, 460:] = image.max()
-    assert not unlisted_parts(lab(), [("glass", image, TargetPose())], BOARD, [np.array([[-17, -17], [9, 17]])])
+    assert not unlisted_parts(
+        lab(), [View("glass", image, TargetPose())], BOARD, [np.array([[-17, -17], [9, 17]])]
+    )
     assert masked_by(image).masked
 
 
 def test_a_board_at_another_height_is_compared_there():
     pose = TargetPose((0.0, 0.0, -10.0))
     image = photograph(lab(), True, -10.0, 5, SQUARE_MM).image
-    assert not unlisted_parts(lab(), [("glass", image, pose)], BOARD, LATTICE)
+    assert not unlisted_parts(lab(), [View("glass", image, pose)], BOARD, LATTICE)
+
+
+def test_squares_of_which_the_fit_does_not_know_which_they_are_say_nothing():
+    """A ball 8 mm off in depth shows other squares; whoever knows its place no better cannot call them wrong."""
+    image, (low, high) = frame(""), lab().spheres
+    off = lab().with_bodies([low, replace(high, centre_mm=(*high.centre_mm[:2], high.centre_mm[2] + 8.0))])
+    rate = 3.0  # mm on the board for a change in depth of 8 mm, more than it is anywhere
+
+    def known_to(sigma_mm: float) -> View:
+        return View("glass", image, TargetPose(), lambda pixels: np.full_like(pixels, sigma_mm))
+
+    assert unlisted_parts(off, [known_to(0.01)], BOARD, LATTICE)
+    assert not unlisted_parts(off, [known_to(rate)], BOARD, LATTICE)
 
 
 def right_lab(kind: str, seed: int) -> tuple[Scene, np.ndarray]:
@@ -132,7 +148,7 @@ def right_lab(kind: str, seed: int) -> tuple[Scene, np.ndarray]:
 def test_right_labs_of_other_kinds_mask_nothing(kind):
     for seed in range(5):
         scene, image = right_lab(kind, seed)
-        assert not unlisted_parts(scene, [("glass", image, TargetPose())], BOARD, LATTICE), seed
+        assert not unlisted_parts(scene, [View("glass", image, TargetPose())], BOARD, LATTICE), seed
 
 
 @pytest.mark.slow
@@ -157,3 +173,12 @@ def test_a_whole_calibration_says_it_and_masks_it(stray):
     found = build_correction_map(scene, build_ray_map(scene))
     error = np.linalg.norm(map_error_px(scene, shown, found.pixel[0][found.recovered], found.grid), axis=1)
     assert np.count_nonzero(~(error < 0.5)) < 20
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", [71004, 71010, 71012])
+def test_strangers_right_labs_mask_nothing_where_a_ball_shows_squares_many_times_as_large(seed):
+    lab = compared(photographed("stranger", seed))
+    assert not lab.fit.verdict.unlisted
+    assert lab.off < 0.003
