@@ -13,6 +13,7 @@ from sim.emulators.pi_gcs2 import PiEmulator
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.recorded import RecordedBox
 from sim.mechanics.clock import VirtualClock
+from sim.mechanics.motion import Mechanics, Motor
 from sim.stages import SimulatedStages
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.timing_boxes.quantum_composers import MODELS, QuantumComposersEmulator, Variant
@@ -161,7 +162,8 @@ def test_a_chain_of_pi_controllers_is_named_by_address(monkeypatch):
 
 def test_a_controller_of_gcs_3_is_named_with_its_cure_and_without_bench_lines():
     clock = VirtualClock()
-    with on_a_line(PiEmulator({}, clock, command_set="3.0"), clock, 115_200):
+    motors = {"1": Motor(Mechanics(lead_mm=1.0, steps_per_rev=2000, high_switch_mm=100.0))}
+    with on_a_line(PiEmulator(motors, clock, command_set="3.0"), clock, 115_200):
         found, asked = probe("sim://probed", clock)
     assert "command set 3.0" in found.facts
     assert "GCS 3 is not spoken here" in found.lines
