@@ -65,6 +65,8 @@ def _residual(
     """
     near = threshold * epsilon_px
     residual, work = np.full(usable.shape, np.nan), np.empty((2 * RADIUS + 1) ** 2)
+    field = np.ascontiguousarray(field)  # a kernel is compiled once more for slices
+    usable, judged = np.ascontiguousarray(usable), np.ascontiguousarray(judged)
     normalised_residual(
         field, usable, judged, RADIUS, epsilon_px, near, MIN_NEIGHBOURS, 0, len(field), work, residual
     )

@@ -77,12 +77,13 @@ def refine(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: i
     """
     whole = window_weights(grid.size_px, window_sigma)
     sums = np.empty((*grid.shape, SUMS))
+    column = np.ascontiguousarray(grid.column)  # a kernel is compiled once more for a slice
     weights = whole.astype(np.float32), window_weights(grid.size_px, window_sigma, half=True).astype(np.float32)
 
     def rows(first: int, last: int) -> None:
         columns = np.empty((SUMS, pair.a.shape[1]), np.float32)
         for j in range(first, last):
-            lag_sums(pair.a, pair.b, pair.valid, grid.row[j], grid.column, *weights, columns, sums[j])
+            lag_sums(pair.a, pair.b, pair.valid, grid.row[j], column, *weights, columns, sums[j])
 
     run_rows(rows, grid.shape[0], block=2, threads=threads)
     total = float(whole.sum())

@@ -16,6 +16,7 @@ from stages.errors import (
 )
 from stages.protocols.grbl import RESET, RESUME
 from stages.states import AxisState
+from tests.slow_cases import slow
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 
@@ -27,7 +28,7 @@ def homed(bench, driver, **changes):
     return made
 
 
-@pytest.mark.parametrize("off_s", [0.0, 0.02, 0.3, 2.0])
+@pytest.mark.parametrize("off_s", [0.0, slow(0.02), slow(0.3), 2.0])
 def test_at_rest(bench, kind, off_s):
     """Seen from outside only: whatever is asked first must not believe the old position."""
     asks = {

@@ -1,9 +1,12 @@
-"""Rays by roots of quadratics, normals and Snell's law at each surface: no formula shared with the kernels."""
+"""Rays by roots of quadratics, normals and Snell's law at each surface: no formula shared with the kernels.
+
+Plain Python; for very many rays `numba.njit` compiles it.
+"""
 
 import math
 
-import numba
 import numpy as np
+from numba.extending import register_jitable
 
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import TraceResult
@@ -11,7 +14,7 @@ from tracer.strategies.trace import TraceResult
 BASE, PRIME = 1000003, 2**31 - 1
 
 
-@numba.njit(error_model="numpy")
+@register_jitable(error_model="numpy")
 def surface(
     ball: np.ndarray, radius: float, eta: float, side: float, p: np.ndarray, d: np.ndarray
 ) -> tuple[float, float]:
@@ -27,16 +30,16 @@ def surface(
     return cosine, rest
 
 
-@numba.njit(error_model="numpy")
+@register_jitable(error_model="numpy")
 def met(ball: np.ndarray, radius: float, p: np.ndarray, d: np.ndarray) -> tuple[float, float, float]:
     """-p.d about the centre, the discriminant, and the smaller root of a line and a sphere (NaN if none)."""
     w = p - ball[:3]
     half = (w * d).sum()
     square = half * half - ((w * w).sum() - radius * radius)
-    return -half, square, -half - math.sqrt(square)
+    return -half, square, -half - math.sqrt(square) if square >= 0.0 else math.nan
 
 
-@numba.njit(error_model="numpy")
+@register_jitable(error_model="numpy")
 def inside(ball: np.ndarray, p: np.ndarray, d: np.ndarray) -> tuple[int, float, float]:
     """Take a ray (p, d) from where it meets a sphere to where it leaves.
 
@@ -79,7 +82,7 @@ def inside(ball: np.ndarray, p: np.ndarray, d: np.ndarray) -> tuple[int, float, 
         at, side = level - 1, -1.0
 
 
-@numba.njit(error_model="numpy")
+@register_jitable(error_model="numpy")
 def second(eye: np.ndarray, ways: np.ndarray, spheres: np.ndarray, out: np.ndarray) -> None:
     """Per ray (N, 6): plane point x, y, number of all events (-1: turned back), room to others, steepest, z."""
     for ray in range(ways.shape[0]):

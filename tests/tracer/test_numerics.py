@@ -16,6 +16,7 @@ import pytest
 from mpmath import mpf
 
 from benchmarks.reference import Glass, Vector, along, dot, follow, roots, snell
+from tests.slow_cases import one_in_three
 from tests.tracer.scenes import ball, camera_at, one_ray
 from tracer.kernels.sphere import angles, through
 from tracer.media import ConstantMedium
@@ -124,9 +125,7 @@ def test_these_tests_can_fail() -> None:
     assert lost > inherent + 1.0
 
 
-@pytest.mark.parametrize("n", INDICES)
-@pytest.mark.parametrize("impact", IMPACTS)
-@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize(("distance", "impact", "n"), one_in_three(DISTANCES, IMPACTS, INDICES))
 def test_distance_impact_and_index(distance: float, impact: float, n: float) -> None:
     lost, inherent = digits(distance, impact, 25.0, n)
     print(f"{distance:8g} R  1-b {1.0 - impact:6.0e}  n {n:<16.13g} lost {lost:5.1f}  inherent {inherent:5.1f}")

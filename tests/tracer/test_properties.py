@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.scenes import PAPER, aimed_pixels
 from tests.tracer.scenes import TILTED, ball, camera_at, random_scene, scene
 from tracer.bodies import Sphere
-from tracer.kernels.march import march
+from tracer.kernels.march import march, trace_rays, trace_trails
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
@@ -244,3 +244,16 @@ def test_an_opaque_sphere_stops_exactly_the_rays_that_crossed_it(seed: int) -> N
     assert np.all(shaded.rays["status"][crossed] == RayStatus.BLOCKED)
     assert shaded.rays[~crossed]["x_mm"].tobytes() == clear.rays[~crossed]["x_mm"].tobytes()
     np.testing.assert_array_equal(shaded.rays["status"][~crossed], clear.rays["status"][~crossed])
+
+
+def test_one_ray_is_traced_by_the_kernel_of_many() -> None:
+    """What numba would compile anew for: a broadcast origin of one ray, directions that may not be written."""
+    where = scene(PAPER[0])
+    pixels = np.array([[700.0, 900.0], [20.0, 20.0]])
+    many = trace(where, pixels)
+    directions = where.camera.directions(pixels[:1])
+    directions.flags.writeable = False
+    for one in (trace(where, pixels[:1]), trace_from(where, where.camera.position_mm, directions)):
+        assert one.rays[0] == many.rays[0]
+    for traced in (trace_rays, trace_trails):
+        assert all(kind.mutable for kinds in traced.signatures for kind in kinds[:2])

@@ -15,6 +15,7 @@ from mpmath import mpf
 
 from benchmarks.reference import Glass, Vector, along, cross, dot, roots
 from benchmarks.scenes import aimed_pixels
+from tests.slow_cases import one_in_three
 from tests.tracer.scenes import HOLLOW, ball, camera_at, one_ray, random_scene, scene
 from tests.tracer.second_formulation import inside
 from tests.tracer.second_formulation import met as meet
@@ -120,8 +121,7 @@ def digits(
     return math.log10(lost), math.log10(inherent), ways
 
 
-@pytest.mark.parametrize("n", INDICES)
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize(("ratio", "n"), one_in_three(RATIOS, INDICES))
 def test_digits_lost(ratio: float, n: float) -> None:
     """Lost <= inherent + 1, wherever the ray goes."""
     ways, worst, most = set(), -math.inf, -math.inf

@@ -181,8 +181,7 @@ def trace_from(scene: Scene, origins_mm: ArrayLike, directions: ArrayLike) -> Tr
     """
     directions = np.asarray(directions, dtype=np.float64)
     shape = directions.shape[:-1]
-    starts = np.ascontiguousarray(np.broadcast_to(np.asarray(origins_mm, dtype=np.float64), directions.shape))
-    starts, rays_along = starts.reshape(-1, 3), np.ascontiguousarray(directions).reshape(-1, 3)
+    starts, rays_along = _rows_of(origins_mm, directions.shape), _rows_of(directions, directions.shape)
     rays = np.zeros(len(rays_along), RAY)
     world = world_of(scene)
 
@@ -193,6 +192,14 @@ def trace_from(scene: Scene, origins_mm: ArrayLike, directions: ArrayLike) -> Tr
     rays["path_mm"] *= scene.n_ambient
     keys, firsts = np.unique(rays["key"], return_index=True)
     return TraceResult(rays.reshape(shape), name_keys(scene, starts[firsts], rays_along[firsts], keys))
+
+
+def _rows_of(points: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Points (N, 3) for the kernels, broadcast to a shape, in memory that may be written.
+
+    Numba compiles a kernel once more for arrays that may not, as a broadcast one of a single ray is.
+    """
+    return np.array(np.broadcast_to(np.asarray(points, dtype=np.float64), shape), order="C").reshape(-1, 3)
 
 
 def name_keys(
@@ -216,7 +223,7 @@ def number_keys(scene: Scene, key: NDArray[np.int64]) -> tuple[Numbers, tuple[Br
     rows, columns = np.nonzero(fresh)
     keys, firsts = np.unique(key[rows, columns], return_index=True)
     directions = scene.camera.directions(np.stack((columns[firsts], rows[firsts]), axis=-1))
-    origins = np.ascontiguousarray(np.broadcast_to(np.array(scene.camera.position_mm), directions.shape))
+    origins = _rows_of(scene.camera.position_mm, directions.shape)
     branches = name_keys(scene, origins, directions, keys)
     branches[DIRECT] = ()
     order = sorted(branches, key=lambda k: (len(branches[k]), branches[k]))

@@ -14,7 +14,6 @@ from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.fitted.map_sigma import sigma_at
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, named_scene
-from tests.correction.fit.benches import fitted
 from tracer.scene.fit_section import FitCameraTable, FitSphereTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
@@ -40,6 +39,13 @@ def seen(scene: Scene, glass: bool, rng: np.random.Generator) -> MeasuredFrame:
     return MeasuredFrame("drawn", corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, {}, {})
 
 
+def bench_off_axis() -> Unknowns:
+    scene = at_size(named_scene("pair_off_axis"), 700)
+    low, high = scene.spheres  # clear of the plane and of each other, so that no draw is impossible
+    low, high = replace(low, centre_mm=(-14.0, 9.0, 23.0)), replace(high, centre_mm=(20.0, -12.0, 70.0))
+    return unknowns_of(scene.with_bodies([low, high]), [0.0], PRIORS)
+
+
 def drawn(bench: Unknowns, rng: np.random.Generator) -> Scene:
     return bench.moved(bench.full(np.clip(rng.normal(size=len(bench.names)), -2.5, 2.5)))
 
@@ -47,11 +53,7 @@ def drawn(bench: Unknowns, rng: np.random.Generator) -> Scene:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
-    scene = at_size(named_scene("pair_off_axis"), 700)
-    low, high = scene.spheres  # clear of the plane and of each other, so that no draw is impossible
-    low, high = replace(low, centre_mm=(-14.0, 9.0, 23.0)), replace(high, centre_mm=(20.0, -12.0, 70.0))
-    bench = unknowns_of(scene.with_bodies([low, high]), [0.0], PRIORS)
-    rng = np.random.default_rng(42)
+    bench, rng = bench_off_axis(), np.random.default_rng(42)
     ratios: dict[bool, list[np.ndarray]] = {False: [], True: []}
     for _ in range(200):
         truth = drawn(bench, rng)
@@ -69,7 +71,9 @@ def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
 
 def test_sigma_is_the_spread_of_landing_points_under_the_covariance():
     """Draw scenes of round balls from the covariance, trace them, compare the spread: nothing linearised here."""
-    fit = fitted("pair_off_axis", 4)
+    bench, rng = bench_off_axis(), np.random.default_rng(42)
+    truth = drawn(bench, rng)
+    fit = Adjustment().estimate(bench, bench.start, [seen(truth, glass, rng) for glass in (False, True)], ())
     fit = replace(fit, root=fit.unknowns.columns @ root_of(fit.covariance), shapes=ShapeRoot())
     pixels = fit.corners.pixel[fit.corners.behind & fit.corners.inlier][::7]
     predicted = sigma_at(fit, pixels, True)

@@ -100,10 +100,16 @@ def test_a_scene_that_is_unsure_makes_the_sheet_unsure(three):
     beside = moved(scene, 2, (0.0, 0.0, step))
     root = np.zeros((len(CAMERA) + len(SPHERE) * len(scene.spheres), 1))
     root[len(CAMERA) + 2 * len(SPHERE) + 2, 0] = step
-    exact = find_sheet(beside, pairs)
     told = find_sheet(beside, pairs, SceneSigma(beside.content_hash(), root))
-    assert abs(exact.sheet.z_mm - TRUTH[0]) > 3.0 * exact.sheet.sigma_mm
     assert abs(told.sheet.z_mm - TRUTH[0]) < 2.0 * told.sheet.sigma_mm < 0.8
+
+
+@pytest.mark.slow
+def test_a_scene_that_is_wrong_and_believed_makes_the_sheet_wrong(three):
+    """What the sigma of the fit is for."""
+    scene, pairs = three
+    exact = find_sheet(moved(scene, 2, (0.0, 0.0, 0.08)), pairs)
+    assert abs(exact.sheet.z_mm - TRUTH[0]) > 3.0 * exact.sheet.sigma_mm
 
 
 def test_nothing_seen_twice_is_said(three):

@@ -26,6 +26,7 @@ from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import FileCheck, check
 from rtpiv.verbs.init import FILES, QUESTIONS, GivenLab, init
+from tests.slow_cases import slow
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.ray_map import build_ray_map
 
@@ -46,7 +47,7 @@ LABS = {
 
 
 # The others differ from these by a number of balls or a distance.
-FAST = ("one ball", "two in a row", "triangle on rods", "pyramid of five", "body-centred bed", "five megapixels")
+FAST = ("one ball", "triangle on rods", "body-centred bed")
 FEW = [pytest.param(lab, id=name, marks=[pytest.mark.slow] * (name not in FAST)) for name, lab in LABS.items()]
 
 
@@ -240,7 +241,9 @@ def test_by_itself_it_lays_out_what_shows_most_of_what_the_balls_hide(tmp_path, 
     assert ["3", "triangle"] in [row[:2] for row in rows]
 
 
-@pytest.mark.parametrize("lab", [{"balls": 3, "support_mm": 6.0}, {"balls": 1, "glass": "1.7"}, {"balls": 5}])
+@pytest.mark.parametrize(
+    "lab", [{"balls": 3, "support_mm": 6.0}, slow({"balls": 1, "glass": "1.7"}), slow({"balls": 5})]
+)
 def test_where_no_distance_is_said_the_balls_stand_where_they_show_much(lab, tmp_path):
     init(tmp_path / "lab", GivenLab(**lab))
     assert traced_share(tmp_path / "lab" / "scene.yaml") > 0.35

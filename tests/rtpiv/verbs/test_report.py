@@ -17,7 +17,7 @@ from daq.runs.seal import write_record
 from piv.errors import PairError
 from rtpiv.analysis.pairs.evaluation import evaluate_task
 from rtpiv.command_line.cli import DONE, USAGE, main
-from rtpiv.verbs.evaluate import evaluate
+from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
 from sim.renderer.patterns import Chessboard, printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -28,6 +28,7 @@ from tracer.scene.scene_file import dump_scene
 
 SIZE_PX = 336
 SHIFT_MM = (0.9, 0.6, 0.0)
+NO_PICTURES = EvaluationOutput(pictures=False)
 
 
 def run_folder(path, name, prints, done=True):
@@ -104,7 +105,7 @@ def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
 
 def test_a_map_is_made_once_however_many_pairs_are_seen_through_it(shift_run, tmp_path, mocker):
     traced = mocker.spy(prepared, "build_ray_map")
-    found = evaluate([shift_run], tmp_path).details
+    found = evaluate([shift_run], tmp_path, output=NO_PICTURES).details
     assert [one.task.name for one in found] == ["clear_b", "glass_b", "deep_b"]
     assert [bool(call.args[0].bodies) for call in traced.call_args_list] == [False, True]
 
@@ -177,9 +178,9 @@ def test_a_pair_that_is_none_is_named_and_left_out(shift_run, tmp_path, mocker, 
         return whole(task, *rest)
 
     mocker.patch("rtpiv.verbs.evaluate.evaluate_task", first_fails)
-    found = evaluate([shift_run], tmp_path).details
+    found = evaluate([shift_run], tmp_path, output=NO_PICTURES).details
     assert [one.task.name for one in found] == names[1:]
     assert f"{names[0]} is left out: frame B is constant" in capsys.readouterr().out.replace("\n", " ")
     mocker.patch("rtpiv.verbs.evaluate.evaluate_task", side_effect=PairError("no texture"))
     with pytest.raises(PairError, match="no texture"):
-        evaluate([shift_run], tmp_path)
+        evaluate([shift_run], tmp_path, output=NO_PICTURES)

@@ -110,18 +110,18 @@ def test_every_pair_of_a_series_can_be_asked_for_more(run, tmp_path):
             assert one.fields[name][0].tobytes() == all_of_them.fields[name][place].tobytes()
 
 
-def test_a_pair_is_correlated_once_however_much_is_asked_of_it(run, tmp_path, mocker):
+def test_a_pair_is_correlated_once_however_much_is_asked_of_it(tmp_path, mocker):
     """Its vectors, its folder and the page of the series: all from one correlation; a whole chunk is kept."""
-    correlated = mocker.spy(pair, "prepared")
-    words = ["evaluate", str(run), *WINDOWS, "-o", str(tmp_path), "--vtk"]
+    correlated, pairs, out = mocker.spy(pair, "prepared"), 2, tmp_path / "out"
+    words = ["evaluate", str(flow_run(tmp_path, pairs)), *WINDOWS, "-o", str(out), "--vtk"]
     assert main(words) == DONE
-    assert correlated.call_count == PAIRS
-    chunk = chunk_path(tmp_path, 0)
+    assert correlated.call_count == pairs
+    chunk = chunk_path(out, 0)
     before = chunk.read_bytes(), chunk.stat().st_mtime_ns
-    assert main(words) == DONE
-    assert correlated.call_count == 2 * PAIRS
+    assert main([*words, "--no-pictures"]) == DONE
+    assert correlated.call_count == 2 * pairs
     assert (chunk.read_bytes(), chunk.stat().st_mtime_ns) == before
-    assert len(list(tmp_path.glob("flow_*/vectors.vtk"))) == PAIRS
+    assert len(list(out.glob("flow_*/vectors.vtk"))) == pairs
 
 
 def test_what_a_pair_cannot_have_is_one_sentence(run, tmp_path, capsys):
