@@ -14,6 +14,13 @@ the evaluator's own response shows it, and the jet itself.  Stresses are measure
 correction, against the same, and against what the response shows along slanted rays.  Their truths are moments of
 the flow at the times of the pairs and of the vectors that counted, so that neither pays for the other's luck.
 
+What a person wants to know is the jet itself, and rays that meet the sheet aslant show u - w dX/dz instead of u.
+So single vectors and means are held to the jet itself as well, with all parts of sigma: `vectors_within`, the
+share of single vectors within one sigma, `vectors_within_no_slant`, the same without the part of the slant, and
+`mean_within`, of the means of chunks.  What flows through the sheet is assumed unless `--sigma-w` tells it; the
+mean flow of the jet lies in the sheet, which is told.  `stress_ratio_slant_off` are stresses less what the slant
+is said to add, over the jet's own.
+
 Coverage is the share of vectors whose error against the own response is below sigma of the mean.  Vectors within
 an eddy err together and a region behind glass holds few eddies, so each chunk of pairs is a mean of its own as
 well: `covered_in_chunks` is the share over all of them, and `expected_in_chunks` what Student's t says of so few
@@ -36,11 +43,15 @@ from scipy.special import stdtr
 from benchmarks.flow_truth import Judge, Seen
 from correction.evaluate.regions import regions_of
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
+from correction.maps.slant import vector_slopes
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
 from piv.correlation.windows import window_grid
 from piv.statistics.moments import Moments
+from piv.statistics.out_of_plane import OutOfPlane
+from piv.statistics.unresolved import Unresolved
+from rtpiv.analysis.pairs.slanted import slanted
 from rtpiv.analysis.series.workers import worker_processes
 from sim.demo.scenes import at_size, named_scene
 from sim.flow.fields import Flow
@@ -73,6 +84,7 @@ class Case:
     is_pinhole: bool = False
     window_px: int = 32
     seed: int = SEED
+    sigma_w_m_s: float | None = None
 
     @property
     def camera(self) -> FlowCamera:
@@ -83,6 +95,11 @@ class Case:
     def settings(self) -> PivSettings:
         """Windows down to the one asked for."""
         return PivSettings(windows_px=(64, 32, *(self.window_px,) * 2))
+
+    @property
+    def known(self) -> OutOfPlane:
+        """What is told of the flow through the sheet: the mean jet has none."""
+        return OutOfPlane(self.sigma_w_m_s, 0.0)
 
 
 @cache
@@ -121,7 +138,7 @@ def vectors(case: Case, number: int) -> VectorField:
 
 
 class Sums(NamedTuple):
-    """Moments of the same vectors [px], as measured and as they could be seen."""
+    """Moments of the same vectors [px], as measured and as they could be seen; then whether sigma held them."""
 
     found: Moments
     itself: Moments
@@ -129,10 +146,14 @@ class Sums(NamedTuple):
     response: Moments
     seen: Moments
     error: Moments  # of what was measured less what could be seen along the rays
+    within: Moments  # one sigma of the flow itself
+    within_no_slant: Moments
+    unresolved: Unresolved
 
     def merged(self, other: "Sums") -> "Sums":
         """Of both."""
-        return Sums(*(one.merged(two) for one, two in zip(self, other, strict=True)))
+        parts: list[Any] = [one.merged(two) for one, two in zip(self, other, strict=True)]
+        return Sums(*parts)
 
 
 @cache
@@ -155,10 +176,20 @@ def moments(case: Case, numbers: range) -> Sums:
         uv = np.stack((field.u_px, field.v_px), axis=-1)
         sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
         seen = _judge(case).at(number / RATE_HZ, field.added_passes)
+        prepared, plain = _correction(case), field.total_sigma_px
+        slant = slanted(field, prepared.corrector.map, prepared.scene, case.settings, case.known, DT_S)
+        inside = [
+            np.where(np.isnan(part), np.nan, np.abs(uv - seen.itself) < part)
+            for part in (np.hypot(plain, slant.sigma_px), plain)
+        ]
+        assert field.resolution_px is not None
+        apart = max(1, round(0.5 * field.window_px / field.step_px))
         one = Sums(
             Moments.of(uv, field.valid, sigma),
             *(Moments.of(true, field.valid) for true in seen),
             Moments.of(uv - seen.seen, field.valid, sigma),
+            *(Moments.of(share, field.valid) for share in inside),
+            Unresolved.of(uv, field.valid, field.resolution_px, apart),
         )
         total = one if total is None else total.merged(one)
     assert total is not None
@@ -199,6 +230,12 @@ def judged(case: Case, parts: Sequence[Sums]) -> dict[str, Any]:
         "centre": (regions.region == 2) & (regions.radius < RIM_FROM),
         "rim": (regions.region == 2) & (regions.radius >= RIM_FROM),
     }
+    slope = vector_slopes(
+        prepared.corrector.map, camera.scene, case.settings.result_grid(prepared.corrector.map.grid.shape),
+        case.settings.window_sigma,
+    ) * (1.0, -1.0)  # v down  # fmt: skip
+    px_per_m_s = 1e3 * DT_S * prepared.corrector.map.grid.px_per_mm
+    too_much = case.known.of_stresses(found.reynolds_stresses / px_per_m_s**2, slope).bias * px_per_m_s**2
     stated: dict[str, Any] = {"case": case.name, "pairs": int(found.count.max()), "window_px": case.window_px}
     for name, here in places.items():
         use = here & inside
@@ -216,10 +253,14 @@ def judged(case: Case, parts: Sequence[Sums]) -> dict[str, Any]:
             "against_jet_rms_px": _rms(error["itself"]),
             "covered_share": float(np.mean(np.abs(error["response"]) < random)),
             **_covered([part.found for part in parts], true.response, use),
+            "vectors_within": float(np.nanmean(total.within.mean_uv[use])),
+            "vectors_within_no_slant": float(np.nanmean(total.within_no_slant.mean_uv[use])),
+            "mean_within": _mean_within(parts, true.itself, use),
             "stress_ratio": _slope(stresses, total.window.covariance[use]),
             "stress_ratio_response": _slope(stresses, total.response.covariance[use]),
             "stress_ratio_seen": _slope(stresses, total.seen.covariance[use]),
             "stress_ratio_itself": _slope(stresses, total.itself.covariance[use]),
+            "stress_ratio_slant_off": _slope(stresses - too_much[use], total.itself.covariance[use]),
             "stress_ratio_seen_noise_included": _slope(found.covariance[use], total.seen.covariance[use]),
             "pair_error_px": _rms(np.sqrt(total.error.covariance[use][:, :2])),
             "pair_sigma_px": _rms(np.sqrt(found.noise[use])),
@@ -239,6 +280,16 @@ def _covered(parts: Sequence[Moments], true: Array, use: Array) -> dict[str, flo
         "chunks": len(told),
         "expected_in_chunks": round(float(2.0 * stdtr(full - 1, 1.0) - 1.0), 3),
     }
+
+
+def _mean_within(parts: Sequence[Sums], true: Array, use: Array) -> float:
+    """Share of vectors of the means of all chunks within one sigma of the flow's own mean, with all its parts."""
+    inside = []
+    for part in parts:
+        mean, random = part.found.mean_uv, _sigma(part.found)
+        unsure = np.nan_to_num(part.unresolved.shared(mean))[..., None]
+        inside.append(np.abs(mean - true)[use] < np.hypot(random, unsure)[use])
+    return float(np.mean(inside))
 
 
 def _sigma(found: Moments) -> Array:
@@ -275,10 +326,11 @@ def main() -> None:
     parser.add_argument("--chunk", type=int, default=CHUNK_PAIRS, help="pairs whose mean is judged by itself")
     parser.add_argument("--steady", action="store_true", help="without turbulence")
     parser.add_argument("--pinhole", action="store_true", help="without the lens's blur; three times as fast")
+    parser.add_argument("--sigma-w", type=float, help="what flows through the sheet, from pair to pair [m/s]")
     parser.add_argument("--frames", type=Path, help="write frames here, evaluate nothing")
     parser.add_argument("-o", "--out", type=Path, help="write the figures as JSON")
     asked = parser.parse_args()
-    case = Case(asked.name, asked.size, asked.steady, asked.pinhole, asked.window)
+    case = Case(asked.name, asked.size, asked.steady, asked.pinhole, asked.window, sigma_w_m_s=asked.sigma_w)
     if asked.frames is not None:
         asked.frames.mkdir(parents=True, exist_ok=True)
         with worker_processes(asked.workers) as pool:

@@ -34,6 +34,7 @@ SCHEMA = 2
 PIVPY_SCHEMA = 1
 GRID = ("t", "y", "x")
 SPEED, LENGTH = "m s-1", "mm"
+KINDS = (set(GRID), {"t"}, {"y", "x"})  # dimensions of fields, of numbers by time, of numbers by place
 STANDARD_NAMES = {
     "x": "projection_x_coordinate", "y": "projection_y_coordinate", "t": "time", "chc": "validity_flag",
 }  # fmt: skip
@@ -72,6 +73,8 @@ class Vectors:
         By name, `u` and `v` among them; NaN where there is none.
     by_time : mapping of str to (T,)
         Numbers of a whole time, such as ``delta_t`` [s].
+    by_place : mapping of str to (ny, nx)
+        Numbers of a place that are the same at all times, such as the slopes of rays.
     units : mapping of str to str
         Of fields and numbers that have one.
     attributes : mapping of str to str, int or float
@@ -88,6 +91,7 @@ class Vectors:
     units: Mapping[str, str] = field(default_factory=dict)
     attributes: Mapping[str, Any] = field(default_factory=dict)
     time_unit: str = "s"
+    by_place: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -101,9 +105,10 @@ class Vectors:
 
     @property
     def everything(self) -> dict[str, NDArray[Any]]:
-        """Fields, and the numbers of each time spread over its places (T, ny, nx)."""
+        """Fields, and the numbers of each time and of each place spread over the others (T, ny, nx)."""
         shape = (len(self.times), len(self.y_mm), len(self.x_mm))
         spread = {name: np.broadcast_to(one[:, None, None], shape) for name, one in self.by_time.items()}
+        spread |= {name: np.broadcast_to(one, shape) for name, one in self.by_place.items()}
         return {**self.fields, **spread}
 
     def called(self, name: str) -> str:
@@ -113,7 +118,7 @@ class Vectors:
     def __repr__(self) -> str:
         """Say how many vectors of how many times, and what else there is."""
         shape = " x ".join(str(len(axis)) for axis in (self.times, self.y_mm, self.x_mm))
-        names = ", ".join(self.called(name) for name in (*self.fields, *self.by_time))
+        names = ", ".join(self.called(name) for name in (*self.fields, *self.by_time, *self.by_place))
         return f"Vectors of {shape} (t, y, x), {int(self.measured.sum())} measured: {names}"
 
     def _repr_html_(self) -> str:
@@ -168,9 +173,10 @@ def vectors_netcdf(vectors: Vectors) -> bytes:
     found = {name: variable(name, (name,), values, unit) for name, values, unit in axes}
     for name, values in vectors.by_time.items():
         found[name] = variable(name, ("t",), values, vectors.units.get(name, "1"))
-    for name, values in vectors.fields.items():
-        stored = values.astype(np.float32) if values.dtype.kind == "f" else values
-        found[name] = variable(name, GRID, stored, vectors.units.get(name, "1"))
+    for dimensions, some in ((GRID, vectors.fields), (GRID[1:], vectors.by_place)):
+        for name, values in some.items():
+            stored = values.astype(np.float32) if values.dtype.kind == "f" else values
+            found[name] = variable(name, dimensions, stored, vectors.units.get(name, "1"))
     meanings = ", ".join(f"{flag.value} {flag.name.lower()}" for flag in VectorFlag)
     about = {"rtpiv_schema": SCHEMA, "pivpy_schema_version": PIVPY_SCHEMA, "flag_meanings": meanings}
     return netcdf(found, about | dict(vectors.attributes))
@@ -228,9 +234,10 @@ def _on_grid(path: str, found: Mapping[str, Variable], about: Mapping[str, Any])
         raise VectorFileError(f"{path}: says not where its vectors lie")
     fields: dict[str, NDArray[Any]] = {}
     by_time: dict[str, NDArray[Any]] = {}
+    by_place: dict[str, NDArray[Any]] = {}
     units: dict[str, str] = {}
     for name, one in found.items():
-        if name in GRID or one.values.dtype.kind not in "iuf" or set(one.dimensions) not in ({*GRID}, {"t"}):
+        if name in GRID or one.values.dtype.kind not in "iuf" or set(one.dimensions) not in KINDS:
             continue
         along = tuple(axis for axis in GRID if axis in one.dimensions)
         if tuple(one.values.shape[one.dimensions.index(axis)] for axis in along) != tuple(
@@ -239,9 +246,9 @@ def _on_grid(path: str, found: Mapping[str, Variable], about: Mapping[str, Any])
             raise VectorFileError(f"{path}: {name} does not fit the grid; the file is damaged")
         values = one.values.transpose([one.dimensions.index(axis) for axis in along])
         native = np.ascontiguousarray(values, values.dtype.newbyteorder("="))  # NetCDF is big-endian
-        (fields if along == GRID else by_time)[name] = native
+        (fields if along == GRID else by_time if along == GRID[:1] else by_place)[name] = native
         units[name] = one.unit
-    return Vectors(axes["x"], axes["y"], axes["t"], fields, by_time, units, about, found["t"].unit)
+    return Vectors(axes["x"], axes["y"], axes["t"], fields, by_time, units, about, found["t"].unit, by_place)
 
 
 def _plain(said: Any) -> Any:  # noqa: ANN401 - as the file has it

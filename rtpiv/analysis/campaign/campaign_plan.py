@@ -43,7 +43,8 @@ from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.scene.scene_file import load_scene
 
 S_PER_MPX = 0.5  # of one core for a pair, before this campaign has shown its own: 2 s at 4 million pixels
-VECTOR_BYTES = 34  # of a chunk's file: 8 float32 and 2 int8
+VECTOR_BYTES = 34  # of a chunk's file: 8 float32 and 2 int8 of each pair
+PLACE_BYTES = 8  # the same for all its pairs: 2 float32
 PIXEL_BYTES = 2
 LONG_BYTES = 10_000_000  # of journals: below, processes take longer to start than to read
 
@@ -304,7 +305,7 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
         sum(job.number in finished for job in left),
         each_s * pairs,
         2.0 * PIXEL_BYTES * pixels * reads,
-        float(VECTOR_BYTES * vectors * pairs),
+        float(vectors * (VECTOR_BYTES * pairs + PLACE_BYTES * len(left))),
     )
 
 

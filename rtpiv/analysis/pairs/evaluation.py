@@ -146,7 +146,9 @@ class Evaluation:
         task, field, settings = self.task, self.field, self.settings
         windows = settings.result_grid(self.grid.shape)
         more = quality_of(field, self.grid, self.map_sigma, self.by_velocity, task.dt_s, self.slant)
-        return vectors_of_pairs([PairResult(task.name, field, task.dt_s)], windows, self.grid, self.about, more)
+        slope = None if self.slant is None else self.slant.slope
+        result = PairResult(task.name, field, task.dt_s)
+        return vectors_of_pairs([result], windows, self.grid, self.about, more, slope)
 
     def _repr_html_(self) -> str:
         """Show a notebook its name, and its vectors."""

@@ -16,12 +16,13 @@ of a pair that is evaluated alone, with more of its quality:
 
     map_sigma_u, _v               standard uncertainty of u, v by the fitted map
     map_sigma_x, _y               that of the position by the fitted map [mm]
-    dxdz, dydz                    slopes of the rays: measured are u - w dxdz, v - w dydz, w through the sheet
-    slant_sigma_u, _v             standard uncertainty of u, v by that w (`out_of_plane` says what it is taken to
-                                  be); missing where particles were moved by a known way
+    slant_sigma_u, _v             standard uncertainty of u, v by the velocity w through the sheet (`out_of_plane`
+                                  says what it is taken to be); missing where particles were moved by a known way
     total_sigma_u, _v             all of these that are known, added as squares
     peak_ratio, valid_fraction    of the highest peaks; share of valid pixels in the window
     route                         1 = the vector was traced (velocity route), only where routes were mixed
+
+By place: dxdz, dydz, the slopes of the rays: measured are u - w dxdz, v - w dydz (`correction.maps.slant`).
 
 t is in s since the first pair of the run, or counts pairs, for a camera without a clock.
 """
@@ -51,6 +52,7 @@ UNITS = {
     "displacement_x": "pixel", "displacement_y": "pixel", "delta_t": "s", "sigma_delta_t": "s",
     "x": LENGTH, "y": LENGTH, "map_sigma_x": LENGTH, "map_sigma_y": LENGTH,
 }  # fmt: skip
+SLOPES = ("dxdz", "dydz")
 MEASURED = ("u", "v", "sigma_u", "sigma_v", "resolution", "displacement_x", "displacement_y", "correlation")
 Floats = NDArray[np.float64]
 
@@ -160,6 +162,7 @@ def vectors_of_pairs(
     grid: PlaneGrid,
     about: Mapping[str, Any],
     more: Mapping[str, NDArray[Any]] | None = None,
+    slope: Floats | None = None,
 ) -> Vectors:
     """Vectors of pairs as one dataset.
 
@@ -175,6 +178,8 @@ def vectors_of_pairs(
         Attributes, str, int or float.
     more : mapping of str to (T, ny, nx), optional
         Further fields, see `quality_of`.
+    slope : (ny, nx, 2) float64, optional
+        dX/dz, dY/dz of the rays, rows from the top of the image, y up.
 
     Returns
     -------
@@ -202,6 +207,7 @@ def vectors_of_pairs(
         units=UNITS | dict.fromkeys(PER_TIME, SPEED if timed else LENGTH),
         attributes=attributes | dict(about),
         time_unit="s" if has_clock else "pair",
+        by_place={} if slope is None else dict(zip(SLOPES, np.moveaxis(slope[::-1], -1, 0), strict=True)),
     )
 
 
@@ -222,7 +228,6 @@ def quality_of(
     for number, along in enumerate("uv"):
         found[f"total_sigma_{along}"] = np.where(np.isnan(parts[0][..., number]), np.nan, total[..., number])
         if slant is not None:
-            found["dxdz" if along == "u" else "dydz"] = slant.slope[..., number]
             found[f"slant_sigma_{along}"] = slant.sigma_px[..., number] * per_px(grid.pitch_mm, dt_s)
     if map_sigma is not None:
         for number, (along, place) in enumerate((("u", "x"), ("v", "y"))):

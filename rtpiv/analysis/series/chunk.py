@@ -11,6 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
+from correction.maps.slant import vector_slopes
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
 from ground.whole_file import whole_file
@@ -123,7 +124,8 @@ def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
     prepared = correction_of(job.maps, job.method)
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()}
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
-    content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about))
+    slope = vector_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
+    content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about, slope=slope))
     _keep(job.path, content)
     failed = {each.tag: each.found for each in results if isinstance(each.found, str)}
     return write_marker(job.path, job.key, content, len(results), failed)

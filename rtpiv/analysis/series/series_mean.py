@@ -14,7 +14,7 @@ mean.nc, where rows begin at the lowest y:
     slant_sigma_u, _v             by a steady velocity w through the sheet, which rays that meet it aslant show as
                                   one within it (`piv.statistics.out_of_plane`; `out_of_plane` says what w is
                                   taken to be); the same in all pairs, too
-    dxdz, dydz                    slopes of the rays: measured are u - w dxdz, v - w dydz; w is towards the camera
+    dxdz, dydz (by place)         slopes of the rays: measured are u - w dxdz, v - w dydz; w is towards the camera
     total_sigma_u, _v             all of these that are known, added as squares
     n, n_effective_u, _v          vectors, and independent ones that they are worth
     R_uu, R_vv, R_uv              Reynolds stresses without the noise of correlation [m2 s-2]; may be below 0
@@ -46,6 +46,7 @@ from correction.maps.slant import vector_slopes
 from daq.atomic_write import why
 from daq.errors import DiskError
 from piv.files.vector_file import SPEED, Vectors, write_vectors
+from rtpiv.analysis.pairs.pair_vectors import SLOPES
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks
@@ -128,7 +129,10 @@ def mean_vectors(
     if mean.slope is not None:
         said["out_of_plane"] = mean.out_of_plane.sentence
     beside = {name: (each, "1") for name, each in (more or {}).items()}
-    return _one_time(mean.x_mm, mean.y_mm, _variables(mean) | beside, said | dict(about))
+    found = _one_time(mean.x_mm, mean.y_mm, _variables(mean) | beside, said | dict(about))
+    if mean.slope is None:
+        return found
+    return replace(found, by_place=dict(zip(SLOPES, np.moveaxis(mean.slope, -1, 0), strict=True)))
 
 
 def ensemble_vectors(flow: EnsembleFlow, about: Mapping[str, Any]) -> Vectors:
@@ -196,7 +200,6 @@ def _variables(mean: MeanFlow) -> Named:
     slanted = mean.slanted_stresses
     if mean.slope is not None and mean.slant_sigma_m_s is not None and slanted is not None:
         apart.append(("slant_sigma_", "uv", mean.slant_sigma_m_s, SPEED))
-        found |= {"dxdz": (mean.slope[..., 0], "1"), "dydz": (mean.slope[..., 1], "1")}
         for number, name in enumerate(("uu", "vv", "uv")):
             found[f"slant_R_{name}"] = (slanted.bias[..., number], STRESS)
             found[f"slant_sigma_R_{name}"] = (slanted.sigma[..., number], STRESS)
