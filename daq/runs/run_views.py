@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from correction.errors import BoardError, CorrectionError
+from correction.grid import grid_of
 from correction.maps.dewarp import Dewarp, fit_dewarp
 from correction.target import Chessboard
 from correction.target.board_file import PrintedBoard, read_board
@@ -261,10 +262,14 @@ def in_light_sheet(step: PlannedStep) -> bool:
 
 def where_lit(scene: Scene) -> str:
     """Say in which plane particles were taken to lie, how unsure that is, and what makes it surer."""
+    scale = ""
+    if not scene.bodies:
+        shown = f"{grid_of(scene.camera).pitch_mm:.4g} mm"
+        scale = f"Nothing stands before the plane; a pixel shows {shown} of it, an error of which is in no sigma. "
     if scene.sheet is not None:
-        return f"Particles were taken to lie in {scene.sheet.summary}; its sigma is in that of the vectors."
+        return f"{scale}Particles were taken to lie in {scene.sheet.summary}; its sigma is in that of the vectors."
     return (
-        "The scene file does not say where the light sheet is, so particles were taken to lie in"
+        f"{scale}The scene file does not say where the light sheet is, so particles were taken to lie in"
         f" {scene.lit.summary}; all of that is in the sigma of map and vectors. Find it with rtpiv sheet, or"
         " measure it and write `sheet` into the scene file."
     )

@@ -3,6 +3,10 @@
 A camera's lens is taken from its scene, or from a dewarp that is fitted to one frame of the bare target.  What is
 unsure of the scene lies in the fit beside its file; the map's sigma follows from that, and nodes of which it is
 larger than a limit may be left out.  A fit knows the scene's lens terms and nothing of a dewarp in their place.
+
+Frames that were taken without glass need no scene file where it is told what a pixel shows.  Their scene is a
+camera alone, FAR_MM away and straight on: pixel (i, j) is node (i, j), s = mm_per_px apart, so the principal
+distance is FAR_MM / s pixels.  How far away the true camera stands is not known, so nothing of its perspective is.
 """
 
 from collections.abc import Iterable
@@ -14,6 +18,8 @@ from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
 from correction.target import Chessboard
+from daq.atomic_write import write_text
+from daq.runs.acquired import read_acquired
 from daq.runs.run_views import board_of, dewarp_of
 from ground.errors import GroundError
 from piv.resampling.sample import Method
@@ -23,6 +29,14 @@ from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 
 SCENE_FILE, FIT_FILE = "scene.yaml", "fit.npz"  # beside each other, of a fit as in the folder of a series
+FAR_MM = 1e4  # at the edge of a view of 100 mm motion along the view is 0.5 % of itself across it
+PLAIN_SCENE = """\
+# Frames without glass, {mm_per_px} mm a pixel: a camera far away, straight before the plane.
+wavelength_nm: 532.0
+camera: {{focal_px: {focal_px!r}, position_mm: [0.0, 0.0, {far_mm}], sensor_px: [{width}, {height}]}}
+sheet: {{z_mm: 0.0, sigma_mm: 0.01}}
+bodies: []
+"""
 
 
 @dataclass(frozen=True)
@@ -41,6 +55,8 @@ class CorrectionRecipe:
         its own.
     sigma_limit_px : float, optional
         Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
+    mm_per_px : float, optional
+        What a pixel shows of the plane, of frames of others that were taken without glass: in place of a scene.
     """
 
     target_clear: Path | str | None = None
@@ -48,6 +64,29 @@ class CorrectionRecipe:
     square_mm: Positive | None = None
     disc_mm: Positive | None = None
     sigma_limit_px: Positive | None = None
+    mm_per_px: Positive | None = None
+
+    def scene_of(self, scene: Path | None, frame: Path, out: Path) -> Path | None:
+        """Return the scene file of frames of others: the one given, or one of a camera alone, written into `out`.
+
+        Raises
+        ------
+        MapUsageError
+            Both a scene and what a pixel shows are given.
+        FrameError
+            The frame, of which the size is taken, cannot be read.
+        DiskError
+            The folder cannot be written to.
+        """
+        if self.mm_per_px is None:
+            return scene
+        if scene is not None:
+            raise MapUsageError("--mm-per-px is for frames without a scene; leave it or --scene out")
+        height, width = read_acquired(frame).shape
+        out.mkdir(parents=True, exist_ok=True)
+        numbers = {"mm_per_px": self.mm_per_px, "focal_px": FAR_MM / self.mm_per_px, "far_mm": FAR_MM}
+        write_text(out / SCENE_FILE, PLAIN_SCENE.format(**numbers, width=width, height=height))
+        return out / SCENE_FILE
 
     def board(self, paths: Iterable[Path]) -> Chessboard:
         """Return the board of the bare target and of what is named, runs or frames.

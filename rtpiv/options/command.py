@@ -141,7 +141,7 @@ def _add_option(parser: argparse._ActionsContainer, option: Option) -> None:
         action = "store_false" if option.default else "store_true"
         parser.add_argument(*names, dest=option.name, action=action, default=option.default, help=_help(option))
         return
-    unit = option.name.rpartition("_")[2]
+    unit = option.name.partition("_per_")[0].rpartition("_")[2]  # mm_per_px is a number of mm
     metavar: Any = unit.upper() if unit in UNITS else names[-1].removeprefix("--").rpartition("-")[2].upper()
     parser.add_argument(
         *names, dest=option.name, type=_reader(kind.read), nargs=kind.many, choices=kind.choices,

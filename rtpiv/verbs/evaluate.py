@@ -129,7 +129,7 @@ def evaluate(
     given = tasks_of(paths, out, scene, recipe, details.shift_mm, dt_us)
     if given.alone:
         screen.print(f"{given.alone} frames lost their partner and are in no pair")
-    if isinstance(given.sigma, str):
+    if isinstance(given.sigma, str) and recipe.mm_per_px is None:
         screen.print(f"no uncertainty of the map: {given.sigma}")
     for note in dict.fromkeys(task.note for task in given.tasks if task.note):
         screen.print(note)

@@ -12,7 +12,7 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
 from daq.atomic_write import copy_whole, why
 from daq.errors import DiskError
-from daq.frames.source import is_source
+from daq.frames.source import is_source, source_of
 from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import with_glass_at
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
@@ -28,6 +28,7 @@ from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Light, Meth
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
+SCALE_KNOWN = "a run knows what its pixels show; leave --mm-per-px out"
 IN_PLANE_MM = 0.01  # a sheet moved farther out of its plane shows no uniform displacement
 
 
@@ -84,8 +85,14 @@ def tasks_of(
         What scene, frames, target or run make impossible.
     """
     run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
+    if run is None and len(paths) == 2:
+        scene = recipe.scene_of(scene, paths[0], out)
     if run is None and (len(paths) != 2 or scene is None):
-        raise PairError("give two frames and --scene, or the folder of a run whose frames form pairs")
+        raise PairError(
+            "give two frames and --scene or --mm-per-px, or the folder of a run whose frames form pairs"
+        )
+    if run is not None and recipe.mm_per_px is not None:
+        raise PairError(SCALE_KNOWN, place=run)
     given = pairs_of(run) if run is not None else RunPairs((), ())
     given = RunPairs(
         tuple(_timed(run, pair, dt_us) for pair in given.pairs if not pair.is_background), given.alone
@@ -208,8 +215,14 @@ def series_input(
         The folder cannot be written to.
     """
     foreign = not is_run(run) and is_source(run)
+    if foreign:
+        scene = recipe.scene_of(scene, source_of(run).pairs()[0][1], out)
+    elif recipe.mm_per_px is not None:
+        raise PairError(SCALE_KNOWN, place=run)
     if foreign and scene is None:
-        raise PairError(f"{run}: what its camera looked through is not known; give --scene")
+        raise PairError(
+            f"{run}: what its camera looked through is not known; give --scene, or without glass --mm-per-px"
+        )
     given = None if foreign else pairs_of_series(run, pairs_of(run), dt_us, timed)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -236,7 +249,8 @@ def series_input(
 
 def keep_scene(scene: Path, out: Path) -> None:
     """Copy a scene file, and what its fit is unsure of, into the folder of a series; DiskError if that fails."""
-    copy_whole(scene, out / SCENE_FILE)
+    if scene != out / SCENE_FILE:
+        copy_whole(scene, out / SCENE_FILE)
     if scene.with_name(FIT_FILE).is_file():
         copy_whole(scene.with_name(FIT_FILE), out / FIT_FILE)
     else:

@@ -1,0 +1,72 @@
+"""Frames without glass and without a scene: what a pixel shows is told, and vectors are in m/s."""
+
+import numpy as np
+import pytest
+import tifffile
+import xarray
+
+from correction import Corrector, build_correction_map
+from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.command_line.cli import DONE, USAGE, main
+from tests.piv.conftest import make_pair
+from tracer.scene.scene_file import load_scene
+from tracer.strategies.ray_map import build_ray_map
+
+MM, DT_US, SHIFT = 0.04, 200.0, (3.2, -1.7)
+TOLD = ["--mm-per-px", str(MM), "--dt-us", str(DT_US), "--final-window", "32", "--workers", "1"]
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("day")
+    for number in range(3):
+        pair = make_pair(lambda u, v: SHIFT, (96, 140), seed=number)
+        for second, image in enumerate(pair):
+            tifffile.imwrite(folder / f"im{2 * number + second:04d}.tif", image)
+    return folder
+
+
+def right(folder, name="vectors.nc"):
+    """Velocities are the shift's, x to the right and y up."""
+    with xarray.open_dataset(folder / name) as file:
+        assert file["u"].attrs["units"] == "m s-1"
+        u, v = (float(np.nanmedian(file[name])) for name in ("u", "v"))
+    m_s_per_px = 1e-3 * MM / (1e-6 * DT_US)
+    np.testing.assert_allclose((u, v), np.multiply(SHIFT, m_s_per_px) * (1.0, -1.0), atol=0.03 * m_s_per_px)
+    return True
+
+
+def test_two_frames_are_evaluated_in_metres_a_second(day, tmp_path, capsys):
+    frames = [str(day / f"im{n:04d}.tif") for n in (0, 1)]
+    assert main(["evaluate", *frames, *TOLD, "-o", str(tmp_path / "out"), "--no-pictures"]) == DONE
+    assert right(tmp_path / "out")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "a pixel shows 0.04 mm of it, an error of which is in no sigma" in said
+    assert "rtpiv calibrate" not in said
+
+
+def test_a_folder_is_averaged_in_one_command_and_goes_on(day, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert main(["mean", str(day), *TOLD]) == DONE
+        assert "mean of 3 pairs" in capsys.readouterr().out
+    assert right(tmp_path / "evaluation", "mean.nc")
+
+
+def test_a_frame_passes_its_scene_unchanged(day, tmp_path):
+    """A pixel is a node: nothing is interpolated that was not measured."""
+    frame = day / "im0000.tif"
+    scene = load_scene(CorrectionRecipe(mm_per_px=MM).scene_of(None, frame, tmp_path))
+    image = tifffile.imread(frame)
+    corrected = Corrector(build_correction_map(scene, build_ray_map(scene)))(image)
+    np.testing.assert_allclose(corrected[4:-4, 4:-4], image[4:-4, 4:-4], atol=0.01)
+
+
+def test_a_scale_and_a_scene_are_one_too_many(day, tmp_path, capsys):
+    (tmp_path / "scene.yaml").write_text("bodies: []\n")
+    frames = [str(day / f"im{n:04d}.tif") for n in (0, 1)]
+    assert main(["evaluate", *frames, "--scene", str(tmp_path / "scene.yaml"), *TOLD]) == USAGE
+    assert "leave it or --scene out" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match=str(USAGE)):
+        main(["evaluate", *frames, "--mm-per-px", "-0.04"])
+    assert "--mm-per-px: should be above 0" in capsys.readouterr().err
