@@ -120,77 +120,67 @@ USE = (
 )
 
 
-@pytest.mark.timeout(300)
-def test_no_stale_callee_is_ever_run(tmp_path):
-    """The edit that numba alone misses; what does not see it comes from the cache."""
-    ground, kernels = tmp_path / "ground", tmp_path / "tracer" / "kernels"
-    shutil.copytree(ROOT / "ground", ground, ignore=shutil.ignore_patterns("__pycache__"))
-    kernels.mkdir(parents=True)
-    for package in (kernels.parent, kernels):
-        (package / "__init__.py").touch()
-    (kernels / "callee.py").write_text(CALLEE.format("3.0"))
-    (kernels / "caller.py").write_text(CALLER)
-    (kernels / "other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
-    environment = {**os.environ, "RTPIV_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+class Clone:
+    """A checkout of three kernels."""
 
-    def use():
-        ran = subprocess.run(
-            [sys.executable, "-c", USE], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-        )
-        return ran.stdout.split()
+    def __init__(self, root):
+        self.root, self.kernels = root, root / "tracer" / "kernels"
 
-    assert use() == ["6.0", "7.0", "0", "0"]
-    assert use() == ["6.0", "7.0", "1", "1"]
-    (kernels / "callee.py").write_text(CALLEE.format("5.0"))
-    assert use() == ["10.0", "7.0", "0", "1"]
-
-
-@pytest.mark.timeout(300)
-def test_the_same_text_in_another_folder_is_not_compiled_again(tmp_path):
-    """A second clone, environment or container finds what the first has compiled."""
-    counts = []
-    for clone in ("first", "second clone"):
-        root = tmp_path / clone
-        (root / "tracer" / "kernels").mkdir(parents=True)
-        for package in (root / "tracer", root / "tracer" / "kernels"):
+    def write(self):
+        shutil.copytree(ROOT / "ground", self.root / "ground", ignore=shutil.ignore_patterns("__pycache__"))
+        self.kernels.mkdir(parents=True)
+        for package in (self.kernels.parent, self.kernels):
             (package / "__init__.py").touch()
-        shutil.copytree(ROOT / "ground", root / "ground", ignore=shutil.ignore_patterns("__pycache__"))
-        (root / "tracer/kernels/callee.py").write_text(CALLEE.format("3.0"))
-        (root / "tracer/kernels/caller.py").write_text(CALLER)
-        (root / "tracer/kernels/other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
-        environment = {**os.environ, "RTPIV_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(root)}
+        (self.kernels / "callee.py").write_text(CALLEE.format("3.0"))
+        (self.kernels / "caller.py").write_text(CALLER)
+        (self.kernels / "other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
+
+    def use(self, cache):
+        """Call both in a process of its own: their values, and how many of each were found."""
+        environment = {**os.environ, "RTPIV_CACHE": str(cache), "PYTHONPATH": str(self.root)}
         ran = subprocess.run(
-            [sys.executable, "-c", USE], cwd=root, env=environment, capture_output=True, text=True, check=True
-        )
-        counts.append(ran.stdout.split())
-    assert counts == [["6.0", "7.0", "0", "0"], ["6.0", "7.0", "1", "1"]]
-
-
-@pytest.mark.timeout(300)
-def test_a_kept_file_that_cannot_be_read_is_compiled_anew_and_replaced(tmp_path):
-    """Half a file after a full disk, other people's bytes, and code that names a module which is no more."""
-    root, cache = tmp_path / "clone", tmp_path / "cache"
-    (root / "tracer" / "kernels").mkdir(parents=True)
-    for package in (root / "tracer", root / "tracer" / "kernels"):
-        (package / "__init__.py").touch()
-    shutil.copytree(ROOT / "ground", root / "ground", ignore=shutil.ignore_patterns("__pycache__"))
-    (root / "tracer/kernels/callee.py").write_text(CALLEE.format("3.0"))
-    (root / "tracer/kernels/caller.py").write_text(CALLER)
-    (root / "tracer/kernels/other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
-    environment = {**os.environ, "RTPIV_CACHE": str(cache), "PYTHONPATH": str(root)}
-
-    def use():
-        ran = subprocess.run(
-            [sys.executable, "-c", USE], cwd=root, env=environment, capture_output=True, text=True
+            [sys.executable, "-c", USE], cwd=self.root, env=environment, capture_output=True, text=True
         )
         assert ran.returncode == 0, ran.stderr
         return ran.stdout.split()
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A clone and the cache that its first use has left."""
+    folder = tmp_path_factory.mktemp("compiled")
+    first = Clone(folder / "first")
+    first.write()
+    assert first.use(folder / "cache") == ["6.0", "7.0", "0", "0"]
+    return first.root, folder / "cache"
+
+
+@pytest.fixture
+def clone(compiled, tmp_path):
+    """Another clone of the same text, and a cache that another one has filled."""
+    root, cache = compiled
+    shutil.copytree(cache, tmp_path / "cache")
+    return Clone(shutil.copytree(root, tmp_path / "second clone")), tmp_path / "cache"
+
+
+@pytest.mark.timeout(300)
+def test_no_stale_callee_is_ever_run(clone):
+    """The edit that numba alone misses; what does not see it comes from the cache, wherever it stands."""
+    made, cache = clone
+    assert made.use(cache) == ["6.0", "7.0", "1", "1"]
+    (made.kernels / "callee.py").write_text(CALLEE.format("5.0"))
+    assert made.use(cache) == ["10.0", "7.0", "0", "1"]
+
+
+@pytest.mark.timeout(300)
+def test_a_kept_file_that_cannot_be_read_is_compiled_anew_and_replaced(clone):
+    """Half a file after a full disk, other people's bytes, and code that names a module which is no more."""
+    made, cache = clone
 
     def renamed(data):
         name = b"tracer.kernels.caller"
         return data.replace(name, name.replace(b"caller", b"forged"))
 
-    assert use() == ["6.0", "7.0", "0", "0"]
     for kind, damaged in (
         ("nbc", lambda data: data[:100]),
         ("nbi", lambda data: b"\0" * len(data)),
@@ -200,5 +190,6 @@ def test_a_kept_file_that_cannot_be_read_is_compiled_anew_and_replaced(tmp_path)
         sound = file.read_bytes()
         file.write_bytes(damaged(sound))
         assert file.read_bytes() != sound
-        assert use() == ["6.0", "7.0", "0", "1"]
-        assert use() == ["6.0", "7.0", "1", "1"]  # it was replaced
+        assert made.use(cache) == ["6.0", "7.0", "0", "1"]
+        assert file.read_bytes() != damaged(sound)
+    assert made.use(cache) == ["6.0", "7.0", "1", "1"]  # it was replaced
