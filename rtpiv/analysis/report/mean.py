@@ -23,7 +23,7 @@ from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, through_lead
-from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter, slant_lines
+from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter, slant_figure, slant_lines
 from rtpiv.analysis.report.run import books_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
@@ -77,7 +77,12 @@ def write_mean_page(
     mean_chapters(page, view, mean)
     if mean.slope is not None:
         behind, beside = regions.region == Region.GLASS, regions.region == Region.DIRECT
-        slant_lines(page, Steepness.of(mean.slope, behind, beside), mean.out_of_plane.sentence)
+        steepness = Steepness.of(mean.slope, behind, beside)
+        slant_lines(page, steepness, mean.out_of_plane.sentence)
+        if steepness.behind is not None and mean.slant_sigma_m_s is not None:
+            field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
+            sigma = np.linalg.norm(mean.slant_sigma_m_s, axis=-1)[::-1]
+            slant_figure(page, field, view.grid, scene, sigma, "m/s")
     if series is not None and (shown := shown_pair(*series)) is not None:
         frames_chapter(page, shown)
         pair_chapter(page, series[0], shown)

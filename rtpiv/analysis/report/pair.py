@@ -4,7 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, shift_errors
+from correction.grid import PlaneGrid
 from daq.runs.run_views import where_lit
+from piv.correlation.vector_field import VectorField
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pictures.before_after import BeforeAfter
 from rtpiv.analysis.pictures.drawing import CAPTION, scene_figure
@@ -142,7 +144,15 @@ def light_sheet_line(page: Page, scene: Scene) -> None:
 def slant_lines(page: Page, steepness: Steepness, said: str) -> None:
     """Say how steeply the sheet is seen, and what flows through it as far as anybody knows."""
     if steepness.sentence:
-        page.text(f"{steepness.sentence[0].upper()}{steepness.sentence[1:]}. Taken for {said}.")
+        page.text(f"{steepness.sentence[0].upper()}{steepness.sentence[1:]}. Taken: {said}.")
+
+
+def slant_figure(
+    page: Page, field: VectorField, grid: PlaneGrid, scene: Scene, sigma: NDArray[np.float64], unit: str
+) -> None:
+    """What flows through the sheet makes unsure, (ny, nx) in the order of the field, behind its vectors."""
+    figure = vector_figure(field, grid, scene, sigma, f"sigma by the flow through the sheet [{unit}]")
+    page.figure("slant", figure, "What is unsure because the sheet is seen aslant.", dense=True)
 
 
 def _vector_figure(page: Page, evaluation: Evaluation) -> None:
@@ -242,9 +252,11 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
     if evaluation.slant is not None:
         region, slope = evaluation.regions.region, evaluation.slant.slope
-        slant_lines(
-            page, Steepness.of(slope, region == Region.GLASS, region == Region.DIRECT), evaluation.slant.said
-        )
+        steepness = Steepness.of(slope, region == Region.GLASS, region == Region.DIRECT)
+        slant_lines(page, steepness, evaluation.slant.said)
+        if steepness.behind is not None:
+            sigma = np.linalg.norm(evaluation.slant.sigma_px, axis=-1)
+            slant_figure(page, evaluation.field, evaluation.grid, evaluation.task.scene, sigma, "px")
     if evaluation.map_sigma is None:
         page.text(f"The uncertainty of the correction map is not known: {evaluation.no_map_sigma}.")
         return

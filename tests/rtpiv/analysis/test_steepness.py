@@ -4,10 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
+from correction.grid import grid_of
 from correction.maps.correction_map import build_correction_map
+from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.pictures.traced import draw_slant
+from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.pair import slant_figure, slant_lines
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.verbs.trace import trace
+from tests.correction.evaluate.vectors import uniform_field
 from tests.correction.small_scenes import small_scene
 from tracer.strategies.ray_map import build_ray_map
 
@@ -42,3 +47,16 @@ def test_two_balls_are_as_steep_as_by_another_tracer(tmp_path, capsys):
     picture = cv2.imread(str(tmp_path / "slant.png"))
     assert picture is not None
     assert picture.std() > 10.0
+
+
+def test_a_page_says_it_and_shows_what_it_makes_unsure(tmp_path):
+    scene = small_scene("two_spheres_500", 252)
+    grid, field = grid_of(scene.camera), uniform_field((252, 252), (3.0, 1.0), step_px=16)
+    page = Page("a pair", "test")
+    slant_lines(page, Steepness((0.31, 0.35), None), OutOfPlane(0.2).sentence)
+    slant_figure(page, field, grid, scene, np.full(field.flags.shape, 0.07), "px")
+    page.write(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "0.31 behind glass (0.35 at 90 % of the places)" in text
+    assert "0.2 m/s (told)" in text
+    assert "What is unsure because the sheet is seen aslant" in text
