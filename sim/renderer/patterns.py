@@ -17,7 +17,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.renderer.reflectance import chessboard, particles, printed_image, sharp_image
+from sim.renderer.kernels.reflectance import chessboard, particles, printed_image, sharp_image
 from tracer.board import Board
 from tracer.camera import Vector3
 from tracer.errors import SceneError

@@ -1,6 +1,6 @@
 """An independent renderer: the eye of the simulated camera, against which every correction is judged.
 
-It shares the scene's nouns with the tracer and none of its arithmetic (see `sim.renderer.rays`).
+It shares the scene's nouns with the tracer and none of its arithmetic (see `sim.renderer.kernels.rays`).
 
 Each pixel is the mean of n x n rays.  Where glass compresses the view, so that a pixel sees more than
 `CROWDED` times the width it would see without glass, or where only part of its rays arrive (rims,
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from ground.memory import require_memory
 from ground.rows import run_rows
+from sim.renderer.kernels.rays import trace_pixels, weighted_mean
+from sim.renderer.kernels.surfaces import SOLID
+from sim.renderer.kernels.walls import NUMBERS
 from sim.renderer.patterns import Pattern, Pose
-from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
-from sim.renderer.surfaces import SOLID
 from sim.renderer.uneven import uneven_numbers
-from sim.renderer.walls import NUMBERS, WALLS, n_at, wall_rows
+from sim.renderer.walls import WALLS, n_at, wall_rows
 from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene

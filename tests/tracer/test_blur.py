@@ -5,8 +5,8 @@ import pytest
 
 from ground.jit import kernel
 from sim.demo.scenes import at_size, named_scene
+from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.patterns import Pose
-from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import Aperture, tables_of
 from tracer.errors import SceneError
 from tracer.pupil import Pupil

@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks.walls_reference import Walls, follow_walls, vector
 from ground.jit import kernel
+from sim.renderer.kernels.rays import to_plane
 from sim.renderer.patterns import Pose
-from sim.renderer.rays import to_plane
 from sim.renderer.render import tables_of
 from tests.tracer.drawn_walls import aimed, drawn_walls
 from tracer.scene.scene import Scene

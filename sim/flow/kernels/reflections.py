@@ -3,8 +3,8 @@
 import numpy as np
 
 from ground.jit import Array, kernel
-from sim.renderer.rays import camera_ray
-from sim.renderer.surfaces import entry_sphere, snell
+from sim.renderer.kernels.rays import camera_ray
+from sim.renderer.kernels.surfaces import entry_sphere, snell
 
 
 @kernel

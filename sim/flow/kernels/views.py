@@ -14,7 +14,7 @@ or not at all.  So images lie where the rays say, however coarse the grid is, an
 import numpy as np
 
 from ground.jit import Array, kernel, kernel_inlined
-from sim.renderer.rays import camera_ray, last_way, may_meet
+from sim.renderer.kernels.rays import camera_ray, last_way, may_meet
 
 X, Y, DX, DY, NUMBERS = 0, 1, 2, 3, 4
 NOTHING, WHOLE, ROUGH = 0, 1, 2  # cells without a ray, cells to look in, cells to be cut finer

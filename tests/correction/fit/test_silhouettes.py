@@ -8,8 +8,8 @@ import pytest
 from correction.fit.seen.silhouettes import outlines_of
 from correction.fit.solve.contact import pushed_apart
 from sim.demo.scenes import at_size, named_scene
+from sim.renderer.kernels.rays import last_way
 from sim.renderer.patterns import Pose
-from sim.renderer.rays import last_way
 from sim.renderer.render import tables_of
 from tracer.scene.scene import Scene
 

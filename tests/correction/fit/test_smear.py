@@ -19,8 +19,8 @@ from correction.fit.seen.smear import (
     uneven_blur,
 )
 from correction.target.corners import refine_corners
+from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.patterns import Pose
-from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import tables_of
 from tests.correction.fit.lamps import lab_scene
 from tracer.light import band, line

@@ -7,8 +7,8 @@ import pytest
 
 from sim.demo.scenes import at_size, named_scene
 from sim.flow.view import ParticleView, pupil_points
+from sim.renderer.kernels.rays import camera_ray, last_way
 from sim.renderer.patterns import Pose
-from sim.renderer.rays import camera_ray, last_way
 from sim.renderer.render import Aperture, render_irradiance, tables_of
 from tracer.bodies import Rod, shifted_by
 from tracer.errors import SceneError

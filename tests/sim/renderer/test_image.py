@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.renderer import rays
-from sim.renderer import reflectance as prints
+from sim.renderer.kernels import rays
+from sim.renderer.kernels import reflectance as prints
 from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Pose, printed_particles
 from sim.renderer.render import Aperture, render, render_irradiance, tables_of
 from sim.renderer.sensor import SILENT, Sensor

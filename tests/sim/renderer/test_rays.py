@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sim.demo.scenes import SCENES, misaligned, named_scene
+from sim.renderer.kernels.rays import camera_ray, to_plane
+from sim.renderer.kernels.surfaces import entry_rod, entry_sphere, snell
 from sim.renderer.patterns import Pose
-from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import tables_of
-from sim.renderer.surfaces import entry_rod, entry_sphere, snell
 from tracer.bodies import Core, Rod, Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.errors import SceneError

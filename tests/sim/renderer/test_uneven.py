@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sim.renderer.kernels.rays import to_plane
 from sim.renderer.patterns import Pose
-from sim.renderer.rays import to_plane
 from sim.renderer.render import tables_of
 from tests.tracer.test_balls import aimed, drawn
 from tracer.strategies.trace import trace_from

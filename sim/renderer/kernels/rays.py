@@ -6,7 +6,7 @@ rows are resolved as finely as slanted ones.  Every pixel shifts that pattern by
 (with wrap-around), drawn from a hash of seed, row and column: the error of an edge is noise, never a bias,
 and the same for any number of threads.
 
-How a ray goes on from body to body stands in ``sim.renderer.surfaces``.
+How a ray goes on from body to body stands in ``sim.renderer.kernels.surfaces``.
 
 Vectors are three scalars each: numba keeps them in registers.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.jit import kernel, kernel_inlined
-from sim.renderer.surfaces import (
+from sim.renderer.kernels.surfaces import (
     BLOCKED,
     SOLID,
     Float64,
@@ -25,8 +25,8 @@ from sim.renderer.surfaces import (
     snell,
     through_cores,
 )
-from sim.renderer.uneven import crossing, is_uneven, normal_at
-from sim.renderer.walls import INSIDE, LOST, next_wall
+from sim.renderer.kernels.uneven import crossing, is_uneven, normal_at
+from sim.renderer.kernels.walls import INSIDE, LOST, next_wall
 
 Float32 = NDArray[np.float32]
 Int64 = NDArray[np.int64]
@@ -75,8 +75,8 @@ def last_way(
 
     T = 0 if it does not arrive.  `chain` tells rays apart that went through other bodies or in another order; 0
     went through none.  Rows of `spheres`: centre, radius, n / n around, opaque, then cores, see `through_cores`,
-    or what makes a ball uneven, see `sim.renderer.uneven`;
-    of `walls` see `sim.renderer.walls`.
+    or what makes a ball uneven, see `sim.renderer.kernels.uneven`;
+    of `walls` see `sim.renderer.kernels.walls`.
     Rows of `plane`: origin, x axis, y axis, normal.
     """
     transmittance = 1.0

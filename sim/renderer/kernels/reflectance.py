@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.jit import kernel
-from sim.renderer.rays import Float32, Int64
-from sim.renderer.surfaces import Float64
+from sim.renderer.kernels.rays import Float32, Int64
+from sim.renderer.kernels.surfaces import Float64
 
 
 @kernel
