@@ -1,4 +1,4 @@
-"""A stack of images in an HDF5 or NeXus file: (n, 2, H, W), pairs as they are, or (n, H, W), whose neighbours are.
+"""A stack of images in an HDF5 or NeXus file: (n, 2, H, W), pairs as they are, or (n, H, W), in a sequence.
 
 Which data set it is says the name, ``data.h5@/entry/data/data``; without it the file's own `default` attributes,
 as NeXus has them, and then the only data set that can be one.  Reading needs h5py (extra `hdf5`).
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
-from daq.frames.source import FramePlaces
-from piv.errors import FrameDamaged, FrameError
+from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
+from piv.errors import FrameDamaged, FrameError, PairError
 from piv.files.frame_file import COPY, checksum
 
 ENDINGS = r"\.(?:h5|hdf5|hdf|nxs|nx5)"
@@ -37,15 +37,24 @@ class Hdf5Stack:
         It cannot be read, or it is not clear which data set is meant.
     RunUsageError
         h5py is not installed.
+    PairError
+        The stack is one of pairs, and a pairing is said.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         found = _STACK.fullmatch(str(path))
         assert found is not None
         self._file = Path(found[1])
         with _opened(self._file) as file:
             self._name = _named(file, found[2], path)
             self._shape = tuple(int(length) for length in file[self._name].shape)
+        count, *_ = self._shape
+        if len(self._shape) == 3:
+            self._pairs, self._alone = pairing.pairs({n + 1: self._image(n) for n in range(count)})
+            return
+        if pairing != NEIGHBOURS:
+            raise PairError(f"{path}: its images are pairs already; leave the numbers behind @ out")
+        self._pairs, self._alone = [(n, self._image(2 * n), self._image(2 * n + 1)) for n in range(count)], 0
 
     @classmethod
     def takes(cls, path: Path) -> bool:
@@ -54,12 +63,11 @@ class Hdf5Stack:
 
     def pairs(self) -> Sequence[FramePlaces]:
         """Pairs in their order; images are numbered as if those of pairs stood one behind the other."""
-        count = self._shape[0] if len(self._shape) == 4 else self._shape[0] // 2
-        return [(n, self._image(2 * n), self._image(2 * n + 1)) for n in range(count)]
+        return self._pairs
 
     def alone(self) -> int:
-        """The last image of an odd number."""
-        return self._shape[0] % 2 if len(self._shape) == 3 else 0
+        """Images that are in no pair."""
+        return self._alone
 
     def file_of(self, place: Path) -> Path:
         """The file."""

@@ -1,7 +1,7 @@
 """Numbered files: `B%05d_a.tif` with `B%05d_b.tif` beside it, or `im%05d.tif`, whose neighbours are pairs.
 
-Numbers may have gaps.  Where both frames have a number of their own, a frame is the first of a pair or the second
-by its number alone, counted from the lowest: one that is missing does not swap the rest.  A folder of
+Numbers may have gaps.  Where both frames have a number of their own, it alone says which pairs a frame is in
+(`daq.frames.pairing`), counted from the lowest: one that is missing does not swap the rest.  A folder of
 numbered frames is the one pattern that all of them follow.
 """
 
@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq.frames.source import FramePlaces
+from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
 from piv.errors import PairError
 from piv.files.frame_file import FRAME_ENDINGS
 
@@ -38,11 +38,10 @@ class NumberedFiles:
     Raises
     ------
     PairError
-        No file has such a name.
+        No file has such a name; or letters say which frames are pairs, and a pairing says it too.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._pattern = path
+    def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         number = _NUMBER.search(path.name)
         assert number is not None
         before, after = path.name[: number.start()], path.name[number.end() :]
@@ -58,10 +57,10 @@ class NumberedFiles:
         letter = _FIRST.search(path.name)
         if letter is None:
             low = min(files)
-            starts = [n for n in sorted(files) if (n - low) % 2 == 0 and n + 1 in files]
-            self._pairs = [((n - low) // 2, files[n], files[n + 1]) for n in starts]
-            self._alone = len(files) - 2 * len(self._pairs)
+            self._pairs, self._alone = pairing.pairs({n - low + 1: file for n, file in files.items()})
             return
+        if pairing != NEIGHBOURS:
+            raise PairError(f"{path}: the letters say which frames are pairs; leave the numbers behind @ out")
         second = chr(ord(path.name[letter.start()]) + 1)
         self._pairs, self._alone = [], 0
         for n, file in sorted(files.items()):
@@ -108,8 +107,8 @@ class FrameFolder(NumberedFiles):
         Its frames follow several patterns, or none.
     """
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path / pattern_in(path))
+    def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
+        super().__init__(path / pattern_in(path), pairing)
 
     @classmethod
     def takes(cls, path: Path) -> bool:

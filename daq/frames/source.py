@@ -6,6 +6,7 @@ A name is a path that can be read by itself, in any process (`named_frame`):
     stack.tif@25             a page of a TIFF, 1 first
     data.nxs@/entry/data@24  an image of a data set, 0 first
 
+Frames that follow each other are in pairs as is said behind the name, or 1 and 2, 3 and 4 (`daq.frames.pairing`).
 A kind of source is one class that has what `FrameSource` asks for, and one line in `KINDS`.
 """
 
@@ -14,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
+from daq.frames.pairing import FramePlaces, Pairing, pairing_of
 from piv.errors import PairError
 
 KINDS = (  # the first that takes a name
@@ -22,7 +24,6 @@ KINDS = (  # the first that takes a name
     "daq.frames.tiff_pages:TiffPages",
     "daq.frames.hdf5_stack:Hdf5Stack",
 )
-FramePlaces = tuple[int, Path, Path]  # number of the pair, first and second frame
 
 
 class FrameSource(Protocol):
@@ -33,7 +34,7 @@ class FrameSource(Protocol):
         """Whether a name is one of this kind; what is wrong with it is said when it is opened."""
         ...
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, pairing: Pairing) -> None:
         """Look what there is; PairError or FrameError if there is nothing that could be used."""
         ...
 
@@ -52,7 +53,8 @@ class FrameSource(Protocol):
 
 def is_source(path: Path) -> bool:
     """Whether a name is that of frames that form pairs among themselves."""
-    return any(_kind(place).takes(path) for place in KINDS)
+    name, _ = pairing_of(path)
+    return any(_kind(place).takes(name) for place in KINDS)
 
 
 def source_of(path: Path) -> FrameSource:
@@ -65,10 +67,11 @@ def source_of(path: Path) -> FrameSource:
     FrameError
         It cannot be read.
     """
+    name, pairing = pairing_of(path)
     for place in KINDS:
         kind = _kind(place)
-        if kind.takes(path):
-            found = kind(path)
+        if kind.takes(name):
+            found = kind(name, pairing)
             if not found.pairs():
                 raise PairError(f"{path}: holds no pair of frames")
             return found

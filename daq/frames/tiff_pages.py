@@ -1,11 +1,11 @@
-"""A TIFF of many pages, two of which are a pair: 1 and 2, 3 and 4, ..."""
+"""A TIFF of many pages, which follow each other."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import tifffile
 
-from daq.frames.source import FramePlaces
+from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
 from ground.plain_file import open_plain
 from piv.errors import FrameError
 from piv.files.frame_file import MOST_PAGES, TIFF_ENDINGS, page_of
@@ -25,7 +25,7 @@ class TiffPages:
         It cannot be read, or has too many pages.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         self._path = path
         try:
             with open_plain(path) as stream, tifffile.TiffFile(stream) as tiff:
@@ -36,6 +36,7 @@ class TiffPages:
             raise FrameError(f"{path}: is no TIFF that can be read ({str(error)[:100]})") from None
         if self._pages > MOST_PAGES:
             raise FrameError(f"{path}: has {self._pages} pages, and {MOST_PAGES} are read; cut it")
+        self._pairs, self._alone = pairing.pairs({n: self._page(n) for n in range(1, self._pages + 1)})
 
     @classmethod
     def takes(cls, path: Path) -> bool:
@@ -48,12 +49,12 @@ class TiffPages:
             return True
 
     def pairs(self) -> Sequence[FramePlaces]:
-        """Pairs of neighbouring pages."""
-        return [(n, self._page(2 * n + 1), self._page(2 * n + 2)) for n in range(self._pages // 2)]
+        """Pairs of pages."""
+        return self._pairs
 
     def alone(self) -> int:
-        """The last page of an odd number."""
-        return self._pages % 2
+        """Pages that are in no pair."""
+        return self._alone
 
     def file_of(self, place: Path) -> Path:
         """The stack."""

@@ -125,6 +125,45 @@ def test_the_last_frame_of_an_odd_number_is_alone(tmp_path, make):
     assert (len(source.pairs()), source.alone()) == (PAIRS, 1)
 
 
+@pytest.mark.parametrize("make", [numbers, pages, nexus])
+@pytest.mark.parametrize(
+    ("said", "pairs", "alone"),
+    [
+        ("1-2", [(1, 2), (3, 4), (5, 6)], 0),
+        ("1-2,2-3", [(1, 2), (2, 3), (3, 4), (4, 5), (5, 6)], 0),
+        ("1-3,2-4", [(1, 3), (2, 4), (3, 5), (4, 6)], 0),
+        ("1-2,5-6", [(1, 2), (5, 6)], 2),
+        ("2-3,4-5", [(2, 3), (4, 5)], 2),
+    ],
+)
+def test_a_sequence_is_paired_as_is_said_behind_its_name(tmp_path, make, said, pairs, alone):
+    stack = frames()
+    source = source_of(Path(f"{make(tmp_path, stack)}@{said}"))
+    found = [[int(read_named(place)[0, 0]) for place in places] for _, *places in source.pairs()]
+    firsts = stack.reshape(-1, *SHAPE)[:, 0, 0].tolist()
+    assert found == [[firsts[a - 1], firsts[b - 1]] for a, b in pairs]
+    assert [number for number, *_ in source.pairs()] == list(range(len(pairs)))
+    assert source.alone() == alone
+
+
+def test_a_missing_frame_of_a_time_resolved_series_costs_two_pairs(tmp_path):
+    path = numbers(tmp_path, frames())
+    (tmp_path / "im9.tif").unlink()
+    assert [number for number, *_ in source_of(Path(f"{path}@1-2,2-3")).pairs()] == [0, 3, 4]
+
+
+@pytest.mark.parametrize("said", ["2-1", "1-1", "0-1", "1-2,1-2", "1-2,2-4", "3-4,1-2"])
+def test_pairs_that_begin_no_series_are_refused(tmp_path, said):
+    with pytest.raises(PairError, match=r"1-2,3-4 or 1-2,2-3"):
+        source_of(Path(f"{pages(tmp_path, frames())}@{said}"))
+
+
+@pytest.mark.parametrize("make", [letters, in_pairs])
+def test_frames_that_are_pairs_already_are_not_paired_again(tmp_path, make):
+    with pytest.raises(PairError, match="leave the numbers behind @ out"):
+        source_of(Path(f"{make(tmp_path, frames())}@1-2,2-3"))
+
+
 def test_numbers_of_more_digits_and_other_names_are_told_apart(tmp_path):
     letters(tmp_path, frames())
     for name in ("B1_a.tif", "B00001_a.tiff", "XB00001_a.tif", "B00001_a.tif.part", "B-0001_a.tif"):

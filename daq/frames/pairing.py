@@ -1,0 +1,74 @@
+"""Which frames of a sequence are a pair.
+
+Frames are counted from 1 as they were taken.  A pairing is said by its first pair and, where the next one does not
+just follow it, by the second one too; all others follow at the same distance:
+
+    1-2              1 and 2, 3 and 4, ...             two pulses a pair
+    1-2,2-3          1 and 2, 2 and 3, ...             time-resolved: every frame with the next
+    1-3,2-4          1 and 3, 2 and 4, ...             the same, for slow flows
+    1-2,11-12        1 and 2, 11 and 12, ...           every tenth
+
+It stands behind the name of the frames, ``day1@1-2,2-3``.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from piv.errors import PairError
+
+FramePlaces = tuple[int, Path, Path]  # number of the pair, first and second frame
+_SAID = re.compile(r"(.+)@(\d{1,9})-(\d{1,9})(?:,(\d{1,9})-(\d{1,9}))?", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Pairs at equal distances.
+
+    Parameters
+    ----------
+    first : int
+        Where the first pair begins, 1 for the first frame.
+    apart : int
+        From the first frame of a pair to its second.
+    step : int
+        From one pair to the next.
+    """
+
+    first: int = 1
+    apart: int = 1
+    step: int = 2
+
+    def pairs(self, frames: Mapping[int, Path]) -> tuple[list[FramePlaces], int]:
+        """Return the pairs of numbered frames, and how many frames are in none; a missing one costs its pairs."""
+        found = [
+            ((number - self.first) // self.step, frames[number], frames[number + self.apart])
+            for number in sorted(frames)
+            if number >= self.first and (number - self.first) % self.step == 0 and number + self.apart in frames
+        ]
+        used = {place for _, *both in found for place in both}
+        return found, len(frames) - len(used)
+
+
+NEIGHBOURS = Pairing()
+
+
+def pairing_of(path: Path) -> tuple[Path, Pairing]:
+    """Take a name apart into that of the frames and their pairing.
+
+    Raises
+    ------
+    PairError
+        The two pairs that are said begin no series of pairs.
+    """
+    said = _SAID.fullmatch(str(path))
+    if said is None:
+        return path, NEIGHBOURS
+    name, (a, b) = Path(said[1]), (int(said[2]), int(said[3]))
+    c, d = (a + (b - a) + 1, b + (b - a) + 1) if said[4] is None else (int(said[4]), int(said[5]))
+    if not (1 <= a < b and a < c and d - c == b - a):
+        raise PairError(
+            f"{path}: pairs are said by the first one and the next, both as far apart: 1-2,3-4 or 1-2,2-3"
+        )
+    return name, Pairing(a, b - a, c - a)
