@@ -61,7 +61,7 @@ class LightStory(laser.Story):
 
     def judge(self, pulse):
         super().judge(pulse)
-        if pulse.output not in self.q_switches:
+        if pulse.output not in self.q_switches or self.is_mixed_by_keys(pulse):
             return
         self.lit_s.append(pulse.rises_s)
         if self.laser._states._state is LaserState.ALIGNING:  # to see the sheet on what stands in it
