@@ -3,7 +3,7 @@
 The bench lives in a process of its own (`lit_bench`), on device files, in real time; its timing unit arms bursts
 by RUN and writes down every pulse.  A run of the command line is begun in a pseudo-terminal, where the code is
 typed that it asks for.  Killed at once: the program, its watchdog and the camera's process, so that nobody is left
-who could say off.  RTPIV_FLOW_KILLS says how often (default 50).
+who could say off.  RTPIV_FLOW_KILLS says how often (default 8, half a minute each).
 """
 
 import os
@@ -24,7 +24,7 @@ from tests.system.test_kill_series import children_of
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 
-KILLS = int(os.environ.get("RTPIV_FLOW_KILLS", "50"))
+KILLS = int(os.environ.get("RTPIV_FLOW_KILLS", "8"))
 PAIRS, CHUNK, RATE_HZ = 100, 20, 25.0
 LIT = ("B", "D")
 PATIENCE_S = 180.0

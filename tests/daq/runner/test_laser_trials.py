@@ -97,9 +97,26 @@ def is_deaf_to_stop(d):
     d.laser.confirm_off = lambda: True
 
 
+def hears_off_late(d):
+    """What is said last before the light ends takes a second to get there."""
+    stop = d.laser.stop
+
+    def stop_later(why):
+        d.clock.sleep_s(1.0)
+        stop(why)
+
+    d.laser.stop = stop_later
+
+
+def needs_a_computer(d):
+    """A box that ends by itself as soon as its cable is out has not shown that it counts."""
+    d.line.on_cut = d.emulator.person_stops
+
+
 @pytest.mark.parametrize(("spoil", "wrong"), [
     (one_too_many, {"a burst of 1", "a burst of 7", "a burst of 20", "the cable pulled in a burst"}),
     (does_not_count, {"the cable pulled in a burst"}), (is_deaf_to_stop, {"off in a burst"}),
+    (hears_off_late, {"off in a burst"}), (needs_a_computer, {"the cable pulled in a burst"}),
 ])  # fmt: skip
 def test_a_box_that_does_not_keep_to_it_is_found(spoil, wrong):
     with desk() as d:

@@ -323,6 +323,23 @@ def test_a_burst_made_endless_at_the_keys_ends_with_its_time_though_no_answer_co
         with pytest.raises(StageError):
             d.laser.wait()
         assert 20 <= d.pulses(Role.Q_SWITCH_1) <= 21
+        assert 20 <= d.pulses(Role.Q_SWITCH_2) <= 22  # it is told 0.1 s later
+
+
+def test_a_stop_between_two_words_of_a_beginning_burst_lets_none_of_the_others_switch_on():
+    begun = 0
+    for words in range(1, 60, 6):
+        with desk() as d:
+            d.to_armed()
+            d.line.hooks.press(words, "write", lambda d=d: d.laser.stop("a person"), lambda: False)
+            try:
+                d.laser.fire(20)
+                begun += 1  # the stop waits for a later word
+            except LaserStopped:
+                d.clock.sleep_s(10.0)
+                assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 0
+                assert not d.emulator.is_on_at(0)
+    assert begun < 5
 
 
 def test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the_first_word():
