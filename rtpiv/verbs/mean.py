@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Unpack
 
+from correction.maps.slant import vector_slopes
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
 from daq.runs.run_folder import RunFolder
@@ -25,6 +26,7 @@ from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, require_folder
 from rtpiv.verbs.show import show_mean, show_series, show_through
 
+SUMMED = 0.0  # weights of windows that are sums of cells: none
 TOLD = ("sigma_w_m_s", "w_over_u")  # options on which sigma alone depends
 
 
@@ -128,7 +130,9 @@ def mean(
         given = series[0]
         by_ensemble = ensemble_flow(given, found, ensemble, workers)
         said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
-        vectors = ensemble_vectors(by_ensemble, said)
+        seen = view.correction.corrector.map
+        slope = vector_slopes(seen, view.scene, by_ensemble.windows, SUMMED)[::-1]
+        vectors = ensemble_vectors(by_ensemble, said, slope, view.out_of_plane)
         found = replace(found, by_ensemble=vectors)
         if output.files:
             write_statistics(folder / "mean_ensemble.nc", vectors)

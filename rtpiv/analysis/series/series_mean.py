@@ -27,8 +27,8 @@ mean.nc, where rows begin at the lowest y:
     skewness_u, _v; lowest_u, _v, highest_u, _v
     chc                           1 where there is a mean
 
-mean_ensemble.nc has of these u, v, sigma_u, sigma_v, dt_sigma_u, dt_sigma_v, the stresses R and sigma_R, and chc,
-with `correlation`, the share of the particles that stay.
+mean_ensemble.nc has of these u, v, sigma_u, sigma_v, dt_sigma_u, dt_sigma_v, the stresses R and sigma_R, chc,
+dxdz, dydz and all that begins with slant_, with `correlation`, the share of the particles that stay.
 """
 
 import json
@@ -46,6 +46,7 @@ from correction.maps.slant import vector_slopes
 from daq.atomic_write import why
 from daq.errors import DiskError
 from piv.files.vector_file import SPEED, Vectors, write_vectors
+from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
 from rtpiv.analysis.pairs.pair_vectors import SLOPES
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
@@ -130,13 +131,28 @@ def mean_vectors(
         said["out_of_plane"] = mean.out_of_plane.sentence
     beside = {name: (each, "1") for name, each in (more or {}).items()}
     found = _one_time(mean.x_mm, mean.y_mm, _variables(mean) | beside, said | dict(about))
-    if mean.slope is None:
-        return found
-    return replace(found, by_place=dict(zip(SLOPES, np.moveaxis(mean.slope, -1, 0), strict=True)))
+    return _with_slope(found, mean.slope)
 
 
-def ensemble_vectors(flow: EnsembleFlow, about: Mapping[str, Any]) -> Vectors:
-    """A mean by ensemble correlation as vectors of one time."""
+def ensemble_vectors(
+    flow: EnsembleFlow,
+    about: Mapping[str, Any],
+    slope: Floats | None = None,
+    known: OutOfPlane = NOTHING_TOLD,
+) -> Vectors:
+    """A mean by ensemble correlation as vectors of one time.
+
+    Parameters
+    ----------
+    flow : EnsembleFlow
+        The mean.
+    about : dict
+        Attributes.
+    slope : (ny, nx, 2) float64, optional
+        dX/dz, dY/dz of the rays that show its vectors, y up.
+    known : OutOfPlane
+        What is known of the velocity through the sheet.
+    """
     found: Named = {"correlation": (flow.correlation, "1")}
     for before, values, names, unit in (
         ("", flow.mean_m_s, ("u", "v"), SPEED),
@@ -149,6 +165,11 @@ def ensemble_vectors(flow: EnsembleFlow, about: Mapping[str, Any]) -> Vectors:
     if np.isfinite(flow.dt_sigma_share):
         for number, name in enumerate(("u", "v")):
             found[f"dt_sigma_{name}"] = (np.abs(flow.mean_m_s[..., number]) * flow.dt_sigma_share, SPEED)
+    if slope is not None:
+        field = SlantedField(flow.mean_m_s, flow.sigma_m_s, slope, flow.windows.size_px / flow.windows.step_px)
+        sigma = field.sigma(known.of_mean(field))
+        found |= _slant_variables(sigma, known.of_stresses(flow.stresses_m2_s2, slope))
+        about = {**about, "out_of_plane": known.sentence}
     found["chc"] = (np.asarray(np.isfinite(flow.mean_m_s).all(axis=-1), np.int8), "1")
     said = {
         "px_per_m_s": flow.px_per_m_s,
@@ -157,7 +178,7 @@ def ensemble_vectors(flow: EnsembleFlow, about: Mapping[str, Any]) -> Vectors:
         "pairs_used": flow.pairs,
         "delta_t_sigma_share": np.float64(flow.dt_sigma_share),
     }
-    return _one_time(flow.x_mm, flow.y_mm, found, said | dict(about))
+    return _with_slope(_one_time(flow.x_mm, flow.y_mm, found, said | dict(about)), slope)
 
 
 def write_statistics(path: Path, vectors: Vectors) -> None:
@@ -172,6 +193,21 @@ def write_statistics(path: Path, vectors: Vectors) -> None:
 def _one_time(x_mm: Floats, y_mm: Floats, found: Named, about: Mapping[str, Any]) -> Vectors:
     fields = {name: values[None] for name, (values, _) in found.items()}
     return Vectors(x_mm, y_mm, np.zeros(1), fields, {}, {name: unit for name, (_, unit) in found.items()}, about)
+
+
+def _with_slope(vectors: Vectors, slope: Floats | None) -> Vectors:
+    if slope is None:
+        return vectors
+    return replace(vectors, by_place=dict(zip(SLOPES, np.moveaxis(slope, -1, 0), strict=True)))
+
+
+def _slant_variables(sigma_m_s: Floats, stresses: SlantedStresses) -> Named:
+    """What a flow through the sheet does to a mean (ny, nx, 2) and to its stresses."""
+    found: Named = {f"slant_sigma_{name}": (sigma_m_s[..., k], SPEED) for k, name in enumerate("uv")}
+    for number, name in enumerate(("uu", "vv", "uv")):
+        found[f"slant_R_{name}"] = (stresses.bias[..., number], STRESS)
+        found[f"slant_sigma_R_{name}"] = (stresses.sigma[..., number], STRESS)
+    return found
 
 
 def _variables(mean: MeanFlow) -> Named:
@@ -197,12 +233,9 @@ def _variables(mean: MeanFlow) -> Named:
     if mean.map_sigma_m_s is not None and mean.map_sigma_position_mm is not None:
         apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, SPEED))
         apart.append(("map_sigma_", "xy", mean.map_sigma_position_mm, "mm"))
-    slanted = mean.slanted_stresses
-    if mean.slope is not None and mean.slant_sigma_m_s is not None and slanted is not None:
-        apart.append(("slant_sigma_", "uv", mean.slant_sigma_m_s, SPEED))
-        for number, name in enumerate(("uu", "vv", "uv")):
-            found[f"slant_R_{name}"] = (slanted.bias[..., number], STRESS)
-            found[f"slant_sigma_R_{name}"] = (slanted.sigma[..., number], STRESS)
+    slant_sigma, slanted = mean.slant_sigma_m_s, mean.slanted_stresses
+    if slant_sigma is not None and slanted is not None:
+        found |= _slant_variables(slant_sigma, slanted)
     for before, names, values, unit in apart:
         for number, name in enumerate(names):
             found[before + name] = (values[..., number], unit)

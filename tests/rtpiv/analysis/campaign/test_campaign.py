@@ -14,21 +14,24 @@ from scipy.io import netcdf_file
 
 from daq.errors import RunUnsuitable, Unfinished
 from ground.errors import ConfigError
+from piv.correlation.settings import PivSettings
 from piv.errors import SeriesError
+from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.campaign import campaign_plan
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, read_books
-from rtpiv.analysis.campaign.campaign_plan import forecast, forecasts, planned_runs
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, choice_of, read_books
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, forecast, forecasts, planned_runs
 from rtpiv.analysis.campaign.chunk_task import take
 from rtpiv.analysis.campaign.engines import LocalProcesses
 from rtpiv.analysis.campaign.merge import merge_campaign, merged_means
 from rtpiv.analysis.campaign.run_campaign import run_campaign
+from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_path
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.split_focus import join_series
 from tests.rtpiv.analysis.campaign.small_campaign import Threads, content_of, planned, two_runs
-from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE
+from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, flow_run
 
 CHUNKS = 6  # of two pairs: three of run one, three of run two
 
@@ -302,3 +305,12 @@ def test_runs_that_saw_another_flow_are_told_apart(tmp_path):
     assert merged_means(("one",), means[:1]).mean is means[0]
     with pytest.raises(SeriesError, match="the vectors of two lie on another grid than those of one"):
         merged_means(("one", "two"), [means[0], replace(means[1], x_mm=means[1].x_mm + 0.1)])
+
+
+def test_what_is_told_of_the_flow_through_the_sheet_reaches_every_run(tmp_path):
+    run = flow_run(tmp_path, 2)
+    folder, known = CampaignFolder(tmp_path / "campaign"), OutOfPlane(0.2, 0.0)
+    ask_for(folder, [run], PivChoice(PivSettings(), None, known), CampaignSettings())
+    assert choice_of(folder.about["how"]).out_of_plane == known
+    how = {name: value for name, value in folder.about["how"].items() if name != "out_of_plane"}
+    assert choice_of(how).out_of_plane == OutOfPlane()  # asked for before it could be told

@@ -9,6 +9,7 @@ from scipy.io import netcdf_file
 
 from piv.correlation.windows import window_grid
 from piv.errors import SeriesError
+from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series import ensemble_series
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow, ensemble_flow, part_sums, sum_part
@@ -112,4 +113,18 @@ def test_the_error_of_dt_stands_beside_it(tmp_path):
         with netcdf_file(tmp_path / "mean.nc", mmap=False) as file:
             assert {name for name in file.variables if name.startswith("dt_")} == told
             found = [float(file.variables[name][0, 0, 0]) for name in sorted(told)]
+            assert not [name for name in file.variables if name.startswith("slant_")]
         assert found == pytest.approx([0.03, 0.04][: len(told)])
+
+
+def test_a_flow_through_the_sheet_stands_beside_it():
+    speeds, stresses = np.array([[[3.0, -4.0]]]), np.ones((1, 1, 3))
+    windows, places = window_grid((16, 16), 16, 0.5), np.zeros(1)
+    flow = EnsembleFlow(places, places, 1.0, windows, speeds, speeds, stresses, stresses, np.ones((1, 1)), 9)
+    found = ensemble_vectors(flow, {}, np.array([[[0.3, -0.1]]]), OutOfPlane(2.0, 0.1))
+    assert [found.by_place[name][0, 0] for name in ("dxdz", "dydz")] == [0.3, -0.1]
+    of_mean = [found.fields[f"slant_sigma_{name}"][0, 0, 0] for name in "uv"]
+    assert of_mean == pytest.approx([0.3 * 0.5, 0.1 * 0.5])  # a tenth of 5 m/s
+    of_stresses = [found.fields[f"slant_R_{name}"][0, 0, 0] for name in ("uu", "vv", "uv")]
+    assert of_stresses == pytest.approx([0.36, 0.04, -0.12])
+    assert "0.1 of the speed in the plane (told)" in found.attributes["out_of_plane"]
