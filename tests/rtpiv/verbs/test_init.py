@@ -85,7 +85,9 @@ def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_
     assert all(isinstance(found, FileCheck) for found in check(tmp_path))
 
 
-@pytest.mark.parametrize("lab", [LABS["one ball"], LABS["triangle on rods"]], ids=["one", "triangle"])
+@pytest.mark.parametrize(
+    "lab", [slow(LABS["one ball"], name="one"), pytest.param(LABS["triangle on rods"], id="triangle")]
+)
 def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
     for file in init(tmp_path, GivenLab(**lab)):
         first = file.read_text().splitlines()[0]

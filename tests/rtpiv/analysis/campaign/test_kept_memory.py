@@ -14,7 +14,7 @@ from rtpiv.analysis.campaign.kernels_at_hand import keep_memory
 
 def pages():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _ in range(100):
+    for _ in range(25):
         frames = [np.ones(1_000_000) for _ in range(4)]
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
@@ -23,11 +23,11 @@ with ThreadPoolExecutor(1) as second_thread:
     kept = sys.argv[1] == "keep" and keep_memory()
     print(kept, second_thread.submit(pages).result())
 """
-PAGES = 100 * 4 * 8_000_000 // 4096
+PAGES = 25 * 4 * 8_000_000 // 4096
 
 
 def asked_pages(word: str) -> tuple[str, int]:
-    """What 400 arrays of 8 MB cost, as one of Dask's workers would make them."""
+    """What 100 arrays of 8 MB cost, as one of Dask's workers would make them."""
     given = os.environ | {"MALLOC_TRIM_THRESHOLD_": "65536", "NUMPY_MADVISE_HUGEPAGE": "0"}
     command = [sys.executable, "-c", FRAMES, word]
     done = subprocess.run(command, env=given, capture_output=True, text=True, check=True)
