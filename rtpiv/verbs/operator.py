@@ -5,7 +5,7 @@ open.  A script can therefore answer for a simulated laser only, by `--operator 
 who reads the code and types it, at the bench, once a run.
 """
 
-import math
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +14,8 @@ from daq.errors import RunUsageError
 from daq.plans.steps import Step
 from daq.runner.laser_session import NoOperator, Operator
 from ground.terminal import error_console
+
+_PLACE = re.compile(r"[-+]?[0-9]{1,5}(\.[0-9]{1,6})?")  # no 1_0, no nan, no comma that might part thousands
 
 
 class TerminalOperator:
@@ -34,19 +36,21 @@ class TerminalOperator:
         _typed()
 
     def stands_mm(self, axis: str) -> float:
-        """Ask for a number."""
-        error_console().print(
+        """Ask for a number until one is typed; RunUsageError at an empty line, or if the terminal has gone."""
+        screen = error_console()
+        screen.print(
             f"\n{axis} cannot look for its reference. Read on its scale where it stands, and type that in mm:",
             soft_wrap=True,
         )
-        text = _typed()
-        try:
-            mm = float(text)
-        except ValueError:
-            mm = math.nan
-        if not math.isfinite(mm):
-            raise RunUsageError(f"{text!r} is no position; nothing has moved")
-        return mm
+        while text := _typed():
+            if _PLACE.fullmatch(text):
+                return float(text)
+            screen.print(
+                f"{text!r} is no place in mm; type digits with a point, as 10.0 (an empty line gives up):",
+                markup=False,
+                soft_wrap=True,
+            )
+        raise RunUsageError(f"no place of {axis} was typed; nothing has moved")
 
 
 @dataclass(frozen=True)

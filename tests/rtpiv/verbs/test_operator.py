@@ -65,13 +65,10 @@ def test_a_flow_run_that_nobody_can_arm_is_refused_before_anything_moves(tmp_pat
 
 
 def test_a_person_reads_where_a_stage_stands(monkeypatch, capsys):
-    monkeypatch.setattr("sys.stdin", Terminal(" -12.5 \nnan\nabout 3\n"))
+    monkeypatch.setattr("sys.stdin", Terminal(" -12.5 \n"))
     person = TerminalOperator()
     assert person.stands_mm("glass_x") == -12.5
     assert "glass_x cannot look for its reference" in capsys.readouterr().err
-    for _ in range(2):
-        with pytest.raises(RunUsageError, match="is no position"):
-            person.stands_mm("glass_x")
 
 
 @pytest.mark.parametrize("nobody", [NoOperator(), ScriptOperator()])
@@ -98,3 +95,23 @@ def test_the_hint_to_resume_repeats_who_answers_and_the_steps_are_those_of_the_p
     assert said.err.splitlines()[0].endswith(" --home --operator me")
     assert main([*words[:5], "--dry-run"]) == DONE
     assert re.search(r"\W1\W+0\.\.", capsys.readouterr().out)  # the first step, and its frames
+
+
+@pytest.mark.parametrize("wrong", ["1O.0", "10,0", "1_0", "nan", "inf", "1e3", "[red]", "ten"])
+def test_a_place_that_is_none_is_said_and_asked_for_again(monkeypatch, capsys, wrong):
+    monkeypatch.setattr("sys.stdin", Terminal(f"{wrong}\n10.25\n"))
+    assert TerminalOperator().stands_mm("target_z") == 10.25
+    assert f"'{wrong}' is no place in mm; type digits with a point, as 10.0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("lines", ["", "\n", "1O.0\n\n"])
+def test_who_types_no_place_at_all_gives_up(monkeypatch, lines):
+    monkeypatch.setattr("sys.stdin", Terminal(lines))
+    with pytest.raises(RunUsageError, match="no place of target_z was typed; nothing has moved"):
+        TerminalOperator().stands_mm("target_z")
+
+
+@pytest.mark.parametrize(("text", "mm"), [("10", 10.0), ("-0.5", -0.5), ("+3.25", 3.25)])
+def test_places(monkeypatch, text, mm):
+    monkeypatch.setattr("sys.stdin", Terminal(text))
+    assert TerminalOperator().stands_mm("a") == mm
