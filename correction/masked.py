@@ -1,6 +1,7 @@
-"""What the calibration could not confirm (`tracer.masked`), by pixels and branches.
+"""What is masked of a scene (`tracer.masked`), by pixels, branches and nodes.
 
-Every correction map is made without it (`correction.inversion`); who looks at raw pixels asks `masked_pixels`.
+Every correction map is made without them (`correction.inversion`); outlines in the plane are taken off a map that
+is made (`correction.maps`).  Who looks at raw pixels asks `masked_pixels`.
 """
 
 from collections.abc import Sequence
@@ -9,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
-from tracer.masked import UNCONFIRMED, UNLISTED
+from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Branch
 from tracer.strategies.ray_map import RayMap
 
-STATUS = {UNLISTED: NodeStatus.UNLISTED, UNCONFIRMED: NodeStatus.UNCONFIRMED}
+STATUS = {
+    UNLISTED: NodeStatus.UNLISTED,
+    UNCONFIRMED: NodeStatus.UNCONFIRMED,
+    LEFT_OUT: NodeStatus.LEFT_OUT,
+}
 
 
 def masked_pixels(scene: Scene, ray_map: RayMap | None = None) -> NDArray[np.uint8]:

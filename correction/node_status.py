@@ -4,7 +4,7 @@ from enum import IntEnum
 
 RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME = 0, 1, 2, 3, 4  # as kernels see them
 LOW_MAGNIFICATION, UNSURE, BLURRED, IN_GLASS = 5, 6, 7, 8
-UNLISTED, UNCONFIRMED = 9, 10  # what a scene masks, and no view brings back
+UNLISTED, UNCONFIRMED, LEFT_OUT = 9, 10, 11  # what a scene masks, and no view brings back
 
 
 class NodeStatus(IntEnum):
@@ -21,6 +21,7 @@ class NodeStatus(IntEnum):
     IN_GLASS = IN_GLASS  # the light sheet runs through a body there
     UNLISTED = UNLISTED  # something that the scene does not list stands before it
     UNCONFIRMED = UNCONFIRMED  # the target did not confirm what the scene shows there
+    LEFT_OUT = LEFT_OUT  # a person wants it so
 
 
 MEANING = {
@@ -35,4 +36,5 @@ MEANING = {
     NodeStatus.IN_GLASS: "inside a body",
     NodeStatus.UNLISTED: "behind an unlisted body",
     NodeStatus.UNCONFIRMED: "not confirmed by the target",
+    NodeStatus.LEFT_OUT: "left out by hand",
 }

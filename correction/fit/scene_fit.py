@@ -74,6 +74,7 @@ def fit_scene(
     FitFailed
         The best fit is not good enough.
     """
+    by_hand = nominal.left_out
     priors, nominal = priors or FitTable(), replace(nominal, masked=())  # judged anew
     light = priors.light.light() if priors.light else None
     work = Progress(in_light(nominal, light), frames, board, priors, say)
@@ -93,7 +94,7 @@ def fit_scene(
     doubt = doubt_of(nominal, light, _rivals(fit, priors, light))
     if light is not None and not doubt.sentence:
         doubt = replace(doubt, sentence=_rests_on(work, fit, nominal, light))
-    measured = replace(back_from_light(fit.scene, nominal, light), masked=fit.verdict.masked)
+    measured = replace(back_from_light(fit.scene, nominal, light), masked=(*by_hand, *fit.verdict.masked))
     board = work.board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
     return replace(fit, measured_scene=measured, light=doubt, board=board)
 

@@ -25,7 +25,7 @@ These are errors of the map, common to all pairs of a calibration: averaging ove
 The random sigma of the correlation comes on top, in squares.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -194,14 +194,7 @@ class SigmaLimit:
         """
         self.sigma.check(scene)
         found.check(scene)
-        beyond = self._beyond(found, scene) & found.recovered
-        status = np.where(beyond, np.uint8(NodeStatus.UNSURE), found.status)
-        return replace(
-            found,
-            status=status,
-            pixel=np.where(beyond[..., None], np.nan, found.pixel),
-            weight=np.where(beyond, np.float32(0.0), found.weight),
-        )
+        return found.without(self._beyond(found, scene) & found.recovered, NodeStatus.UNSURE)
 
     def _beyond(self, found: CorrectionMap, scene: Scene) -> NDArray[np.bool_]:
         """Nodes (h, w) that may be beyond the limit; those that are not recovered, too, as it happens."""

@@ -40,6 +40,7 @@ from pydantic import Field
 from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
 from correction.inversion.invert import Inversion
+from correction.masked import STATUS
 from correction.node_status import NodeStatus
 from ground.config import Pair
 from ground.errors import MapFileError
@@ -140,6 +141,15 @@ class CorrectionMap(SceneBound):
         p = np.hypot(uc + vr, vc - ur) / 2
         q = np.hypot(uc - vr, vc + ur) / 2
         return np.abs(p - q), p + q
+
+    def without(self, gone: NDArray[np.bool_], why: NodeStatus) -> "CorrectionMap":
+        """Return the map with nothing shown at some of its nodes (h, w), for a reason."""
+        return replace(
+            self,
+            status=np.where(gone, np.uint8(why), self.status),
+            pixel=np.where(gone[..., None], np.nan, self.pixel),
+            weight=np.where(gone, np.float32(0.0), self.weight),
+        )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Its arrays by name, in the order in which kernels take them."""
@@ -268,12 +278,15 @@ def outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     if not cut:
         return found
     inside = np.any([_inside(capsule, found.grid) for capsule in cut], axis=0) & found.recovered
-    return replace(
-        found,
-        status=np.where(inside, np.uint8(NodeStatus.IN_GLASS), found.status),
-        pixel=np.where(inside[..., None], np.nan, found.pixel),
-        weight=np.where(inside, np.float32(0.0), found.weight),
-    )
+    return found.without(inside, NodeStatus.IN_GLASS)
+
+
+def outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:
+    """Return the map without what the scene masks in the plane; the same map where it masks nothing there."""
+    for part in scene.masked:
+        if part.outline_mm:
+            found = found.without(part.covers(found.grid.nodes_mm()), STATUS[part.why])
+    return found
 
 
 def _inside(capsule: Capsule, grid: PlaneGrid) -> NDArray[np.bool_]:

@@ -87,4 +87,5 @@ def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
         for side in (-1.0, 1.0)
     ])  # fmt: skip
     steps_px = scene.camera.project(ends + np.array(place_mm)) - scene.camera.project(ends)
-    return replace(moved, masked=tuple(part.swept(steps_px) for part in scene.masked))
+    stays = scene.left_out
+    return replace(moved, masked=tuple(p if p in stays else p.swept(steps_px) for p in scene.masked))

@@ -25,7 +25,7 @@ from tracer.errors import SceneError, StaleMap
 from tracer.kernels.rooms import ONE_ROOM, Rooms
 from tracer.kernels.world import MOST_NUMBERS
 from tracer.light_sheet import LightSheet
-from tracer.masked import MaskedPart
+from tracer.masked import LEFT_OUT, MaskedPart
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 from tracer.scene.rooms import Arrangement
 
@@ -117,7 +117,12 @@ class Scene:
 
     def bare(self) -> "Scene":
         """Return the scene without what is driven out of the view: balls, supports, walls that go with them."""
-        return replace(self, bodies=tuple(body for body in self.bodies if body.stays), masked=())
+        return replace(self, bodies=tuple(body for body in self.bodies if body.stays), masked=self.left_out)
+
+    @property
+    def left_out(self) -> tuple[MaskedPart, ...]:
+        """What is masked because a person wants it so, whatever stands there."""
+        return tuple(part for part in self.masked if part.why == LEFT_OUT)
 
     def with_camera(self, camera: Camera) -> "Scene":
         """Return the same scene with another camera."""

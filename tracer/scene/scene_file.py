@@ -25,6 +25,7 @@
     masked:                              # optional: parts of the frame that no map may use, see tracer.masked
       - {why: unlisted body, outline_px: [[410, 300], [455, 310], [430, 352]]}
       - {why: unconfirmed, through: [front, hollow]}
+      - {why: left out, outline_mm: [[-40, -30], [40, -30], [40, -25], [-40, -25]]}   # a wall, by hand
     fit:                                 # optional: what a scene fit may change, see tracer.scene.fit_section
       spheres: {centre_mm: 1.0, radius_mm: 0.02}
 
@@ -297,4 +298,5 @@ def _masked_section(part: MaskedPart) -> dict[str, Any]:
     """A masked part as a scene file has it."""
     if part.through:
         return {"why": part.why, "through": list(part.through)}
-    return {"why": part.why, "outline_px": [list(point) for point in part.outline_px]}
+    where, outline = ("outline_px", part.outline_px) if part.outline_px else ("outline_mm", part.outline_mm)
+    return {"why": part.why, where: [list(point) for point in outline]}

@@ -150,13 +150,15 @@ class SheetTable(Table):
 class MaskedTable(Table):
     """A part of the view that is not to be used."""
 
-    why: Literal["unlisted body", "unconfirmed"]
+    why: Literal["unlisted body", "unconfirmed", "left out"]
     outline_px: Annotated[list[Pair], Field(max_length=1000)] = Field(default_factory=list)
     through: Annotated[list[str], Field(max_length=1000)] = Field(default_factory=list)
+    outline_mm: Annotated[list[Pair], Field(max_length=1000)] = Field(default_factory=list)
 
     def part(self) -> MaskedPart:
         """Return the part described."""
-        return MaskedPart(self.why, tuple((u, v) for u, v in self.outline_px), tuple(self.through))
+        in_frame, in_plane = (tuple((a, b) for a, b in points) for points in (self.outline_px, self.outline_mm))
+        return MaskedPart(self.why, in_frame, tuple(self.through), in_plane)
 
 
 class SceneTable(Table):

@@ -32,6 +32,7 @@ COLOURS: dict[NodeStatus, Colour] = {
     NodeStatus.IN_GLASS: (104, 128, 150),
     NodeStatus.UNLISTED: (186, 84, 140),
     NodeStatus.UNCONFIRMED: (196, 168, 74),
+    NodeStatus.LEFT_OUT: (118, 110, 98),
 }
 THROUGH: Colour = (176, 208, 231)  # recovered, and seen through glass
 _PALETTE = np.array([COLOURS[status] for status in NodeStatus], np.uint8)

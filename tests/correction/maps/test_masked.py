@@ -12,11 +12,12 @@ from correction.maps.correction_map import build_correction_map
 from correction.masked import masked_pixels
 from correction.node_status import NodeStatus
 from daq.live.scene_lines import folds_and_masks
+from daq.runs.glass_place import with_glass_at
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
-from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart, hull_px
+from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED, MaskedPart, hull_px
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene
 from tracer.strategies.ray_map import build_ray_map
@@ -42,6 +43,29 @@ def test_nodes_seen_through_an_outline_are_left_out_with_its_reason():
     np.testing.assert_array_equal(found.status[well_outside], whole.status[well_outside])
     image = np.full((SIZE_PX, SIZE_PX), 700, np.uint16)
     assert np.isnan(found(image)[inside]).all()
+
+
+WALL = MaskedPart(LEFT_OUT, outline_mm=((-60.0, -31.0), (60.0, -29.0), (60.0, -20.0), (-60.0, -20.0)))
+
+
+def test_what_is_left_out_by_hand_in_the_plane_shows_nothing_seen_directly_or_through_glass():
+    whole, found = (prepare(scene(*parts)).corrector for parts in ((), (WALL,)))
+    x, y = np.moveaxis(whole.map.grid.nodes_mm(), -1, 0)
+    inside = (np.abs(x) < 60.0) & (y > x / 60.0 - 30.0) & (y < -20.0)
+    assert (whole.map.behind_glass & inside).any()
+    np.testing.assert_array_equal(found.status == NodeStatus.LEFT_OUT, inside)
+    np.testing.assert_array_equal(found.status[~inside], whole.status[~inside])
+    assert np.isnan(found(np.full((SIZE_PX, SIZE_PX), 700, np.uint16))[inside]).all()
+    assert content_key(scene(WALL)) != content_key(scene())
+
+
+def test_what_a_person_leaves_out_stays_where_glass_goes_and_where_it_is_taken_away():
+    hand = MaskedPart(LEFT_OUT, CORNER.outline_px)
+    assert scene(CORNER, hand, WALL).bare().masked == (hand, WALL)
+    assert with_glass_at(scene(CORNER, hand, WALL), (0.0, 3.0, 0.0)).masked[1:] == (hand, WALL)
+    here = scene(hand, WALL)
+    lit = replace(here, sheet=LightSheet(z_mm=0.4)).in_light_sheet()
+    assert lit.masked == (hand, WALL)
 
 
 def test_a_way_that_is_not_confirmed_is_left_out_whole():
@@ -110,10 +134,10 @@ def test_the_live_page_draws_it():
 
 
 def test_it_goes_with_the_scene_and_not_with_the_bare_view(tmp_path):
-    made = scene(CORNER, WAY)
+    made = scene(CORNER, WAY, WALL)
     (tmp_path / "scene.yaml").write_text(dump_scene(made))
     assert load_scene(tmp_path / "scene.yaml").masked == made.masked
-    assert not made.bare().masked
+    assert made.bare().masked == (WALL,)
     lit = replace(made, sheet=LightSheet(-0.2))
     assert lit.in_light_sheet().masked == made.masked
 
@@ -122,7 +146,9 @@ def test_it_goes_with_the_scene_and_not_with_the_bare_view(tmp_path):
     ("section", "said"),
     [
         ("{why: unlisted body, outline_px: [[1, 2], [3, 4]]}", "three points"),
-        ("{why: unlisted body}", "outline_px or through"),
+        ("{why: unlisted body}", "outline_px, outline_mm or through"),
+        ("{why: left out, outline_mm: [[1, 2], [3, 4]]}", "three points"),
+        ("{why: left out, outline_px: [[1, 2], [3, 4], [5, 0]], through: [sphere1]}", "one of them"),
         ("{why: dirty, through: [sphere1]}", "why"),
     ],
 )
