@@ -144,8 +144,10 @@ class KeepOut:
         """Yield what camera or target stand in where the scene file holds: two names, and how deep [mm]."""
         for number, one in enumerate(self._shapes[:2]):
             for other in self._shapes[number + 1 :]:
-                gap = one.start_mm - other.start_mm
-                deep_mm = one.radius_mm + other.radius_mm - _distance(gap, one.edges_mm, other.edges_mm)
+                gap, radii = one.start_mm - other.start_mm, one.radius_mm + other.radius_mm
+                if _at_least(gap, one.edges_mm, other.edges_mm) >= radii:
+                    continue
+                deep_mm = radii - _distance(gap, one.edges_mm, other.edges_mm)
                 if deep_mm > CONTACT_MM:
                     yield one.name, other.name, deep_mm
 
@@ -158,7 +160,7 @@ class KeepOut:
             It does; the message names the pair, the distance and the piece.
         """
         for piece in way:
-            for one, other, closest_mm, begin_mm in self._approaches(piece):
+            for one, other, closest_mm, begin_mm in self._approaches(piece, self._table.clearance_mm):
                 allowed_mm = self._allowed_mm(one, other)
                 if closest_mm < min(allowed_mm, begin_mm) - ROUNDING_MM:
                     text = (
@@ -177,8 +179,11 @@ class KeepOut:
             return -CONTACT_MM
         return self._table.clearance_mm
 
-    def _approaches(self, piece: Piece) -> list[tuple[_Shape, _Shape, float, float]]:
-        """Every pair of which one moves: closest distance on the piece, and distance at its beginning."""
+    def _approaches(self, piece: Piece, within_mm: float = np.inf) -> list[tuple[_Shape, _Shape, float, float]]:
+        """Every pair of which one moves: closest distance on the piece, and distance at its beginning.
+
+        Pairs that cannot come closer than `within_mm` are left out where that is seen without solving for it.
+        """
         carrier = self._carriers[piece.axis]
         here = {name: np.zeros(3) for name in ("camera", "glass", "target", "bench")}
         for name, at_mm in {**piece.others_mm, piece.axis: piece.start_mm}.items():
@@ -190,6 +195,8 @@ class KeepOut:
             for still in (shape for shape in self._shapes if shape.element != carrier.element):
                 gap = moved.start_mm + here[moved.element] - still.start_mm - here[still.element]
                 radii = moved.radius_mm + still.radius_mm
+                if _at_least(gap, moved.edges_mm, still.edges_mm, sweep[None]) - radii >= within_mm:
+                    continue
                 begin_mm = _distance(gap, moved.edges_mm, still.edges_mm) - radii
                 closest_mm = _distance(gap, np.vstack([moved.edges_mm, sweep]), still.edges_mm) - radii
                 found.append((moved, still, closest_mm, begin_mm))
@@ -203,6 +210,11 @@ def _holds(room: Room, point_mm: Vector) -> bool:
 
 def _direction(along: str) -> Vector:
     return np.array([float(name == along) for name in "xyz"])
+
+
+def _at_least(gap: Vector, *edges: Vector) -> float:
+    """No `_distance` is shorter: no edge brings two things closer than by its length."""
+    return float(np.linalg.norm(gap) - sum(np.linalg.norm(each, axis=1).sum() for each in edges))
 
 
 def _distance(gap: Vector, plus: Vector, minus: Vector) -> float:

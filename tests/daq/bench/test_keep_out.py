@@ -84,6 +84,33 @@ def test_closest_approach_agrees_with_brute_force(seed):
     assert sampled_mm - exact_mm < 12.0
 
 
+@pytest.mark.parametrize("seed", range(60))
+def test_what_is_judged_by_lengths_alone_is_judged_as_by_solving(seed, mocker):
+    rng = np.random.default_rng((1, seed))
+    guard = keep_out(gap_mm=rng.uniform(0.0, 60.0), clearance_mm=rng.uniform(0.1, 60.0))
+    axis = str(rng.choice(list(AXES)))
+    others = {name: at + rng.uniform(-25.0, 25.0) for name, at in AT_SCENE.items()}
+    moved = Piece(axis, others[axis], others[axis] + rng.uniform(-80.0, 80.0), others)
+
+    def judged():
+        try:
+            guard.check([moved])
+        except Obstructed as refused:
+            return str(refused)
+        return "free"
+
+    quickly, found = judged(), list(guard.overlaps())
+    mocker.patch("daq.bench.keep_out._at_least", return_value=-np.inf)
+    assert judged() == quickly
+    assert list(guard.overlaps()) == found
+
+
+def test_what_is_far_apart_is_not_solved_for(mocker):
+    guard = keep_out()
+    mocker.patch("daq.bench.keep_out._distance", side_effect=AssertionError("solved"))
+    guard.check([piece("rail_z", 495.0)])
+
+
 def test_distances_one_can_work_out_by_hand():
     guard = keep_out()
     # sphere of radius 20 at z = 50: its pole is 30 mm before the plane
