@@ -13,7 +13,7 @@ One of these says what the lamp sends:
 Beside it stand ``filters`` (a list of the same shapes, read as transmittance) and how the camera counts:
 ``response`` (points of signal per watt) or ``quantum_efficiency`` (points of electrons per photon).  Without
 either the spectrum is taken as what the camera counts.  ``unsure_nm`` is the standard deviation of the mean
-wavelength (8 for a colour temperature, else 0).
+wavelength (8 for a colour temperature, 5 for other lamps, of which no two are alike, 0 for lines).
 """
 
 from collections.abc import Sequence
@@ -46,6 +46,7 @@ Width = Annotated[float, Field(ge=0.0, le=500.0)]
 Point = Annotated[list[Annotated[float, Field(ge=0.0, le=1e9)]], Field(min_length=2, max_length=2)]
 Points = Annotated[list[Point], Field(min_length=2, max_length=10_000)]
 VARIANCE_WIDTH = float(np.sqrt(12.0))  # width of a band in its standard deviations
+LAMPS_DIFFER_NM = 5.0  # in mean wavelength, between lamps of one data sheet
 UNCOVERED = 0.01  # of the light may lie where a response or filter says nothing
 
 
@@ -177,7 +178,10 @@ class LightTable(ShapeTable):
             photons = self.quantum_efficiency is not None  # of a watt, as many as the wavelength is long
             _covering(light, counts, "quantum_efficiency" if photons else "response")
             light = light.through(lambda nm: _interpolated(nm, counts) * (nm if photons else 1.0))
-        return light if self.unsure_nm is None else replace(light, unsure_nm=self.unsure_nm)
+        if self.unsure_nm is not None:
+            return replace(light, unsure_nm=self.unsure_nm)
+        is_line = self.lines is not None or len(light.weight) == 1
+        return light if is_line or light.unsure_nm else replace(light, unsure_nm=LAMPS_DIFFER_NM)
 
     def _sent(self) -> Light:
         """Light of the lamp."""

@@ -154,6 +154,10 @@ MEDIA: dict[str, Medium] = {
     )
 }
 
+MELTS = {  # standard deviation of n between melts, batches and makers
+    "N-BK7": 5e-4, "N-BK10": 5e-4, "N-K5": 5e-4, "fused-silica": 1e-4, "PMMA": 1e-3, "polystyrene": 3e-3,
+    "polycarbonate": 2e-3, "borosilicate": 3e-3, "soda-lime": 5e-3,
+}  # fmt: skip
 COMMON_NAMES = {  # what people call them, without case, spaces and hyphens
     "acrylic": "PMMA", "acrylicglass": "PMMA", "plexiglas": "PMMA", "plexiglass": "PMMA", "perspex": "PMMA",
     "bk7": "N-BK7", "nbk7": "N-BK7", "schottbk7": "N-BK7", "bk10": "N-BK10", "nbk10": "N-BK10", "k5": "N-K5",

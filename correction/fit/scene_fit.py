@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from correction.errors import FitFailed
 from correction.fit.camera_stage import find_camera
 from correction.fit.glass_stage import find_glass
+from correction.fit.judge.light_of_glass import light_of_glass
 from correction.fit.judge.result import SceneFit, check
 from correction.fit.progress import Progress
 from correction.fit.seen.masked_parts import View, unconfirmed_ways, unlisted_parts
@@ -91,6 +92,12 @@ def fit_scene(
         check(fit)
     except FitFailed as failed:
         raise FitFailed(failed.gate, failed.value, failed.limit, _blamed(work, failed.reason)) from None
+    seen = None
+    if light is not None and priors.light is not None:
+        seen = light_of_glass(fit, nominal, light, priors.light.unsure_nm is not None)
+    if seen is not None:
+        fit = replace(fit, verdict=replace(fit.verdict, wrong_light=str(seen) if seen.alarm else ""))
+        light = replace(seen.told, unsure_nm=seen.unsure_nm)
     doubt = doubt_of(nominal, light, _rivals(fit, priors, light))
     if light is not None and not doubt.sentence:
         doubt = replace(doubt, sentence=_rests_on(work, fit, nominal, light))
@@ -107,9 +114,9 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
         height = work.height_number(frame)
         pose, sigma_mm = fit.unknowns.pose(full, height), partial(_place_sigma_mm, fit, height)
         views.append(View(frame.name, frame.image, pose, sigma_mm))
-    unlisted = unlisted_parts(fit.scene, views, work.board, [frame.index for frame in work.bare])
     sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
     place = {name[:-2]: size for name, size in sigma.items() if name.endswith(".x")}
+    unlisted = unlisted_parts(fit.scene, views, work.board, [frame.index for frame in work.bare], place)
     paired = {way: fit.paired(way) for way in fit.expected}
     lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene))
     return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted, unconfirmed=lost))

@@ -51,6 +51,8 @@ class Verdict:
         Ways through the glass, and balls, on which too few corners are where the scene shows them.
     smear : ColourSmear or None
         Colours that smear corners beyond what is told; None where too few corners tell.
+    wrong_light : str
+        What glass says of the light of the target frames, where that cannot be the told one.
     """
 
     ways: tuple[WayTest, ...]
@@ -61,6 +63,7 @@ class Verdict:
     unlisted: tuple[Unlisted, ...] = ()
     unconfirmed: tuple[Unconfirmed, ...] = ()
     smear: ColourSmear | None = None
+    wrong_light: str = ""
 
     @property
     def alarms(self) -> tuple[WayTest, ...]:
@@ -98,7 +101,8 @@ class Verdict:
     def sentences(self) -> tuple[str, ...]:
         """The verdict in words."""
         bodies = map(str, (*self.unlisted, *self.hidden))
-        found = (*bodies, *([str(self.smear)] if self.many_colours else []))
+        light = ([str(self.smear)] if self.many_colours else []) + ([self.wrong_light] if self.wrong_light else [])
+        found = (*bodies, *light)
         balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
         if self.alarms:
             return (*self._of_residuals(), *found, *balls, *ways)
@@ -108,7 +112,8 @@ class Verdict:
     def is_right(self) -> bool:
         """Whether nothing speaks against the model."""
         balls = any(one.is_ball for one in self.unconfirmed)
-        return not (self.alarms or self.hidden or self.unlisted or self.many_colours or balls)
+        bodies = any(not one.rim_of for one in self.unlisted)
+        return not (self.alarms or self.hidden or bodies or self.many_colours or self.wrong_light or balls)
 
     @property
     def masked(self) -> tuple[MaskedPart, ...]:

@@ -13,7 +13,9 @@ may not know which of them a pixel shows: a pixel says nothing whose place is kn
 deviations from the next edge.  What disagrees (a < 0), with all around it that agrees by halves
 (a < HALF), is one part.  Its hull is masked, made wider by a share of a square: next to what disagrees the same
 body agrees by chance.  So do the squares between two parts of one body, a dark wire before a dark square: parts
-that are nearer to each other than SAME_BODY squares are masked with what lies between them.
+that are nearer to each other than SAME_BODY squares are masked with what lies between them.  A part that lies
+within UNSURE standard deviations of the rim of a ball is that ball's, which stands a little elsewhere than the fit
+could tell: it is masked and said, and no alarm.
 
 HIDDEN: corners that should be seen and are not, side by side.
 Single corners are lost to dirt and noise, anywhere.  A support, a wire or a hand hides a patch.  Of the corners
@@ -59,7 +61,8 @@ NARROWEST_PX = 8.0  # views of a square that can be told bright from dark
 NEARBY = 4.0  # squares: side of what W and B are taken from
 HALF = 0.4  # agreement below which a pixel next to one that disagrees belongs to the same part
 LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
-UNSURE = 3.0  # standard deviations of the place that a pixel shows
+UNSURE = 3.0  # standard deviations of the place that a pixel shows, and of a rim's
+NEARLY_ALL = 0.9
 FEWEST, CERTAIN = 16, 5  # pixels of a part, and those of them that disagree
 SHARE = 0.0005  # of the disc in which the smallest ball is seen, likewise
 JOIN_PX = 9  # side of what joins pixels to parts
@@ -88,23 +91,32 @@ class Unlisted:
         That disagree, at least by half.
     outlines_px : tuple of tuple of (float, float)
         Polygons u, v that cover it.
+    rim_of : str
+        The listed ball whose rim it may be, since its place is not known better; empty if there is none.
     """
 
     frame: str
     way: str
     pixels: int
     outlines_px: tuple[tuple[Point, ...], ...]
+    rim_of: str = ""
 
     @property
     def masked(self) -> tuple[MaskedPart, ...]:
         """What no map is to use."""
-        return tuple(MaskedPart(UNLISTED, outline) for outline in self.outlines_px)
+        return tuple(MaskedPart(UNCONFIRMED if self.rim_of else UNLISTED, outline) for outline in self.outlines_px)
 
     def __str__(self) -> str:
         """Return one sentence."""
         points = np.concatenate(self.outlines_px)
         (left, top), (right, bottom) = points.min(axis=0), points.max(axis=0)
         where = f"through `{self.way}`" if self.way else "beside the glass"
+        if self.rim_of:
+            return (
+                f"{self.frame}: around pixel ({(left + right) / 2:.0f}, {(top + bottom) / 2:.0f}) the rim of"
+                f" `{self.rim_of}` is not where the scene shows it: too few corners are seen through it to tell"
+                " its place; what lies there is masked in every map; smaller squares would show some"
+            )
         return (
             f"{self.frame}: around pixel ({(left + right) / 2:.0f}, {(top + bottom) / 2:.0f}), {right - left:.0f}"
             f" x {bottom - top:.0f} px {where}, the frame does not show the squares that the scene shows:"
@@ -138,6 +150,7 @@ def unlisted_parts(
     views: Iterable[View],
     board: Chessboard,
     lattice: Sequence[NDArray[np.int64]],
+    place_mm: Mapping[str, float] | None = None,
 ) -> tuple[Unlisted, ...]:
     """Parts of frames that are not what a scene shows, the largest first.
 
@@ -150,6 +163,8 @@ def unlisted_parts(
     board : Chessboard
     lattice : sequence of (N, 2) int64
         Corners that bare frames show; beyond them the board may end.
+    place_mm : mapping, optional
+        Ball -> standard deviation of its place sideways; those not in it are known exactly.
     """
     if not lattice:
         return ()
@@ -173,8 +188,23 @@ def unlisted_parts(
             known = [part for one in found for part in one.masked]  # in another frame
             if not any(part.within(agrees.shape)[row, column] for part in known):
                 way = text_of(rays.branches[int(rays.branch[row, column])])
-                found.append(Unlisted(view.name, way, sum(map(len, body)), outlines))
+                rim = _rim_of(np.concatenate(body), seen, place_mm or {})
+                found.append(Unlisted(view.name, way, sum(map(len, body)), outlines, rim))
     return tuple(sorted(found, key=lambda one: -one.pixels))
+
+
+def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float]) -> str:
+    """Name of the ball whose rim may be seen at nearly all of these pixels (N, 2); empty if there is none."""
+    way = scene.camera.directions(pixels[:, ::-1].astype(np.float64))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    for ball in scene.spheres:
+        away = np.array(ball.centre_mm) - np.array(scene.camera.position_mm)
+        far = float(np.linalg.norm(away))
+        aside = np.arccos(np.clip(way @ (away / far), -1.0, 1.0)) - np.arcsin(min(ball.radius_mm / far, 1.0))
+        near = np.abs(aside) * far < UNSURE * place_mm.get(ball.name, 0.0)
+        if np.mean(near) > NEARLY_ALL:
+            return ball.name
+    return ""
 
 
 def _unsure(part: Pixels, rays: RayMap, board: Chessboard, view: View) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ from correction.fit.seen.bent_view import taken_aside
 from correction.fit.seen.prediction import Expected, expect, measure
 from correction.fit.seen.smear import (
     UNEVEN,
+    UNEVEN_COLOURS,
     UNSURE,
     Dispersion,
     colour_steps,
@@ -249,7 +250,7 @@ def glass_frame(
     if dispersion is not None:
         parts = colour_steps(scene, pose, dispersion, expected.pixel)
         smear = smeared_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
-        alike[:, 0], doubt = UNEVEN * smear.shift_px, UNSURE * smear.width_px
+        alike[:, 0], doubt = UNEVEN_COLOURS * smear.shift_px, UNSURE * smear.width_px
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, spread.by_pupil_px2, smear.edges_px2)
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)
     if scene.camera.pupil is not None:

@@ -113,6 +113,18 @@ def test_squares_of_which_the_fit_does_not_know_which_they_are_say_nothing():
     assert not unlisted_parts(off, [known_to(rate)], BOARD, LATTICE)
 
 
+def test_a_rim_whose_place_is_not_known_is_no_body_of_its_own():
+    low, high = lab().spheres
+    x, y, z = high.centre_mm
+    off = lab().with_bodies([low, replace(high, centre_mm=(x + 1.5, y - 0.5, z))])
+    near = View("glass", frame(""), TargetPose())
+    for place_mm, rim_of in (({}, ""), ({high.name: 1.0}, high.name)):
+        beside = [part for part in unlisted_parts(off, [near], BOARD, LATTICE, place_mm) if not part.way]
+        assert beside
+        assert all(part.rim_of == rim_of for part in beside)
+        assert all(part.masked for part in beside)
+
+
 def right_lab(kind: str, seed: int) -> tuple[Scene, np.ndarray]:
     """A scene as a fit would have it, hundredths of a millimetre off, and the frame of the target."""
     glass, rng = MEDIA["N-BK7"], np.random.default_rng((33, seed))
