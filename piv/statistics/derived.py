@@ -11,6 +11,14 @@ error of neighbours correlated by c, their sigma is
 l being the length over which windows and filters share what they see. (Errors by too few pairs of a turbulent
 flow are correlated over its eddies, so that sigma is then an upper limit.)
 
+**Rates** of a plane field, with a = du/dx, b = du/dy, c = dv/dx, d = dv/dy: vorticity c - b, divergence a + d,
+shear b + c, and the swirling strength of Zhou et al. (J. Fluid Mech. 387, 1999), the imaginary part of the
+eigenvalues of the gradients,
+
+    lambda = sqrt(max(q, 0)),   q = -(a - d)^2/4 - b c,     sigma = sigma_q/(2 max(lambda, sqrt(sigma_q/2))),
+
+as the root has no slope at zero.  The four differences are of different neighbours, and their errors independent.
+
 **Mass conservation.** A flow through a thin sheet has div = du/dx + dv/dy = -dw/dz, which is zero for a plane
 flow only. The mean of a round jet has none when its third part is added: about an axis, div = du_s/ds + du_r/dr
 + u_r/r. Glass that is corrected wrongly shows as a divergence that changes at the rim.
@@ -68,13 +76,6 @@ class Axis:
         return distance
 
 
-def vorticity(field: PlaneField) -> tuple[Floats, Floats]:
-    """dv/dx - du/dy and its sigma, (ny, nx)."""
-    along, along_sigma = _slope(field, 1, 1)
-    up, up_sigma = _slope(field, 0, 0)
-    return along - up, np.hypot(along_sigma, up_sigma)
-
-
 def divergence(field: PlaneField, axis: Axis | None = None) -> tuple[Floats, Floats]:
     """Divergence and its sigma, (ny, nx): of a plane flow, or of one that is round about an axis."""
     along, along_sigma = _slope(field, 0, 1)
@@ -93,6 +94,24 @@ def divergence(field: PlaneField, axis: Axis | None = None) -> tuple[Floats, Flo
             off = np.sqrt(np.square(field.sigma) @ normal**2) / np.abs(r)
         variance = variance + np.where(near, slope_sigma, off) ** 2
     return total, np.sqrt(variance)
+
+
+def rates(field: PlaneField) -> dict[str, tuple[Floats, Floats]]:
+    """Vorticity, divergence, shear and swirling strength of a plane field, each with its sigma, (ny, nx)."""
+    (a, a_sigma), (b, b_sigma), (c, c_sigma), (d, d_sigma) = (
+        _slope(field, component, axis) for component in (0, 1) for axis in (1, 0)
+    )
+    q = -0.25 * (a - d) ** 2 - b * c
+    turns = np.sqrt(np.where(np.isfinite(q), np.maximum(q, 0.0), np.nan))
+    of_q = np.sqrt((0.5 * (a - d)) ** 2 * (a_sigma**2 + d_sigma**2) + (c * b_sigma) ** 2 + (b * c_sigma) ** 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        of_turns = np.where(of_q > 0.0, 0.5 * of_q / np.maximum(turns, np.sqrt(0.5 * of_q)), 0.0 * of_q)
+    return {
+        "vorticity": (c - b, np.hypot(c_sigma, b_sigma)),
+        "divergence": (a + d, np.hypot(a_sigma, d_sigma)),
+        "shear": (b + c, np.hypot(b_sigma, c_sigma)),
+        "swirling_strength": (turns, of_turns),
+    }
 
 
 def jet_axis(field: PlaneField) -> Axis | None:

@@ -19,6 +19,8 @@ of a pair that is evaluated alone, with more of its quality:
     slant_sigma_u, _v             standard uncertainty of u, v by the velocity w through the sheet (`out_of_plane`
                                   says what it is taken to be); missing where particles were moved by a known way
     total_sigma_u, _v             all of these that are known, added as squares
+    vorticity, divergence, shear, swirling_strength; sigma_vorticity ...
+                                  of u, v [s-1], or of displacements [mm per mm] (`piv.statistics.derived`)
     peak_ratio, valid_fraction    of the highest peaks; share of valid pixels in the window
     route                         1 = the vector was traced (velocity route), only where routes were mixed
 
@@ -42,6 +44,7 @@ from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.files.vector_file import LENGTH, SPEED, Vectors, read_vectors
+from piv.statistics.derived import PlaneField, rates
 from rtpiv.analysis.pairs.slanted import Slanted
 
 PER_TIME = (  # in m/s, or in mm
@@ -52,6 +55,8 @@ UNITS = {
     "displacement_x": "pixel", "displacement_y": "pixel", "delta_t": "s", "sigma_delta_t": "s",
     "x": LENGTH, "y": LENGTH, "map_sigma_x": LENGTH, "map_sigma_y": LENGTH,
 }  # fmt: skip
+RATE, ONE = "s-1", "1"
+RATES = ("vorticity", "divergence", "shear", "swirling_strength")
 SLOPES = ("dxdz", "dydz")
 MEASURED = ("u", "v", "sigma_u", "sigma_v", "resolution", "displacement_x", "displacement_y", "correlation")
 Floats = NDArray[np.float64]
@@ -204,11 +209,17 @@ def vectors_of_pairs(
         times=np.array(clock if has_clock else _numbers(results), np.float64),
         fields={name: np.stack([field[name] for field in fields]) for name in fields[0]} | dict(more or {}),
         by_time=_by_pair(results),
-        units=UNITS | dict.fromkeys(PER_TIME, SPEED if timed else LENGTH),
+        units=_units(timed),
         attributes=attributes | dict(about),
         time_unit="s" if has_clock else "pair",
         by_place={} if slope is None else dict(zip(SLOPES, np.moveaxis(slope[::-1], -1, 0), strict=True)),
     )
+
+
+def _units(timed: bool) -> dict[str, str]:
+    rates = [f"{before}{name}" for name in RATES for before in ("", "sigma_")]
+    of_time = dict.fromkeys(PER_TIME, SPEED if timed else LENGTH)
+    return UNITS | of_time | dict.fromkeys(rates, RATE if timed else ONE)
 
 
 def quality_of(
@@ -235,7 +246,21 @@ def quality_of(
             found[f"map_sigma_{place}"] = map_sigma.position_px[..., number] * grid.pitch_mm
     if by_velocity is not None:
         found["route"] = by_velocity.astype(np.int8)
-    return {name: values[::-1][None] for name, values in found.items()}
+    return {name: values[::-1][None] for name, values in (found | _rates_of(field, grid, dt_s)).items()}
+
+
+def _rates_of(field: VectorField, grid: PlaneGrid, dt_s: float | None) -> dict[str, NDArray[Any]]:
+    """Rates of a pair (ny, nx), rows from the top of the image: per s, or of displacements."""
+    scale = per_px(grid.pitch_mm, dt_s)
+    uv = np.stack((field.u_px, -field.v_px), axis=-1)[::-1] * scale
+    x_mm, y_mm = grid.pitch_mm * field.x_px, -grid.pitch_mm * field.y_px[::-1]
+    alike_mm = 0.5 * field.window_px * grid.pitch_mm
+    plane = PlaneField(x_mm, y_mm, uv, field.total_sigma_px[::-1] * scale, alike_mm)
+    per_s = 1.0 if dt_s is None else 1e3  # m/s per mm
+    found: dict[str, NDArray[Any]] = {}
+    for name, (value, sigma) in rates(plane).items():
+        found[name], found[f"sigma_{name}"] = per_s * value[::-1], per_s * sigma[::-1]
+    return found
 
 
 def columns_of(traced: PlaneVectors, dt_s: float | None) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

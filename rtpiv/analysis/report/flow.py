@@ -19,8 +19,8 @@ from piv.statistics.derived import (
     divergence,
     jet_axis,
     profile,
+    rates,
     rim_steps,
-    vorticity,
 )
 from rtpiv.analysis.pictures.plane_axes import (
     INK,
@@ -221,9 +221,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     regions : Regions
         Of its vectors, rows from the lowest y up.
     """
-    field = PlaneField(
-        mean.x_mm, mean.y_mm, mean.mean_m_s, mean.local_sigma_m_s, 0.5 * mean.window_px / mean.px_per_mm
-    )
+    field = mean.field
     axis = jet_axis(field)
     _along_lines(page, field, regions, axis)
     rim_chapter(page, mean, scene, regions)
@@ -231,7 +229,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)
     page.figure("streamlines", streamlines_figure(mean, scene, speed), "Streamlines of the mean.", dense=True)
     stresses = mean.stresses_m2_s2
-    turning = 1e3 * vorticity(field)[0]
+    turning = 1e3 * rates(field)["vorticity"][0]
     maps = [(f"{name} [m²/s²]", stresses[..., k]) for k, name in enumerate(("u'u'", "v'v'", "u'v'"))]
     maps.append(("vorticity of the mean [1/s]", turning))
     said = "Reynolds stresses without the noise of the correlation, and the vorticity of the mean."

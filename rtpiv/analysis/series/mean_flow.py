@@ -28,6 +28,7 @@ from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.files.vector_file import Vectors
+from piv.statistics.derived import PlaneField
 from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
 from piv.statistics.merge_tree import MergeTree
 from piv.statistics.moments import Moments
@@ -188,6 +189,12 @@ class MeanFlow:
     def local_sigma_m_s(self) -> Floats:
         """Sigma (ny, nx, 2) of what differs from place to place: random, and not resolved."""
         return np.hypot(self.sigma_m_s, np.nan_to_num(self.resolution_m_s)[..., None])
+
+    @property
+    def field(self) -> PlaneField:
+        """The mean as a field whose derivatives can be taken: neighbouring windows see in part the same."""
+        alike_mm = 0.5 * self.window_px / self.px_per_mm
+        return PlaneField(self.x_mm, self.y_mm, self.mean_m_s, self.local_sigma_m_s, alike_mm)
 
     @property
     def total_sigma_m_s(self) -> Floats:

@@ -24,6 +24,7 @@ mean.nc, where rows begin at the lowest y:
     resolution_R_uu, _vv, _uv     by how much they may be too small, as windows do not resolve it: an upper limit
     slant_R_uu, _vv, _uv          by how much they are too large (R_uv: off), as w changes from pair to pair; it is
                                   not taken off, and as unsure as slant_sigma_R_uu, _vv, _uv say
+    vorticity, divergence, shear, swirling_strength [s-1]; sigma_vorticity ... (`piv.statistics.derived`)
     skewness_u, _v; lowest_u, _v, highest_u, _v
     chc                           1 where there is a mean
 
@@ -46,8 +47,9 @@ from correction.maps.slant import vector_slopes
 from daq.atomic_write import why
 from daq.errors import DiskError
 from piv.files.vector_file import SPEED, Vectors, write_vectors
+from piv.statistics.derived import rates
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
-from rtpiv.analysis.pairs.pair_vectors import SLOPES
+from rtpiv.analysis.pairs.pair_vectors import RATE, SLOPES
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks
@@ -244,6 +246,8 @@ def _variables(mean: MeanFlow) -> Named:
         found[f"R_{name}_measured"] = (mean.noisy_stresses_m2_s2[..., number], STRESS)
         found[f"sigma_R_{name}"] = (mean.stress_sigma_m2_s2[..., number], STRESS)
         found[f"resolution_R_{name}"] = (mean.stress_resolution_m2_s2[..., number], STRESS)
+    for name, (value, sigma) in rates(mean.field).items():
+        found[name], found[f"sigma_{name}"] = (1e3 * value, RATE), (1e3 * sigma, RATE)  # m/s per mm
     for number, name in enumerate(("uu", "vv")):
         found[f"noise_{name}"] = (moments.noise[..., number], STRESS)
     return found

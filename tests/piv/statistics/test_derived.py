@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from piv.statistics.derived import Axis, PlaneField, divergence, jet_axis, profile, rim_steps, vorticity
+from piv.statistics.derived import Axis, PlaneField, divergence, jet_axis, profile, rates, rim_steps
 
 X, Y = np.linspace(-30.0, 30.0, 41), np.linspace(-20.0, 24.0, 31)
 GRID_X, GRID_Y = np.meshgrid(X, Y)
@@ -18,9 +18,32 @@ def field(u, v, sigma=0.01, length=0.0):
 def test_a_rotation_turns_and_does_not_diverge():
     turning = field(-0.3 * GRID_Y, 0.3 * GRID_X)
     inner = (slice(1, -1), slice(1, -1))
-    assert vorticity(turning)[0][inner] == pytest.approx(0.6)
-    assert divergence(turning)[0][inner] == pytest.approx(0.0, abs=1e-12)
-    assert np.isnan(vorticity(turning)[0][0]).all()
+    found = {name: value for name, (value, _) in rates(turning).items()}
+    assert found["vorticity"][inner] == pytest.approx(0.6)
+    assert found["swirling_strength"][inner] == pytest.approx(0.3)
+    assert found["divergence"][inner] == pytest.approx(0.0, abs=1e-12)
+    assert found["shear"][inner] == pytest.approx(0.0, abs=1e-12)
+    assert all(np.isnan(value[0]).all() for value in found.values())
+
+
+def test_a_shear_turns_as_it_strains_and_swirls_nowhere():
+    found = {name: value[1:-1, 1:-1] for name, (value, _) in rates(field(0.4 * GRID_Y, 0.0)).items()}
+    assert found["vorticity"] == pytest.approx(-0.4)
+    assert found["shear"] == pytest.approx(0.4)
+    assert found["swirling_strength"] == pytest.approx(0.0, abs=1e-12)
+    plane = field(0.2 * GRID_X, 0.1 * GRID_Y)
+    np.testing.assert_allclose(rates(plane)["divergence"][0][1:-1, 1:-1], divergence(plane)[0][1:-1, 1:-1])
+
+
+def test_sigma_of_the_swirling_strength_covers_where_it_turns_and_is_no_less_where_it_does_not():
+    rng = np.random.default_rng(4)
+    for turn, least, most in ((0.3, 0.66, 0.71), (0.0, 0.66, 1.0)):
+        inside = []
+        for _ in range(200):
+            u, v = 0.02 * rng.normal(size=(2, *GRID_X.shape))
+            value, sigma = rates(field(u - turn * GRID_Y, v + turn * GRID_X, 0.02))["swirling_strength"]
+            inside.append(np.abs(value - turn)[1:-1, 1:-1] < sigma[1:-1, 1:-1])
+        assert least < np.mean(inside) < most
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2, 2.5])
@@ -44,10 +67,10 @@ def test_sigma_of_derivatives_covers(length):
     if length:  # smoothing by a Gaussian of deviation l leaves exp(-d^2/(4 l^2))
         noise = ndimage.gaussian_filter(noise, (0, length / 1.5, length / (Y[1] - Y[0]), 0), mode="wrap")
     noise *= 0.02 / noise.std()
-    for made in (divergence, vorticity):
+    for name in ("divergence", "vorticity", "shear"):
         inside = []
         for each in noise:
-            value, sigma = made(field(each[..., 0], each[..., 1], 0.02, length))
+            value, sigma = rates(field(each[..., 0], each[..., 1], 0.02, length))[name]
             inside.append(np.abs(value[1:-1, 1:-1]) < sigma[1:-1, 1:-1])
         assert 0.64 < np.mean(inside) < 0.72
 

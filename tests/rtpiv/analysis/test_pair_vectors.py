@@ -1,5 +1,7 @@
 """Vectors of pairs on disk: read back by readers of others, y up, units said, one pair as a series of one."""
 
+from dataclasses import replace
+
 import meshio
 import numpy as np
 import pytest
@@ -109,6 +111,24 @@ def test_the_map_s_sigmas_and_the_route_stand_beside_the_vectors(tmp_path, field
         assert read[f"map_sigma_{name}"][2, 3] == pytest.approx(expected)
     assert np.isnan(read["map_sigma_x"][0, 0])
     assert np.array_equal(read["route"], traced)
+
+
+@pytest.mark.parametrize(("dt_s", "unit", "scale"), [(0.25, b"s-1", 4.0), (None, b"1", 1.0)])
+def test_rates_are_those_of_the_flow_with_a_sigma(tmp_path, field, dt_s, unit, scale):
+    """Turned by 0.02 counter-clockwise between the frames."""
+    x, down = np.meshgrid(field.x_px, field.y_px)
+    turned = replace(field, u_px=0.02 * down, v_px=-0.02 * x, flags=np.zeros((3, 4), np.uint8))
+    turned = replace(turned, sigma_u_px=np.full((3, 4), 0.1), sigma_v_px=np.full((3, 4), 0.1))
+    write_vectors(tmp_path / "vectors.nc", of_pair(turned, dt_s))
+    with netcdf_file(tmp_path / "vectors.nc", mmap=False) as file:
+        read = {name: each[0, 1, 1:3] for name, each in file.variables.items() if each.shape == (1, 3, 4)}
+        assert file.variables["vorticity"].units == file.variables["sigma_shear"].units == unit
+    np.testing.assert_allclose(read["vorticity"], 0.04 * scale, rtol=1e-5)
+    np.testing.assert_allclose(read["swirling_strength"], 0.02 * scale, rtol=1e-5)
+    np.testing.assert_allclose(read["divergence"], 0.0, atol=1e-6)
+    alike = np.exp(-(32.0**2) / (4.0 * 16.0**2))  # of neighbours 32 px apart, windows of 32 px
+    sigma = 0.1 * np.sqrt(2.0 * (1.0 - alike)) / 32.0 * np.sqrt(2.0) * scale
+    np.testing.assert_allclose(read["sigma_vorticity"], sigma, rtol=1e-5)
 
 
 def test_traced_vectors_are_a_list(tmp_path):
