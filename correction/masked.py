@@ -5,12 +5,14 @@ is made (`correction.maps`).  Who looks at raw pixels asks `masked_pixels`.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
-from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED
+from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED, MaskedPart, Point
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Branch
 from tracer.strategies.ray_map import RayMap
@@ -36,7 +38,7 @@ def masked_pixels(scene: Scene, ray_map: RayMap | None = None) -> NDArray[np.uin
     if ray_map is not None and scene.masked:
         why[:] = masked_branches(scene, ray_map.branches)[ray_map.branch]
     for part in scene.masked:
-        why[part.within(why.shape)] = STATUS[part.why]
+        why[pixels_in(part, why.shape)] = STATUS[part.why]
     return why
 
 
@@ -44,3 +46,48 @@ def masked_branches(scene: Scene, branches: Sequence[Branch]) -> NDArray[np.uint
     """The same of branches (B,), which are masked as a whole."""
     of_way = {part.through: STATUS[part.why] for part in scene.masked if part.through}
     return np.array([of_way.get(tuple(names), NodeStatus.RECOVERED) for names in branches], np.uint8)
+
+
+def pixels_in(part: MaskedPart, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Pixels (H, W) inside the outline of a part in the raw frame; none without one."""
+    inside = np.zeros(shape, np.bool_)
+    if not part.outline_px:
+        return inside
+    points = np.array(part.outline_px)
+    low = np.clip(np.floor(points.min(axis=0)), 0, (shape[1], shape[0])).astype(int)
+    high = np.clip(np.ceil(points.max(axis=0)) + 1, 0, (shape[1], shape[0])).astype(int)
+    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    inside[low[1] : high[1], low[0] : high[0]] = _inside(points, u, v)
+    return inside
+
+
+def nodes_in(part: MaskedPart, nodes_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of the nodes x, y (..., 2) of the plane are inside the outline of a part there; none without one."""
+    if not part.outline_mm:
+        return np.zeros(nodes_mm.shape[:-1], np.bool_)
+    return _inside(np.array(part.outline_mm), nodes_mm[..., 0], nodes_mm[..., 1])
+
+
+def swept(part: MaskedPart, steps_px: NDArray[np.float64]) -> MaskedPart:
+    """Return the part with what it covers when moved by any of the steps (N, 2), or by a part of one."""
+    if not part.outline_px:
+        return part
+    steps = np.vstack(([0.0, 0.0], steps_px))[:, None]
+    return replace(part, outline_px=hull_px((np.array(part.outline_px) + steps).reshape(-1, 2)))
+
+
+def hull_px(points: NDArray[np.float64]) -> tuple[Point, ...]:
+    """Convex outline of points u, v (N, 2), to a tenth of a pixel."""
+    corners = points[scipy.spatial.ConvexHull(points).vertices]
+    return tuple((round(u, 1), round(v, 1)) for u, v in corners.tolist())
+
+
+def _inside(
+    outline: NDArray[np.float64], x: NDArray[np.floating | np.integer], y: NDArray[np.floating | np.integer]
+) -> NDArray[np.bool_]:
+    """Points inside a polygon (N, 2): a ray to the right crosses it an odd number of times."""
+    odd = np.zeros(x.shape, np.bool_)
+    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        if y0 != y1:
+            odd ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return odd

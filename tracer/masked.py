@@ -10,8 +10,6 @@ outline too, in the raw frame or in the plane of the vectors, and no calibration
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
-from numpy.typing import NDArray
 
 from tracer.errors import SceneError
 
@@ -61,45 +59,3 @@ class MaskedPart:
             return self
         outline = tuple(((u + 0.5) / times - 0.5, (v + 0.5) / times - 0.5) for u, v in self.outline_px)
         return replace(self, outline_px=outline)
-
-    def swept(self, steps_px: NDArray[np.float64]) -> "MaskedPart":
-        """Return the same with what it covers when moved by any of the steps (N, 2), or by a part of one."""
-        if not self.outline_px:
-            return self
-        steps = np.vstack(([0.0, 0.0], steps_px))[:, None]
-        return replace(self, outline_px=hull_px((np.array(self.outline_px) + steps).reshape(-1, 2)))
-
-    def within(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
-        """Pixels (H, W) inside the outline in the raw frame; none without one."""
-        inside = np.zeros(shape, np.bool_)
-        if not self.outline_px:
-            return inside
-        points = np.array(self.outline_px)
-        low = np.clip(np.floor(points.min(axis=0)), 0, (shape[1], shape[0])).astype(int)
-        high = np.clip(np.ceil(points.max(axis=0)) + 1, 0, (shape[1], shape[0])).astype(int)
-        v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
-        inside[low[1] : high[1], low[0] : high[0]] = _inside(points, u, v)
-        return inside
-
-    def covers(self, nodes_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the nodes x, y (..., 2) of the plane are inside the outline there; none without one."""
-        if not self.outline_mm:
-            return np.zeros(nodes_mm.shape[:-1], np.bool_)
-        return _inside(np.array(self.outline_mm), nodes_mm[..., 0], nodes_mm[..., 1])
-
-
-def _inside(
-    outline: NDArray[np.float64], x: NDArray[np.floating | np.integer], y: NDArray[np.floating | np.integer]
-) -> NDArray[np.bool_]:
-    """Points inside a polygon (N, 2): a ray to the right crosses it an odd number of times."""
-    odd = np.zeros(x.shape, np.bool_)
-    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        if y0 != y1:
-            odd ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-    return odd
-
-
-def hull_px(points: NDArray[np.float64]) -> tuple[Point, ...]:
-    """Convex outline of points u, v (N, 2), to a tenth of a pixel."""
-    corners = points[scipy.spatial.ConvexHull(points).vertices]
-    return tuple((round(u, 1), round(v, 1)) for u, v in corners.tolist())

@@ -40,7 +40,7 @@ from pydantic import Field
 from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
 from correction.inversion.invert import Inversion
-from correction.masked import STATUS
+from correction.masked import STATUS, nodes_in
 from correction.node_status import NodeStatus
 from ground.config import Pair
 from ground.errors import MapFileError
@@ -285,7 +285,7 @@ def outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     """Return the map without what the scene masks in the plane; the same map where it masks nothing there."""
     for part in scene.masked:
         if part.outline_mm:
-            found = found.without(part.covers(found.grid.nodes_mm()), STATUS[part.why])
+            found = found.without(nodes_in(part, found.grid.nodes_mm()), STATUS[part.why])
     return found
 
 

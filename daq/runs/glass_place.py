@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from correction.masked import swept
 from daq.bench.bench_table import GLASS, BenchTable, Vector
 from daq.errors import RunDamaged
 from daq.runs.journal import Entry
@@ -88,4 +89,4 @@ def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
     ])  # fmt: skip
     steps_px = scene.camera.project(ends + np.array(place_mm)) - scene.camera.project(ends)
     stays = scene.left_out
-    return replace(moved, masked=tuple(p if p in stays else p.swept(steps_px) for p in scene.masked))
+    return replace(moved, masked=tuple(p if p in stays else swept(p, steps_px) for p in scene.masked))

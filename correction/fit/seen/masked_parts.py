@@ -47,10 +47,11 @@ from numpy.typing import NDArray
 from correction.fit.seen.measurement import MeasuredFrame
 from correction.fit.seen.prediction import in_target_frame
 from correction.grid import grid_of
+from correction.masked import hull_px, pixels_in
 from correction.target import Chessboard
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Vector3
-from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart, Point, hull_px
+from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart, Point
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of, text_of
 from tracer.strategies.ray_map import RayMap, build_ray_map
@@ -186,7 +187,7 @@ def unlisted_parts(
             row, column = largest[len(largest) // 2]
             outlines = tuple(_outlines(body, width))
             known = [part for one in found for part in one.masked]  # in another frame
-            if not any(part.within(agrees.shape)[row, column] for part in known):
+            if not any(pixels_in(part, agrees.shape)[row, column] for part in known):
                 way = text_of(rays.branches[int(rays.branch[row, column])])
                 rim = _rim_of(np.concatenate(body), seen, place_mm or {})
                 found.append(Unlisted(view.name, way, sum(map(len, body)), outlines, rim))

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from correction.fitted.scene_sigma import StoredVerdict, load_verdict
-from correction.masked import STATUS
+from correction.masked import STATUS, pixels_in
 from correction.node_status import MEANING
 from ground.errors import MapFileError
 from ground.plain_words import counted
@@ -108,7 +108,7 @@ def masked_table(page: Page, scene: Scene) -> None:
         if part.outline_px:
             (left, top), (right, bottom) = np.min(part.outline_px, axis=0), np.max(part.outline_px, axis=0)
             where = f"around pixel ({(left + right) / 2:.0f}, {(top + bottom) / 2:.0f})"
-            share = part.within(scene.camera.shape).mean()
+            share = pixels_in(part, scene.camera.shape).mean()
             size = f"{right - left:.0f} x {bottom - top:.0f} px, {100.0 * share:.2g} % of the frame"
         rows.append((MEANING[STATUS[part.why]], where, size))
     said = "`masked` in the fitted scene file holds these; take out what you know to be right"

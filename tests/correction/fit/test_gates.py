@@ -11,6 +11,7 @@ from correction.errors import FitFailed
 from correction.fit.judge.result import SceneFit, check
 from correction.fit.seen.masked_parts import unconfirmed_ways
 from correction.maps.correction_map import build_correction_map
+from correction.masked import pixels_in
 from correction.node_status import NodeStatus
 from sim.demo.scenes import at_size, named_scene
 from tracer.bodies import Sphere
@@ -102,7 +103,10 @@ def test_few_corners_do_not_confirm_a_ball_whose_rim_is_seen_elsewhere() -> None
     assert (ball.name, ball.is_ball) == ("b", True)
     assert "does not stand where its rim is seen, and no more than 3 corners" in str(ball)
     x, y = SCENE.camera.project(np.array([1.0, 12.8, 20.0]))  # of the rim alone
-    assert [bool(p.within((252, 252))[round(float(y)), round(float(x))]) for p in ball.masked[:2]] == [False, True]
+    assert [bool(pixels_in(p, (252, 252))[round(float(y)), round(float(x))]) for p in ball.masked[:2]] == [
+        False,
+        True,
+    ]
     assert not unconfirmed_ways(SCENE, expected, {"a": 60, "b": 3}, PLACE_MM)
 
 
@@ -117,5 +121,5 @@ def test_a_lost_ball_is_masked_with_all_around_it() -> None:
     others = whole.recovered & (whole.branch[0] != 0) & ~through
     assert np.mean(found.recovered[others]) > 0.95
     x, y = np.moveaxis(SCENE.camera.project(np.array([[0.0, 10.2, 20.0], [0.0, 11.5, 20.0]])), -1, 0)
-    inside = ball.masked[0].within((252, 252))[np.rint(y).astype(int), np.rint(x).astype(int)]
+    inside = pixels_in(ball.masked[0], (252, 252))[np.rint(y).astype(int), np.rint(x).astype(int)]
     assert inside.tolist() == [True, False]

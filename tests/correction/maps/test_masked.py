@@ -9,7 +9,7 @@ from correction.evaluate.carried_vectors import usable_branches
 from correction.fitted.prepared import content_key, prepare
 from correction.light_sheet.double_views import double_views
 from correction.maps.correction_map import build_correction_map
-from correction.masked import masked_pixels
+from correction.masked import hull_px, masked_pixels, pixels_in
 from correction.node_status import NodeStatus
 from daq.live.scene_lines import folds_and_masks
 from daq.runs.glass_place import with_glass_at
@@ -17,7 +17,7 @@ from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
-from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED, MaskedPart, hull_px
+from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED, MaskedPart
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene
 from tracer.strategies.ray_map import build_ray_map
@@ -89,7 +89,7 @@ def test_the_next_best_view_takes_over_where_the_best_is_masked(name):
         (int(p.min()), int(p.max())) for p in (views.pixel[0][twice].T[1], views.pixel[0][twice].T[0])
     )
     half = MaskedPart(UNLISTED, ((u0, v0), (u1, v0), (u0, v1)))
-    inside = half.within((SIZE_PX, SIZE_PX))
+    inside = pixels_in(half, (SIZE_PX, SIZE_PX))
     masked = replace(whole, masked=(half,))
     found = build_correction_map(masked, build_ray_map(masked))
     at = np.rint(np.nan_to_num(views.pixel)).astype(int)
@@ -163,9 +163,9 @@ def test_a_masked_part_that_is_none_is_refused_with_its_line(tmp_path, section, 
 
 def test_an_outline_beyond_the_frame_is_cut():
     part = MaskedPart(UNLISTED, hull_px(np.array([[-50.0, -50.0], [10.0, -50.0], [10.0, 10.0], [-50.0, 10.0]])))
-    inside = part.within((40, 30))
+    inside = pixels_in(part, (40, 30))
     assert inside[:10, :10].all()
     assert not inside[12:].any()
-    assert part.coarser(2).within((20, 15))[:5, :5].all()
+    assert pixels_in(part.coarser(2), (20, 15))[:5, :5].all()
     with pytest.raises(SceneError):
         MaskedPart(UNLISTED, ((0.0, 0.0), (1.0, float("nan")), (2.0, 2.0)))

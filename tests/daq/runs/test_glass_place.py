@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.masked import pixels_in
 from daq.errors import RunDamaged
 from daq.runs.glass_place import glass_place_mm, with_glass_at
 from daq.runs.journal import Journal
@@ -68,7 +69,7 @@ def test_what_is_masked_is_masked_where_it_was_and_where_the_glass_took_it():
     way = MaskedPart(UNCONFIRMED, through=("sphere2", "sphere1"))
     masked = replace(scene, masked=(MaskedPart(UNLISTED, around), way))
     moved = with_glass_at(masked, (12.0, -4.0, 6.0))
-    inside = moved.masked[0].within(scene.camera.shape)
+    inside = pixels_in(moved.masked[0], scene.camera.shape)
     for place in (drop, drop + np.array([12.0, -4.0, 6.0])):
         column, row = np.rint(scene.camera.project(place)).astype(int)
         assert inside[row - 3 : row + 4, column - 3 : column + 4].all()
