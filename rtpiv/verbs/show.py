@@ -37,12 +37,12 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
     """Say how well a pair was measured, and where the page will be."""
     from rtpiv.analysis.report.tables import (
         CLAIM_HEAD,
-        MOVED_HEAD,
         ROUTE_HEAD,
         SHIFT_HEAD,
         SIGMA_HEAD,
         TRACK_HEAD,
         claim_rows,
+        moved_head,
         moved_rows,
         route_rows,
         shift_rows,
@@ -57,7 +57,7 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         screen.print(evaluation.field.doubt, style="bold red")
     tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
     if evaluation.shift is None:
-        tables.append(("displacement, v down, y up", MOVED_HEAD, moved_rows(evaluation)))
+        tables.append(("what moved, v down, y up", moved_head(evaluation), moved_rows(evaluation)))
     if evaluation.shift is not None:
         tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
     if evaluation.map_sigma is not None:

@@ -27,6 +27,7 @@ from piv.correlation.vector_field import VectorFlag
 from piv.preprocessing.image_figures import ImageFigures
 from rtpiv.analysis.digits import two_digits
 from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.pictures.rasters import COLOURS, web
 
 GLASS, DIRECT = "behind glass", "seen directly"
@@ -178,7 +179,6 @@ CLAIM_HEAD = (
 ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
 TRACK_HEAD = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
 IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
-MOVED_HEAD = ("region", "vectors", "median u, v [px]", "median x, y [mm]")
 BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
 
 Row = tuple[str, ...]
@@ -189,14 +189,21 @@ def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, st
     return [(web(COLOURS[status]), MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
 
 
+def moved_head(evaluation: Evaluation) -> Row:
+    """Head of `moved_rows`: velocities where the time between the frames is known."""
+    unit = "mm" if evaluation.task.dt_s is None else "m/s"
+    return "region", "vectors", "median u, v [px]", f"median x, y [{unit}]"
+
+
 def moved_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under MOVED_HEAD: the median displacement beside and behind the glass, v down, y up."""
+    """Rows under `moved_head`: the median of what moved beside and behind the glass, v down, y up."""
+    scale = per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
     field, rows = evaluation.field, list[Row]()
     for total in totals_of(evaluation):
         where = total.where(evaluation)
         u, v = float(np.median(field.u_px[where])), float(np.median(field.v_px[where]))
-        mm = ", ".join(f"{part * evaluation.grid.pitch_mm:+z.4f}" for part in (u, -v))
-        rows.append((total.region, str(total.count), f"{u:+z.3f}, {v:+z.3f}", mm))
+        on_plane = ", ".join(f"{part * scale:+z.4f}" for part in (u, -v))
+        rows.append((total.region, str(total.count), f"{u:+z.3f}, {v:+z.3f}", on_plane))
     return rows
 
 

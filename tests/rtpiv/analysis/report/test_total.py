@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from correction.evaluate.regions import Region, Regions, evaluate_shift
-from rtpiv.analysis.report.tables import claim_rows, coverage_of, lead_of, moved_rows, offset_said, totals_of
+from rtpiv.analysis.report.tables import (
+    claim_rows,
+    coverage_of,
+    lead_of,
+    moved_head,
+    moved_rows,
+    offset_said,
+    totals_of,
+)
 from tests.correction.evaluate.vectors import uniform_field
 
 SHIFT_PX = (4.0, -3.0)
@@ -113,15 +121,17 @@ def test_tables_and_head_have_one_verdict_of_a_region():
     assert claims[glass.region] == coverage_of(made, glass.where(made)).claim == "too large"
 
 
-def test_without_a_known_shift_the_displacement_is_said_beside_and_behind_the_glass():
+@pytest.mark.parametrize(("dt_s", "unit", "scale"), [(None, "mm", 0.5), (2e-3, "m/s", 0.25)])
+def test_without_a_known_shift_what_moved_is_said_beside_and_behind_the_glass(dt_s, unit, scale):
     made = evaluation(known=False)
-    made.grid = SimpleNamespace(pitch_mm=0.5)
+    made.grid, made.task = SimpleNamespace(pitch_mm=0.5), SimpleNamespace(dt_s=dt_s)
     rows = moved_rows(made)
+    assert f"[{unit}]" in moved_head(made)[-1]
     assert [row[:2] for row in rows] == [("behind glass", "400"), ("seen directly", "1121")]
-    for _, _, px, mm in rows:
+    for _, _, px, on_plane in rows:
         u, v = (float(part) for part in px.split(","))
         assert (u, v) == pytest.approx((4.03, -3.01), abs=0.01)
-        assert [float(part) for part in mm.split(",")] == pytest.approx((0.5 * u, -0.5 * v), abs=1e-3)
+        assert [float(part) for part in on_plane.split(",")] == pytest.approx((scale * u, -scale * v), abs=1e-3)
 
 
 def test_an_offset_of_nothing_has_no_sign():
