@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from correction.errors import MapUsageError
 from correction.evaluate.target_error import TargetError, target_error
 from correction.fitted.prepared import prepare
 from correction.maps.corrector import UINT16_OFFSET, Corrector, to_uint16
@@ -149,6 +150,8 @@ def correct(
     """
     screen = console()
     frames = paths_of(frames)
+    if recipe.mm_per_px is not None:
+        raise MapUsageError("a scene says what its pixels show; leave --mm-per-px out")
     fitted = scene if isinstance(scene, Scene) else load_scene(scene)
     particles = not check_target and shows_light_sheet(frames)
     loaded = fitted.in_light_sheet() if particles else fitted
