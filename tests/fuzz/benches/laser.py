@@ -5,6 +5,7 @@
 The judge hangs on the Q-switch outputs of the emulated box and knows the state of the laser at the moment of
 every pulse. A pulse is allowed while it is FIRING or ALIGNING, at most as many for each Q-switch as were asked
 for; and in UNKNOWN only while no open port leads to the box: nobody can stop that but the box, or a person at it.
+A box that loses lines is told off every `AGAIN_S`; where it refuses one, what leaves until the next is its own.
 Whoever leaves the bench opens it again, also one whose cable is put back meanwhile; nothing is on after that.
 
 **Somebody turns a knob.** Whether that makes light is judged by the box itself, never by what the program
@@ -53,6 +54,7 @@ FIELDS = {
 }  # fmt: skip
 LOOKS = ("wait", "look")  # verbs that end a chunk whose time is over
 LATE_S = 0.3  # after the time of a chunk, or after somebody begins to look: until a box in reach is dark
+AGAIN_S = 0.051  # from one "off" to the next, for a box that loses what comes sooner (docs/laser.md)
 NUDGES = (("PER", "0.05"), ("CMOD", "NORM"), ("BCO", "77"), ("MUX", "3"), ("POL", "COMP"), ("DEL", "0.001"))
 
 
@@ -139,7 +141,7 @@ class Story:
                 self.found.append(f"one pulse too many on {pulse.output} at {pulse.rises_s:.4f} s")
         if state in EMITS:
             self.judge_end(pulse, knobs)
-        elif not (self.is_out_of_reach(state) or self.is_mixed_by_keys(pulse)):
+        elif not (self.is_out_of_reach(state) or self.is_refused(pulse, state) or self.is_mixed_by_keys(pulse)):
             self.found.append(f"a pulse on {pulse.output} at {pulse.rises_s:.4f} s while {state.value}")
 
     def judge_end(self, pulse, knobs):
@@ -159,6 +161,12 @@ class Story:
         return state is LaserState.UNKNOWN and not self.line.reached
 
     # ---- what may happen -----------------------------------------------------------------------------
+
+    def is_refused(self, pulse, state):
+        """Whether the program knows, has said off, and a box that takes one line at a time has just refused it."""
+        if state is not LaserState.UNKNOWN or self.kind == "oltSync" or not self.emulator._variant.needs_s:
+            return False
+        return pulse.rises_s - self.emulator.refused_s <= AGAIN_S
 
     def asked_for(self, pairs):
         for output in self.q_switches:

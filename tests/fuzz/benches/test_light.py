@@ -5,6 +5,8 @@ import pytest
 from daq.timing.states import LaserStateMachine
 from tests.fuzz.benches.light import Playground, play
 
+REFUSED = "202-119"
+
 
 def test_nothing_moves_while_light_leaves():
     books, found = play(range(30), "ci")
@@ -39,3 +41,12 @@ def test_the_judge_sees_light_near_the_glass(monkeypatch):
     monkeypatch.setattr("daq.runner.laser_session.sheet_clearance_mm", lambda bench, where: 100.0)
     _, found = play(range(50), "near e")
     assert any("off the sheet" in line for line in found), "\n".join(found)
+
+
+def test_a_box_that_takes_one_line_at_a_time_and_refuses_off_is_told_again_in_50_ms(monkeypatch):
+    """Its cable came back within a burst, and the first word over it was refused: one pair more, no second one."""
+    story = Playground().tell(REFUSED, 14)
+    assert not story.found, "\n".join(story.found)
+    assert story.emulator.refused_s > 25.0
+    monkeypatch.setattr("daq.timing.drivers.quantum_composers.PAUSE_S", 0.2)
+    assert Playground().tell(REFUSED, 14).found
