@@ -22,6 +22,7 @@ between bursts  an output that is mixed with a lamp gives its pulses until the b
 import argparse
 import math
 import random
+import sys
 import time
 from collections import Counter
 from contextlib import suppress
@@ -386,6 +387,7 @@ def main():
     books, found = play(options.sequences, options.seed, options.length)
     print(dict(books), f"{time.monotonic() - begun_s:.0f} s")
     print("\n".join(found) or "nothing found")
+    sys.exit(bool(found))
 
 
 if __name__ == "__main__":
