@@ -1,7 +1,7 @@
 """What is masked of a scene (`tracer.masked`), by pixels, branches and nodes.
 
-Every correction map is made without them (`correction.inversion`); outlines in the plane are taken off a map that
-is made (`correction.maps`).  Who looks at raw pixels asks `masked_pixels`.
+Every correction map is made without them: without pixels and branches while it is inverted, without nodes of the
+plane when that is done (`correction.maps.correction_map`).  Who looks at raw pixels asks `masked_pixels`.
 """
 
 from collections.abc import Sequence

@@ -267,9 +267,10 @@ def build_correction_map(
     work.glass()
     work.join()
     sensor_px, branches = scene.camera.sensor_px, ray_map.branches
-    return CorrectionMap(
+    found = CorrectionMap(
         grid, **work.arrays, branches=branches, sensor_px=sensor_px, scene_hash=ray_map.scene_hash
     )
+    return _outside_outlines(found, scene)
 
 
 def outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
@@ -281,7 +282,7 @@ def outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     return found.without(inside, NodeStatus.IN_GLASS)
 
 
-def outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:
+def _outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     """Return the map without what the scene masks in the plane; the same map where it masks nothing there."""
     for part in scene.masked:
         if part.outline_mm:

@@ -18,6 +18,8 @@ eigenvalues of the gradients,
     lambda = sqrt(max(q, 0)),   q = -(a - d)^2/4 - b c,     sigma = sigma_q/(2 max(lambda, sqrt(sigma_q/2))),
 
 as the root has no slope at zero.  The four differences are of different neighbours, and their errors independent.
+What a fitted map, a slant or the time between frames put off smoothly is in none of these sigmas; across a rim it
+may jump (below).
 
 **Mass conservation.** A flow through a thin sheet has div = du/dx + dv/dy = -dw/dz, which is zero for a plane
 flow only. The mean of a round jet has none when its third part is added: about an axis, div = du_s/ds + du_r/dr

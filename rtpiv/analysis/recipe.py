@@ -85,6 +85,7 @@ class CorrectionRecipe:
         height, width = read_acquired(frame).shape
         out.mkdir(parents=True, exist_ok=True)
         numbers = {"mm_per_px": self.mm_per_px, "focal_px": FAR_MM / self.mm_per_px, "far_mm": FAR_MM}
+        (out / FIT_FILE).unlink(missing_ok=True)  # of another scene
         write_text(out / SCENE_FILE, PLAIN_SCENE.format(**numbers, width=width, height=height))
         return out / SCENE_FILE
 

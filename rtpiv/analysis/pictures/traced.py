@@ -121,7 +121,7 @@ def draw_camera_view(
     save_picture(figure, path, 130)
 
 
-LEANS = 24  # lines along the longer side
+LEANS = 24  # arrows along the longer side
 
 
 def draw_slant(path: Path, scene: Scene, grid: PlaneGrid, found: ShownSlant) -> None:

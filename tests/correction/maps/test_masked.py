@@ -56,6 +56,9 @@ def test_what_is_left_out_by_hand_in_the_plane_shows_nothing_seen_directly_or_th
     np.testing.assert_array_equal(found.status == NodeStatus.LEFT_OUT, inside)
     np.testing.assert_array_equal(found.status[~inside], whole.status[~inside])
     assert np.isnan(found(np.full((SIZE_PX, SIZE_PX), 700, np.uint16))[inside]).all()
+    joined = build_correction_map(scene(WALL), build_ray_map(scene(WALL)), layers=3)
+    assert not (joined.weight[:, inside] > 0.0).any()
+    assert joined._sound()
     assert content_key(scene(WALL)) != content_key(scene())
 
 

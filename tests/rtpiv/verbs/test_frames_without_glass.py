@@ -51,6 +51,11 @@ def test_a_folder_is_averaged_in_one_command_and_goes_on(day, tmp_path, monkeypa
         assert main(["mean", str(day), *TOLD]) == DONE
         assert "mean of 3 pairs" in capsys.readouterr().out
     assert right(tmp_path / "evaluation", "mean.nc")
+    (tmp_path / "evaluation" / "fit.npz").write_bytes(b"of another scene")
+    assert main(["mean", str(day), "--mm-per-px", str(2 * MM), *TOLD[2:]]) == DONE  # the ruler was read wrongly
+    with xarray.open_dataset(tmp_path / "evaluation" / "mean.nc") as file:
+        assert float(np.nanmedian(file["u"])) == pytest.approx(2e-3 * SHIFT[0] * MM / (1e-6 * DT_US), rel=0.01)
+    assert not (tmp_path / "evaluation" / "fit.npz").exists()
 
 
 def test_a_frame_passes_its_scene_unchanged(day, tmp_path):
