@@ -197,9 +197,12 @@ def trace_from(scene: Scene, origins_mm: ArrayLike, directions: ArrayLike) -> Tr
 def _rows_of(points: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Points (N, 3) for the kernels, broadcast to a shape, in memory that may be written.
 
-    Numba compiles a kernel once more for arrays that may not, as a broadcast one of a single ray is.
+    Numba compiles a kernel once more for arrays that may not, as a broadcast one of a single ray is. Nothing is
+    copied that can be passed on.
     """
-    return np.array(np.broadcast_to(np.asarray(points, dtype=np.float64), shape), order="C").reshape(-1, 3)
+    given = np.asarray(points, dtype=np.float64)
+    wide = given if given.shape == shape else np.broadcast_to(given, shape)
+    return np.require(wide, requirements=("C", "W")).reshape(-1, 3)
 
 
 def name_keys(

@@ -23,14 +23,10 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import (
-    Annotated,
-    Literal,
-    NotRequired,  # that of typing cannot be checked before Python 3.12
-)
+from typing import Annotated, Literal, NotRequired
 
 from pydantic import Field, TypeAdapter, ValidationError, with_config
-from typing_extensions import TypedDict
+from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from daq.atomic_write import why
 from daq.errors import DiskError, RunUnsuitable
