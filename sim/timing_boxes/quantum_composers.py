@@ -173,7 +173,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         self.gate_is_high = True  # level at the gate input; nothing on it is high
         self.refuses_off: Counter[int] = Counter()  # by output: how often "off" is still answered by ?8
         self.refuse = 0  # commands to come that are answered by ?8
-        self.refused_s = -math.inf  # when that happened last
+        self.refused_off_s = -math.inf  # when an "off" was last
         self._name = f"{variant.model},{serial:05d},1.2.2-1.2.0"
         self._stream = CommandStream()
         self._t0 = _Channel(T0_WORDS | (CLOCK_MODE_WORDS if variant.has_clock_mode else CLOCK_WORDS))
@@ -302,7 +302,9 @@ class QuantumComposersEmulator(PulsingEmulator):
         if isinstance(command, ProtocolViolation):
             return "?5" if command.raw[:1] in b":*" else "?1"
         if self.refuse > 0:
-            self.refuse, self.refused_s = self.refuse - 1, self._clock.now_s()
+            self.refuse -= 1
+            if command.keyword.upper().endswith(":STAT") and command.value == "0":
+                self.refused_off_s = self._clock.now_s()
             return "?8"
         if command.keyword.startswith("*"):
             return self._common(command)
@@ -374,7 +376,7 @@ class QuantumComposersEmulator(PulsingEmulator):
                 return "?5"
             if value == "0" and self.refuses_off[number] > 0:
                 self.refuses_off[number] -= 1
-                self.refused_s = self._clock.now_s()
+                self.refused_off_s = self._clock.now_s()
                 return "?8"
             self._switch(number, value == "1")
             return "ok"

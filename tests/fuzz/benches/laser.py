@@ -167,7 +167,7 @@ class Story:
         """Whether the program knows, has said off, and a box that takes one line at a time has just refused it."""
         if state is not LaserState.UNKNOWN or self.kind == "oltSync" or not self.emulator._variant.needs_s:
             return False
-        return pulse.rises_s - self.emulator.refused_s <= AGAIN_S
+        return pulse.rises_s - self.emulator.refused_off_s <= AGAIN_S
 
     def asked_for(self, pairs):
         for output in self.q_switches:

@@ -47,6 +47,6 @@ def test_a_box_that_takes_one_line_at_a_time_and_refuses_off_is_told_again_in_50
     """Its cable came back within a burst, and the first word over it was refused: one pair more, no second one."""
     story = Playground().tell(REFUSED, 14)
     assert not story.found, "\n".join(story.found)
-    assert story.emulator.refused_s > 25.0
+    assert story.emulator.refused_off_s > 25.0
     monkeypatch.setattr("daq.timing.drivers.quantum_composers.PAUSE_S", 0.2)
     assert Playground().tell(REFUSED, 14).found
