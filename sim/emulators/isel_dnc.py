@@ -6,8 +6,12 @@ axis by axis, Z first: onto the low switch, slowly off it, zero there. A switch 
 halts everything, is answered with 2, and undoes initialisation and reference. Nobody watches the rotor. The stop
 key on the box does what byte 253 does. After power-up it is not initialised, and a motion that was under way is
 never answered. Nothing in its protocol tells two boxes apart but the text of the version.
+
+Ports: ``@0b0`` reads the eight inputs (0 and two hexadecimal digits), ``@0B0,n`` sets the eight outputs, as open
+clients have it (MSmarra/ISEL, MPIMeasurements.jl); nothing hangs on them here, and no driver of ours uses them.
 """
 
+import re
 from collections import deque
 from collections.abc import Mapping
 
@@ -18,6 +22,8 @@ from stages.protocols import isel_dnc as dnc
 
 NAMES = ("X", "Y", "Z")
 CREEP = 200.0  # steps/s off the switch
+_INPUTS = re.compile(rb"@\db\d{1,5}")
+_OUTPUTS = re.compile(rb"@\dB\d{1,5},(\d{1,5})")
 
 
 class IselEmulator(Emulator):
@@ -105,6 +111,10 @@ class IselEmulator(Emulator):
                 self._numbered(verb, number)
             case dnc.Move(pairs, absolute) if self._axes:
                 self._move(pairs, absolute)
+            case ProtocolViolation(raw=line) if _INPUTS.fullmatch(line):
+                self.say(b"000")
+            case ProtocolViolation(raw=line) if match := _OUTPUTS.fullmatch(line):
+                self.say(dnc.Ack("0" if int(match[1]) <= 0xFF else "1").to_bytes())
             case dnc.Identify() | ProtocolViolation():
                 self.say(dnc.Ack("5").to_bytes())
             case _:

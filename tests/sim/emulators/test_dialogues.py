@@ -94,3 +94,9 @@ def test_a_c142_knows_no_version():
     device = IselEmulator({"X": Motor(SCREW)}, VirtualClock(), model=None)
     device.feed(b"@0V\r@01\r@0J100\r")
     assert b"".join(said.data for said in device.said()) == b"505"
+
+
+def test_an_isel_box_has_inputs_and_outputs():
+    device = IselEmulator({"X": Motor(SCREW)}, VirtualClock())
+    device.feed(b"@0b0\r@0B0,8\r@0B0,256\r@0B0\r")
+    assert [said.data for said in device.said()] == [b"000", b"0", b"1", b"5"]
