@@ -34,8 +34,8 @@ def vortex(centre_px=256.0, core_px=40.0, turn=0.2):
     return field
 
 
-def turbulence(seed, rms_px=3.0, largest_px=300.0, smallest_px=40.0, modes=400):
-    """Sum of random solenoidal waves with Kolmogorov's spectrum, E(k) ~ k^(-5/3) between two lengths.
+def turbulence(seed, rms_px=3.0, largest_px=300.0, smallest_px=40.0, modes=400, slope=-5 / 3):
+    """Sum of random solenoidal waves with E(k) ~ k^slope between two lengths, Kolmogorov's spectrum by default.
 
     Kraichnan, Phys. Fluids 13, 22 (1970): amplitudes are drawn so that every mode carries the energy of its share
     of the logarithmic range, and each wave's velocity is normal to its wave vector.
@@ -43,7 +43,7 @@ def turbulence(seed, rms_px=3.0, largest_px=300.0, smallest_px=40.0, modes=400):
     rng = np.random.default_rng(seed)
     k = 2 * np.pi / largest_px * (largest_px / smallest_px) ** rng.uniform(size=modes)
     angle, phase = rng.uniform(0, 2 * np.pi, (2, modes))
-    amplitude = k ** (-1 / 3) * rng.normal(size=modes)  # E(k) dk = k^(-5/3) k d(ln k)
+    amplitude = k ** ((1 + slope) / 2) * rng.normal(size=modes)  # E(k) dk = k^slope k d(ln k)
     amplitude *= rms_px * np.sqrt(2.0) / np.sqrt(0.5 * (amplitude**2).sum())
     kx, ky = k * np.cos(angle), k * np.sin(angle)
 
@@ -55,6 +55,60 @@ def turbulence(seed, rms_px=3.0, largest_px=300.0, smallest_px=40.0, modes=400):
             du -= np.sin(t) * s
             dv += np.cos(t) * s
         return du, dv
+
+    return field
+
+
+def vortices(seed, cores_px=(20.0, 60.0), number=12, turn=0.2, side_px=384.0):
+    """Gaussian vortices of both signs, anywhere in a frame; fronts and thin necks where they meet."""
+    rng = np.random.default_rng(seed)
+    cores = rng.uniform(*cores_px, number)
+    places, signs = rng.uniform(0.0, side_px, (2, number)), rng.choice([-1.0, 1.0], number)
+    parts = [vortex(0.0, core, sign * turn) for core, sign in zip(cores, signs, strict=True)]
+
+    def field(u, v):
+        each = [part(u - x, v - y) for part, x, y in zip(parts, *places, strict=True)]
+        return sum(du for du, _ in each), sum(dv for _, dv in each)
+
+    return field
+
+
+def fronts(seed, rms_px=2.0, sharp_px=15.0, number=10, side_px=384.0):
+    """Currents along curved fronts of width `sharp_px`, as at the surface of quasi-geostrophic flows.
+
+    The stream function is a sum of steps in slope across wavy lines, so the velocity is one of steps that are
+    smooth over that width: its spectrum falls as k^-2 to there.
+    """
+    rng = np.random.default_rng(seed)
+    angle, phase, bend = rng.uniform(0, 2 * np.pi, (3, number))
+    offset, strength = rng.uniform(-side_px / 2, side_px / 2, number), rng.normal(size=number)
+    strength *= 2.0 * rms_px / np.sqrt((strength**2).sum())
+
+    def field(u, v):
+        x, y = np.asarray(u, float) - side_px / 2, np.asarray(v, float) - side_px / 2
+        du, dv = np.zeros(x.shape), np.zeros(x.shape)
+        for a, p, b, o, s in zip(angle, phase, bend, offset, strength, strict=True):
+            along, across = np.cos(a) * x + np.sin(a) * y, np.cos(a) * y - np.sin(a) * x
+            k = 2 * np.pi / (side_px * (0.5 + b / (4 * np.pi)))
+            n = across - o - 15.0 * np.sin(k * along + p)
+            current = s * np.tanh(n / sharp_px)  # of the stream function s sharp ln cosh(n/sharp)
+            slope = -15.0 * k * np.cos(k * along + p)  # dn/d(along); dn/d(across) is 1
+            ahead, aside = current, -current * slope
+            du += np.cos(a) * ahead - np.sin(a) * aside
+            dv += np.sin(a) * ahead + np.cos(a) * aside
+        return du, dv
+
+    return field
+
+
+def shear_layer(jump_px=4.0, width_px=12.0, angle_rad=0.3, centre_px=192.0):
+    """Two streams along each other: u = jump/2 tanh(n/width); a sharp step where the width is 0."""
+    along, across = np.cos(angle_rad), np.sin(angle_rad)
+
+    def field(u, v):
+        n = (np.asarray(v, float) - centre_px) * along - (np.asarray(u, float) - centre_px) * across
+        half = 0.5 * jump_px * (np.tanh(n / width_px) if width_px else np.sign(n))
+        return half * along, half * across
 
     return field
 
