@@ -169,7 +169,7 @@ picture: demo
 # twenty packages for tests that are skipped without them.
 pins:
 	uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url \
-	  --extra camera --extra hdf5 --extra live --extra mesh --extra micromanager --group test --group lint pyproject.toml -o requirements.txt
+	  --extra camera --extra hdf5 --extra live --extra mesh --extra micromanager --extra video --group test --group lint pyproject.toml -o requirements.txt
 	uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url \
 	  --group docs --constraint requirements.txt -o docs/requirements.txt
 

@@ -4,6 +4,7 @@ Names of files and what stands in them may hold anything, also bytes that a term
 clear its screen, rename its window, or answer.  All that is said goes through `printable`.
 """
 
+import multiprocessing
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ from ground.printable import printable as printable  # who prints without a cons
 Item = TypeVar("Item")
 LONG_S = 1.0
 _silent: ContextVar[bool] = ContextVar("silent", default=False)
+_said: set[str] = set()
 LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wide it is
 
 
@@ -62,6 +64,16 @@ def console() -> Console:
 def error_console() -> Console:
     """Return the console for what is said while a verb works, on standard error."""
     return _Screen(stderr=True)
+
+
+def say_once(text: str) -> None:
+    """Print on standard error what a person should know, once however often it happens.
+
+    Processes that were started for a part of the work are silent: the one that a person started reads as well.
+    """
+    if text not in _said and not _silent.get() and multiprocessing.parent_process() is None:
+        _said.add(text)
+        error_console().print(text)
 
 
 def progress(items: Iterable[Item], total: int, what: str, after_s: float = 0.0) -> Iterator[Item]:

@@ -1,1 +1,1 @@
-"""Frames that other programs have recorded: numbered files, pages of a stack, an HDF5 or NeXus data set."""
+"""Frames that other programs have recorded: numbered files, pages of a stack, videos, HDF5 and NeXus data sets."""

@@ -1,14 +1,20 @@
-"""Frames by the names that sources give them (`daq.frames.source`), read in any process."""
+"""Frames by the names that sources give them (`daq.frames.source`), read in any process.
 
+Here all verbs read pictures: a file is read by `piv.files`, a frame that lies among others in one file by the kind
+of that file, one module each in `AMONG_OTHERS`.  Which names are its own, a module says without opening a file.
+"""
+
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.frames.hdf5_stack import is_image, read_image
-from piv.errors import FrameError
-from piv.files.frame_file import checksum, read_frame
+from piv.errors import FrameDamaged, FrameError
+from piv.files.frame_file import COPY, checksum, read_frame
+
+AMONG_OTHERS = ("daq.frames.hdf5_stack", "daq.frames.video")
 
 
 def read_named(place: Path, shape: tuple[int, int] | None = None, crc32: str | None = None) -> NDArray[Any]:
@@ -34,10 +40,21 @@ def read_named(place: Path, shape: tuple[int, int] | None = None, crc32: str | N
     FrameDamaged
         It is not what its checksum was made from.
     """
-    frame = read_image(place, shape, crc32) if is_image(place) else read_frame(place, shape, crc32)
-    if frame.dtype.kind == "f" and not np.isfinite(frame).all():
-        raise FrameError(f"{place}: holds values that are not finite; give frames as acquired")
-    return frame
+    for module in map(import_module, AMONG_OTHERS):
+        if module.is_image(place):
+            frame = module.read_image(place, shape)
+            if crc32 is not None and checksum(frame) != crc32:
+                raise FrameDamaged(f"{place}: does not agree with its checksum; {COPY}")
+            break
+    else:
+        frame = read_frame(place, shape, crc32)
+    if frame.dtype.kind == "f" and not (good := np.isfinite(frame)).all():
+        row, column = np.argwhere(~good)[0]
+        raise FrameError(
+            f"{place}: holds {frame[row, column]} in row {row}, column {column}, and {np.count_nonzero(~good)}"
+            " such values in all; give frames as acquired, not corrected ones"
+        )
+    return np.asarray(frame)
 
 
 def checksum_of(place: Path, shape: tuple[int, int]) -> str:

@@ -5,6 +5,7 @@ A name is a path that can be read by itself, in any process (`named_frame`):
     B00012_a.tif             a file
     stack.tif@25             a page of a TIFF, 1 first
     data.nxs@/entry/data@24  an image of a data set, 0 first
+    run.mp4@25               a frame of a video, 1 first
 
 Frames that follow each other are in pairs as is said behind the name, or 1 and 2, 3 and 4 (`daq.frames.pairing`).
 A kind of source is one class that has what `FrameSource` asks for, and one line in `KINDS`.
@@ -23,6 +24,7 @@ KINDS = (  # the first that takes a name
     "daq.frames.numbered_files:FrameFolder",
     "daq.frames.tiff_pages:TiffPages",
     "daq.frames.hdf5_stack:Hdf5Stack",
+    "daq.frames.video:Video",
 )
 
 

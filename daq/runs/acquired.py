@@ -15,11 +15,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunDamaged
-from daq.frames.hdf5_stack import is_image, read_image
 from daq.frames.named_frame import read_named
 from daq.runs.run_file import FILE
 from daq.runs.run_folder import RunFolder, frame_entries
@@ -33,7 +31,7 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     Parameters
     ----------
     path : Path
-        A frame of a run, any file that `read_frame` takes, or an image of a stack by its name.
+        A frame of a run, any file that `read_frame` takes, or a frame of a stack or a video by its name.
     shape : (int, int), optional
         Rows and columns that the frame must have.
 
@@ -44,13 +42,13 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     Raises
     ------
     FrameError
-        Missing, colour, several pages, another size, another kind of number, NaN.
+        Missing, several pages, another size, another kind of number, NaN.
     FrameDamaged, RunDamaged
         It is not what was written, or its run does not know it.
     """
     run = run_of(path)
     if run is None:
-        return _finite(path, read_image(path, shape, None) if is_image(path) else read_frame(path, shape))
+        return read_named(path, shape)
     _require(path)
     known = _checksums(run, _stamp(run.journal_path))
     if path.name not in known:
@@ -66,7 +64,7 @@ def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any
     path : Path
         The frame.
     crc32 : str
-        Checksum that its pixels must have.
+        Checksum that its pixels must have; "" if it could not be read.
     shape : (int, int)
         Rows and columns that it must have.
 
@@ -78,6 +76,9 @@ def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any
         It is not what was promised, or missing.
     """
     if run_of(path) is None:
+        if not crc32:  # nobody could read it when its series was planned: now it is said why
+            read_named(path, shape)
+            raise FrameError(f"{path}: could not be read when its series was planned; give the same command again")
         return read_named(path, shape, crc32)
     _require(path)
     return read_frame(path, shape, crc32)
@@ -86,17 +87,6 @@ def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any
 def _require(path: Path) -> None:
     if not path.is_file():
         raise RunDamaged(f"{path}: is missing; restore it, or take it again with rtpiv resume --retake")
-
-
-def _finite(path: Path, frame: NDArray[Any]) -> NDArray[Any]:
-    """Refuse what no camera delivers, before anything is made from this frame or from one beside it."""
-    if frame.dtype.kind == "f" and not (good := np.isfinite(frame)).all():
-        row, column = np.argwhere(~good)[0]
-        raise FrameError(
-            f"{path}: holds {frame[row, column]} in row {row}, column {column}, and {np.count_nonzero(~good)} such"
-            " values in all; give frames as acquired, not corrected ones"
-        )
-    return frame
 
 
 def run_of(path: Path) -> RunFolder | None:

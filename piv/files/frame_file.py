@@ -1,21 +1,20 @@
 """Frames on disk: read what cameras write, write what evaluations read.
 
-Reading accepts one grey image (TIFF, PNG, BMP) of 8 or 16 bits or float32, however it is stored (see
-piv.files.tiff_page); what cannot be read right is refused by its name, before its pixels are decoded. Writing is
+Reading accepts one image of 8 or 16 bits or float32, however it is stored (`piv.files.tiff_page`, and
+`piv.files.bitmap` for PNG, BMP, JPEG and PGM), colours as grey (`piv.files.colours`); what cannot be read right is
+refused by its name, before its pixels are decoded. Writing is
 a 16-bit or float32 TIFF with the scale as resolution tags and everything a later reader needs as JSON in the
 image description: px_per_mm, origin_mm, offset, the hash of the scene.  A file appears under its final name only
 when it is complete and on the disk.
 
 A TIFF whose description has a `crc32` (raw frames of a run have) is compared with it whenever it is read: that
 is the CRC-32 of the pixels, rows from the top, little-endian, so it can be checked from any copy in any
-container. PNG carries a CRC-32 of every part, so damage is found before OpenCV's decoder sees it; BMP carries
-nothing.
+container.
 """
 
 import json
 import logging
 import re
-import struct
 import sys
 import zlib
 from pathlib import Path
@@ -29,94 +28,18 @@ from ground.errors import MemoryShort
 from ground.plain_file import open_plain, read_plain
 from ground.whole_file import whole_file
 from piv.errors import FrameDamaged, FrameError
-from piv.files.tiff_page import MOST_PACKED, check_size, grey_page, one_channel, stored_size
+from piv.files.bitmap import BITMAP_ENDINGS, grey_bitmap, other_size
+from piv.files.tiff_page import grey_page, stored_size
 
-_PNG = b"\x89PNG\r\n\x1a\n"
-_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # of the colour types of PNG
-_GREY = 0
 TIFF_ENDINGS = (".tif", ".tiff")
-FRAME_ENDINGS = (*TIFF_ENDINGS, ".png", ".bmp")
-MOST_BYTES = 2_000_000_000  # of a PNG or BMP
+FRAME_ENDINGS = (*TIFF_ENDINGS, *BITMAP_ENDINGS)
+MOST_BYTES = 2_000_000_000  # of a file without pages
 MOST_PAGES = 100_000
 MOST_SAID = 120  # characters of a decoder's words
 COPY = "restore it from a copy"
 _PAGE = re.compile(r"(.+\.tiff?)@([0-9]{1,6})", re.IGNORECASE)
+_AMONG_OTHERS = re.compile(r"(.+)\.\w+@([0-9]{1,8})")  # of a stack or a video
 _CRC = re.compile(r"[0-9a-f]{8}")
-
-
-def grey_bitmap(content: bytes, shape: tuple[int, int] | None) -> NDArray[Any]:
-    """Decode a PNG or BMP.
-
-    Parameters
-    ----------
-    content : bytes
-        The whole file.
-    shape : (int, int), optional
-        Rows and columns that are wanted; another size is returned undecoded by `FrameError`.
-
-    Returns
-    -------
-    ndarray (H, W) of uint8 or uint16
-
-    Raises
-    ------
-    FrameError
-        Why it is no grey image, as the rest of a sentence.
-    """
-    import cv2
-
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it finds is in our one sentence
-    width, height = _png_size(content) if content.startswith(_PNG) else _bmp_size(content)
-    if shape is not None and (height, width) != shape:
-        raise FrameError(other_size((height, width), shape))
-    try:
-        pixels: Any = cv2.imdecode(
-            np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-        )
-    except cv2.error:
-        pixels = None
-    if pixels is None or pixels.shape[:2] != (height, width) or pixels.dtype not in (np.uint8, np.uint16):
-        raise FrameError("is damaged or no image; copy it from the camera again")
-    return pixels if pixels.ndim == 2 else one_channel(pixels)
-
-
-def other_size(found: tuple[int, int], wanted: tuple[int, int]) -> str:
-    """What is said of a frame (rows, columns) that does not fit the camera."""
-    return f"is {found[1]} x {found[0]} px, the scene's camera {wanted[1]} x {wanted[0]} px"
-
-
-def _png_size(content: bytes) -> tuple[int, int]:
-    """Width and height; FrameError if a part is not what its checksum was made from, or the end is missing."""
-    place, kind, first = len(_PNG), b"", content[16:29]
-    while kind != b"IEND":
-        length, kind = (
-            struct.unpack(">I4s", content[place : place + 8]) if place + 12 <= len(content) else (0, b"")
-        )
-        end = place + 12 + length
-        if end > len(content) or struct.unpack(">I", content[end - 4 : end])[0] != zlib.crc32(
-            content[place + 4 : end - 4]
-        ):
-            raise FrameError("is damaged: a part is not what its checksum says; copy it from the camera again")
-        if place == len(_PNG) and (kind != b"IHDR" or length != 13):
-            raise FrameError("is damaged: it does not begin with a header")
-        place = end
-    width, height, bits, colour = struct.unpack(">IIBB", first[:10])
-    if colour not in _CHANNELS:
-        raise FrameError("is damaged: it has a colour type that does not exist")
-    if colour == _GREY and bits not in (8, 16):
-        raise FrameError(f"holds uint{bits}; uint8, uint16 or float32 is needed")
-    check_size(width, height, _CHANNELS[colour] * max(bits, 8) / 8, 8 * MOST_PACKED * len(content))
-    return width, height
-
-
-def _bmp_size(content: bytes) -> tuple[int, int]:
-    if not content.startswith(b"BM") or len(content) < 54:
-        raise FrameError("is damaged or no image; copy it from the camera again")
-    width, height, _, bits, packing = struct.unpack("<iiHHI", content[18:34])
-    if packing not in (0, 3):
-        raise FrameError("is a packed BMP; save it unpacked, or as PNG")
-    check_size(width, abs(height), bits / 8, len(content))
-    return width, abs(height)
 
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it finds is in our one sentence
@@ -136,7 +59,8 @@ def read_frame(path: Path | str, shape: tuple[int, int] | None = None, crc32: st
     Parameters
     ----------
     path : path
-        .tif, .tiff, .png or .bmp; of a TIFF of several pages with the page behind it, ``stack.tif@2``, 1 first.
+        .tif, .tiff, .png, .bmp, .jpg or .pgm; of a TIFF of several pages with the page behind it,
+        ``stack.tif@2``, 1 first.
     shape : (int, int), optional
         Rows and columns that the frame must have; compared before any pixel is decoded.
     crc32 : str, optional
@@ -149,7 +73,7 @@ def read_frame(path: Path | str, shape: tuple[int, int] | None = None, crc32: st
     Raises
     ------
     FrameError
-        Missing, damaged, no file, colour, several pages, another size, another kind of number, a packing that
+        Missing, damaged, no file, several pages, another size, another kind of number, a packing that
         nothing here reads.
     FrameDamaged
         It is not what its checksum was made from.
@@ -179,8 +103,8 @@ def page_of(path: Path) -> tuple[Path, int | None]:
 
 def stem_of(path: Path) -> str:
     """Name of a frame without its ending, for what is made from it: ``stack_2`` of ``stack.tif@2``."""
-    file, page = page_of(path)
-    return file.stem if page is None else f"{file.stem}_{page}"
+    found = _AMONG_OTHERS.fullmatch(path.name)
+    return path.stem if found is None or path.exists() else f"{found[1]}_{int(found[2])}"
 
 
 def read_tiff(

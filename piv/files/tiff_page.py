@@ -1,7 +1,7 @@
 """One page of a TIFF as one grey image, whatever way it is stored: read right, or refused by its name.
 
     compression     none, deflate, PackBits, LZW (by OpenCV, which brings its codec)
-    photometric     MinIsBlack; MinIsWhite is inverted; RGB of three equal channels, a palette of greys
+    photometric     MinIsBlack; MinIsWhite is inverted; RGB and a palette, as grey
     orientation     rows and columns are turned as the tag says
     pages           one, or the one that is asked for
 
@@ -19,6 +19,7 @@ from tifffile import COMPRESSION, PHOTOMETRIC
 
 from ground.memory import MOST_PX, require_memory
 from piv.errors import FrameError
+from piv.files.colours import grey_of
 
 MOST_PACKED = 1100  # bytes of pixels in a byte of the file
 GREY_BITS = {(1, 8): np.uint8, (1, 16): np.uint16, (3, 32): np.float32}  # by sample format
@@ -109,24 +110,8 @@ def grey_page(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN4
             raise FrameError("is MinIsWhite in float32, where no number is white; export it as MinIsBlack")
         pixels = np.bitwise_not(pixels)
     elif photometric == PHOTOMETRIC.RGB:
-        pixels = one_channel(pixels)
+        pixels = grey_of(pixels)
     return np.ascontiguousarray(_turned(pixels, _orientation(page)))
-
-
-def one_channel(pixels: Pixels) -> Pixels:
-    """Return the grey of an image of three equal channels (H, W, 3), or of four with an opaque last one.
-
-    Raises
-    ------
-    FrameError
-        It shows colours, or lets something shine through.
-    """
-    first = pixels[..., 0]
-    if any(not np.array_equal(first, pixels[..., channel]) for channel in (1, 2)):
-        raise FrameError("shows colours; one grey image is needed, so export it as such")
-    if pixels.shape[2] > 3 and int(pixels[..., 3].min()) != np.iinfo(pixels.dtype).max:
-        raise FrameError("is transparent in places; one grey image is needed, so export it as such")
-    return np.asarray(first)
 
 
 def _needs_opencv(page: Any) -> bool:  # noqa: ANN401
@@ -159,20 +144,19 @@ def _by_opencv(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN
         whole, found = False, ()
     if not whole or len(found) != 1:
         raise FrameError(f"is compressed by {_name(page.compression)}, and damaged; copy it from the camera again")
-    return np.asarray(found[0])
+    pixels = np.asarray(found[0])
+    return pixels if pixels.ndim == 2 else pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]  # OpenCV has blue first
 
 
 def _from_palette(pixels: Pixels, palette: Any) -> Pixels:  # noqa: ANN401
     """Grey behind each number; a palette of 257 x n is one of 8 bits, as nearly all are."""
     if palette is None or np.ndim(palette) != 2 or len(palette) != 3:
         raise FrameError("has a palette that is damaged")
-    red, green, blue = np.asarray(palette)
-    if not (np.array_equal(red, green) and np.array_equal(red, blue)):
-        raise FrameError("has a palette of colours; one grey image is needed, so export it as such")
-    if int(pixels.max(initial=0)) >= len(red):
+    colours = np.asarray(palette).T
+    if int(pixels.max(initial=0)) >= len(colours):
         raise FrameError("has a palette that is damaged")
-    greys = (red // 257).astype(np.uint8) if not (red % 257).any() else red.astype(np.uint16)
-    return np.asarray(greys[pixels])
+    colours = (colours // 257).astype(np.uint8) if not (colours % 257).any() else colours.astype(np.uint16)
+    return np.asarray(grey_of(colours[None])[0][pixels])
 
 
 def _turned(pixels: Pixels, orientation: int) -> Pixels:

@@ -10,13 +10,14 @@ import numpy as np
 from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import Pair
 from correction.light_sheet.self_calibration import SheetFound, find_sheet
+from daq.errors import RunDamaged
 from daq.frames.source import is_source, source_of
 from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import glass_place_mm, with_glass_at
 from daq.runs.pairs import pairs_of
 from daq.runs.run_views import is_run
-from ground.terminal import progress
-from piv.errors import PairError
+from ground.terminal import progress, say_once
+from piv.errors import FrameError, PairError
 from tracer.light_sheet import LightSheet
 from tracer.scene.scene import Scene
 
@@ -88,21 +89,21 @@ def sheet_of(given: FlowFrames, sigma: SceneSigma | None = None) -> SheetFound:
     Raises
     ------
     SheetError, SceneError
-        There are too few pairs, or the sheet runs through a body.
-    FrameError, RunDamaged
-        A frame cannot be read.
+        There are too few pairs that can be read, or the sheet runs through a body.
     """
     return find_sheet(given.scene, lambda: read_pairs(given, given.pairs, "looking at particles"), sigma)
 
 
 def read_pairs(given: FlowFrames, pairs: Sequence[tuple[Path, Path]], what: str) -> Iterator[Pair]:
-    """Read some of the pairs, float32, with a bar that says for what."""
+    """Read some of the pairs, float32, with a bar for what; one that cannot be read is said and left out."""
     shape = given.scene.camera.shape
-    for first, second in progress(pairs, len(pairs), what):
-        yield (
-            np.ascontiguousarray(read_acquired(first, shape), np.float32),
-            np.ascontiguousarray(read_acquired(second, shape), np.float32),
-        )
+    for pair in progress(pairs, len(pairs), what):
+        try:
+            first, second = (np.ascontiguousarray(read_acquired(frame, shape), np.float32) for frame in pair)
+        except (FrameError, RunDamaged) as error:
+            say_once(f"a pair is left out: {error}")
+            continue
+        yield first, second
 
 
 def about_sheet(found: SheetFound, frames: Sequence[str]) -> dict[str, Any]:

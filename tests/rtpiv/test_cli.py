@@ -89,7 +89,7 @@ def test_a_good_frame_is_corrected(bench):
 def broken(bench):
     content = (bench / "good.tif").read_bytes()
     (bench / "truncated.tif").write_bytes(content[: len(content) // 2])
-    tifffile.imwrite(bench / "colour.tif", np.eye(96, 288, dtype=np.uint8).reshape(96, 96, 3), photometric="rgb")
+    tifffile.imwrite(bench / "inks.tif", np.zeros((96, 96, 4), np.uint8), photometric="separated")
     tifffile.imwrite(bench / "small.tif", np.zeros((90, 96), np.uint16))
     tifffile.imwrite(bench / "mask.tif", np.zeros((96, 96), np.uint16))
     (bench / "unknown_key.yaml").write_text(SMALL.replace("radius_mm", "radius_cm"))
@@ -102,7 +102,7 @@ def broken(bench):
     ("frame", "scene", "options", "words"),
     [
         ("truncated.tif", "scene.yaml", (), ["truncated.tif", "damaged"]),
-        ("colour.tif", "scene.yaml", (), ["colour.tif", "grey"]),
+        ("inks.tif", "scene.yaml", (), ["inks.tif", "grey"]),
         ("small.tif", "scene.yaml", (), ["small.tif", "96 x 90 px"]),
         ("missing.tif", "scene.yaml", (), ["missing.tif", "cannot be read"]),
         ("mask.tif", "scene.yaml", (), ["mask", "name"]),

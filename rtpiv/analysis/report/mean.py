@@ -220,9 +220,7 @@ def self_check_of(given: FlowFrames) -> SelfCheck:
     Raises
     ------
     SheetError, SceneError
-        There are too few pairs, or the sheet runs through a body.
-    FrameError, RunDamaged
-        A frame cannot be read.
+        There are too few pairs that can be read, or the sheet runs through a body.
     """
     every = len(given.pairs)
     chosen = np.unique(np.linspace(0, every - 1, min(every, ENOUGH_PAIRS)).round().astype(int))
@@ -235,8 +233,11 @@ HEAD = ("sphere", "move x, y, z [um]", "sigma [um]", "by chance", "explains")
 
 def self_check_chapter(page: Page, series: SeriesInput) -> None:
     """Add the chapter, where a run shows particles behind glass in enough pairs."""
+    scene = load_scene(series.out / SCENE_FILE)
+    if not scene.bodies:
+        return
     try:
-        found = self_check_of(flow_frames([series.run], load_scene(series.out / SCENE_FILE)))
+        found = self_check_of(flow_frames([series.run], scene))
     except (PairError, SheetError):
         return
     show_self_check(page, found)

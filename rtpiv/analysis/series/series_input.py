@@ -18,6 +18,7 @@ from daq.runs.glass_place import with_glass_at
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
 from daq.runs.run_views import is_run, scene_file, shows_light_sheet, where_lit
 from piv.errors import PairError
+from piv.files.frame_file import stem_of
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from rtpiv.analysis.pairs.evaluation import Task
 from rtpiv.analysis.pairs.piv_file import PivChoice
@@ -119,7 +120,7 @@ def _two_frames(
     """Task of two frames."""
     first, second = paths
     dt_s = None if dt_us is None else 1e-6 * dt_us
-    return Task(f"{first.stem}, {second.stem}", (first, second), scene, out, shift_mm, dt_s=dt_s)
+    return Task(f"{stem_of(first)}, {stem_of(second)}", (first, second), scene, out, shift_mm, dt_s=dt_s)
 
 
 def _timed(run: Path | None, pair: FramePair, dt_us: float | None) -> FramePair:

@@ -12,6 +12,7 @@ from daq.frames.numbered_files import pattern_in
 from daq.frames.source import KINDS, is_source, source_of
 from piv.errors import FrameDamaged, FrameError, PairError
 from piv.files.frame_file import checksum
+from tests.daq.frames.videos import write_video
 
 h5py = pytest.importorskip("h5py")
 PAIRS, SHAPE = 3, (6, 8)
@@ -64,11 +65,16 @@ def folder(folder, stack):
     return letters(folder, stack).parent
 
 
+def video(folder, stack):
+    pytest.importorskip("av")
+    return write_video(folder / "run.mkv", stack.reshape(-1, *SHAPE), pixels="gray16le")
+
+
 ALL = [letters, numbers, pages, in_pairs, nexus, by_name, folder]
 
 
 def test_every_kind_is_under_contract(tmp_path):
-    asked = {type(source_of(make(_own(tmp_path, make), frames()))).__name__ for make in ALL}
+    asked = {type(source_of(make(_own(tmp_path, make), frames()))).__name__ for make in (*ALL, video)}
     assert asked == {place.partition(":")[2] for place in KINDS}
 
 
@@ -125,7 +131,7 @@ def test_the_last_frame_of_an_odd_number_is_alone(tmp_path, make):
     assert (len(source.pairs()), source.alone()) == (PAIRS, 1)
 
 
-@pytest.mark.parametrize("make", [numbers, pages, nexus])
+@pytest.mark.parametrize("make", [numbers, pages, nexus, video])
 @pytest.mark.parametrize(
     ("said", "pairs", "alone"),
     [
@@ -233,7 +239,7 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
         assert len(str(raised.value).splitlines()) == 1
     (tmp_path / "nan").mkdir()
     _, first, _ = source_of(in_pairs(tmp_path / "nan", np.full((1, 2, *SHAPE), np.nan, np.float32))).pairs()[0]
-    with pytest.raises(FrameError, match="not finite"):
+    with pytest.raises(FrameError, match="holds nan"):
         read_named(first)
     with pytest.raises(FrameError, match="cannot be read"):
         read_named(Path(str(first).replace("@0", "@99")))

@@ -215,6 +215,8 @@ ORIGINALS = (
     Original("raw.tif", lambda folder: read_raw(folder / "raw.tif"), TIFF, 6),
     Original("grey.png", frame_read("grey.png"), (damage.damaged,), 8),
     Original("grey.bmp", frame_read("grey.bmp"), (damage.damaged,), 6),
+    Original("grey.jpg", frame_read("grey.jpg"), (damage.damaged,), 8),
+    Original("grey.pgm", frame_read("grey.pgm"), (damage.damaged,), 6),
 )
 
 
@@ -258,4 +260,5 @@ def _write_frames(folder, rng):
     write_frame(folder / "corrected.tif", frame.astype(np.float32), 10.0, {"origin_mm": [0.0, 0.0]})
     write_raw(folder / "raw.tif", frame, {"frame_id": 1, "bits": 12})
     cv2.imwrite(str(folder / "grey.png"), frame)
-    cv2.imwrite(str(folder / "grey.bmp"), (frame >> 4).astype(np.uint8))
+    for name in ("grey.bmp", "grey.jpg", "grey.pgm"):
+        cv2.imwrite(str(folder / name), (frame >> 4).astype(np.uint8))

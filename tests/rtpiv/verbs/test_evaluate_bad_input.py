@@ -43,7 +43,7 @@ def spoiled(frames, kind):
     return {
         "sizes": (a, b[:-2]),
         "smaller than the scene": (a[:100, :100], b[:100, :100]),
-        "colour": (np.stack((a, a // 2, a), axis=-1), b),
+        "whole numbers": (a.astype(np.int32), b),
         "constant": (a, np.full_like(b, 90)),
         "stack": (np.stack((a, b)), b),
         "one frame": (a,),
@@ -54,7 +54,7 @@ def spoiled(frames, kind):
 SENTENCES = {
     "sizes": "b.tif: is 224 x 222 px, the scene's camera 224 x 224 px",
     "smaller than the scene": "a.tif: is 100 x 100 px, the scene's camera 224 x 224 px",
-    "colour": "a.tif: shows colours; one grey image is needed",
+    "whole numbers": "a.tif: holds int32; uint8, uint16 or float32 is needed",
     "constant": "frame B is constant",
     "stack": "a.tif: holds 2 pages; say which",
     "one frame": "give two frames and --scene",

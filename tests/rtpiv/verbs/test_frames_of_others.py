@@ -1,0 +1,79 @@
+"""Frames that nobody here has taken: one that is damaged, or of another size, costs its pair and nothing else."""
+
+import numpy as np
+import pytest
+import tifffile
+
+import rtpiv
+from ground import terminal
+from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
+from rtpiv.verbs.mean import MeanOutput, mean
+from tests.daq.frames.test_videos import damaged
+from tests.daq.frames.videos import write_video
+
+PLAIN = CorrectionRecipe(mm_per_px=0.05)
+MOVED_PX, DT_US = 3.0, 100.0
+
+
+def pair(number, height=96, width=128):
+    """Particles of their own for every pair, moved to the right."""
+    rng = np.random.default_rng(number)
+    places = rng.uniform((0, 0), (height, width), (height * width // 40, 2))
+    rows, columns = np.mgrid[:height, :width]
+    frames = []
+    for moved in (0.0, MOVED_PX):
+        light = np.zeros((height, width))
+        for y, x in places:
+            near = np.s_[max(int(y) - 4, 0) : int(y) + 5, max(int(x + moved) - 4, 0) : int(x + moved) + 5]
+            light[near] += 150 * np.exp(-((columns[near] - x - moved) ** 2 + (rows[near] - y) ** 2) / 2.0)
+        frames.append(np.clip(light, 0, 255).astype(np.uint8))
+    return frames
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Four pairs, the third smaller than the others."""
+    monkeypatch.setattr(terminal, "_said", set())
+    (tmp_path / "day1").mkdir()
+    for number in range(4):
+        for second, frame in enumerate(pair(number, 64 if number == 2 else 96)):
+            tifffile.imwrite(tmp_path / "day1" / f"im{2 * number + second}.tif", frame)
+    return tmp_path / "day1"
+
+
+def right(found):
+    """What moved, in m/s: 3 px of 0.05 mm in 100 us."""
+    return np.median(found.mean_m_s[..., 0][np.isfinite(found.mean_m_s[..., 0])]) == pytest.approx(1.5, abs=0.03)
+
+
+def test_frames_of_another_size_cost_their_own_pair(tmp_path, folder, capsys):
+    found = mean(folder, out=tmp_path / "s", recipe=PLAIN, output=MeanOutput(files=False), dt_us=DT_US, workers=1)
+    assert found.used == 3
+    assert right(found)
+    assert "im4.tif: is 128 x 64 px, the scene's camera 128 x 96 px" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_damaged_frame_of_a_video_costs_its_own_pair(tmp_path, capsys):
+    pytest.importorskip("av")
+    shown = np.array([frame for number in range(4) for frame in pair(number)])
+    video = damaged(write_video(tmp_path / "run.avi", shown, "png", "gray"), 3)
+    found = mean(video, out=tmp_path / "s", recipe=PLAIN, dt_us=DT_US, workers=1)
+    assert found.used == 3
+    assert right(found)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "frames_000002 is left out:" in said
+    assert "broken.avi@3: is damaged, or made from a frame that is" in said
+    assert (tmp_path / "s" / "mean.html").is_file()
+
+
+def test_two_frames_of_a_video_are_a_pair_as_they_are(tmp_path):
+    pytest.importorskip("av")
+    video = write_video(tmp_path / "run.mp4", np.array(pair(0)), "libx264", "yuv420p", crf=10)
+    names = [video.with_name(f"run.mp4@{number}") for number in (1, 2)]
+    with terminal.silence():
+        found = evaluate(names, out=tmp_path / "s", recipe=PLAIN, output=EvaluationOutput(pictures=False))
+    field = found.details[0].field
+    assert np.median(field.u_px[field.valid]) == pytest.approx(MOVED_PX, abs=0.05)
+    with pytest.raises(rtpiv.ERRORS, match="frames 1 to 2, and no 3"):
+        evaluate([names[0], video.with_name("run.mp4@3")], out=tmp_path / "t", recipe=PLAIN)
