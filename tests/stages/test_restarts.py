@@ -57,7 +57,7 @@ def test_at_rest(bench, kind, off_s):
         assert made.world.true_mm("a") - datum_mm == pytest.approx(10.0, abs=0.01), name
 
 
-@pytest.mark.parametrize("after_s", [0.05, 0.4, 2.0, 2.65, 2.7, 2.75, 2.8, 2.9, 3.0])
+@pytest.mark.parametrize("after_s", [0.05, slow(0.4), 2.0, slow(2.65), 2.7, slow(2.75), 2.8, slow(2.9), 3.0])
 def test_in_motion(bench, kind, after_s):
     """Also between the two legs of an arrival: nothing drives on in another coordinate."""
     made = homed(bench, kind)

@@ -12,6 +12,7 @@ from stages.errors import MotionStopped, NoReply, Obstructed, StageError
 from stages.stage import Stage
 from stages.states import NEXT, AxisState, Event, after
 from stages.stop_latch import StopLatch
+from tests.slow_cases import slow
 from tests.stages.benches import screws
 from tests.stages.mixed import paper_bench
 
@@ -19,7 +20,9 @@ pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 
 
 def moments(first_s, last_s, count):
-    return [first_s + (last_s - first_s) * n / (count - 1) for n in range(count)]
+    """So many moments, every second of which is left to the slow suite."""
+    every = [first_s + (last_s - first_s) * n / (count - 1) for n in range(count)]
+    return [slow(after_s) if number % 2 else after_s for number, after_s in enumerate(every)]
 
 
 @pytest.mark.parametrize("after_s", moments(0.0, 3.2, 25))

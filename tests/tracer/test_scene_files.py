@@ -411,7 +411,7 @@ def damaged_trees(draw: st.DrawFn) -> str:
     return as_flow(tree)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=damaged_trees())
 def test_fuzzed_trees_load_or_are_refused(text: str, tmp_path: Path) -> None:
     path = write(tmp_path, text)
@@ -426,7 +426,7 @@ def test_fuzzed_trees_load_or_are_refused(text: str, tmp_path: Path) -> None:
     assert load_scene(write(tmp_path, dump_scene(loaded))).content_hash() == loaded.content_hash()
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     at=st.integers(0, len(GOOD)),
     cut=st.integers(0, 12),

@@ -22,7 +22,7 @@ def ground(made, monkeypatch):
 
 
 def test_command_lines_end_with_sentences(ground):
-    tally = hostile("fast", range(75), ground)
+    tally = hostile("fast", range(40), ground)
     assert not tally.findings
     assert len(tally.codes) > 1
 
@@ -41,5 +41,5 @@ def test_a_verb_that_lets_an_error_through_is_found(ground, monkeypatch):
 
     monkeypatch.setattr("rtpiv.verbs.check.check", careless)
     assert any(
-        "KeyError" in finding for finding in hostile("judge", range(60), ground, lambda text: None).findings
+        "KeyError" in finding for finding in hostile("judge", range(30), ground, lambda text: None).findings
     )

@@ -13,6 +13,7 @@ from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.small_scenes import small_scene
+from tests.slow_cases import slow
 from tracer.scene.scene_file import dump_scene, load_scene
 
 SIZE_PX = 224
@@ -89,7 +90,7 @@ def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["doubt"]
 
 
-@pytest.mark.parametrize("kind", ["8 bit png", "16 bit left-aligned"])
+@pytest.mark.parametrize("kind", ["8 bit png", slow("16 bit left-aligned")])
 def test_other_depths_give_the_same_vectors(good, tmp_path, kind):
     scene, frames = good
     changed = [(frame >> 4).astype(np.uint8) for frame in frames]

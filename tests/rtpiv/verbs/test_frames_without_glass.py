@@ -45,7 +45,15 @@ def test_two_frames_are_evaluated_in_metres_a_second(day, tmp_path, capsys):
     assert "rtpiv calibrate" not in said
 
 
-def test_a_folder_is_averaged_in_one_command_and_goes_on(day, tmp_path, monkeypatch, capsys):
+def test_a_folder_is_averaged_in_one_command(day, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["mean", str(day), *TOLD]) == DONE
+    assert "mean of 3 pairs" in capsys.readouterr().out
+    assert "pairs in the mean" in (tmp_path / "evaluation" / "mean.html").read_text()
+
+
+@pytest.mark.usefixtures("no_mean_page")
+def test_a_mean_goes_on_in_its_folder_and_with_another_ruler_begins_anew(day, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         assert main(["mean", str(day), *TOLD]) == DONE

@@ -51,6 +51,13 @@ FAST = ("one ball", "triangle on rods", "body-centred bed")
 FEW = [pytest.param(lab, id=name, marks=[pytest.mark.slow] * (name not in FAST)) for name, lab in LABS.items()]
 
 
+@pytest.fixture
+def no_others(monkeypatch):
+    """No search of other arrangements, some forty traced labs each time, where nothing is said of them."""
+    monkeypatch.setattr("rtpiv.analysis.views.arranged.others", lambda lab, lens: [])
+
+
+@pytest.mark.usefixtures("no_others")
 @pytest.mark.parametrize("lab", FEW)
 def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
     files = init(tmp_path / "lab", GivenLab(**lab))
@@ -66,6 +73,7 @@ def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
     assert scene.wavelength_nm == lab.get("wavelength_nm", 532.0)
 
 
+@pytest.mark.usefixtures("no_others")
 def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_side(tmp_path, capsys):
     said = ["--ball-mm", "40", "30", "--glass", "acrylic", "BK7", "--turn-deg", "12", "--support-mm", "4"]
     assert main(["init", str(tmp_path), "--yes", *said]) == DONE
@@ -85,6 +93,7 @@ def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_
     assert all(isinstance(found, FileCheck) for found in check(tmp_path))
 
 
+@pytest.mark.usefixtures("no_others")
 @pytest.mark.parametrize(
     "lab", [slow(LABS["one ball"], name="one"), pytest.param(LABS["triangle on rods"], id="triangle")]
 )
@@ -154,6 +163,7 @@ def test_what_cannot_be_is_one_sentence_and_nothing_is_written(options, words, t
     assert not (tmp_path / "lab").exists()
 
 
+@pytest.mark.usefixtures("no_others")
 def test_files_of_a_person_are_not_replaced(tmp_path, capsys):
     (tmp_path / "scene.yaml").write_text("mine")
     assert main(["init", str(tmp_path), "--yes"]) == USAGE
@@ -243,6 +253,7 @@ def test_by_itself_it_lays_out_what_shows_most_of_what_the_balls_hide(tmp_path, 
     assert ["3", "triangle"] in [row[:2] for row in rows]
 
 
+@pytest.mark.usefixtures("no_others")
 @pytest.mark.parametrize(
     "lab", [{"balls": 3, "support_mm": 6.0}, slow({"balls": 1, "glass": "1.7"}), slow({"balls": 5})]
 )

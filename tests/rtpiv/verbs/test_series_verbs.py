@@ -124,6 +124,7 @@ def test_a_pair_is_correlated_once_however_much_is_asked_of_it(tmp_path, mocker)
     assert len(list(out.glob("flow_*/vectors.vtk"))) == pairs
 
 
+@pytest.mark.usefixtures("no_mean_page")
 def test_what_a_pair_cannot_have_is_one_sentence(run, tmp_path, capsys):
     out = ("-o", str(tmp_path / "out"))
     frames = [str(path) for path in sorted((run / "frames").iterdir())[:2]]

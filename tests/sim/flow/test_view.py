@@ -10,6 +10,7 @@ from sim.flow.view import ParticleView, pupil_points
 from sim.renderer.kernels.rays import camera_ray, last_way
 from sim.renderer.patterns import Pose
 from sim.renderer.render import Aperture, render_irradiance, tables_of
+from tests.slow_cases import slow
 from tracer.bodies import Rod, shifted_by
 from tracer.errors import SceneError
 
@@ -60,7 +61,12 @@ def seen_by_rays(scene, disc, about_px, aperture, samples):
 
 @pytest.mark.parametrize(
     ("name", "z_mm"),
-    [("two_spheres_500", -0.9), ("two_spheres_500", 0.8), ("three_spheres_500", 0.8), ("pair_off_axis", -0.9)],
+    [
+        slow("two_spheres_500", -0.9),
+        ("two_spheres_500", 0.8),
+        slow("three_spheres_500", 0.8),
+        ("pair_off_axis", -0.9),
+    ],
 )
 def test_a_point_is_seen_where_and_as_bright_as_its_rays_say(name, z_mm):
     scene = flow_scene(name, 1008)
