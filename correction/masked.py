@@ -53,12 +53,7 @@ def pixels_in(part: MaskedPart, shape: tuple[int, int]) -> NDArray[np.bool_]:
     inside = np.zeros(shape, np.bool_)
     if not part.outline_px:
         return inside
-    points = np.array(part.outline_px)
-    low = np.clip(np.floor(points.min(axis=0)), 0, (shape[1], shape[0])).astype(int)
-    high = np.clip(np.ceil(points.max(axis=0)) + 1, 0, (shape[1], shape[0])).astype(int)
-    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
-    inside[low[1] : high[1], low[0] : high[0]] = _inside(points, u, v)
-    return inside
+    return _filled(np.array(part.outline_px), shape)
 
 
 def nodes_in(part: MaskedPart, nodes_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -80,6 +75,21 @@ def hull_px(points: NDArray[np.float64]) -> tuple[Point, ...]:
     """Convex outline of points u, v (N, 2), to a tenth of a pixel."""
     corners = points[scipy.spatial.ConvexHull(points).vertices]
     return tuple((round(u, 1), round(v, 1)) for u, v in corners.tolist())
+
+
+def _filled(outline: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """`_inside` for all pixels (H, W): in each row those left of an odd number of crossings."""
+    height, width = shape
+    odd = np.zeros((height, width + 1), np.uint8)
+    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        first, last = (
+            int(np.clip(np.ceil(y), 0, height)) for y in sorted((y0, y1))
+        )  # rows y with low <= y < high
+        if first < last:
+            rows = np.arange(first, last)
+            left = np.clip(np.ceil(x0 + (rows - y0) * (x1 - x0) / (y1 - y0)), 0, width).astype(int)
+            odd[rows, left] ^= 1  # from here to the right one crossing less
+    return np.bitwise_xor.accumulate(odd[:, ::-1], axis=1)[:, ::-1][:, 1:].astype(np.bool_)
 
 
 def _inside(

@@ -4,7 +4,8 @@ A fit compares the frames of the target with what the fitted scene shows.  Where
 does not list, or where a ball is not known well enough, rays are traced as ever and mean nothing.  Such a part is
 kept with the scene, so that it goes wherever the scene goes: an outline in the raw frame, or all that is seen
 through one sequence of bodies.  What a person wants left out, such as a wall in the flow or a reflection, is an
-outline too, in the raw frame or in the plane of the vectors, and no calibration takes it away.
+outline too, in the raw frame or in the plane of the vectors, and no calibration takes it away; drawn as a picture
+it becomes outlines (`tracer.mask_picture`).
 """
 
 from dataclasses import dataclass, replace

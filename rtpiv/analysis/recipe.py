@@ -10,7 +10,7 @@ distance is FAR_MM / s pixels.  How far away the true camera stands is not known
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from correction.errors import MapUsageError
@@ -26,6 +26,7 @@ from piv.resampling.sample import Method
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.camera import Camera
 from tracer.errors import TracerError
+from tracer.mask_picture import left_out
 from tracer.scene.scene import Scene
 
 SCENE_FILE, FIT_FILE = "scene.yaml", "fit.npz"  # beside each other, of a fit as in the folder of a series
@@ -57,6 +58,8 @@ class CorrectionRecipe:
         Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
     mm_per_px : float, optional
         What a pixel shows of the plane, of frames of others that were taken without glass: in place of a scene.
+    mask : path, optional
+        Picture as large as a raw frame: what is white in it takes no part in anything.
     """
 
     target_clear: Path | str | None = None
@@ -65,6 +68,7 @@ class CorrectionRecipe:
     disc_mm: Positive | None = None
     sigma_limit_px: Positive | None = None
     mm_per_px: Positive | None = None
+    mask: Path | str | None = None
 
     def scene_of(self, scene: Path | None, frame: Path, out: Path) -> Path | None:
         """Return the scene file of frames of others: the one given, or one of a camera alone, written into `out`.
@@ -88,6 +92,12 @@ class CorrectionRecipe:
         (out / FIT_FILE).unlink(missing_ok=True)  # of another scene
         write_text(out / SCENE_FILE, PLAIN_SCENE.format(**numbers, width=width, height=height))
         return out / SCENE_FILE
+
+    def masked(self, scene: Scene) -> Scene:
+        """Return the scene without what the mask leaves out; SceneError if it is none of this camera's frame."""
+        if self.mask is None:
+            return scene
+        return replace(scene, masked=scene.masked + left_out(Path(self.mask), scene.camera.sensor_px))
 
     def board(self, paths: Iterable[Path]) -> Chessboard:
         """Return the board of the bare target and of what is named, runs or frames.

@@ -152,7 +152,7 @@ def correct(
     frames = paths_of(frames)
     if recipe.mm_per_px is not None:
         raise MapUsageError("a scene says what its pixels show; leave --mm-per-px out")
-    fitted = scene if isinstance(scene, Scene) else load_scene(scene)
+    fitted = recipe.masked(scene if isinstance(scene, Scene) else load_scene(scene))
     particles = not check_target and shows_light_sheet(frames)
     loaded = fitted.in_light_sheet() if particles else fitted
     shape = loaded.camera.shape

@@ -26,6 +26,7 @@
       - {why: unlisted body, outline_px: [[410, 300], [455, 310], [430, 352]]}
       - {why: unconfirmed, through: [front, hollow]}
       - {why: left out, outline_mm: [[-40, -30], [40, -30], [40, -25], [-40, -25]]}   # a wall, by hand
+      - {why: left out, picture: mask.png}   # beside this file, as large as a frame; white is left out
     fit:                                 # optional: what a scene fit may change, see tracer.scene.fit_section
       spheres: {centre_mm: 1.0, radius_mm: 0.02}
 
@@ -34,6 +35,7 @@ What each section may hold stands in ``tracer.scene.scene_tables``.
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -83,17 +85,20 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     ambient = _tried(lambda: medium_of(table.ambient, media), document.line(("ambient",)), problems)
     camera = _tried(table.camera.camera, document.line(("camera",)), problems)
     sheet = None if table.sheet is None else _tried(table.sheet.light_sheet, document.line(("sheet",)), problems)
-    parts = [
-        _tried(part.part, document.line(("masked", index)), problems) for index, part in enumerate(table.masked)
-    ]
-    masked = tuple(part for part in parts if part is not None)
+    masked: list[MaskedPart] = []
+    for index, left in enumerate(table.masked):
+        sensor_px = None if camera is None else camera.sensor_px
+        described = partial(left.parts, document.path.parent, sensor_px)
+        masked += _tried(described, document.line(("masked", index)), problems) or ()
     scene = None
     if camera is not None:
         if sheet is not None and not sheet.place(camera.position_mm)[2] > 0.0:
             text = f"sheet: a light sheet at z = {sheet.z_mm:g} mm lies behind the camera; is z_mm right?"
             problems.append(Problem(document.line(("sheet",)), text))
         try:
-            scene = Scene(camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM, sheet, masked=masked)
+            scene = Scene(
+                camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM, sheet, masked=tuple(masked)
+            )
         except SceneError as error:
             for name, text in error.problems:
                 at = ("bodies", names.index(name)) if name in names else ("ambient",)

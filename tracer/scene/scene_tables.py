@@ -1,5 +1,6 @@
 """The sections of scene.yaml: what each may hold, and the camera, medium or body that it describes."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 import numpy as np
@@ -11,8 +12,10 @@ from ground.plain_words import exactly, slip
 from ground.usual import Usual
 from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
+from tracer.errors import SceneError
 from tracer.light_sheet import STEEPEST_DEG, UNMEASURED_DEG, UNMEASURED_MM, LightSheet
-from tracer.masked import MaskedPart
+from tracer.mask_picture import left_out
+from tracer.masked import LEFT_OUT, MaskedPart
 from tracer.medium_table import MediumTable, Positive
 from tracer.pupil import Pupil
 from tracer.scene.fit_section import FitTable, Sigma
@@ -151,14 +154,28 @@ class MaskedTable(Table):
     """A part of the view that is not to be used."""
 
     why: Literal["unlisted body", "unconfirmed", "left out"]
-    outline_px: Annotated[list[Pair], Field(max_length=1000)] = Field(default_factory=list)
+    outline_px: Annotated[list[Pair], Field(max_length=100_000)] = Field(default_factory=list)
     through: Annotated[list[str], Field(max_length=1000)] = Field(default_factory=list)
-    outline_mm: Annotated[list[Pair], Field(max_length=1000)] = Field(default_factory=list)
+    outline_mm: Annotated[list[Pair], Field(max_length=100_000)] = Field(default_factory=list)
+    picture: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
 
-    def part(self) -> MaskedPart:
-        """Return the part described."""
-        in_frame, in_plane = (tuple((a, b) for a, b in points) for points in (self.outline_px, self.outline_mm))
-        return MaskedPart(self.why, in_frame, tuple(self.through), in_plane)
+    def parts(self, folder: Path, sensor_px: tuple[int, int] | None) -> tuple[MaskedPart, ...]:
+        """Return the parts described: one, or those of a picture, which stands beside the scene file in a folder.
+
+        Raises
+        ------
+        SceneError
+            They are none, or the picture is not one of this camera's frame.
+        """
+        if self.picture is None:
+            points = (tuple((a, b) for a, b in outline) for outline in (self.outline_px, self.outline_mm))
+            in_frame, in_plane = points
+            return (MaskedPart(self.why, in_frame, tuple(self.through), in_plane),)
+        if self.outline_px or self.through or self.outline_mm:
+            raise SceneError("masked: give outline_px, outline_mm, through or picture, one of them")
+        if self.why != LEFT_OUT:
+            raise SceneError(f"masked: a picture says what is {LEFT_OUT!r}")
+        return () if sensor_px is None else left_out(folder / self.picture, sensor_px)
 
 
 class SceneTable(Table):

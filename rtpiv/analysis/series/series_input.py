@@ -10,7 +10,7 @@ from pathlib import Path
 from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
-from daq.atomic_write import copy_whole, why
+from daq.atomic_write import copy_whole, why, write_text
 from daq.errors import DiskError
 from daq.frames.source import is_source, source_of
 from daq.runs.acquired import read_acquired
@@ -27,7 +27,7 @@ from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Light, Method, jobs_of
 from tracer.scene.scene import Scene
-from tracer.scene.scene_file import load_scene
+from tracer.scene.scene_file import dump_scene, load_scene
 
 SCALE_KNOWN = "a run knows what its pixels show; leave --mm-per-px out"
 IN_PLANE_MM = 0.01  # a sheet moved farther out of its plane shows no uniform displacement
@@ -100,7 +100,7 @@ def tasks_of(
     )
     if scene is None:
         scene = scene_file(paths[0], out)
-    fitted = load_scene(scene)
+    fitted = recipe.masked(load_scene(scene))
     dewarp = recipe.dewarp(fitted.camera, recipe.board(paths))
     frames = [path for pair in given.pairs for path in pair.frames] or paths
     lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
@@ -230,10 +230,10 @@ def series_input(
     except OSError as error:
         raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
     scene = scene or scene_file(run, out)
-    fitted = load_scene(scene)
+    fitted = recipe.masked(load_scene(scene))
     given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us, timed)
     dewarp = recipe.dewarp(fitted.camera, recipe.board([run]))
-    keep_scene(scene, out)
+    keep_scene(scene, out, fitted)
     usual = Preparation((SLIDING_MINIMUM,) if given.usual_background else ())
     standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.bare()
     through = standing.in_light_sheet()
@@ -248,9 +248,27 @@ def series_input(
     return SeriesInput(run, out, given, method)
 
 
-def keep_scene(scene: Path, out: Path) -> None:
-    """Copy a scene file, and what its fit is unsure of, into the folder of a series; DiskError if that fails."""
-    if scene != out / SCENE_FILE:
+def keep_scene(scene: Path, out: Path, loaded: Scene | None = None) -> None:
+    """Copy a scene file, and what its fit is unsure of, into the folder of a series.
+
+    Parameters
+    ----------
+    scene : Path
+        The file.
+    out : Path
+        The folder.
+    loaded : Scene, optional
+        The scene, where more is left out of it than the file says.
+
+    Raises
+    ------
+    DiskError
+        It cannot be written.
+    """
+    loaded = loaded or load_scene(scene)
+    if loaded.left_out:  # by pictures perhaps, that stand elsewhere
+        write_text(out / SCENE_FILE, dump_scene(loaded))
+    elif scene != out / SCENE_FILE:
         copy_whole(scene, out / SCENE_FILE)
     if scene.with_name(FIT_FILE).is_file():
         copy_whole(scene.with_name(FIT_FILE), out / FIT_FILE)
