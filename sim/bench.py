@@ -6,8 +6,8 @@ the loopback.  `bench_table` says what can be chosen, `world` what is true.
 
 import shutil
 import tempfile
-from collections.abc import Iterable
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -23,8 +23,10 @@ from sim.arranged import check_views, put_up
 from sim.bench_table import FurtherCameraTable, SimulationTable, fault_plan, settings_by_number, simulation_of
 from sim.camera.config import CameraConfig
 from sim.camera.core import CONFIG, SimCore
+from sim.camera.device import SimCamera
 from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
+from sim.camera.in_process import DEVICES
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
 from sim.mechanics.clock import PacedClock, ScaledClock
@@ -36,6 +38,7 @@ from tracer.errors import SceneError
 from tracer.scene.scene_file import dump_scene
 
 SERIAL = "SIM-BENCH"
+CAMERA_HERE = "sim.camera.in_process:InProcessCamera"
 STOOD = """# The true scene with every axis where the scene holds. Screws have play: where things truly stood for a
 # frame is its true_mm in steps.jsonl (`sim.arranged`). 0.05 mm from here, a map of two balls differs by 0.04 px.
 """
@@ -67,6 +70,7 @@ class SimulatedBench:
                 text = f"{name}: the simulated world shows images, so its scene has to; say scene_shows: image"
                 raise ConfigError(bench.path, [Problem(bench.document.line((*place, "scene_shows")), text)])
         pty = table.transport == "pty"
+        self._in_memory = table.camera_transport == "memory"
         # a flow is seen in real time: cameras live on the wall's clock
         speed = 1.0 if shows == FLOW else table.speed
         self.clock: ScaledClock | PacedClock = ScaledClock(speed) if pty else PacedClock()
@@ -106,6 +110,11 @@ class SimulatedBench:
     def check(bench: Bench) -> None:
         """Say what is wrong with the section of a bench file; nothing is put up."""
         simulation_of(bench)
+
+    @staticmethod
+    def needs_camera_libraries(bench: Bench) -> bool:
+        """Whether the cameras stand behind what their backends' libraries speak."""
+        return simulation_of(bench).camera_transport != "memory"
 
     @staticmethod
     def check_views(bench: Bench, steps: Iterable[Step]) -> None:
@@ -172,7 +181,6 @@ class SimulatedBench:
             height,
             serial=f"{SERIAL}-{name}",
             row_time_us=its.row_time_us,
-            wires=str(self._wires.path),
             clock_ppm=own.clock_ppm,
             faults=fault_plan(own.faults, exposures_before),
         )
@@ -183,6 +191,11 @@ class SimulatedBench:
 
     def _behind_transport(self, bench: Bench, config: CameraConfig, world: World, folder: Path) -> CameraSection:
         """Let a camera see a world; return how it is opened."""
+        if self._in_memory:
+            return _section_with(
+                bench, CAMERA_HERE, device=self._stack.enter_context(self._powered(config, world))
+            )
+        config = replace(config, wires=str(self._wires.path))
         if config.source == CameraConfig().source:
             server = FrameServer(world, folder, config.width, config.height)
             self._stack.callback(server.close)
@@ -197,6 +210,19 @@ class SimulatedBench:
         cti = str(write_producer(folder / "bench.cti", [config]))
         return _section_with(bench, "harvesters", cti=cti, serial=config.serial)
 
+    @contextmanager
+    def _powered(self, config: CameraConfig, world: World) -> Iterator[str]:
+        """Give a camera in this process power; yield its name."""
+        name = f"{config.serial}-{id(self):x}"
+        sees_world = config.source == CameraConfig().source
+        DEVICES[name] = device = SimCamera(config, world if sees_world else None)
+        self._wires.lead_to(device.line_pulse)
+        try:
+            yield name
+        finally:
+            del DEVICES[name]
+            device.power_off()
+
     def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int, folder: Path) -> CameraSection:
         width, height = bench.scene.camera.sensor_px
         config = CameraConfig(
@@ -204,7 +230,6 @@ class SimulatedBench:
             height,
             serial=SERIAL,
             row_time_us=table.row_time_us,
-            wires=str(self._wires.path),
             faults=fault_plan(table.faults, exposures_before),
         )
         if table.ring is not None:

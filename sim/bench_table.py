@@ -4,6 +4,7 @@ simulation:
 bench: "sim.bench:SimulatedBench"
 seed: 7                       # of misalignment, prints and noise
 transport: memory             # sim:// in this process, time runs as fast as it can; or pty: device files
+camera_transport: genicam     # what the camera's backend speaks (Linux); or memory: none, in this process
 speed: 20.0                   # of the world's clock on ptys
 is_misaligned: true
 samples: 4                    # rays across a pixel
@@ -21,6 +22,7 @@ faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.c
 cameras: {behind: {aperture: {...}, faults: {...}, clock_ppm: 20.0}}    # optional, of further cameras
 """
 
+import sys
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -73,6 +75,7 @@ class SimulationTable(Table):
     bench: str
     seed: Annotated[int, Field(ge=0, le=2**31)] = 7
     transport: Literal["memory", "pty"] = "memory"
+    camera_transport: Literal["genicam", "memory"] = "genicam" if sys.platform == "linux" else "memory"
     speed: Annotated[float, Field(gt=0.0, le=1000.0)] = 20.0
     is_misaligned: bool = True
     samples: Annotated[int, Field(ge=1, le=16)] = 4

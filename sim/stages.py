@@ -22,7 +22,6 @@ from sim.emulators.faults import FaultSchedule
 from sim.emulators.foreign_box import ForeignBox
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
-from sim.emulators.pty import PtyPort
 from sim.mechanics.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.config import Positive, StagesTable
@@ -160,6 +159,8 @@ class SimulatedStages:
 
         What a library moves is found in this process alone.
         """
+        from sim.emulators.pty import PtyPort  # not every system has such terminals
+
         with ExitStack() as stack:
             ports = {}
             for name, line in self.lines.items():

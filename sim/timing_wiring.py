@@ -18,7 +18,6 @@ from daq.timing.timing_table import TimingTable
 from sim.camera.wires import Wires
 from sim.emulators.device import Clock
 from sim.emulators.protocol_sim import LINES
-from sim.emulators.pty import PtyPort
 from sim.lit_flow import LitFlow
 from sim.mechanics.clock import PacedClock, ScaledClock, VirtualClock
 from sim.timing import SimulatedTiming
@@ -40,6 +39,8 @@ def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterat
             stack.callback(LINES.pop, address)
             port = f"sim://{address}"
         else:
+            from sim.emulators.pty import PtyPort  # not every system has such terminals
+
             port = stack.enter_context(PtyPort(unit.line)).path
         world.timing.append(unit)
         stack.callback(world.timing.remove, unit)

@@ -184,7 +184,7 @@ class _Process:
         if self._wake_up is None:
             self._wake_up = WakeUp(self._hear)
             self._wake_up.open()
-        for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP"):
+        for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK", "SIGTSTP"):
             number = getattr(signal, name, None)
             if number is None or number in self._before:
                 continue

@@ -54,6 +54,7 @@ AGAIN_S = (0.0, 0.03, 0.08, 0.2, 0.5)  # after the death, or after the port coul
 PATIENCE_S = 10.0  # with a port that cannot be opened
 RETRY_S = 0.05
 LOOK_S = 0.1  # how often the parent is looked for where the system does not tell
+SELECTS_PIPES = os.name == "posix"  # elsewhere a read waits for a word, and only the end of the pipe tells a death
 PSEUDO_TERMINALS = range(136, 144)  # major numbers of Unix98 slaves on Linux
 WITHOUT_DEVICE = ("sim://", "loop://")  # these die with their process
 
@@ -133,17 +134,19 @@ class Watchdog:
         # not -m: a folder called `stages` where the program was started must not be taken for ours
         command = [sys.executable, "-P", __file__, str(os.getpid())]
         quiet = subprocess.DEVNULL
+        apart: dict[str, Any] = {"start_new_session": True}
+        if sys.platform == "win32":  # Ctrl-C and Ctrl-Break go to a group of processes
+            apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
         try:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet, start_new_session=True
-            )
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet, **apart)
         except OSError as error:
             self._process = None
             text = f"there is no watchdog ({error}): if this program is killed, what moves drives on to its target"
             warnings.warn(text, RuntimeWarning, stacklevel=2)
             return
         assert self._process.stdin is not None
-        os.set_blocking(self._process.stdin.fileno(), False)  # a watchdog that hangs must not hang the bench
+        if SELECTS_PIPES:
+            os.set_blocking(self._process.stdin.fileno(), False)  # a watchdog that hangs must not hang the bench
 
     def _tell(self, word: Word) -> None:
         if self._process is None or self._write([word]):
@@ -186,19 +189,15 @@ def watch(parent: int) -> None:
     parent : int
         Process id of who started us.
     """
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-        getattr(signal, "SIGHUP", None),
-        getattr(signal, "SIGQUIT", None),
-    ):
-        if number is not None:
-            signal.signal(number, signal.SIG_IGN)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     known: dict[str, Word] = {}
     moving: set[str] = set()
     rest = b""
     descriptor = sys.stdin.fileno()
-    os.set_blocking(descriptor, False)
+    if SELECTS_PIPES:
+        os.set_blocking(descriptor, False)
     death = _death_of(parent)
     while True:
         died = _died(descriptor, death, parent)
@@ -251,6 +250,8 @@ def _file_of(url: str) -> list[int] | None:
         is_now = os.stat(url)  # noqa: PTH116 - pathlib costs time
     except OSError:
         return None
+    if not SELECTS_PIPES:
+        return None  # a port has no file of its own there
     made_ns = is_now.st_ctime_ns if os.major(is_now.st_rdev) in PSEUDO_TERMINALS else 0
     return [is_now.st_rdev, is_now.st_ino, made_ns]
 
@@ -283,6 +284,8 @@ def _death_of(parent: int) -> int | None:
 
 def _died(descriptor: int, death: int | None, parent: int) -> bool:
     """Wait for a word or for the death of the parent; True if it has died."""
+    if not SELECTS_PIPES:
+        return False
     wanted = [descriptor] if death is None else [descriptor, death]
     ready, _, _ = select.select(wanted, [], [], LOOK_S if death is None else None)
     return death in ready if death is not None else os.getppid() != parent

@@ -171,6 +171,22 @@ def check_simulation(bench: Bench) -> bool:
     return True
 
 
+def require_camera_libraries(bench: Bench, simulate: bool = False, only: Collection[str] = ()) -> None:
+    """Look whether the libraries behind the cameras are installed; a simulated one may need none.
+
+    Raises
+    ------
+    CameraSetupError
+        Some are not; the message names them and the extra that brings them.
+    """
+    needs = getattr(simulation_class(bench), "needs_camera_libraries", None) if simulate else None
+    if needs is not None and not needs(bench):
+        return
+    for name, device in bench.devices.items():
+        if isinstance(device.section, CameraSection) and (not only or name in only):
+            require_libraries(device.section.backend)
+
+
 def simulation_class(bench: Bench) -> Callable[..., object]:
     """What the bench file names as its simulation; ConfigError if there is none, or it is wrong."""
     section = bench.table.simulation
@@ -226,9 +242,7 @@ def open_bench(
     """
     check_devices(bench, only)
     wanted = {name: device for name, device in bench.devices.items() if not only or name in only}
-    for device in wanted.values():
-        if isinstance(device.section, CameraSection):
-            require_libraries(device.section.backend)  # before anything is compiled or set up
+    require_camera_libraries(bench, simulate, only)  # before anything is compiled or set up
     with ExitStack() as stack:
         opened = simulated_or_real(bench, simulate, shows, exposures_before)
         sections, clock, simulation = stack.enter_context(opened)

@@ -246,7 +246,8 @@ class LivePage:
             said = {}
         if "port" not in said:
             raise PageError(f"the page cannot be shown: {said.get('error', 'its server did not start')}")
-        os.set_blocking(server.stdin.fileno(), False)
+        if os.name == "posix":  # elsewhere a server that hangs makes its run wait
+            os.set_blocking(server.stdin.fileno(), False)
         self._input = server.stdin
         self._tell({"doing": self._orders["doing"]})  # it may have changed meanwhile
         return int(said["port"])

@@ -13,8 +13,7 @@ from rich.table import Table
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench, Vector
 from daq.bench.guards import idle_stage
-from daq.bench.opened import check_devices
-from daq.cameras import require_libraries
+from daq.bench.opened import check_devices, require_camera_libraries
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
@@ -137,7 +136,7 @@ def acquire(
     loaded = _bench_of(bench, plan)
     check_devices(loaded)
     if not dry_run:
-        require_libraries(loaded.table.camera.backend)
+        require_camera_libraries(loaded, simulate)
     steps = load_plan(plan, loaded)
     said = forecast_said(screen, loaded, steps, home, with_steps=dry_run, simulate=simulate)
     if not simulate:

@@ -6,7 +6,7 @@ from rich.console import Console
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA, GLASS, Bench
-from daq.cameras import require_libraries
+from daq.bench.opened import require_camera_libraries
 from daq.errors import PlanError
 from daq.plans.experiments.align import AlignPlan
 from daq.plans.forecast import check_views
@@ -67,7 +67,7 @@ def align(
     request = Request(Path(bench), Path(plan), simulate, correct=False)
     loaded = load_bench(Path(bench))
     if not dry_run:
-        require_libraries(loaded.table.camera.backend)
+        require_camera_libraries(loaded, simulate)
     steps = load_plan(Path(plan), loaded)
     if not isinstance(steps.table, AlignPlan):
         raise PlanError(

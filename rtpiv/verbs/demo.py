@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from daq.bench.bench_file import load_bench
-from daq.cameras import require_libraries
+from daq.bench.opened import require_camera_libraries
 from daq.runs.run_views import target_views
 from ground.terminal import console
 from rtpiv.analysis.recipe import CorrectionRecipe
@@ -41,7 +41,7 @@ def demo(out: Named = "demo") -> Path:
         Libraries of the camera are not installed.
     """
     files, screen = examples() / "demo", console()
-    require_libraries(load_bench(files / "bench.yaml").table.camera.backend)
+    require_camera_libraries(load_bench(files / "bench.yaml"), simulate=True)
     out = require_folder(out)
     scene, bench, fitted = files / "scene.yaml", files / "bench.yaml", out / "fit" / "scene.yaml"
     screen.rule("1  what two glass balls do to the view")

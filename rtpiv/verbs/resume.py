@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from daq.cameras import require_libraries
+from daq.bench.opened import require_camera_libraries
 from daq.runner.session import reopen
 from daq.runs.run_folder import remaining
 from ground.plain_words import counted
@@ -48,7 +48,7 @@ def resume(
     run = Path(run)
     found = reopen(run, retake, progress_if_long)
     screen.print(f"{run}: plan, bench and scene are those it began with, and every frame that counts is right")
-    require_libraries(found.bench.table.camera.backend)
+    require_camera_libraries(found.bench, found.request.simulate)
     if found.again:
         screen.print(f"taken again for missing or damaged frames: {counted(len(found.again), 'step')}")
     person = operator_of(operator, found.request.simulate)

@@ -69,6 +69,18 @@ class RegisterMap:
         """Whether this camera has a feature."""
         return name in self._features
 
+    def feature(self, name: str) -> Feature:
+        """A feature's row in the table; KeyError if this camera has none of that name."""
+        return self._features[name]
+
+    def decoded(self, name: str, data: bytes) -> Value:
+        """Value in the bytes of a feature's register; an enumeration's is its number."""
+        return _decode(self._features[name], data)
+
+    def encoded(self, name: str, value: Value) -> bytes:
+        """Bytes of a feature's register for a value."""
+        return _encode(self._features[name], value)
+
     def get(self, name: str) -> Value:
         """Value of a feature; an enumeration's value is its number."""
         feature = self._features[name]

@@ -4,6 +4,7 @@ import json
 import os
 import pty
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -298,3 +299,21 @@ def test_a_reference_run_of_a_grbl_board_goes_far_if_nobody_ends_it(bench):
     before_mm = made.world.true_mm("a")
     made.clock.sleep_s(10.0)
     assert abs(made.world.true_mm("a") - before_mm) > 10.0
+
+
+def test_where_pipes_cannot_be_selected_the_end_of_the_pipe_is_the_death():
+    """As on Windows: the process waits in a read, and whatever moves is stopped when that ends."""
+    begin = "import sys, stages.watchdog as w; w.SELECTS_PIPES = False; w.watch(int(sys.argv[1]))"
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(20.0)
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        process = subprocess.Popen([sys.executable, "-c", begin, str(os.getpid())], stdin=subprocess.PIPE)
+        for word in (word_of("rail", url, 19200, False, [b"\xfd"]), {"moves": "rail"}):
+            process.stdin.write(json.dumps(word).encode() + b"\n")
+            process.stdin.flush()
+        process.stdin.close()
+        port, _ = server.accept()
+        port.settimeout(20.0)
+        assert port.recv(1) == b"\xfd"
+        port.close()
+        process.wait(20)

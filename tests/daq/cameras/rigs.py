@@ -12,9 +12,11 @@ import pytest
 
 from daq.cameras.camera import Camera
 from sim.camera.config import CameraConfig
+from sim.camera.device import SimCamera
 from sim.camera.gentl import write_producer
 from sim.camera.gige import GigeDevice
 from sim.camera.gige.process import loopback_address
+from sim.camera.in_process import DEVICES, InProcessCamera
 
 
 def need_harvesters():
@@ -78,4 +80,29 @@ class AravisRig:
         return self._made[-1]
 
 
-RIGS = {"harvesters": HarvestersRig, "aravis": AravisRig}
+class InProcessRig:
+    def __init__(self, folder: Path) -> None:
+        self._prefix = folder.name
+        self._made: list[InProcessCamera] = []
+        self._names: list[str] = []
+
+    def make(self, config: CameraConfig) -> Camera:
+        self._names.append(f"{self._prefix}-{len(self._names)}")
+        DEVICES[self._names[-1]] = SimCamera(config)
+        return self._camera(self._names[-1])
+
+    def again(self, camera: Camera) -> Camera:
+        return self._camera(camera.info.address)
+
+    def close(self) -> None:
+        for camera in self._made:
+            camera.close()
+        for name in self._names:
+            DEVICES.pop(name).power_off()
+
+    def _camera(self, name: str) -> Camera:
+        self._made.append(InProcessCamera(name))
+        return self._made[-1]
+
+
+RIGS = {"harvesters": HarvestersRig, "aravis": AravisRig, "memory": InProcessRig}
