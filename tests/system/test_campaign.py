@@ -81,6 +81,7 @@ def test_target_and_shift_at_small_size(tmp_path):
     assert truth not in known  # the hidden misalignment stays hidden
 
 
+@pytest.mark.slow  # one by one they are fast tests of the runner
 def test_faults_of_the_camera_are_counted_and_the_run_ends_whole(tmp_path):
     """Dropped, incomplete, forgotten settings, unplugged and back: each frame accounted for, none missing."""
     faults = "ring: ring\nfaults: {dropped: [1], incomplete: [4], reset_at: 7, lost_at: 9, back_after_s: 0.3}"

@@ -113,7 +113,8 @@ def test_the_map_is_true_and_its_sigma_honest(name):
     assert np.mean(error < 5.0 * sigma + 0.01) > 0.99
 
 
-@pytest.mark.parametrize("square_mm", [3.6, pytest.param(2.5, marks=pytest.mark.slow)])
+@pytest.mark.slow  # the fast suite has one in test_refusals.py
+@pytest.mark.parametrize("square_mm", [3.6, 2.5])
 def test_another_square_than_described_is_said(square_mm):
     lab = Lab("pair_off_axis", 4)
     nominal, truth = scenes(lab)

@@ -4,7 +4,7 @@ import os
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.bench.bench_edit import changed, difference, replace_file, with_values
@@ -77,6 +77,7 @@ def test_identities_in_both_layouts():
     assert controllers["glass"]["identity"] == 'a "quoted", odd: one # 7'
 
 
+@settings(max_examples=40)
 @given(
     text=st.sampled_from([FLOW, BLOCK, NONE]),
     crlf=st.booleans(),

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import scene_file
 from daq.runs.seal import write_record
 from piv.errors import PairError
-from rtpiv.analysis.pairs.evaluation import evaluate_task
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
 from sim.renderer.patterns import Chessboard, printed_particles
@@ -103,11 +103,18 @@ def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
         assert (shift_run / "report" / f"{name}.png").is_file()
 
 
-def test_a_map_is_made_once_however_many_pairs_are_seen_through_it(shift_run, tmp_path, mocker):
-    traced = mocker.spy(prepared, "build_ray_map")
-    found = evaluate([shift_run], tmp_path, output=NO_PICTURES).details
+@pytest.fixture(scope="module")
+def evaluated(shift_run, tmp_path_factory, module_mocker):
+    """Its pairs evaluated without pictures, and the scenes that were traced for it."""
+    traced = module_mocker.spy(prepared, "build_ray_map")
+    found = evaluate([shift_run], tmp_path_factory.mktemp("evaluated"), output=NO_PICTURES).details
+    return found, [call.args[0] for call in traced.call_args_list]
+
+
+def test_a_map_is_made_once_however_many_pairs_are_seen_through_it(evaluated):
+    found, traced = evaluated
     assert [one.task.name for one in found] == ["clear_b", "glass_b", "deep_b"]
-    assert [bool(call.args[0].bodies) for call in traced.call_args_list] == [False, True]
+    assert [bool(scene.bodies) for scene in traced] == [False, True]
 
 
 def test_a_phone_shows_it_without_sideways_scrolling(shift_run, tmp_path):
@@ -168,14 +175,14 @@ def test_a_run_is_shown_as_it_was_corrected(tmp_path):
     assert (tmp_path / "out" / "scene.yaml").read_text() == about["scene"]
 
 
-def test_a_pair_that_is_none_is_named_and_left_out(shift_run, tmp_path, mocker, capsys):
-    whole, names = evaluate_task, []
+def test_a_pair_that_is_none_is_named_and_left_out(shift_run, evaluated, tmp_path, mocker, capsys):
+    made, names = {one.task.name: one for one in evaluated[0]}, []
 
     def first_fails(task, *rest):
         names.append(task.name)
         if len(names) == 1:
             raise PairError("frame B is constant")
-        return whole(task, *rest)
+        return replace(made[task.name], task=task)
 
     mocker.patch("rtpiv.verbs.evaluate.evaluate_task", first_fails)
     found = evaluate([shift_run], tmp_path, output=NO_PICTURES).details
