@@ -15,11 +15,11 @@ def slow(*values: Any, name: str | None = None) -> Any:
     return pytest.param(*values, marks=pytest.mark.slow, id=name)
 
 
-def slow_but(names: Iterable[str], *fast: str) -> list[Any]:
+def slow_but(names: Iterable[Any], *fast: Any) -> list[Any]:
     """All names, of which only the fast ones are no slow cases."""
     every = list(names)
     unknown = {*fast} - {*every}
-    assert not unknown, f"no case is called {', '.join(sorted(unknown))}"
+    assert not unknown, f"no case is called {', '.join(sorted(map(str, unknown)))}"
     return [name if name in fast else slow(name) for name in every]
 
 

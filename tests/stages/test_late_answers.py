@@ -1,4 +1,4 @@
-"""A late answer is never taken for the answer to the next question: 1000 seeded schedules over all drivers.
+"""A late answer is never taken for the answer to the next question: 200 seeded schedules over all drivers.
 
 The two axes rest at different, always new places, so an answer credited to the wrong question is a wrong position.
 The judge is the true carriage, not the emulator's counter.
@@ -12,7 +12,7 @@ from sim.emulators.faults import Fault, FaultSchedule
 from stages.drivers_by_name import DRIVERS
 from stages.errors import NoReply, ProtocolViolation, StageError
 
-SCHEDULES = 400 // len(DRIVERS)
+SCHEDULES = 200 // len(DRIVERS)
 
 
 def schedule(seed):

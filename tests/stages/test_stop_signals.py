@@ -8,6 +8,7 @@ import time
 import pytest
 
 from stages.stop_signals import SIGNALLED, StopThread
+from tests.slow_cases import slow_but
 from tests.stages.children import end, go, served
 
 FAR_MM = 110.0  # five seconds away
@@ -25,7 +26,7 @@ def left_by(number):
     return -number if number == signal.SIGINT else SIGNALLED + number
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", slow_but(SIGNALS, signal.SIGINT, signal.SIGTERM))
 def test_a_signal_in_motion_stops_and_ends_the_program(number):
     with served("isel_dnc") as world:
         child = world.start(MOVE)
