@@ -8,35 +8,26 @@ as the viewer has room for; what seldom changes is sent when it has. While nothi
 says that the server lives, what the run does and for how long. All of it is of lower priority than the run,
 and none of it happens while nobody looks.
 
-Safety.  Only this computer is listened to.  A page of another site can make a browser here ask for anything, under
-any name that leads here (DNS rebinding), so that what is asked must carry our own address as its Host, and a
-socket must come from our own page by its Origin.  Who asks for frames must know a token that stands in the page's
-address behind the #, which browsers tell nobody; it is compared in constant time.  Nothing can be told to the
-bench through here: there are frames in one direction and acknowledgements in the other.
+Who is let in: `daq.live.local_page`.  Nothing can be told to the bench through here: there are frames in one
+direction and acknowledgements in the other.
 """
 
-import hmac
 import json
-import logging
 import os
-import socket
 import sys
 import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
-from http import HTTPStatus
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
-from websockets.server import ServerProtocol
-from websockets.sync.server import Server, ServerConnection, serve
+from websockets.sync.server import Server, ServerConnection
 
 from daq.live.frame_quality import FrameQuality
+from daq.live.local_page import LocalPage, listening, understood
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
 from daq.pipeline.live_slot import NoSlotError, SlotReader, Snapshot
 from daq.pipeline.priority import lower_process
@@ -45,7 +36,6 @@ from daq.signal_handling import flush_or_leave
 if TYPE_CHECKING:
     from daq.live.monitor import Monitor
 
-HOST = "127.0.0.1"
 SOCKET = "/frames"
 PAGES = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -55,16 +45,14 @@ PAGES = {
 MOST_VIEWERS = 64
 MOST_KEPT = 16  # pictures, of up to 2 MB
 MOST_WORDS = 4096  # bytes of a message from a browser
-TOKEN_S, POLL_S = 5.0, 0.005  # until who has said nothing yet is left; between two looks into the slot
+POLL_S = 0.005  # between two looks into the slot
 OVER_S = 0.2  # between two looks whether the run is over
 ALIVE_S = 0.5  # between two signs of life
 FAREWELL_S = 1.5  # for those who look, on a busy computer; whoever measures waits 2 s for our end
-MOST_THREADS = 1600  # two and more a socket: fewer than the 1024 files that a process may have open
-OUR_FAULTS = "connection handler failed", "process_request failed"  # what strangers send is not for the terminal
 KILLED = "killed: its program is gone"
 NAMES = "raw", "corrected"  # of pictures
 SELDOM = "lines", "figures", "arrows"  # words that are sent when they have changed
-POLICY, BUSY = 1008, 1013  # close codes
+BUSY = 1013  # close code
 
 
 Key = tuple[int, str, Part, int, Columns]
@@ -133,35 +121,19 @@ class Page:
         self.quality = FrameQuality(self.slot)
 
     @property
-    def addresses(self) -> tuple[str, str]:
-        """Names under which we may be asked."""
-        return f"{HOST}:{self.port}", f"localhost:{self.port}"
+    def door(self) -> LocalPage:
+        """Who may come in, and what is behind."""
+        return LocalPage(self.token, self.port, SOCKET, PAGES)
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Answer a request for a page, refuse what is none; None for a socket of our own page."""
-        if request.headers.get_all("Host") not in [[name] for name in self.addresses]:
-            return _refusal(HTTPStatus.FORBIDDEN, "this address is not mine")
-        if getattr(request, "method", "GET") != "GET":
-            return _refusal(HTTPStatus.METHOD_NOT_ALLOWED, "there is nothing here but to look")
-        if request.path == SOCKET:
-            if request.headers.get_all("Origin") not in [[f"http://{name}"] for name in self.addresses]:
-                return _refusal(HTTPStatus.FORBIDDEN, "frames are for this page only")
-            return None
-        if request.path not in PAGES:
-            return _refusal(HTTPStatus.NOT_FOUND, "there is no such page")
-        name, kind = PAGES[request.path]
-        return _response(
-            HTTPStatus.OK, files("daq.live").joinpath("page", name).read_bytes(), kind, self.addresses
-        )
+        """Answer a request, see `LocalPage.answer`."""
+        return self.door.answer(request)
 
     def show(self, connection: ServerConnection) -> None:
         """Serve one viewer until it goes."""
         with suppress(ConnectionClosed, TimeoutError):
-            said = _understood(connection.recv(timeout=TOKEN_S))
-            token = said.get("token")
-            known = token.encode("utf-8", "surrogatepass") if isinstance(token, str) else b""
-            if not hmac.compare_digest(known, self.token.encode()):
-                connection.close(POLICY, "open the address that the run has printed")
+            said = self.door.let_in(connection)
+            if said is None:
                 return
             with self._lock:  # who knows no token keeps nobody out
                 self.viewers += 1
@@ -196,7 +168,7 @@ class Page:
             connection.send(json.dumps(words))
             for picture in update.pictures.values():
                 connection.send(picture)
-            while request.heard(_understood(connection.recv())):  # it has drawn them, or wants others at once
+            while request.heard(understood(connection.recv())):  # it has drawn them, or wants others at once
                 pass
         connection.send(json.dumps({"over": self.over}))
         connection.close()
@@ -218,7 +190,7 @@ class Page:
                 connection.send(json.dumps(self._doing()))
                 alive_s = time.monotonic() + ALIVE_S
             with suppress(TimeoutError):
-                request.heard(_understood(connection.recv(timeout=POLL_S)))
+                request.heard(understood(connection.recv(timeout=POLL_S)))
                 return max(seen - 1, 0)
         return None
 
@@ -259,48 +231,10 @@ class Page:
                 self._pictures = dict([*self._pictures.items(), *update.pictures.items()][-MOST_KEPT:])
 
 
-class Connection(ServerConnection):
-    """A socket, unless there are so many that one more could end the server: it is closed then."""
-
-    def __init__(self, sock: socket.socket, protocol: ServerProtocol, server: Server, **options: Any) -> None:  # noqa: ANN401
-        if threading.active_count() > MOST_THREADS:
-            raise OSError("too many sockets")
-        super().__init__(sock, protocol, server, **options)
-
-
-def _understood(message: str | bytes) -> dict[str, Any]:
-    """What a browser has said; nothing if it makes no sense."""
-    try:
-        said = json.loads(message)
-    except (ValueError, RecursionError):
-        return {}
-    return said if isinstance(said, dict) else {}
-
-
-def _refusal(status: HTTPStatus, text: str) -> Response:
-    return _response(status, text.encode(), "text/plain; charset=utf-8", ())
-
-
-def _response(status: HTTPStatus, body: bytes, kind: str, addresses: tuple[str, ...]) -> Response:
-    sockets = " ".join(f"ws://{name}" for name in addresses) or "'none'"
-    policy = (
-        f"default-src 'self'; connect-src {sockets}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-    )
-    head = {
-        "Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close", "Cache-Control": "no-store",
-        "Content-Security-Policy": policy, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
-    }  # fmt: skip
-    return Response(status.value, status.phrase, Headers(head), body)
-
-
 def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
     """Listen on this computer; the server is to be run by `serve_forever`."""
     page = Page(SlotReader(slot), token)
-    logging.getLogger("websockets.server").addFilter(lambda record: record.msg in OUR_FAULTS)
-    server = serve(
-        page.show, HOST, port, process_request=page.answer, compression=None, max_size=MOST_WORDS, max_queue=4,
-        open_timeout=TOKEN_S, create_connection=Connection,
-    )  # fmt: skip
+    server = listening(page.show, page.answer, port, MOST_WORDS)
     page.port = server.socket.getsockname()[1]
     page.quality.start()
     return server, page

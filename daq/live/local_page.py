@@ -1,0 +1,158 @@
+"""Pages that a browser on this computer opens, and who is let in.
+
+Only this computer is listened to.  A page of another site can make a browser here ask for anything, under any name
+that leads here (DNS rebinding), so that what is asked must carry our own address as its Host, and a socket must
+come from our own page by its Origin.  Who wants more than the empty page must know a token that stands in the
+page's address behind the #, which browsers tell nobody; it is compared in constant time.
+"""
+
+import hmac
+import json
+import logging
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Any
+
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+from websockets.server import ServerProtocol
+from websockets.sync.server import Server, ServerConnection, serve
+
+HOST = "127.0.0.1"
+TOKEN_S = 5.0  # until who has said nothing yet is left
+MOST_THREADS = 1600  # two and more a socket: fewer than the 1024 files that a process may have open
+OUR_FAULTS = "connection handler failed", "process_request failed"  # what strangers send is not for the terminal
+POLICY = 1008  # close code
+
+
+@dataclass(frozen=True)
+class LocalPage:
+    """What is served, and to whom.
+
+    Parameters
+    ----------
+    token : str
+        What a viewer must know.
+    port : int
+        Where we listen.
+    socket_path : str
+        Where sockets are opened.
+    pages : mapping
+        Path -> file in the folder `page`, and its type.
+    """
+
+    token: str
+    port: int
+    socket_path: str
+    pages: Mapping[str, tuple[str, str]]
+
+    @property
+    def addresses(self) -> tuple[str, str]:
+        """Names under which we may be asked."""
+        return f"{HOST}:{self.port}", f"localhost:{self.port}"
+
+    @property
+    def url(self) -> str:
+        """Address for a browser; what stands behind the # lets it in."""
+        return f"http://{HOST}:{self.port}/#{self.token}"
+
+    def answer(self, request: Request) -> Response | None:
+        """Answer a request for a page, refuse what is none; None for a socket of our own page."""
+        if request.headers.get_all("Host") not in [[name] for name in self.addresses]:
+            return _refusal(HTTPStatus.FORBIDDEN, "this address is not mine")
+        if getattr(request, "method", "GET") != "GET":
+            return _refusal(HTTPStatus.METHOD_NOT_ALLOWED, "there is nothing here but to look")
+        if request.path == self.socket_path:
+            if request.headers.get_all("Origin") not in [[f"http://{name}"] for name in self.addresses]:
+                return _refusal(HTTPStatus.FORBIDDEN, "frames are for this page only")
+            return None
+        if request.path not in self.pages:
+            return _refusal(HTTPStatus.NOT_FOUND, "there is no such page")
+        name, kind = self.pages[request.path]
+        content = files("daq.live").joinpath("page", name).read_bytes()
+        return _response(HTTPStatus.OK, content, kind, self.addresses)
+
+    def let_in(self, connection: ServerConnection) -> dict[str, Any] | None:
+        """What a viewer says who knows the token; None, and the socket closed, for anybody else.
+
+        Raises
+        ------
+        ConnectionClosed, TimeoutError
+            It has gone, or says nothing.
+        """
+        said = understood(connection.recv(timeout=TOKEN_S))
+        token = said.get("token")
+        known = token.encode("utf-8", "surrogatepass") if isinstance(token, str) else b""
+        if hmac.compare_digest(known, self.token.encode()):
+            return said
+        connection.close(POLICY, "open the address that the run has printed")
+        return None
+
+
+class Connection(ServerConnection):
+    """A socket, unless there are so many that one more could end the server: it is closed then."""
+
+    def __init__(self, sock: socket.socket, protocol: ServerProtocol, server: Server, **options: Any) -> None:  # noqa: ANN401
+        if threading.active_count() > MOST_THREADS:
+            raise OSError("too many sockets")
+        super().__init__(sock, protocol, server, **options)
+
+
+def listening(
+    show: Callable[[ServerConnection], None],
+    answer: Callable[[ServerConnection, Request], Response | None],
+    port: int,
+    most_bytes: int,
+) -> Server:
+    """Listen on this computer; the server is to be run by `serve_forever`.
+
+    Parameters
+    ----------
+    show : callable
+        Serves one viewer until it goes.
+    answer : callable
+        Answers requests, see `LocalPage.answer`.
+    port : int
+        Where; 0 takes a free one.
+    most_bytes : int
+        Of a message from a browser.
+
+    Raises
+    ------
+    OSError
+        The port is taken.
+    """
+    logging.getLogger("websockets.server").addFilter(lambda record: record.msg in OUR_FAULTS)
+    return serve(
+        show, HOST, port, process_request=answer, compression=None, max_size=most_bytes, max_queue=4,
+        open_timeout=TOKEN_S, create_connection=Connection,
+    )  # fmt: skip
+
+
+def understood(message: str | bytes) -> dict[str, Any]:
+    """What a browser has said; nothing if it makes no sense."""
+    try:
+        said = json.loads(message)
+    except (ValueError, RecursionError):
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def _refusal(status: HTTPStatus, text: str) -> Response:
+    return _response(status, text.encode(), "text/plain; charset=utf-8", ())
+
+
+def _response(status: HTTPStatus, body: bytes, kind: str, addresses: tuple[str, ...]) -> Response:
+    sockets = " ".join(f"ws://{name}" for name in addresses) or "'none'"
+    policy = (
+        f"default-src 'self'; connect-src {sockets}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    )
+    head = {
+        "Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close", "Cache-Control": "no-store",
+        "Content-Security-Policy": policy, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+    }  # fmt: skip
+    return Response(status.value, status.phrase, Headers(head), body)

@@ -1,0 +1,69 @@
+"""`rtpiv mask`: a page in the browser to draw on a frame what is to be left out of it."""
+
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+from daq.errors import RunUsageError
+from daq.runs.acquired import read_acquired
+from ground.terminal import console
+from rtpiv.options.numbers import Port
+from rtpiv.verbs.paths import Named
+from tracer.mask_picture import left_out
+
+
+def mask(frame: Named, /, out: Named = "mask.png", port: Port = 0) -> Path:
+    """Draw on a frame what is to be left out, in the browser, until Ctrl-C.
+
+    Parameters
+    ----------
+    frame : path
+        Any frame of the camera, also one of a run, a stack or a video.
+    out : path
+        PNG as large as the frame, white where nothing is to be used; one that is there is gone on from.  A scene
+        names it under `masked`, `--mask` takes it for one evaluation.
+    port : int
+        Where the page listens on this computer; 0 takes a free one.
+
+    Returns
+    -------
+    Path
+        The picture.
+
+    Raises
+    ------
+    FrameError, FrameDamaged, RunDamaged
+        The frame cannot be read.
+    SceneError
+        The picture that is there is of another size, or none.
+    RunUsageError
+        The extra is not installed, the picture is to be no PNG, or the port is taken.
+    """
+    if find_spec("websockets") is None:
+        raise RunUsageError("the page needs an extra: pip install 'rtpiv[live]'")
+    from daq.live.mask_page import MaskPage  # needs the extra
+
+    path, out = Path(frame), Path(out)
+    if out.suffix.lower() != ".png":
+        raise RunUsageError(f"{out}: a mask is written as PNG; name it {out.stem}.png")
+    pixels = read_acquired(path)
+    height, width = pixels.shape
+    begun = left_out(out, (width, height)) if out.exists() else ()
+    try:
+        page = MaskPage(path.name, pixels, out, begun, port)
+    except OSError as error:
+        raise RunUsageError(
+            f"the page cannot be shown: {error.strerror or error}; choose another --port"
+        ) from None
+    screen = console()
+    screen.print(f"look at {page.door.url}", soft_wrap=True, highlight=False)
+    screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
+    try:
+        with suppress(KeyboardInterrupt):
+            page.serve()
+    finally:
+        page.close()
+    if out.exists():
+        screen.print(f"in the scene file:  masked: [{{why: left out, picture: {out.name}}}]", soft_wrap=True)
+        screen.print(f"or for one evaluation:  --mask {out}", soft_wrap=True)
+    return out
