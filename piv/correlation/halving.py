@@ -28,7 +28,7 @@ from piv.correlation.passes import Course, Measured, moved
 from piv.correlation.planes import filled
 from piv.correlation.refine import Refined
 from piv.correlation.sizes import Sizes, leaning_of, widened, widened_sums
-from piv.correlation.uncertainty import LARGEST_PX, correlation_statistics, leaning
+from piv.correlation.uncertainty import LARGEST_PX, blocks_of, correlation_statistics, leaning
 from piv.correlation.windows import WindowGrid
 
 TRIALS = 2  # passes with the finest windows
@@ -94,7 +94,7 @@ def _larger(course: Course, spread_px2: float, usual_px: int) -> tuple[tuple[int
         raise ValueError("sizes are found after passes that refine")
     usual = widened(found.refined, grid, usual_px, settings.window_sigma, pair.floor)
     left, _ = filled(usual.shift_px, found.good & np.isfinite(usual.shift_px).all(axis=-1))
-    lean = leaning(pair, grid, settings.window_sigma, left, spread_px2, course.threads)
+    lean = leaning(blocks_of(pair, spread_px2, course.threads), grid, settings.window_sigma, left)
     which, sides = np.zeros(grid.shape, np.int64), [usual_px]
     for times in LARGER:
         sizes = Sizes((grid.size_px, sides[-1]), np.ones(grid.shape, np.int64))

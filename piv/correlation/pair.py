@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.memory import require_memory
+from piv.correlation.agreement import LEAST_BLOCKS, agreed, resolution_of
 from piv.correlation.correlate import peak_ratios
 from piv.correlation.deform import DeformedPair, Frames
 from piv.correlation.denoise import Denoised, denoised
@@ -41,7 +42,13 @@ from piv.correlation.resolution import Window, matched_share, unmatched_px, unre
 from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.sizes import Sizes, leaning_of
-from piv.correlation.uncertainty import LARGEST_PX, correlation_statistics, leaning, sampling_error_px
+from piv.correlation.uncertainty import (
+    LARGEST_PX,
+    blocks_of,
+    correlation_statistics,
+    leaning,
+    sampling_error_px,
+)
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import PairError
@@ -198,7 +205,8 @@ def _result(course: Course, spread_px2: float, added: int) -> VectorField:
     sigma, resolution = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
     if found.refined is not None:
         left, _ = filled(found.left_px, good)
-        lean = leaning(course.deformed, grid, settings.window_sigma, left, spread_px2, course.threads)
+        blocks = blocks_of(course.deformed, spread_px2, course.threads)
+        lean = leaning(blocks, grid, settings.window_sigma, left)
         lean = leaning_of(lean, grid, sizes, settings.window_sigma)
         one, pieces = correlation_statistics(lean, found.refined)
         good = good & ~_empty(course, one)
@@ -207,7 +215,13 @@ def _result(course: Course, spread_px2: float, added: int) -> VectorField:
         one = np.where(good[..., None] & np.isnan(one), LARGEST_PX, one)
         vectors, sigma, taken = _denoised(course, sizes, good, one, added)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
-        resolution = _unresolved(course, sizes, filled(vectors, good)[0], taken, pieces)
+        final = filled(vectors, good)[0]
+        resolution = _unresolved(course, sizes, final, taken, pieces)
+        beyond = np.clip(final - filled(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
+        large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
+        measured = agreed(blocks, grid, beyond, good * large * found.refined.gain, settings.windows_px[-1])
+        resolution = resolution_of(measured, resolution, sigma, one)
+        # Blocks tell displacements of less than a pixel; what moves farther from the vector matches nothing.
         resolution = np.maximum(resolution, unmatched_px(vectors, found.seen_px, found.correlation, good))
     fill, near = filled(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)

@@ -49,6 +49,19 @@ SAMPLING = (  # variance of a particle image [px^2], and the error that it leave
 )
 
 
+class Blocks(NamedTuple):
+    """Sums over blocks of pixels of a pair, for u and v.
+
+    `lean` and `by_shift` (2, rows, columns) float32: how a block leans, and what a displacement of 1 px makes of
+    it; `centres` positions of rows and of columns [px], `side_px` of a block.
+    """
+
+    lean: NDArray[np.float32]
+    by_shift: NDArray[np.float32]
+    centres: tuple[Floats, Floats]
+    side_px: int
+
+
 class Leaning(NamedTuple):
     """What makes the correlation of windows lean, all (ny, nx, 2) for u and v.
 
@@ -74,50 +87,56 @@ def sampling_error_px(spread_px2: float) -> float:
     return float(np.exp(np.interp(spread_px2, sizes, np.log(errors))))
 
 
-def leaning(
-    pair: DeformedPair,
-    grid: WindowGrid,
-    window_sigma: float,
-    left_px: Floats,
-    spread_px2: float,
-    threads: int | None = None,
-) -> Leaning:
-    """How unevenly windows lean, apart from what a displacement makes of them.
+def blocks_of(pair: DeformedPair, spread_px2: float, threads: int | None = None) -> Blocks:
+    """How blocks of about a particle's size lean.
 
     Parameters
     ----------
     pair : DeformedPair
         Frames deformed by (nearly) the final field, and how far their pixels are valid.
-    grid : WindowGrid
-        Windows.
-    window_sigma : float
-        Their weights, see `piv.correlation.refine.window_weights`.
-    left_px : ndarray of float64, shape (ny, nx, 2)
-        Displacement that was left to find, finite everywhere.
     spread_px2 : float
         Variance of a particle image.
     threads : int, optional
         Threads to use.
     """
     height, width = pair.a.shape
-    block = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 3))
-    sums = np.empty((KINDS, height // block, width // block), np.float32)
+    side = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 3))
+    sums = np.empty((KINDS, height // side, width // side), np.float32)
 
     def rows(first: int, last: int) -> None:
-        block_sums(pair.a, pair.b, block, first, last, np.empty((KINDS, width), np.float32), sums)
+        block_sums(pair.a, pair.b, side, first, last, np.empty((KINDS, width), np.float32), sums)
 
     run_rows(rows, sums.shape[1], threads=threads)
-    centres = [(np.arange(count) + 0.5) * block - 0.5 for count in sums.shape[1:]]
+    down, along = ((np.arange(count) + 0.5) * side - 0.5 for count in sums.shape[1:])
+    return Blocks(sums[:2], sums[2:], (down, along), side)
+
+
+def leaning(blocks: Blocks, grid: WindowGrid, window_sigma: float, left_px: Floats) -> Leaning:
+    """How unevenly windows lean, apart from what a displacement makes of them.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Of the deformed frames.
+    grid : WindowGrid
+        Windows.
+    window_sigma : float
+        Their weights, see `piv.correlation.refine.window_weights`.
+    left_px : ndarray of float64, shape (ny, nx, 2)
+        Displacement that was left to find, finite everywhere.
+    """
     nodes = (grid.y_px, grid.x_px)
     along = [
         _square_weights(place, node, grid.size_px, window_sigma)
-        for place, node in zip(centres, nodes, strict=True)
+        for place, node in zip(blocks.centres, nodes, strict=True)
     ]
     sides = [np.sqrt(weights) for weights in along]
-    between = [interpolation_matrix(node, place, grid.step_px) for place, node in zip(centres, nodes, strict=True)]
+    between = [
+        interpolation_matrix(node, place, grid.step_px) for place, node in zip(blocks.centres, nodes, strict=True)
+    ]
     found = Leaning(*(np.empty(left_px.shape) for _ in range(3)))
     for axis in range(2):
-        lean, by_shift = sums[axis], sums[2 + axis]
+        lean, by_shift = blocks.lean[axis], blocks.by_shift[axis]
         left = between[0] @ (left_px[..., axis].astype(np.float32) @ between[1].T)
         left *= by_shift
         power = float(np.vdot(left, left))

@@ -11,7 +11,7 @@ from piv.correlation.prepare import prepared
 from piv.correlation.refine import Refined, refine, window_weights
 from piv.correlation.response import gain, noise_growth, parts_of, smoothing_transfer
 from piv.correlation.settings import PivSettings
-from piv.correlation.uncertainty import correlation_statistics, leaning
+from piv.correlation.uncertainty import blocks_of, correlation_statistics, leaning
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
 
@@ -221,7 +221,7 @@ def test_no_sigma_is_larger_than_what_was_searched():
     pair = DeformedPair(*frames, np.ones((64, 64), np.float32), 0.0)
     grid = window_grid((64, 64), 32, 0.5)
     one = np.ones(grid.shape)
-    lean = leaning(pair, grid, 0.3, np.zeros((*grid.shape, 2)), 1.0)
+    lean = leaning(blocks_of(pair, 1.0), grid, 0.3, np.zeros((*grid.shape, 2)))
     told = []
     for lower in np.geomspace(1e-8, 1e-2, 20):
         sums = np.full((*grid.shape, 5), 1e3 * (1.0 - lower))

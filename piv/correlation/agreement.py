@@ -1,0 +1,163 @@
+"""What vectors miss, measured: what neighbouring pieces of the frames still agree on.
+
+No model of a spectrum says what windows leave out: the part that matters is the one that they do not show. The
+frames do. Block by block they lean to one side (`piv.correlation.uncertainty`); with p, what a displacement of a
+pixel makes of a block, and what the final vectors already tell taken off, there remains
+
+    l = p r + n,
+
+r what the flow does beyond the vectors at that place, n noise. Noise of blocks that share no particle image has
+nothing in common. So for two blocks on opposite sides of a third, the products over many places add to
+
+    sum l1 l2 = r^2 sum p1 p2,
+
+and noise adds nothing to them. Taken from blocks around the nodes (`NEAR`: between nodes the spline errs too),
+averaged over both components and the neighbours within half a window, r^2 is the mean square error of vectors,
+whatever it comes from: waves that windows average out, at whatever overlap, light seen in the wrong place, detail
+that went with the noise. With fixed windows of 32 px and little noise it is within a tenth of the true error in
+turbulence of several spectra, fronts and waves.
+
+**How far it is to be believed.** Vectors follow the noise of the very blocks they are made of. Of N equal blocks
+under a Gaussian window a vector takes e = sum w n/sum w p, whose covariance with the block in its middle is twice
+its variance s^2; so the products hold r^2 + s^2 - 4 s^2 where all detail is kept. Of the three s^2 that they lack
+half are put back (`BACK`; s^2 of one correlation or, if that is less, of the vector after the last filter), since
+in strong gradients part of s^2 is flow. Products are also random by themselves, S, which their scatter tells. So
+what is to be believed of a measurement m is what differs from what was known before, m', by more than both:
+
+    m' + q (m - m'),      q = c^4/(1 + c^4),      c = (m - m')^2/(s^4 + (5 S)^2),
+
+first of the mean over two windows around, with m' = 0, then of that within half a window. Of a variance of which
+nothing was measured, 1 - q of the first times 1 - q of the second, random sigma and the model of
+`piv.correlation.resolution` have the say. In windows of less than `LEAST_BLOCKS` a side both blocks of a pair have
+made the vector, and agree on nothing beyond it: there the model stays. Numbers were chosen by one set of
+`benchmarks.piv_sigma` and judged by the other.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from piv.correlation.uncertainty import Blocks
+from piv.correlation.windows import WindowGrid, interpolation_matrix
+
+OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and, negative, to the other
+NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
+REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
+DOUBT = 5.0  # times the chance deviation of a measurement
+BACK = 1.5  # variances of noise that are put back
+LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
+EDGE = 2  # blocks at the edge of frames that lack pixels
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+
+class Agreed(NamedTuple):
+    """Mean square (ny, nx) [px^2] of what vectors miss, by what blocks agree on, and its chance deviation.
+
+    The first is less by the noise that vectors follow, see the top.
+    """
+
+    square_px2: Floats
+    chance_px2: Floats
+
+
+def agreed(blocks: Blocks, grid: WindowGrid, beyond_px: Floats, weight: Floats, window_px: int) -> list[Agreed]:
+    """What pairs of blocks around each node agree on beyond the vectors.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Of the deformed frames.
+    grid : WindowGrid
+        Nodes of the vectors.
+    beyond_px : ndarray of float64, shape (ny, nx, 2)
+        Vectors less what has deformed the frames, finite everywhere.
+    weight : ndarray of float64, shape (ny, nx)
+        How much of a displacement the frames show there, from 0 to 1; 0 for vectors that do not count, of which
+        nothing is measured.
+    window_px : int
+        Side of the usual windows.
+
+    Returns
+    -------
+    list of Agreed
+        Means over the neighbours, the widest first (`REACHES`).
+    """
+    nodes = (grid.y_px, grid.x_px)
+    rows, columns = (
+        _weights(place, node, NEAR * blocks.side_px) for place, node in zip(blocks.centres, nodes, strict=True)
+    )
+    down, along = (
+        interpolation_matrix(node, place, grid.step_px) for place, node in zip(blocks.centres, nodes, strict=True)
+    )
+    shown = np.square(weight)
+    product, expected, square = np.zeros((3, *grid.shape))
+    for axis in range(2):
+        by_shift = blocks.by_shift[axis]
+        told = down @ ((weight * beyond_px[..., axis]).astype(np.float32) @ along.T)
+        pairs = _opposite(blocks.lean[axis] - told * by_shift)
+        product += rows @ pairs @ columns.T
+        expected += shown * (rows @ _opposite(by_shift) @ columns.T)
+        square += rows**2 @ pairs**2 @ (columns**2).T
+    seen = weight > 0.0
+    means = []
+    for reach in REACHES:
+        steps = reach * window_px / grid.step_px
+        whole = np.maximum(_pooled(np.where(seen, expected, 0.0), steps), 1e-30)
+        # The square of a Gaussian is one of half its variance.
+        scatter = _pooled(np.where(seen, square, 0.0), steps / np.sqrt(2.0)) / max(4.0 * np.pi * steps**2, 1.0)
+        chance = np.where(seen, np.sqrt(scatter) / whole, np.inf)
+        means.append(Agreed(_pooled(np.where(seen, product, 0.0), steps) / whole, chance))
+    return means
+
+
+def resolution_of(measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Floats, one_px: Floats) -> Floats:
+    """Standard deviation (ny, nx) of a component beside its random sigma: measured as far as it can be.
+
+    Parameters
+    ----------
+    measured : sequence of Agreed
+        What blocks agree on, the widest mean first.
+    modelled_px : ndarray of float64, shape (ny, nx)
+        What the model says of it.
+    sigma_px, one_px : ndarray of float64, shape (ny, nx, 2)
+        Random sigma of the vectors, and of one correlation; NaN where not known.
+    """
+    random, noise = (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in (sigma_px, one_px))
+    known, unknown = np.zeros_like(random), np.ones_like(random)
+    for mean in measured:
+        apart = np.maximum(mean.square_px2 + BACK * np.minimum(random, noise), 0.0) - known
+        clear = np.square(apart) / np.maximum(np.square(noise) + np.square(DOUBT * mean.chance_px2), 1e-30)
+        share = 1.0 - 1.0 / (1.0 + clear**4)
+        known, unknown = known + share * apart, unknown * (1.0 - share)
+    missed = np.maximum(known - (1.0 - unknown) * random, 0.0)
+    return np.asarray(np.sqrt(missed + unknown * np.square(modelled_px)))
+
+
+def _opposite(values: Singles) -> Singles:
+    """Sum (rows, columns) of the products of blocks on opposite sides of each, in four directions."""
+    total = np.zeros_like(values)
+    rows, columns = values.shape
+    inner = slice(EDGE, rows - EDGE), slice(EDGE, columns - EDGE)
+    for down, right in OPPOSITE:
+        one, other = (
+            values[EDGE + s * down : rows - EDGE + s * down, EDGE + s * right : columns - EDGE + s * right]
+            for s in (1, -1)
+        )
+        total[inner] += one * other
+    return total
+
+
+def _weights(place_px: Floats, node_px: Floats, deviation_px: float) -> Singles:
+    """Weights (nodes, places) of a Gaussian around each node."""
+    off = (place_px[None] - node_px[:, None]) / deviation_px
+    return np.where(np.abs(off) < 5.0, np.exp(-0.5 * off**2), 0.0).astype(np.float32)
+
+
+def _pooled(values: Floats, reach_steps: float) -> Floats:
+    pooled: Floats = scipy.ndimage.gaussian_filter(values, reach_steps, mode="constant")
+    return pooled
