@@ -165,7 +165,7 @@ import resource, sys
 from pathlib import Path
 from rtpiv.command_line.cli import main
 import rtpiv.verbs.trace, rtpiv.verbs.correct
-main(["trace", sys.argv[1], "-o", sys.argv[2] + "_small"])
+main(["trace", sys.argv[1], "-o", sys.argv[2] + "_small", "--no-pictures"])
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000, used + 300_000_000))
 sys.exit(main(["trace", sys.argv[3], "-o", sys.argv[2]]))

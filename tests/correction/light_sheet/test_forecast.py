@@ -71,6 +71,6 @@ def test_little_and_nothing_are_said():
 def test_trace_says_it(tmp_path, capsys):
     scene = camera("three_spheres_500", 252).scene
     (tmp_path / "scene.yaml").write_text(dump_scene(scene))
-    found = trace(tmp_path / "scene.yaml", tmp_path / "out")
+    found = trace(tmp_path / "scene.yaml", tmp_path / "out", pictures=False)
     assert found.sheet.sigma_mm < 0.1
     assert "of the light sheet are seen twice" in " ".join(capsys.readouterr().out.split())

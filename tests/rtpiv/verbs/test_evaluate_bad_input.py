@@ -107,15 +107,15 @@ def test_other_depths_give_the_same_vectors(good, tmp_path, kind):
 
 
 def test_a_fit_that_cannot_be_used_is_said_and_left_out(good, tmp_path, capsys):
-    """Damaged, or of another scene: vectors are measured without the map's uncertainty, and the page says so."""
+    """Damaged, or of another scene: vectors are measured without the map's uncertainty, and it is said."""
     scene, frames = good
     (tmp_path / "scene.yaml").write_text(scene.read_text())
     (tmp_path / "fit.npz").write_bytes(b"PK nonsense")
-    assert evaluate(tmp_path, tmp_path / "scene.yaml", frames) == DONE
+    assert evaluate(tmp_path, tmp_path / "scene.yaml", frames, "--no-pictures") == DONE
     assert "no uncertainty of the map" in capsys.readouterr().out
     summary = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert "is damaged" in summary["no_map_sigma"]
     header = {"names": [], "scene_hash": "0123456789abcdef", "nominal_hash": "0" * 16, "history": []}
     save_arrays(tmp_path / "fit.npz", "scene fit", header, {"scene_root": np.eye(14)})
-    assert evaluate(tmp_path, tmp_path / "scene.yaml", frames) == DONE
+    assert evaluate(tmp_path, tmp_path / "scene.yaml", frames, "--no-pictures") == DONE
     assert "the fit belongs to scene 0123456789abcdef" in " ".join(capsys.readouterr().out.split())
