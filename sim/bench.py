@@ -35,12 +35,12 @@ from sim.timing_wiring import connect
 from sim.world import FLOW, World
 from stages.config import StagesTable
 from tracer.errors import SceneError
-from tracer.scene.scene_file import dump_scene
 
 SERIAL = "SIM-BENCH"
 CAMERA_HERE = "sim.camera.in_process:InProcessCamera"
 STOOD = """# The true scene with every axis where the scene holds. Screws have play: where things truly stood for a
 # frame is its true_mm in steps.jsonl (`sim.arranged`). 0.05 mm from here, a map of two balls differs by 0.04 px.
+# Glass is told at wavelength_nm; a run of the target was taken in fit.light, any other in the laser's light.
 """
 
 
@@ -132,11 +132,11 @@ class SimulatedBench:
 
     def secrets(self) -> dict[str, str]:
         """The true scene, and the flow if one was shown: to score a run by."""
-        truths = {"truth.yaml": STOOD + dump_scene(self.world.scene)}
+        truths = {"truth.yaml": STOOD + self.world.truth()}
         if self.world.lit is not None:
             truths["flow_truth.yaml"] = self.world.flow_truth()
         for name, world in self._further_worlds.items():
-            truths[f"truth_{name}.yaml"] = STOOD + dump_scene(world.scene)
+            truths[f"truth_{name}.yaml"] = STOOD + world.truth()
         return truths
 
     def close(self) -> None:

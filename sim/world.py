@@ -3,7 +3,8 @@
 The world knows three elements: camera, glass, target.  Motors carry them, with play, lead error and whole steps,
 so an element stands where its screw has really brought it, not where a controller says.  Pictures are rendered at
 these TRUE places, with a camera, glass and aim that are all a little off the scene file (`misaligned`, by the
-seed): what a bench does to an experimenter.  The target's plane is z = 0 of the scene.
+seed): what a bench does to an experimenter.  The target's plane is z = 0 of the scene; a chessboard hangs there in
+the light that the scene file tells of target frames (`sim.target_light`).
 """
 
 import secrets
@@ -24,15 +25,19 @@ from sim.renderer.patterns import Chessboard, CodedBoard, ParticleSheet, placed,
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
+from sim.target_light import Colours, colours_of, in_each_colour, target_light
 from sim.timing import SimulatedTiming
 from tracer.board import Board
+from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
 PRINTER = 7  # what is drawn for the printer is drawn by this beside the seed
 KEPT_FLOW_VIEWS = 2  # the glass in and out
 LATER_S = 1.0  # in the flow for each exposure that was made before this process began
+BOARD = "chessboard"  # what a target run shows
 FLOW = "flow"  # what a flow run shows: no print, but light on particles
 Print = Chessboard | CodedBoard | ParticleSheet
 
@@ -76,6 +81,10 @@ class World:
         if lit is None and shows == FLOW:
             self.lit = LitFlow(exposures_before, LATER_S * exposures_before)
         self.print = _print_of(bench, table.seed, shows)
+        self.lamp = target_light(bench) if shows == BOARD else None  # particles are lit by the laser
+        self._colours: Colours = ((self.scene.wavelength_nm, 1.0),)
+        if self.lamp is not None:
+            self._colours = colours_of(self.lamp.light())
         self._sensor = Sensor(blur_px=table.blur_px)
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
         self._flow_cameras: dict[tuple[float, ...], FlowCamera] = {}
@@ -125,6 +134,15 @@ class World:
             self._flow_cameras[key] = self._table.flow.camera(scene, self._table.seed, self._table.pupil)
         return self._flow_cameras[key]
 
+    def light(self) -> NDArray[np.float32]:
+        """The light of the world as it stands on each pixel, float32 (H, W): 1 = white sheet without glass."""
+        with self._lock:
+            return self._light(self.true_mm())
+
+    def truth(self) -> str:
+        """The true scene as a scene file, with the light of the target if that is what was shown."""
+        return dump_scene(self.scene, None if self.lamp is None else FitTable(light=self.lamp))
+
     def flow_truth(self) -> str:
         """Every number of the flow as YAML, in the words of `simulation.flow`."""
         return self._table.flow.as_text(self._table.seed)
@@ -135,14 +153,16 @@ class World:
             while len(self._views) >= KEPT_VIEWS:
                 self._views.pop(next(iter(self._views)))
             scene, pattern = self._arranged(true_mm)
-            light = render_irradiance(
-                scene,
-                pattern,
-                samples=self._table.samples,
-                seed=self._table.seed,
-                aperture=self._table.pupil,
-                sheet_mm=sheet_mm(self._bench),
-            )
+            light = np.zeros(scene.camera.shape, np.float32)
+            for coloured, share in in_each_colour(scene, self._colours):
+                light += np.float32(share) * render_irradiance(
+                    coloured,
+                    pattern,
+                    samples=self._table.samples,
+                    seed=self._table.seed,
+                    aperture=self._table.pupil,
+                    sheet_mm=sheet_mm(self._bench),
+                )
             across = np.linspace(-1.0, 1.0, light.shape[1], dtype=np.float32)
             self._views[key] = light * (np.float32(1.0) + np.float32(self._table.uneven_light) * across)
         return self._views[key]
@@ -168,7 +188,7 @@ def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard:
 
 
 def _print_of(bench: Bench, seed: int, shows: str) -> Print:
-    if shows == "chessboard":
+    if shows == BOARD:
         return _board_of(bench, seed)
     camera = bench.scene.camera
     px_per_mm = camera.focal_px / float(np.linalg.norm(camera.position_mm))

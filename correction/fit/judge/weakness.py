@@ -55,9 +55,15 @@ class Weakness:
     together: bool = False
 
 
+def _of_light(fit: SceneFit) -> list[Weakness]:
+    """What is not known of the light; a light that cannot be the told one is in the verdict, and said once."""
+    said = fit.light.sentence
+    return [Weakness((), said)] if said and not fit.verdict.wrong_light else []
+
+
 def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
-    found = [Weakness((), fit.light.sentence)] if fit.light.sentence else []
+    found = _of_light(fit)
     found += [Weakness((), sentence) for sentence in two_gases(fit.unknowns.scene)]
     wide = doubted(fit.unknowns)
     if held := wide.names[len(fit.names) :]:

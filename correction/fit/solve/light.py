@@ -119,8 +119,9 @@ def doubt_of(nominal: Scene, light: Light | None, rivals: Sequence[Rival] = ()) 
         )
         sentence = sentence if largest > WORTH_A_WORD else ""
     else:
+        known = f"{light.unsure_nm:.0f}" if light.unsure_nm >= 10.0 else f"{light.unsure_nm:.1f}"
         sentence = (
-            f"the mean wavelength of the target's light is known to {light.unsure_nm:g} nm, n to {largest:.1g};"
+            f"the mean wavelength of the target's light is known to {known} nm, n to {largest:.1g};"
             " the map's sigma holds that. The lamp's spectrum as fit.light.points would help"
         )
     return LightDoubt(step, sentence)
