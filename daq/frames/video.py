@@ -171,7 +171,8 @@ class _Decoder:
             raise FrameError(f"the video has frames 1 to {max(self._packed)}, and no {number}")
         with self._lock:
             if number not in self._recent:
-                self._go_to(number)
+                with suppress(self._library.error.FFmpegError):  # it is not there then
+                    self._go_to(number)
             found = self._recent.get(number)
         if found is None:
             raise FrameError(_DAMAGED)
@@ -179,10 +180,14 @@ class _Decoder:
 
     def _from_start(self, stream: BufferedReader, path: Path) -> tuple[Any, Any]:
         """Open it by the ending of its name alone: a playlist under another name opens nothing."""
-        video = self._library.open(stream, format=FORMATS[path.suffix.lower()])
+        video = self._library.open(stream, format=FORMATS[path.suffix.lower()], metadata_errors="replace")
         if len(video.streams.video) != 1:
             raise FrameError(f"{path}: holds {len(video.streams.video)} videos; one is needed")
         track = video.streams.video[0]
+        if track.codec_context is None:
+            raise FrameError(
+                f"{path}: is packed in a way that nothing here reads; pack it by FFV1, without a loss"
+            )
         track.codec_context.options = {"err_detect": "explode+crccheck+bitstream+buffer"}
         track.codec_context.thread_count = 1  # a damaged frame is then the one that was put in
         return video, track
@@ -219,9 +224,8 @@ class _Decoder:
     def _decoded(self, begin: int) -> Iterator[tuple[int, NDArray[Any] | None]]:
         """Frames from one that stands alone, in the order of their numbers; None for one that is damaged."""
         self._track.codec_context.flush_buffers()
-        self._video.seek(self._packed[begin].time, stream=self._track)
         sound = True
-        for packet in self._packets():
+        for packet in self._packets(self._packed[begin].time):
             try:
                 with self._library.logging.Capture() as said:
                     frames = packet.decode()
@@ -239,9 +243,10 @@ class _Decoder:
                 good = sound and (frame.height, frame.width) == self.shape
                 yield number, _grey(frame) if good else None
 
-    def _packets(self) -> Iterator[Any]:
-        """What the file has, up to where it cannot be read any more."""
+    def _packets(self, time: int) -> Iterator[Any]:
+        """What the file has from a time on, up to where it cannot be read any more."""
         with suppress(self._library.error.FFmpegError):
+            self._video.seek(time, stream=self._track)
             yield from self._video.demux(self._track)
 
 

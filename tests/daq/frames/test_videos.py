@@ -212,3 +212,41 @@ def test_every_frame_is_decoded_once_where_all_are_asked_for_in_order(tmp_path, 
         for number in pair:
             read_named(frame(path, number))
     assert len(decoded) == 24
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pixels"),
+    [("a.mp4", "mpeg4", "yuv420p"), ("b.mov", "libx264", "yuv420p"), ("c.mkv", "ffv1", "gray"),
+     ("d.avi", "mjpeg", "yuvj420p"), ("e.cine", "", "")],
+)  # fmt: skip
+def test_whatever_is_damaged_ends_in_frames_or_in_sentences(tmp_path, name, codec, pixels):
+    """Names in another alphabet, packings that do not exist, sizes, times and counts that lie."""
+    whole = tmp_path / name
+    whole = write_video(whole, moving(6), codec, pixels) if codec else write_cine(whole, moving(6), 8)
+    content, rng, ended = whole.read_bytes(), np.random.default_rng(len(name) + ord(name[0])), set()
+    for number in range(30):
+        altered = bytearray(content)
+        for place in rng.integers(0, len(altered), rng.integers(1, 4)):
+            altered[place] = rng.integers(256)
+        path = tmp_path / f"{number}{name}"
+        path.write_bytes(altered if number % 3 else altered[: rng.integers(len(altered))])
+        try:
+            for _, *places in source_of(path).pairs():
+                for place in places:
+                    assert read_named(place).ndim == 2
+            said = "frames"
+        except (FrameError, PairError) as error:
+            said = str(error)
+        assert "\n" not in said
+        ended.add(said == "frames")
+    assert ended == {True, False}
+
+
+def test_names_in_another_alphabet_and_packings_that_do_not_exist(tmp_path):
+    content = write_video(tmp_path / "a.mp4", moving(4), "mpeg4", "yuv420p").read_bytes()
+    (tmp_path / "b.mp4").write_bytes(content.replace(b"isomiso2", b"iso\xebiso2"))
+    assert np.array_equal(read_named(frame(tmp_path / "b.mp4", 2)), read_named(frame(tmp_path / "a.mp4", 2)))
+    content = write_video(tmp_path / "d.mp4", moving(4), "libx264", "yuv420p").read_bytes()
+    (tmp_path / "c.mp4").write_bytes(content.replace(b"avc1", b"xyz1"))
+    with pytest.raises(FrameError, match="packed in a way that nothing here reads"):
+        source_of(tmp_path / "c.mp4")

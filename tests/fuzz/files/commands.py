@@ -27,7 +27,19 @@ from tests.fuzz.files.damage import damaged_text, spoil_file
 from tests.fuzz.files.damaged_files import Hung, alarm
 from tests.fuzz.files.originals import write_originals
 
-LEFT_OUT = {"demo", "warm", "benchmark", "emulate", "live", "devices", "probe", "doctor", "laser", "camera"}
+LEFT_OUT = {
+    "demo",
+    "warm",
+    "benchmark",
+    "emulate",
+    "live",
+    "mask",
+    "devices",
+    "probe",
+    "doctor",
+    "laser",
+    "camera",
+}
 LONGEST_S = 60
 WORDS = (
     "", " ", "-", "--", "0", "-1", "1e999", "nan", "-inf", "1" * 5000, "9" * 25, "20,5", "٣", "½", "x" * 5000,
