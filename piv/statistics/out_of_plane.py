@@ -27,6 +27,10 @@ plane (0: nothing flows through the sheet on average).  What is not told is assu
                                          their variances over a neighbourhood, noise taken off
     of stresses                          w' is as strong as u' and v' are: R_ww = (R_uu + R_vv)/2
 
+A variance of which noise leaves nothing is not known to be nothing: it is known as well as so few windows tell it.
+So what counts is not the difference x of what is measured and of noise but the mean of what it can be, given x,
+its standard uncertainty s and that no variance is negative: x + s phi(x/s) / Phi(x/s), x where x is large.
+
 An isotropic share is right for turbulence within some ten per cent, as long as eddies fit into the neighbourhood,
 five windows across; a single field cannot tell shear of the mean from them, so near shear it is too much.  For
 the steady part of a flow between walls or spheres it is a guess of the right size, and too much for a flow that
@@ -179,8 +183,11 @@ class SlantedField:
                 return np.asarray(np.stack(sums, axis=-1) / count[..., None])
 
         middle = mean(self.uv)
-        squares = mean(np.square(self.uv)) - np.square(middle) - mean(np.square(self.noise))
-        share = np.maximum(squares.sum(axis=-1), 0.0) / (2.0 + mean(np.square(self.slope)).sum(axis=-1))
+        measured = (mean(np.square(self.uv)) - np.square(middle)).sum(axis=-1)
+        varied = measured - mean(np.square(self.noise)).sum(axis=-1)
+        with np.errstate(invalid="ignore", divide="ignore"):  # of so many windows that do not overlap
+            unsure = measured / np.sqrt(4.0 * np.pi * REACH_WINDOWS**2 * count)
+        share = _not_negative(varied, unsure) / (2.0 + mean(np.square(self.slope)).sum(axis=-1))
         enough = good & (count * 2.0 * np.pi * (REACH_WINDOWS * self.windows) ** 2 >= FEWEST)
         usual = float(np.sqrt(np.median(share[enough]))) if enough.any() else np.nan
         return np.where(enough, np.sqrt(share), usual)
@@ -189,3 +196,11 @@ class SlantedField:
         """Share of values (ny, nx) in the neighbourhood of each place."""
         reach = REACH_WINDOWS * self.windows
         return np.asarray(scipy.ndimage.gaussian_filter(values, reach, mode="constant"), np.float64)
+
+
+def _not_negative(variance: Floats, unsure: Floats) -> Floats:
+    """Mean of what a variance can be that was found to be `variance` (perhaps below 0), give or take `unsure`."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = variance / unsure
+        ratio = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - scipy.special.log_ndtr(z))
+    return np.where(unsure > 0.0, variance + unsure * ratio, np.maximum(variance, 0.0))

@@ -20,7 +20,7 @@ from correction.maps.dewarp import Dewarp
 from correction.target import Chessboard
 from daq.atomic_write import write_text
 from daq.runs.acquired import read_acquired
-from daq.runs.run_views import board_of, dewarp_of
+from daq.runs.run_views import FAR_MM, board_of, dewarp_of, tells_a_scale_alone
 from ground.errors import GroundError
 from piv.resampling.sample import Method
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
@@ -30,7 +30,6 @@ from tracer.mask_picture import left_out
 from tracer.scene.scene import Scene
 
 SCENE_FILE, FIT_FILE = "scene.yaml", "fit.npz"  # beside each other, of a fit as in the folder of a series
-FAR_MM = 1e4  # at the edge of a view of 100 mm motion along the view is 0.5 % of itself across it
 PLAIN_SCENE = """\
 # Frames without glass, {mm_per_px} mm a pixel: a camera far away, straight before the plane.
 wavelength_nm: 532.0
@@ -171,6 +170,8 @@ def scene_sigma_beside(
         Whether particles are looked at, which lie in the scene's light sheet, and not the target.
     """
     if not scene.with_name(FIT_FILE).is_file():
+        if tells_a_scale_alone(fitted):
+            return "a scale was told, and nothing of the camera"
         return "there is no fit beside the scene; run rtpiv calibrate"
     if dewarped:
         return "the fit does not hold for a dewarped camera"

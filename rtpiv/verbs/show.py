@@ -171,9 +171,12 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None) -> None:
         ("its random sigma [m/s]", mean.sigma_m_s),
         ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
         ("not resolved of it [m/s]", np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)),
+        ("total sigma [m/s]", mean.total_sigma_m_s),
         ("fluctuation, without noise [m2/s2]", mean.stresses_m2_s2[..., :2]),
         ("effective samples", mean.effective.samples),
     ]
+    if mean.slant_sigma_m_s is not None:
+        rows.insert(4, ("sigma by the flow through the sheet [m/s]", mean.slant_sigma_m_s))
     if np.isfinite(mean.dt_sigma_share):
         rows.insert(4, ("sigma by dt, one factor [m/s]", mean.dt_sigma_m_s))
     if mean.map_sigma_m_s is not None:
@@ -203,7 +206,7 @@ def show_calibration(screen: Console, found: "Calibration") -> None:
     screen.print(_number_table(found))
     screen.print(_error_table(found))
     for region, values in found.percentiles.items():
-        screen.print(f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.3f} px")
+        screen.print(f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.4f} px")
     fit = found.fit
     for region, counts in found.account.items():
         visible = f" of {counts['visible']} visible" if "visible" in counts else ""

@@ -22,7 +22,7 @@ from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
-from rtpiv.analysis.report.page import Link, Page, through_lead
+from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter, slant_figure, slant_lines
 from rtpiv.analysis.report.run import books_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
@@ -65,7 +65,7 @@ def write_mean_page(
         What it was evaluated from, if that is at hand: frames and one pair are shown, and the run's books.
     """
     about, folder, scene = view.about, view.folder, view.scene
-    page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
+    page = Page(f"{about['run']}: mean flow{behind_glass(scene)}", f"{mean.used} pairs", twice=figures)
     if mean.doubt:
         page.warning(mean.doubt + ".")
     corrector, regions = view.correction.corrector, regions_of_mean(view, mean)

@@ -228,6 +228,11 @@ def _drawn(figure: "Figure", kind: str) -> bytes:
     return buffer.getvalue()
 
 
+def behind_glass(scene: Scene) -> str:
+    """What a title says of the view: nothing where nothing stands before the camera."""
+    return " through glass" if scene.bodies else ""
+
+
 def through_lead(page: Page, through: ThroughGlass | None, scene: Scene, recovered: float) -> None:
     """Begin a page.
 

@@ -8,6 +8,7 @@ from correction.grid import PlaneGrid
 from daq.runs.run_views import where_lit
 from piv.correlation.vector_field import VectorField
 from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.pictures.before_after import BeforeAfter
 from rtpiv.analysis.pictures.drawing import CAPTION, scene_figure
 from rtpiv.analysis.pictures.traced import CAPTION as BLUR_CAPTION
@@ -37,6 +38,8 @@ from rtpiv.analysis.report.tables import (
     image_rows,
     lead_of,
     mask_swatches,
+    moved_head,
+    moved_rows,
     offset_said,
     region_masks,
     response_rows,
@@ -160,6 +163,9 @@ def _vector_figure(page: Page, evaluation: Evaluation) -> None:
     field = evaluation.field
     if evaluation.shift is None:
         colour, label = np.hypot(field.u_px, field.v_px), "displacement [px]"
+        if evaluation.task.dt_s is not None:
+            colour = colour * per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
+            label = "speed [m/s]"
         said = "Vectors, their length in colour; lines: outlines of the bodies on the plane."
     else:
         colour, label = (
@@ -201,6 +207,7 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
         per_px = 1e-3 * grid.pitch_mm / evaluation.task.dt_s
         page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
                     ("1 px of displacement is", f"{per_px:.6g} m/s")])  # fmt: skip
+        page.table(moved_head(evaluation), moved_rows(evaluation), "What moved, y up on the plane")
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
     rule = (
         f"Windows of {field.window_px} px, {field.step_px} px apart. A window is masked if less than 30 % of its "

@@ -58,11 +58,11 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
 
 def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     """Write the page of a pair, with the figures on request also as files; it names what is there."""
-    from rtpiv.analysis.report.page import Link, Page
+    from rtpiv.analysis.report.page import Link, Page, behind_glass
     from rtpiv.analysis.report.pair import pair_chapters, pair_summary
 
     task, out, about = evaluation.task, evaluation.task.out, evaluation.about
-    page = Page("PIV through glass: " + task.name, about["frames"], twice=figures)
+    page = Page(f"PIV{behind_glass(task.scene)}: {task.name}", about["frames"], twice=figures)
     pair_summary(page, evaluation)
     pair_chapters(page, evaluation)
     names = ("vectors.nc", "vectors_velocity.nc", "tracks.nc", "vectors.vtk", "evaluation.json")

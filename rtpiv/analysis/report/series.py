@@ -18,7 +18,7 @@ from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from rtpiv.analysis.pictures.rasters import embedded, grey
 from rtpiv.analysis.recipe import SCENE_FILE
 from rtpiv.analysis.report.figures import vector_figure
-from rtpiv.analysis.report.page import Page, through_lead
+from rtpiv.analysis.report.page import Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
 from rtpiv.analysis.report.tables import mask_swatches
 from rtpiv.analysis.series.chunk import correction_of
@@ -62,7 +62,11 @@ class Preview:
 
 def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures: bool = False) -> None:
     """Write the page of a series that was evaluated."""
-    page = Page(f"{given.run.resolve().name}: a flow through glass", f"{books.pairs} pairs", twice=figures)
+    page = Page(
+        f"{given.run.resolve().name}: a flow{behind_glass(given.method.scene)}",
+        f"{books.pairs} pairs",
+        twice=figures,
+    )
     shown = shown_pair(given, books)
     if shown is not None:
         through_lead(page, shown.seen.through, given.method.scene, shown.seen.recovered)

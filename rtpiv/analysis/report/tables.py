@@ -7,7 +7,8 @@ Where the true shift is known the total error of a region is the rms of its vect
 The page begins with the scatter, and says the bias, a common offset, below. It may be the stage's (it moved the
 sheet by something else than it reported) or the map's; how large either may be stands in the budget of the
 comparison, and is no part of the total. Where no shift is known, the total is what vectors are unsure of:
-random sigma of the correlation, map sigma and what flows through the sheet, in squares. Beside it stands whether
+random sigma of the correlation, what windows do not resolve, map sigma and what flows through the sheet, in
+squares. Beside it stands whether
 sigma keeps its claim.
 """
 
@@ -23,7 +24,7 @@ from correction.evaluate.routes import Claim, Routes, claim_of, independent_shar
 from correction.node_status import MEANING, NodeStatus
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
-from piv.correlation.vector_field import VectorFlag
+from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.preprocessing.image_figures import ImageFigures
 from rtpiv.analysis.digits import two_digits
 from rtpiv.analysis.pairs.evaluation import Evaluation
@@ -112,7 +113,9 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
         return Total(
             name, count, found.total_px, (("bias", found.bias_px), ("scatter", found.std_px)), is_error=True
         )
-    parts = [("random sigma", _rms_uv(np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]))]
+    parts = [("random sigma", _rms_uv(_random(field)[where]))]
+    if field.resolution_px is not None:
+        parts.append(("not resolved by the windows", _rms_uv(_resolution(field)[where])))
     if joined is not None:
         parts.append(("sigma by the fitted map", _rms_uv(joined.displacement_px[where])))
     if evaluation.slant is not None:
@@ -133,7 +136,7 @@ def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | 
     field, joined = evaluation.field, evaluation.map_sigma
     errors = shift_errors(field, evaluation.shift.shift_px)
     errors = errors - np.nanmedian(errors.reshape(-1, 2), axis=0)
-    sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
+    sigma = _random(field)
     if joined is not None:
         sigma = np.hypot(sigma, np.nan_to_num(joined.displacement_px))
     known = where & np.isfinite(errors).all(axis=-1) & np.isfinite(sigma).all(axis=-1) & (sigma > 0.0).all(axis=-1)
@@ -152,6 +155,17 @@ def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | 
     )
 
 
+def _random(field: VectorField) -> NDArray[np.float64]:
+    """Random sigma (ny, nx, 2) of the correlation."""
+    return np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
+
+
+def _resolution(field: VectorField) -> NDArray[np.float64]:
+    """What windows do not resolve (ny, nx, 2), the same along u and v; NaN where nothing tells."""
+    found = field.resolution_px
+    return np.full((*field.flags.shape, 2), np.nan) if found is None else np.stack((found, found), axis=-1)
+
+
 def _rms_uv(values: NDArray[np.float64]) -> Pair:
     """Root mean square of the known of (N, 2), along u and v."""
     known = values[np.isfinite(values).all(axis=-1)]
@@ -167,7 +181,14 @@ def _hypot(one: Pair, other: Pair) -> Pair:
 
 SHIFT_HEAD = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "estimated sigma u, v")
 RESPONSE_HEAD = ("wavelength in windows", "clear wave", "wave below the noise")
-SIGMA_HEAD = ("region", "vectors", "random u, v", "map: displacement u, v", "map: position u, v")
+SIGMA_HEAD = (
+    "region",
+    "vectors",
+    "random u, v",
+    "not resolved u, v",
+    "map: displacement u, v",
+    "map: position u, v",
+)
 CLAIM_HEAD = (
     "region",
     "vectors",
@@ -222,11 +243,11 @@ def shift_rows(result: ShiftResult) -> list[Row]:
 def sigma_rows(evaluation: Evaluation) -> list[Row]:
     """Rows under SIGMA_HEAD: rms of each share of the uncertainty along u and v."""
     field, joined = evaluation.field, evaluation.map_sigma
-    random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
+    random, unresolved = _random(field), _resolution(field)
     nothing = np.full_like(random, np.nan)
     place, moved = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
     return [
-        (name, str(int(where.sum())), *(_rms_pair(sigma[where]) for sigma in (random, moved, place)))
+        (name, str(int(where.sum())), *(_rms_pair(sigma[where]) for sigma in (random, unresolved, moved, place)))
         for name, where in region_masks(evaluation).items()
     ]
 

@@ -14,6 +14,7 @@ from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
 from correction.maps.slant import vector_slopes
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
+from daq.runs.run_views import tells_a_scale_alone
 from ground.whole_file import whole_file
 from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError
@@ -124,7 +125,9 @@ def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
     prepared = correction_of(job.maps, job.method)
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()}
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
-    slope = vector_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
+    slope = None
+    if not tells_a_scale_alone(prepared.scene):
+        slope = vector_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
     content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about, slope=slope))
     _keep(job.path, content)
     failed = {each.tag: each.found for each in results if isinstance(each.found, str)}

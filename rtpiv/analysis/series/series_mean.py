@@ -46,6 +46,7 @@ from correction.fitted.map_sigma import vector_map_sigma
 from correction.maps.slant import vector_slopes
 from daq.atomic_write import why
 from daq.errors import DiskError
+from daq.runs.run_views import tells_a_scale_alone
 from piv.files.vector_file import SPEED, Vectors, write_vectors
 from piv.statistics.derived import rates
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
@@ -80,8 +81,9 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
         A map cannot be kept.
     """
     mean, sigma, found_map = mean_flow(Chunks.of(view.folder)), view.sigma, view.correction.corrector.map
-    slope = vector_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)[::-1]
-    mean = replace(mean, slope=slope, out_of_plane=view.out_of_plane)
+    if not tells_a_scale_alone(view.scene):
+        slope = vector_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)[::-1]
+        mean = replace(mean, slope=slope, out_of_plane=view.out_of_plane)
     if isinstance(sigma, str):
         return replace(mean, no_map_sigma=sigma)
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)

@@ -116,3 +116,15 @@ def test_holes_and_lonely_vectors_are_told_by_the_others():
 def test_sizes_are_sizes(wrong):
     with pytest.raises(PairError, match="is a size, 0 or more"):
         OutOfPlane(**wrong)
+
+
+def test_a_flow_that_noise_hides_is_not_known_to_be_still():
+    """A field of noise alone: nothing is left of its variance in half of the places, and nowhere is w known."""
+    rng, slope = np.random.default_rng(5), slope_of(0.3, 0.3)
+    sigmas = np.full((SIDE, SIDE, 2), 0.2)
+    field = SlantedField(rng.normal(0.0, 0.2, sigmas.shape), sigmas, slope, WINDOWS)
+    sigma_w = OutOfPlane().of_pair(field, 1.0)
+    assert sigma_w.min() > 0.0
+    assert np.sqrt(np.mean(sigma_w**2)) < 0.12  # well below the noise
+    still = SlantedField(np.zeros((SIDE, SIDE, 2)), np.zeros((SIDE, SIDE, 2)), slope, WINDOWS)
+    assert OutOfPlane().of_pair(still, 1.0).max() == 0.0

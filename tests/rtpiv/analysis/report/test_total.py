@@ -1,5 +1,6 @@
 """The total error with its parts, and whether a sigma keeps what it claims."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,12 +8,14 @@ import pytest
 
 from correction.evaluate.regions import Region, Regions, evaluate_shift
 from rtpiv.analysis.report.tables import (
+    SIGMA_HEAD,
     claim_rows,
     coverage_of,
     lead_of,
     moved_head,
     moved_rows,
     offset_said,
+    sigma_rows,
     totals_of,
 )
 from tests.correction.evaluate.vectors import uniform_field
@@ -137,3 +140,14 @@ def test_without_a_known_shift_what_moved_is_said_beside_and_behind_the_glass(dt
 def test_an_offset_of_nothing_has_no_sign():
     rows = lead_of(totals_of(evaluation(bias=(-1e-6, -1e-6), noise=0.0))[0])[-1]
     assert rows[0] == ("common offset", "+0.0000", "+0.0000")
+
+
+def test_what_windows_do_not_resolve_is_a_part_of_the_total_that_files_hold():
+    of = evaluation(known=False, sigma=0.02)
+    of.field = replace(of.field, resolution_px=np.full(of.field.flags.shape, 0.03))
+    glass, _ = totals_of(of)
+    assert dict(glass.parts)["not resolved by the windows"] == pytest.approx((0.03, 0.03))
+    assert glass.total_px == pytest.approx((np.hypot(0.02, 0.03),) * 2)
+    assert glass.total_px == pytest.approx(tuple(of.field.total_sigma_px[20, 20]))
+    row = dict(zip(SIGMA_HEAD, sigma_rows(of)[0], strict=True))
+    assert row["not resolved u, v"] == "0.030, 0.030"
