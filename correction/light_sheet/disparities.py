@@ -7,8 +7,11 @@ picture at a rim.  Products of the two views are summed
 over places of a cell and over all frames, for a small plane of lags along D and across (`double_views`).  No
 picture is resampled, and no window needs a rectangle: a ring three pixels wide around a ball is as good as any.
 
-The planes are matched with what layers of particles would make of them (`layers.py`, `matched.py`).  How sure a
-height is, the frames themselves say: one tenth of them after the other is left out (jackknife).
+The planes are matched with what layers of particles would make of them (`layers.py`): first those of all cells
+of a kind together, then each cell's.  A cell that stands out (`ALONE`) is searched for its own height.  Faint ones
+are not: which cells have a height would go by what noise made of them, and so would the height.  One tells its
+height by a linear step from the match of its kind, and no cell is left out.  How sure a height is, the frames
+themselves say: one tenth of them after the other is left out (jackknife).
 """
 
 from collections.abc import Callable, Iterator
@@ -32,12 +35,12 @@ BLOCKS = 10
 BRIGHTEST = 6.0  # standard deviations; brighter ones count as so many
 EVENED_PX = 5  # the standard deviation is that of so many pixels a side
 CLEAR = 8.0  # standard deviations, told by ten blocks, that the best of thirty places must stand out by
-LEAST_SURE = 0.25  # of the heights and lags looked at
+ALONE = 20.0  # the same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
 HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`
 USUAL_MM = 0.18  # spread of the light of a sheet of 1 mm
 USUAL_SPREAD2, USUAL_SIZE = (USUAL_MM**2, 0.1), (0.45, 1.0)  # and how far they may be from that
 MODELLED, LEAST_MODELLED = 2000, 30  # places, and of a cell
-MODELLED_TO = 0.3  # of what bend and fading make of a height; simulated flows behind two balls leave so much
+MODELLED_TO = 0.25  # of what bend and fading make of a height; flows behind two balls leave 0.13 to 0.28
 
 
 @dataclass(frozen=True)
@@ -235,12 +238,15 @@ def _measured(
             whole = blocks[:, one].sum(axis=0)
             lags = models[one].offset(*match.values[[SPREAD, SIZE]]) * units[one, 0]
             common[one, 2 * number] = MODELLED_TO * lags * views.pitch_mm / parallax[one]
-            alone = models[one].fit(whole, match.values, [HEIGHT, SHIFT])
-            if alone is None:
+            own = models[one].fit(whole, match.values, [HEIGHT, SHIFT])
+            if own is not None and models[one].clearness(blocks[:, one], own) >= ALONE:
+                at, values = own, own.values
+            else:
+                at, values = match, models[one].beside(whole, match, [HEIGHT, SHIFT])
+            sigma = np.hypot(*models[one].left_out(blocks[:, one], at, [HEIGHT, SHIFT]))
+            if not (sigma > 0.0).all():  # no layer is seen from here
                 continue
-            sigma = np.hypot(*models[one].left_out(blocks[:, one], alone, [HEIGHT, SHIFT]))
-            if (sigma < LEAST_SURE * np.array([reach_mm, ACROSS])).all():
-                found[one] = (*alone.values[:2], *np.maximum(sigma, 1e-4)) * np.array([1.0, units[one, 1]] * 2)
+            found[one] = (*values[:2], *np.maximum(sigma, 1e-4)) * np.array([1.0, units[one, 1]] * 2)
         _even(found, here, places)
     good = np.isfinite(found).all(axis=1)
     middle = np.stack([np.bincount(cell, views.place_mm[:, k]) / places for k in (0, 1)], axis=-1)

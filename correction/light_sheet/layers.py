@@ -281,19 +281,30 @@ class Model:
         blocks differ by, the rest is taken to lie as chance does, and moves numbers by so many times more.
         """
         count = len(blocks)
-        bell = self.plane(match.values)
-        design = np.column_stack((np.ones_like(bell), bell, *(match.light * self.rates(match.values, free))))
-        norm = np.sqrt(np.sum(design**2, axis=0))
-        norm[norm == 0.0] = 1.0
+        design = self._design(match, free)
         whole = blocks.sum(axis=0)
         left = (whole - blocks) * count / (count - 1.0)
-        answers = np.linalg.lstsq(design / norm, left.T, rcond=1e-9)[0] / norm[:, None]
+        answers = _solved(design, left.T)
         steps = answers[2:]
         variance = (count - 1.0) / count * np.sum((steps - steps.mean(axis=1)[:, None]) ** 2, axis=1)
         chance = count * blocks.var(axis=0, ddof=1).sum()
-        off = whole - whole.mean() - match.light * (bell - bell.mean())
+        off = whole - design @ _solved(design, whole)
         more = max(0.0, float(off @ off) / max(float(chance), 1e-300) - 1.0)
         return np.asarray(np.sqrt(np.stack((variance, more * variance))), np.float64)
+
+    def beside(self, plane: NDArray[np.float64], match: Match, free: list[int]) -> NDArray[np.float64]:
+        """Numbers (4,) of a `Match`, one step from that of many planes, whose light this plane is taken to have.
+
+        The step is linear in the plane, so noise draws its numbers to no side, however faint the plane is.
+        """
+        values = match.values.copy()
+        values[free] += _solved(self._design(match, free), plane)[2:]
+        return values
+
+    def _design(self, match: Match, free: list[int]) -> NDArray[np.float64]:
+        """What a change of background, of light and of the numbers makes of the plane (R * K, 2 + len(free))."""
+        bell = self.plane(match.values)
+        return np.column_stack((np.ones_like(bell), bell, *(match.light * self.rates(match.values, free))))
 
     def offset(self, spread2: float, size: float) -> float:
         """Lags along D by which bend and fading alone move the peak of a sheet at height 0."""
@@ -308,3 +319,11 @@ class Model:
         spread = bell - bell.mean()
         lights = blocks @ spread
         return float(lights.mean() / max(float(lights.std(ddof=1)), 1e-300) * np.sqrt(len(lights)))
+
+
+def _solved(design: NDArray[np.float64], planes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least squares; columns of a design may differ by powers of ten."""
+    norm = np.sqrt(np.sum(design**2, axis=0))
+    norm[norm == 0.0] = 1.0
+    answer = np.linalg.lstsq(design / norm, planes, rcond=1e-9)[0]
+    return np.asarray(answer / (norm if planes.ndim == 1 else norm[:, None]), np.float64)
