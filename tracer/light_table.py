@@ -13,13 +13,15 @@ One of these says what the lamp sends:
 Beside it stand ``filters`` (a list of the same shapes, read as transmittance) and how the camera counts:
 ``response`` (points of signal per watt) or ``quantum_efficiency`` (points of electrons per photon).  Without
 either the spectrum is taken as what the camera counts.  ``unsure_nm`` is the standard deviation of the mean
-wavelength (8 for a colour temperature, 5 for other lamps, of which no two are alike, 0 for lines).
+wavelength (8 for a colour temperature, 5 for other lamps, of which no two are alike, 0 for lines).  A single
+``mean_nm`` is a line if ``source: laser`` says so, or if it is the light that the particles are seen in; any other
+is taken for a lamp of one colour, whose data sheet gives no more than its typical wavelength.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -117,6 +119,7 @@ class LightTable(ShapeTable):
     response: Points | None = None
     quantum_efficiency: Points | None = None
     unsure_nm: Annotated[float, Field(ge=0.0, le=200.0)] | None = None
+    source: Literal["laser", "lamp"] | None = None
 
     @model_validator(mode="after")
     def _one(self) -> "LightTable":
@@ -127,6 +130,8 @@ class LightTable(ShapeTable):
             )
         if self.response is not None and self.quantum_efficiency is not None:
             raise ValueError("give either response (per watt) or quantum_efficiency (per photon)")
+        if self.source == "laser" and (self.mean_nm is None or self.spread_nm > 0.0 or self.unsure_nm):
+            raise ValueError("a laser is one line, known exactly: source: laser stands beside mean_nm alone")
         for what in ("response", "quantum_efficiency", "lines"):
             if getattr(self, what) is not None:
                 _ascending(getattr(self, what), what)
@@ -136,15 +141,30 @@ class LightTable(ShapeTable):
             raise ValueError(str(error)) from None
         return self
 
-    def light(self) -> Light:
+    def light(self, particles_nm: float | None = None) -> Light:
         """Return the light as the camera counts it.
+
+        Parameters
+        ----------
+        particles_nm : float, optional
+            What particles are seen in: one colour that is no laser and not theirs is a lamp, and as unsure as one.
 
         Raises
         ------
         SceneError
             Nothing is left behind the filters, or a response says nothing about a part of the light.
         """
-        return self._counted(self._sent())
+        light = self._counted(self._sent())
+        alone = self.mean_nm is not None and self.spread_nm == 0.0 and self.unsure_nm is None
+        other = particles_nm is not None and self.mean_nm != particles_nm and self.source is None
+        if alone and (self.source == "lamp" or other):
+            return replace(light, unsure_nm=LAMPS_DIFFER_NM)
+        return light
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether the file says how well the mean wavelength is known."""
+        return self.unsure_nm is not None or self.source == "laser"
 
     def rivals(self) -> tuple[Light, ...]:
         """Lights that the same width could mean: a band for a Gaussian, a Gaussian for a band.

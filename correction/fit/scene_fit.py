@@ -77,7 +77,7 @@ def fit_scene(
     """
     by_hand = nominal.left_out
     priors, nominal = priors or FitTable(), replace(nominal, masked=())  # judged anew
-    light = priors.light.light() if priors.light else None
+    light = priors.light.light(nominal.wavelength_nm) if priors.light else None
     work = Progress(in_light(nominal, light), frames, board, priors, say)
     if light is not None and len(light.weight) > 1:
         work.dispersion = Dispersion.of(nominal, light)
@@ -94,12 +94,13 @@ def fit_scene(
         raise FitFailed(failed.gate, failed.value, failed.limit, _blamed(work, failed.reason)) from None
     seen = None
     if light is not None and priors.light is not None:
-        seen = light_of_glass(fit, nominal, light, priors.light.unsure_nm is not None)
+        seen = light_of_glass(fit, nominal, light, priors.light.is_believed)
     if seen is not None:
         fit = replace(fit, verdict=replace(fit.verdict, wrong_light=str(seen) if seen.alarm else ""))
         light = replace(seen.told, unsure_nm=seen.unsure_nm)
     doubt = doubt_of(nominal, light, _rivals(fit, priors, light))
-    if light is not None and not doubt.sentence:
+    is_laser = priors.light is not None and priors.light.source == "laser"
+    if light is not None and not doubt.sentence and not is_laser:
         doubt = replace(doubt, sentence=_rests_on(work, fit, nominal, light))
     measured = replace(back_from_light(fit.scene, nominal, light), masked=(*by_hand, *fit.verdict.masked))
     board = work.board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
@@ -153,8 +154,8 @@ def _rests_on(work: Progress, fit: SceneFit, nominal: Scene, light: Light) -> st
         return ""
     return (
         f"the map rests on fit.light (mean {light.mean_nm:.0f} nm): no frame shows a mean wavelength, and a lamp"
-        f" {OFF_NM:g} nm off that moves what is seen behind glass by {typical:.2g} px; compare it with the lamp's"
-        " data sheet, or take target and particles in one light"
+        f" {OFF_NM:g} nm off that moves what is seen behind glass by {typical:.2g} px; say source: lamp in"
+        " fit.light if it is one, so that the map's sigma holds what lamps differ by; source: laser ends this word"
     )
 
 

@@ -73,8 +73,9 @@ bodies:
 {lines}
 {hold}# sheet: {{z_mm: 0.0, sigma_mm: 0.5}}  # the light sheet, where it is not quite the plane of the target
 fit:                        # what `rtpiv calibrate` goes by
-  # what lights the target: here light of the laser's colour, as on the simulated bench. Glass has another index in
-  # white light: {{colour_temperature_k: 5000}}, or better the lamp's spectrum as points
+  # what lights the target: here the laser's own light, as on the simulated bench. Glass has another index in
+  # another light: {{mean_nm: 530, width_nm: 30}} for a green LED (source: lamp, if you know no width),
+  # {{colour_temperature_k: 5000}} for a white one, or better the lamp's spectrum as points
   light: {{mean_nm: {lab.wavelength_nm:g}}}
   # spheres: {{centre_mm: 1.0, radius_mm: 0.02}}   # what it may change: standard deviations, the defaults
   # n: 0.005

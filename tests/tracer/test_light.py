@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from tracer.errors import SceneError
 from tracer.light import band, gaussian, light_of, line, white_led
-from tracer.light_table import LightTable
+from tracer.light_table import LAMPS_DIFFER_NM, LightTable
 from tracer.media import MEDIA
 
 GLASS = MEDIA["N-BK7"]
@@ -101,6 +101,8 @@ def test_colours_have_the_mean_and_nearly_the_spread_of_the_light():
         ({"mean_nm": 532.0, "filters": [{"mean_nm": 532.0}]}, "needs a width"),
         ({"band_nm": [450.0, 650.0], "response": [[500.0, 1.0], [700.0, 1.0]]}, "25 % of the light"),
         ({"colour_temperature_k": 1800.0}, "2500"),
+        ({"mean_nm": 532.0, "width_nm": 20.0, "source": "laser"}, "beside mean_nm alone"),
+        ({"mean_nm": 532.0, "unsure_nm": 3.0, "source": "laser"}, "beside mean_nm alone"),
     ],
 )
 def test_what_is_no_light_is_refused(told, words):
@@ -126,3 +128,20 @@ def test_a_width_may_mean_a_band_or_a_gaussian_as_wide_or_of_the_same_variance()
     assert not LightTable(colour_temperature_k=4000.0).rivals()
     cut = LightTable(mean_nm=550.0, width_nm=100.0, filters=[{"band_nm": [540.0, 560.0]}])
     assert max(light.spread_nm for light in cut.rivals()) < 6.0
+
+
+@pytest.mark.parametrize(
+    ("told", "unsure_nm"),
+    [
+        ({"mean_nm": 550.0}, LAMPS_DIFFER_NM),  # not the particles' light, and nobody says that it is a laser
+        ({"mean_nm": 550.0, "source": "laser"}, 0.0),
+        ({"mean_nm": 550.0, "unsure_nm": 0.0}, 0.0),
+        ({"mean_nm": 532.0}, 0.0),  # both are seen in one light
+        ({"mean_nm": 532.0, "source": "lamp"}, LAMPS_DIFFER_NM),
+        ({"mean_nm": 532.0, "source": "lamp", "unsure_nm": 2.0}, 2.0),
+        ({"mean_nm": 530.0, "width_nm": 30.0}, LAMPS_DIFFER_NM),
+        ({"lines": [[546.1, 1.0]]}, 0.0),
+    ],
+)
+def test_one_colour_is_a_lamp_unless_it_is_the_particles_light_or_said_to_be_a_laser(told, unsure_nm):
+    assert LightTable(**told).light(532.0).unsure_nm == unsure_nm

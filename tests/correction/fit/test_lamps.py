@@ -142,6 +142,19 @@ def test_what_a_mean_wavelength_would_do_that_glass_cannot_tell_is_said():
     assert 0.4 * error < 1.8 * a_lamp_10_nm_off < 2.5 * error
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("told", [{"mean_nm": 540.0}, {"mean_nm": 532.0, "source": "lamp"}])
+def test_a_lamp_of_one_colour_told_10_nm_off_or_more_is_in_the_sigma(told):
+    """Lamps of one data sheet differ by 5 nm, so 10 and 18 are two and three and a half of these."""
+    fit = fitted(LAMPS["line_550"].share, told, PLASTICS)
+    error, sigma = error_and_sigma(fit, PLASTICS)
+    print(f"plastics, 550 as {told}: error {error:.4f} px, sigma {sigma:.4f} px, {fit.light.sentence}")
+    assert error > 0.05
+    assert error <= 1.25 * (550.0 - told["mean_nm"]) / 5.0 * sigma
+    assert "known to 5 nm" in fit.light.sentence
+
+
 def test_a_width_that_is_told_leaves_the_shape_of_the_light_open():
     nominal = lab_scene()
     wide, narrow, points = (
