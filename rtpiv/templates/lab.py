@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from daq.errors import RunUsageError
+from ground.plain_words import slip
 from rtpiv.templates.arrangement import (
     ALIASES,
     ARRANGEMENTS,
@@ -27,6 +28,7 @@ from tracer.media import ConstantMedium, Medium, known_media, medium_called
 NAME = TypeAdapter(Name)
 DENSEST = 4.0  # index
 LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
+LEAST_BALL_PX, LEAST_CORNER_PX = 16.0, 4.0  # of a ball and of a square, below which a lab shows nothing of them
 LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
 AROUND = 1.05  # of what the balls hide
 LINES = ("behind", "beside")  # whose balls may differ
@@ -194,6 +196,21 @@ class Lab:
         """Width and height of what the camera sees of the plane without glass."""
         width, height = self.sensor_px
         return width / self.px_per_mm, height / self.px_per_mm
+
+    @property
+    def too_small(self) -> str:
+        """What this camera could not show, as one sentence with the likely slip; "" if all can be seen."""
+        sizes = [("ball_mm", size, LEAST_BALL_PX) for size in self.each_mm] + [
+            ("square_mm", self.board_mm, LEAST_CORNER_PX)
+        ]
+        for key, size, least_px in sizes:
+            least_mm = least_px / self.px_per_mm
+            if size < least_mm:
+                hint = slip(key, size, least_mm, self.distance_mm)
+                return (
+                    f"{key}: {size:g} mm are {size * self.px_per_mm:.2g} px of this camera, too few to see{hint}"
+                )
+        return ""
 
     @property
     def board_mm(self) -> float:

@@ -195,6 +195,8 @@ def _lab(given: Words, placed: bool = False) -> Lab:
         given.get("balls", len(several) or None), given.get("arrangement", "behind" if several else None)
     )
     lab = Lab(**(given | {"balls": count, "arrangement": shape}))
+    if said := (lab if "lens_mm" in given else lab.with_usual_lens()).too_small:
+        raise RunUsageError(said)
     if placed and "gap_mm" not in given:
         from rtpiv.analysis.views.arranged import best_gap
 

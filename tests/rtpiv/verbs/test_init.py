@@ -301,3 +301,18 @@ def test_beds_are_acquired_and_fitted_on_their_simulated_benches(shape, tmp_path
         )  # four sigmas of a mean of 2 N squares, and as much for what is taken off
         assert abs(way["rough_square"] - 1.0) < 0.15 + spread, way
     assert found["map_sigma_px"]["behind glass"]["median"] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--ball-mm", "0.012", "--square-mm", "0.004"), "ball_mm: 0.012 mm are 1.4 px"),
+        (("--square-mm", "0.004"), "square_mm: 0.004 mm are"),
+    ],
+)
+def test_metres_for_millimetres_are_refused_by_name(tmp_path, capsys, words, named):
+    assert main(["init", str(tmp_path / "lab"), "--yes", *words]) == USAGE
+    said = " ".join(capsys.readouterr().err.split())
+    assert named in said
+    assert "m for mm?" in said
+    assert not (tmp_path / "lab").exists()
