@@ -40,7 +40,8 @@ def export(
     to : {"matlab", "paraview", "tecplot"}, or {"netcdf", "tiff"} of scene files
         For whom.
     out : path, optional
-        Folder, default ``exported`` (or ``exported-2`` ... where that has results); files keep their names.
+        Folder, default ``exported`` (or ``exported-2`` ... where that has results); files keep their names, and
+        have those of their folders before them where several share one.
 
     Returns
     -------
@@ -50,7 +51,7 @@ def export(
     Raises
     ------
     RunUsageError
-        A file is not there, or a folder; two would get one name, or the format is not one of its kind.
+        A file is not there, or a folder, or named twice; or the format is not one of its kind.
     VectorFileError
         A file is damaged or holds no vectors on a grid.
     ConfigError
@@ -67,26 +68,37 @@ def export(
         _require_file(source)
         if (source.suffix in SCENES) != (to in MAP_FORMATS):
             kind, formats = ("a scene", MAP_FORMATS) if source.suffix in SCENES else ("vectors", FORMATS)
+            if to == "netcdf":
+                raise RunUsageError(f"{source}: is NetCDF already, which PIVPy and xarray read as it is")
             raise RunUsageError(f"{source}: {kind} can be exported to {' or '.join(formats)}, not {to}")
-    if len({source.stem for source in sources}) < len(sources):
-        raise RunUsageError("two of the files have one name and would get one file; export them one by one")
+    names = _names(sources)
     out = folder_for(out, "exported")
     out.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     said = MAPS_SAID
-    for source in progress_if_long(sources, len(sources), "files"):
+    for source, name in progress_if_long(list(zip(sources, names, strict=True)), len(sources), "files"):
         try:
             if to in MAP_FORMATS:
-                written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / source.stem)
+                written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / name)
             else:
                 vectors = read_vectors(source)
-                written += FORMATS[to](out / source.stem, vectors)
+                written += FORMATS[to](out / name, vectors)
                 said = _said(vectors, to)
         except OSError as error:
             raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
     sync_folder(out)
     console().print(f"{counted(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False)
     return written
+
+
+def _names(sources: Sequence[Path]) -> list[str]:
+    """Names of the results: those of the files, and of as many folders above them as tell all apart."""
+    places = [source.resolve().with_suffix("").parts[1:] for source in sources]
+    for depth in range(1, max(map(len, places), default=0) + 1):
+        names = ["_".join(place[-depth:]) for place in places]
+        if len(set(names)) == len(names):
+            return names
+    raise RunUsageError("a file is named twice; name each once")
 
 
 def _require_file(source: Path) -> None:

@@ -133,7 +133,20 @@ def test_what_is_none_is_one_sentence(tmp_path, capsys):
         )
     for path in (tmp_path / "none.nc", tmp_path):
         assert exported(path, "matlab", tmp_path / "o") == USAGE
-    (tmp_path / "c").mkdir()
-    twice = [str(tmp_path / "a.nc"), str(written(tmp_path / "c" / "a.nc"))]
-    assert main(["export", *twice, "--to", "tecplot", "-o", str(tmp_path / "o")]) == USAGE
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_files_of_one_name_are_called_after_their_folders(tmp_path, capsys):
+    for folder in ("pair_1", "pair_2"):
+        (tmp_path / folder).mkdir()
+        written(tmp_path / folder / "vectors.nc")
+    both = [str(tmp_path / folder / "vectors.nc") for folder in ("pair_1", "pair_2")]
+    assert main(["export", *both, "--to", "matlab", "-o", str(tmp_path / "out")]) == DONE
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"pair_1_vectors.mat", "pair_2_vectors.mat"}
+    assert main(["export", both[0], both[0], "--to", "matlab", "-o", str(tmp_path / "out")]) == USAGE
+    assert "is named twice" in capsys.readouterr().err
+
+
+def test_vectors_are_not_exported_to_what_they_are(tmp_path, capsys):
+    assert exported(written(tmp_path / "a.nc"), "netcdf", tmp_path / "out") == USAGE
+    assert "a.nc: is NetCDF already" in " ".join(capsys.readouterr().err.split())
