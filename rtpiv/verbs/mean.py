@@ -142,5 +142,7 @@ def mean(
         write_mean_page(folder / "mean.html", view, found, output.figures, by_ensemble, series)
     show_through(screen, view.scene)
     screen.print(where_lit(view.standing))
-    show_mean(screen, found, folder / "mean.html" if output.files else None)
+    show_mean(
+        screen, found, folder / "mean.html" if output.files else None, () if series is None else series[1].failed
+    )
     return found

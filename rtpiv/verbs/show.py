@@ -1,6 +1,6 @@
 """What a person sees of results: all printing of figures, so that what computes them prints nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,12 +153,17 @@ def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) ->
     screen.print(f"look at {page}")
 
 
-def show_mean(screen: Console, mean: "MeanFlow", page: Path | None) -> None:
-    """Say how well a mean flow is known."""
+def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collection[str] = ()) -> None:
+    """Say how well a mean flow is known, and why pairs are left out but for those of which it was `said`."""
     seen = mean.count > 0
     if mean.doubt:
         screen.print(mean.doubt, style="bold red")
     screen.print(f"mean of {counted(mean.used, 'pair')}; {len(mean.left_out)} are left out")
+    lost = [(tag, why) for tag, why in mean.left_out if tag not in said]
+    for tag, why in lost[:SHOWN]:
+        screen.print(f"{tag} is left out: {why}", style="bold red")
+    if len(lost) > SHOWN:
+        screen.print(f"and {len(lost) - SHOWN} more; mean.nc has them", style="bold red")
     speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
     highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
     flows = speed >= 0.5 * highest

@@ -1,5 +1,6 @@
 """What is printed of results says what a reader takes it for."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,18 @@ def test_a_jet_is_not_reported_by_the_median_of_a_plane_at_rest(capsys):
     assert abs(float(row[1])) < 0.01
     assert abs(float(row[2]) - 1.0) < 0.01
     assert "12 of 12 places" in shown(mean_of(0.3, 0.001, 0), capsys)
+
+
+def test_pairs_that_are_not_in_a_mean_are_named_once_with_the_reason(capsys):
+    lost = tuple((f"flow_{number:06d}", "its frame A is damaged") for number in (3, 4))
+    mean = replace(mean_of(0.3, 0.001, 0), left_out=lost)
+    said = shown(mean, capsys)
+    assert "2 are left out" in said
+    assert all(f"{tag} is left out: {why}" in said for tag, why in lost)
+    show_mean(console(), mean, None, {"flow_000003": "its frame A is damaged"})  # as the series has said
+    said = capsys.readouterr().out
+    assert "flow_000003" not in said
+    assert "flow_000004 is left out" in said
 
 
 def test_noise_that_is_not_seen_is_no_infinite_ratio():
