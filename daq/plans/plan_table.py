@@ -14,6 +14,8 @@ from ground.config import Table
 from ground.usual import Usual
 
 View = Literal["clear", "glass"]
+NoteKey = Annotated[str, Field(min_length=1, max_length=60)]
+Note = bool | int | float | Annotated[str, Field(max_length=1000)]
 
 Question = tuple[tuple[str | int, ...], str]  # place in a plan file, and what is asked about it
 
@@ -58,6 +60,7 @@ class PlanTable(Table):
     experiment: str
     frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1  # at each stop
     settle_s: Annotated[Annotated[float, Field(ge=0.0, le=600.0)], Usual(0.0, 60.0)] = 0.0
+    notes: Annotated[dict[NoteKey, Note], Field(max_length=100)] = Field(default_factory=dict)  # read by people
 
     @property
     @abstractmethod

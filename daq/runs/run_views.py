@@ -25,7 +25,7 @@ from daq.runs.acquired import read_acquired, run_of
 from daq.runs.records import CURE
 from daq.runs.run_file import FILE, PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
-from ground.config import read
+from ground.config import load_yaml, read
 from ground.errors import ConfigError, GroundError
 from piv.errors import FrameError, PivError
 from tracer.camera import Camera
@@ -174,6 +174,13 @@ def bench_table(folder: RunFolder) -> "BenchTable":
     from daq.bench.bench_table import BenchTable
 
     return load_kept(folder, "bench", lambda file: read(file, BenchTable))
+
+
+def notes_of(folder: RunFolder) -> dict[str, str]:
+    """What the plan of a run notes of what was going on, as it is read; raises as `load_kept`."""
+    tree = load_kept(folder, "plan", load_yaml).tree
+    notes = tree.get("notes") if isinstance(tree, dict) else None
+    return {str(key): str(value) for key, value in notes.items()} if isinstance(notes, dict) else {}
 
 
 def board_of(

@@ -7,6 +7,7 @@ from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
 from daq.runs.frame_accounting import FrameAccounting, chunk_sentences
 from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import notes_of
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.page import Link, Page
 from rtpiv.analysis.report.tables import DIRECT, GLASS, totals_of
@@ -82,9 +83,17 @@ def moved_chapter(page: Page, folder: RunFolder) -> None:
     page.table(head, rows, "Displacement of the target. Errors above are against the measured one.")
 
 
+def notes_chapter(page: Page, folder: RunFolder) -> None:
+    """What the plan notes of what was going on; nothing where it notes nothing."""
+    if notes := notes_of(folder):
+        page.heading("What was going on")
+        page.facts(list(notes.items()))
+
+
 def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: list[tuple[str, str]]) -> None:
     """Which files, scenes and versions made these figures."""
     about = folder.about
+    notes_chapter(page, folder)
     page.heading("Provenance")
     hashes = [(f"hash of the {name}", str(value)) for name, value in about["hashes"].items() if value]
     facts = [("run", folder.path.name), ("plan", str(about["name"])), *rows]
