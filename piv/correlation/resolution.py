@@ -1,4 +1,6 @@
-"""What a vector is unsure of because its window is large, apart from noise.
+"""What a vector is unsure of because its window is large, apart from noise: a model, by what vectors show.
+
+Where the frames tell what vectors miss (`piv.correlation.agreement`), that replaces 1. to 3.
 
 Four things, the first three added as squares:
 
