@@ -38,6 +38,7 @@ from piv.statistics.arrays import checked
 from piv.statistics.moments import Moments
 
 LEAST_BLOCKS = 31  # of a level: sigma is then known to 13 %
+ENOUGH_PAIRS = 2 * LEAST_BLOCKS  # of which the means of pairs of pairs can be compared with the pairs themselves
 LEAST_TIMES = 20.0  # T that a series must hold: the mean taken off it hides T/n of its autocorrelation
 RISE = 0.04  # of the field's average from one level to any longer one that counts as a plateau
 Floats = NDArray[np.float64]
@@ -60,6 +61,17 @@ class EffectiveSamples:
     samples: Floats
     way: str
     converged: bool
+
+    def doubt(self, pairs: int) -> str:
+        """What is not known of the samples in a mean of so many pairs; "" where nothing is in doubt."""
+        if self.converged:
+            return ""
+        if pairs < ENOUGH_PAIRS:
+            return (
+                f"{pairs} pairs do not show how long pairs that follow each other stay alike ({ENOUGH_PAIRS} or "
+                "more do): if they were taken so fast, the sigma of the mean is a lower limit"
+            )
+        return "the series is too short for its slowest motion: the sigma of the mean is a lower limit"
 
 
 def mean_sigma(moments: Moments, effective: EffectiveSamples) -> Floats:

@@ -192,8 +192,8 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     screen.print(table)
     if mean.no_map_sigma:
         screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
-    if not mean.effective.converged:
-        screen.print("the series is too short for its slowest motion: sigma is a lower limit", style="bold red")
+    if doubt := mean.effective.doubt(mean.used):
+        screen.print(doubt)
     if mean.gaps:
         screen.print(mean.gaps)
     if page is not None:

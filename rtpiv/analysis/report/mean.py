@@ -149,7 +149,7 @@ def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
     return [
         (f"{mean.used}", "pairs in the mean", f"{len(mean.left_out)} are left out"),
         (f"{int(known.sum())}", "places with a mean", f"of {known.size}"),
-        (f"{worth:.0f}", "effective samples", mean.effective.way),
+        (f"{worth:.0f}", "effective samples, median of all places", mean.effective.way),
     ]
 
 
@@ -171,8 +171,8 @@ def mean_chapters(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     """Add what the uncertainty of the mean leaves out, and the fluctuations."""
     scene, grid = view.scene, view.grid
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
-    if not mean.effective.converged:
-        page.warning("The series is too short for its slowest motion: the sigma of the mean is a lower limit.")
+    if doubt := mean.effective.doubt(mean.used):
+        page.text(doubt[0].upper() + doubt[1:] + ".")
     if np.isnan(mean.dt_sigma_share):
         page.text("Timing error of dt: not stated (dt_sigma_us in the plan).")
     if mean.no_map_sigma:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piv.errors import SeriesError
-from piv.statistics.effective_samples import Blocking, from_series, mean_sigma, stress_sigma
+from piv.statistics.effective_samples import ENOUGH_PAIRS, Blocking, from_series, mean_sigma, stress_sigma
 from piv.statistics.merge_tree import MergeTree, merged_in_order
 from piv.statistics.moments import Moments
 from tests.slow_cases import slow
@@ -120,3 +120,12 @@ def test_damage_is_found():
         Blocking.nothing((2, 3)).merged(Blocking.nothing((3, 2)))
     with pytest.raises(SeriesError, match="n, ny, nx"):
         from_series(np.zeros((3, 4, 5)))
+
+
+def test_few_pairs_are_not_called_a_slow_flow():
+    """24 pairs that have nothing to do with each other: nothing shows that they do, or that they do not."""
+    few, enough = (both(autoregressive(0.0, count, (8, 8)))[1].effective() for count in (24, 4 * ENOUGH_PAIRS))
+    assert "24 pairs do not show" in few.doubt(24)
+    assert "slowest motion" not in few.doubt(24)
+    assert not enough.doubt(4 * ENOUGH_PAIRS)
+    assert "slowest motion" in both(autoregressive(0.98, 128, (8, 8)))[1].effective().doubt(128)
