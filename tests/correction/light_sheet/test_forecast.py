@@ -48,7 +48,7 @@ def test_a_coarse_look_says_the_same():
 
 
 def test_bend_and_an_unsure_scene_are_foreseen():
-    """Chance alone would be 0.06 mm at 1008 px; the bend is worth 0.36 mm, a quarter of which stays."""
+    """Chance alone would be 0.06 mm at 1008 px; the bend is worth 0.36 mm, a fifth of which stays."""
     scene = camera("two_spheres_500", 1008).scene
     views = double_views(scene, step=4)
     exact = sheet_forecast(scene, views)
