@@ -13,7 +13,7 @@ from daq.frames.source import is_source, source_of
 from ground import terminal
 from piv.errors import FrameError, PairError
 from piv.files.frame_file import checksum, stem_of
-from tests.daq.frames.videos import H, W, moving, write_cine, write_video
+from tests.daq.frames.videos import H, W, damaged, moving, write_cine, write_video
 
 av = pytest.importorskip("av")
 LOSSLESS = [("a.avi", "rawvideo", "gray"), ("b.avi", "ffv1", "gray"), ("c.mkv", "ffv1", "gray16le"),
@@ -66,18 +66,6 @@ def test_a_cine_of_a_phantom_camera_is_read(tmp_path, kind, bits, flipped):
         wanted = shown[number - 1][::-1] if flipped else shown[number - 1]
         wanted = (wanted << 4) | (wanted >> 8) if bits == 12 else wanted
         assert np.array_equal(read_named(frame(path, number)), wanted)
-
-
-def damaged(path, number):
-    """The same video with noise in a frame's middle: where PyAV says that frame lies."""
-    with av.open(str(path)) as file:
-        packets = [(packet.pos, packet.size) for packet in file.demux(video=0) if packet.size]
-    content = bytearray(path.read_bytes())
-    place = packets[number - 1][0] + packets[number - 1][1] // 2
-    content[place : place + 40] = np.random.default_rng(number).bytes(40)
-    broken = path.with_stem("broken")
-    broken.write_bytes(content)
-    return broken
 
 
 @pytest.mark.parametrize(

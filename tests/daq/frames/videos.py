@@ -58,3 +58,17 @@ def write_cine(path, frames, bits, flipped=False):
         for frame in frames:
             file.write(struct.pack("<II", 8, size) + frame[::-1].tobytes())
     return path
+
+
+def damaged(path, number):
+    """The same video with noise in a frame's middle: where PyAV says that frame lies."""
+    import av
+
+    with av.open(str(path)) as file:
+        packets = [(packet.pos, packet.size) for packet in file.demux(video=0) if packet.size]
+    content = bytearray(path.read_bytes())
+    place = packets[number - 1][0] + packets[number - 1][1] // 2
+    content[place : place + 40] = np.random.default_rng(number).bytes(40)
+    broken = path.with_stem("broken")
+    broken.write_bytes(content)
+    return broken

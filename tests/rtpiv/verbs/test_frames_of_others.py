@@ -9,8 +9,7 @@ from ground import terminal
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
 from rtpiv.verbs.mean import MeanOutput, mean
-from tests.daq.frames.test_videos import damaged
-from tests.daq.frames.videos import write_video
+from tests.daq.frames.videos import damaged, write_video
 
 PLAIN = CorrectionRecipe(mm_per_px=0.05)
 MOVED_PX, DT_US = 3.0, 100.0
