@@ -13,8 +13,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from daq.bench.bench_table import Bench, trigger_is_software
-from daq.bench.guards import sheet_clearance_mm
+from daq.bench.bench_table import GLASS, TARGET, Bench, trigger_is_software
+from daq.bench.guards import sheet_clearances_mm
 from daq.bench.opened import simulation_class
 from daq.cameras.camera import Setting
 from daq.plans.link_budget import link_excess, link_said
@@ -115,13 +115,18 @@ def _sheet_blocked(bench: Bench, step: Step) -> str:
     laser = bench.more.get(step.pulses.laser)
     if laser is None or not isinstance(laser.section, TimingTable):
         return ""
-    free_mm, wanted_mm = sheet_clearance_mm(bench, step.targets_mm), laser.section.clear_mm
-    if free_mm >= wanted_mm:
+    wanted_mm, near = laser.section.clear_mm, dict[str, float]()
+    for name, free_mm in sheet_clearances_mm(bench, step.targets_mm):
+        if free_mm < wanted_mm:
+            near[name] = min(free_mm, near.get(name, free_mm))
+    if not near:
         return ""
-    return (
-        f"glass or target would be {free_mm:.3g} mm from the light sheet, and {wanted_mm:g} mm must be free"
-        f" (clear_mm of {step.pulses.laser}); say glass_z_mm and target_z_mm in the plan"
-    )
+    there = " and ".join(f"{name} {free_mm:z.3g} mm" for name, free_mm in near.items())
+    moved = [name for name in near if name in (GLASS, TARGET)]
+    keys = " and ".join(f"{name}_z_mm" for name in moved)
+    cure = f"; {keys} in the plan {'moves it' if len(moved) == 1 else 'move them'} away" if moved else ""
+    free = f"{wanted_mm:g} mm must be free (clear_mm of {step.pulses.laser})"
+    return f"{there} from the light sheet, and {free}{cure}"
 
 
 def _frames_s(bench: Bench, step: Step) -> float:

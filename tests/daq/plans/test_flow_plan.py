@@ -105,3 +105,20 @@ def test_what_cannot_be_done_is_one_sentence(tmp_path, changes, words):
     with pytest.raises((ConfigError, DaqError), match=words) as caught:
         flow(tmp_path, **changes)
     assert "\n" not in str(caught.value).strip()
+
+
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        ("target_z_mm: -30.0\n", "glass 0 mm from the light sheet, and 4 mm must be free"),
+        ("glass_z_mm: 8.0\ntarget_z_mm: -3.0\n", "target 3 mm from the light sheet, and 4 mm"),
+        ("", "glass 0 mm and target 0 mm from the light sheet, and 4 mm"),
+    ],
+)
+def test_what_stands_in_the_light_sheet_is_named_and_nothing_else(tmp_path, places, said):
+    bench, plan = flow(tmp_path, PLAN + places)
+    texts = [found.text for found in forecast(bench, idle_stage(bench), plan.steps).violations]
+    (text,) = [text for text in texts if "light sheet" in text]
+    assert said in text
+    for name in ("glass", "target"):
+        assert (f"{name}_z_mm" in text) == (f"{name} " in said)
