@@ -67,8 +67,8 @@ class PreviewVectors:
 
     def see(self, step: Step, number: int, corrected: Frame, received_ns: int) -> None:
         """Look at a corrected frame (H, W), NaN where nothing is recovered; nobody may write into it any more."""
-        if step.group != 2:
-            return
+        if step.group != 2 or (step.pulses is not None and step.pulses.is_background):
+            return  # a background is taken without particles
         if (number - step.first_frame) % 2 == 0:
             self._first = number, corrected
             return

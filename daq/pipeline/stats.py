@@ -42,7 +42,7 @@ class LiveVectors:
             return f"none: {self.remark or 'no window has a peak'}"
         right, up = self.median_px
         words = f"median {right:+.2f}, {up:+.2f} px, up to {self.largest_px:.1f} px"
-        words += f", {100 * self.valid_share:.0f} % valid"
+        words += f", {100 * self.valid_share:.0f} % of the windows measured"
         return f"{words}; {self.remark}" if self.remark else words
 
 

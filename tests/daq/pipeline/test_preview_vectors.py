@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from daq.pipeline.job import Job
 from daq.pipeline.pipeline import Pipeline
 from daq.pipeline.preview_vectors import PreviewVectors
 from daq.pipeline.stats import LiveVectors, PipelineStats
+from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
@@ -65,6 +67,21 @@ def test_what_is_no_pair_is_not_measured(frames):
     time.sleep(0.2)
     pairs.close()
     assert flow.vectors is None
+
+
+def test_a_background_without_particles_has_no_vectors(frames):
+    flow = PipelineStats()
+    pairs = PreviewVectors(flow)
+    background = replace(a_step(), pulses=PulseOrder("laser", 80.0, 10.0, 1, is_background=True))
+    for number, frame in enumerate(frames):
+        pairs.see(background, number, frame, time.monotonic_ns())
+    time.sleep(0.2)
+    pairs.close()
+    assert flow.vectors is None
+
+
+def test_a_share_is_said_of_what_it_is():
+    assert LiveVectors(0, 0.0, (1.0, 2.0), 3.0, 0.14).sentence().endswith("14 % of the windows measured")
 
 
 def test_vectors_take_no_more_than_their_share(monkeypatch):
