@@ -158,7 +158,7 @@ def _help(option: Option) -> str:
     """Its description, with the default if that is not said."""
     text, default = option.help.replace("%", "%%").rstrip("."), option.default
     if option.kind.read == "bool" and default:
-        text = f"turn off: {text[:1].lower()}{text[1:]}"
+        text = f"do not {text[:1].lower()}{text[1:]}"
     plain = default not in (None, REQUIRED, (), "") and option.kind.read != "bool"
     if plain and "default" not in text:
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)

@@ -141,7 +141,7 @@ def init(
     lab : GivenLab
         What the lab has.
     ask : bool
-        Ask at the terminal, if there is one, for what is not given; else the usual is taken.
+        Ask at the terminal for what is not given; where nobody is asked, the usual is taken.
     overwrite : bool
         Replace files of these names.
 

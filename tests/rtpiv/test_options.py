@@ -158,3 +158,8 @@ def test_a_kernel_that_no_cache_holds_is_news(monkeypatch):
     monkeypatch.setattr(compile_news, "watch", lambda functions, seconds: told.append(functions))
     numba.njit(lambda x: x + 1)(3)
     assert told
+
+
+def test_what_turns_something_off_says_what_is_not_done():
+    text = " ".join(parser({"init"})._subparsers._group_actions[0].choices["init"].format_help().split())
+    assert "--yes do not ask at the terminal for what is not given" in text
