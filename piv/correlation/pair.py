@@ -140,7 +140,12 @@ def evaluate_pair(
         if _share(again) < GAIN * _share(field):
             break  # it is not for want of size
         field = again
-    return field
+    return replace(field, is_one_picture=_are_one(frame_a, frame_b))
+
+
+def _are_one(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
+    """Whether two frames of one size are the same, pixel by pixel."""
+    return bool(np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True))
 
 
 def _share(field: VectorField) -> float:

@@ -19,6 +19,10 @@ Floats = NDArray[np.float64]
 
 
 STATIC_SHARE = 0.08  # of the light; particles alone give 0.00 to 0.03
+ONE_PICTURE = (
+    "frames A and B are the same picture, pixel by pixel: displacements are zero everywhere and say nothing;"
+    " give the two frames of one pair"
+)
 TRUSTED_SHARE = 0.7  # of the vectors outside the mask; real pairs have 0.95 and more, strangers 0.3
 
 
@@ -66,6 +70,8 @@ class VectorField:
         short waves (`piv.correlation.response`).
     side_px : ndarray of int64, shape (ny, nx), optional
         Side of the window that each vector comes from: its resolution.
+    is_one_picture : bool
+        Whether both frames are the same, pixel by pixel.
     """
 
     x_px: Floats
@@ -85,6 +91,7 @@ class VectorField:
     resolution_px: Floats | None = None
     added_passes: int = 0
     side_px: NDArray[np.int64] | None = None
+    is_one_picture: bool = False
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -108,6 +115,8 @@ class VectorField:
         """Why the field as a whole is not to be trusted, in a sentence; empty if nothing speaks against it."""
         asked = int(np.count_nonzero(self.flags != VectorFlag.MASKED))
         share = self.counts["valid"] / max(asked, 1)
+        if self.is_one_picture:
+            return ONE_PICTURE
         if self.static_share > STATIC_SHARE:
             return (
                 f"{100.0 * self.static_share:.0f} % of the light does not move and draws every vector to zero;"

@@ -16,6 +16,7 @@ from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
 from daq.runs.run_views import tells_a_scale_alone
 from ground.whole_file import whole_file
+from piv.correlation.vector_field import ONE_PICTURE
 from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError
 from piv.files.vector_file import vectors_netcdf
@@ -110,9 +111,12 @@ def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
             continue
         try:
             both = corrector(a), corrector(b)
-            yield pair, correlated((a, b), both, corrector, method.settings, method.preparation)
+            seen = correlated((a, b), both, corrector, method.settings, method.preparation)
         except (PairError, FrameError) as error:
             yield pair, str(error)
+            continue
+        is_one = pair.crc32[0] == pair.crc32[1]  # of pixels as acquired: each pulse loses a background of its own
+        yield pair, ONE_PICTURE if is_one else seen
 
 
 def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:

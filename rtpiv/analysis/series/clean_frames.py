@@ -40,6 +40,10 @@ ALONE = (
     f"no frame within {REACH_STEPS} pairs of it can be read, so that its background is not known; evaluate the run"
     " with --prepare mean, minimum or none to keep it"
 )
+NOTHING_LEFT = (
+    "nothing is left of frame {} when its background, {}, is taken off: the frames that it was made from are the"
+    " same picture, or dark; give pairs of different moments, or --prepare none to keep what they share"
+)
 KIND = "background of a series"
 POD_FRAMES = 100  # of a pulse, spread over the series: patterns need no more
 
@@ -175,6 +179,7 @@ def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
             frame = _read(pair, pulse, shape)
             if light is not None and not isinstance(frame, str):
                 frame = without_patterns(frame, light) if background == POD else without_light(frame, light)
+                frame = _left(frame, pulse, background)
             yield frame
         return
     near = (*job.before, *job.pairs, *job.after)
@@ -183,9 +188,14 @@ def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
     first, last = len(job.before), len(job.before) + len(job.pairs)
     for place, found in enumerate(clean):
         if first <= place < last:
-            yield why.get(place, ALONE) if found is None else found
+            yield why.get(place, ALONE) if found is None else _left(found, pulse, background)
         elif place >= last:
             return
+
+
+def _left(clean: Frame, pulse: int, background: str | None) -> Frame | str:
+    """A frame without its background, or why that is no frame any more."""
+    return clean if clean.any() else NOTHING_LEFT.format("AB"[pulse], background)
 
 
 def _present(
