@@ -18,7 +18,7 @@ from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.pairs.evaluation import Evaluation, PairDetails, PairMethod, Task, evaluate_task
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pictures.apart import Draw, drawing
-from rtpiv.analysis.recipe import SCENE_FILE, CorrectionRecipe
+from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE, CorrectionRecipe
 from rtpiv.analysis.report.pair_folder import write_pair
 from rtpiv.analysis.series.chunk import Detailed
 from rtpiv.analysis.series.run_series import Evaluated, run_series
@@ -26,11 +26,12 @@ from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput, series_input, tasks_of
 from rtpiv.analysis.series.series_pairs import is_one_series
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of
+from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of, removed_if_refused
 from rtpiv.verbs.show import show_evaluation, show_series, show_through
 from tracer.scene.scene_file import load_scene
 
 USUAL = "evaluation"
+COPIES = (SCENE_FILE, FIT_FILE)  # of what was given, beside results
 
 
 @dataclass(frozen=True)
@@ -123,30 +124,34 @@ def evaluate(
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
         out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, run.resolve().name))
-        series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
-        return _series(screen, series, how, output, workers)
+        with removed_if_refused(out, COPIES):
+            series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
+            return _series(screen, series, how, output, workers)
     out = folder_for(out, USUAL)
-    given = tasks_of(paths, out, scene, recipe, details.shift_mm, dt_us)
-    if given.alone:
-        screen.print(f"{given.alone} frames lost their partner and are in no pair")
-    if isinstance(given.sigma, str) and recipe.mm_per_px is None:
-        screen.print(f"no uncertainty of the map: {given.sigma}")
-    for note in dict.fromkeys(task.note for task in given.tasks if task.note):
-        screen.print(note)
-    corrections, how = PreparedCorrections(), replace(how, sigma=given.sigma)
+    with removed_if_refused(out, COPIES):
+        given = tasks_of(paths, out, scene, recipe, details.shift_mm, dt_us)
+        if given.alone:
+            screen.print(f"{given.alone} frames lost their partner and are in no pair")
+        if isinstance(given.sigma, str) and recipe.mm_per_px is None:
+            screen.print(f"no uncertainty of the map: {given.sigma}")
+        for note in dict.fromkeys(task.note for task in given.tasks if task.note):
+            screen.print(note)
+        corrections, how = PreparedCorrections(), replace(how, sigma=given.sigma)
 
-    def evaluated(task: Task) -> Detailed:
-        prepared = corrections.of(task.scene, given.dewarp, limit=given.limit if task.scene.bodies else None)
-        try:
-            found = evaluate_task(task, prepared, how)
-        except PairError as error:
-            return error
-        _write(draw, output, found)
-        return found
+        def evaluated(task: Task) -> Detailed:
+            prepared = corrections.of(task.scene, given.dewarp, limit=given.limit if task.scene.bodies else None)
+            try:
+                found = evaluate_task(task, prepared, how)
+            except PairError as error:
+                return error
+            _write(draw, output, found)
+            return found
 
-    with drawing() as draw:
-        found, failed = _shown(screen, ((task.name, evaluated(task)) for task in given.tasks), len(given.tasks))
-    return Evaluated(len(given.tasks), failed, found)
+        with drawing() as draw:
+            found, failed = _shown(
+                screen, ((task.name, evaluated(task)) for task in given.tasks), len(given.tasks)
+            )
+        return Evaluated(len(given.tasks), failed, found)
 
 
 def _series(

@@ -22,8 +22,8 @@ from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, write_mean, write_statistics
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.verbs.evaluate import USUAL, holds_series_of
-from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, require_folder
+from rtpiv.verbs.evaluate import COPIES, USUAL, holds_series_of
+from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, removed_if_refused, require_folder
 from rtpiv.verbs.show import show_mean, show_series, show_through
 
 SUMMED = 0.0  # weights of windows that are sums of cells: none
@@ -103,7 +103,8 @@ def mean(
             folder = require_folder(out if out is not None else RunFolder(path).own("series"))
         else:
             folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
-        given = series_input(path, folder, choice, scene, recipe, dt_us)
+        with removed_if_refused(folder, COPIES):
+            given = series_input(path, folder, choice, scene, recipe, dt_us)
         books = run_series(given, workers)
         show_series(screen, books)
         series = given, books

@@ -5,8 +5,8 @@ That is tried before work starts, so that a folder which cannot be written to co
 
 import errno
 import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeAlias
 
@@ -92,6 +92,31 @@ def folder_for(out: Path | str | None, usual: str, goes_on: Callable[[Path], boo
         number += 1
         folder = Path(f"{usual}-{number}")
     return require_folder(folder)
+
+
+@contextmanager
+def removed_if_refused(out: Path, copies: Collection[str]) -> Iterator[None]:
+    """Leave no new folder behind in which a call that was refused has put nothing but copies of its input.
+
+    Parameters
+    ----------
+    out : path
+        The folder for results.
+    copies : collection of str
+        Names of the files that are no results.
+    """
+    was_there = out.exists()
+    try:
+        yield
+    except BaseException:
+        if not was_there and out.is_dir():
+            with suppress(OSError):
+                left = list(out.iterdir())
+                if {file.name for file in left} <= set(copies):
+                    for file in left:
+                        file.unlink()
+                    out.rmdir()
+        raise
 
 
 def require_folder(out: Path | str) -> Path:

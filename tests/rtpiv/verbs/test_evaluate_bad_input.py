@@ -119,3 +119,27 @@ def test_a_fit_that_cannot_be_used_is_said_and_left_out(good, tmp_path, capsys):
     save_arrays(tmp_path / "fit.npz", "scene fit", header, {"scene_root": np.eye(14)})
     assert evaluate(tmp_path, tmp_path / "scene.yaml", frames, "--no-pictures") == DONE
     assert "the fit belongs to scene 0123456789abcdef" in " ".join(capsys.readouterr().out.split())
+
+
+def test_one_picture_twice_is_said(good, tmp_path, capsys):
+    scene, (frame, _) = good
+    assert evaluate(tmp_path, scene, (frame, frame), "--no-pictures") == DONE
+    assert "frames A and B are the same picture" in " ".join(capsys.readouterr().out.split())
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["doubt"]
+
+
+@pytest.mark.parametrize("verb", ["evaluate", "mean"])
+def test_a_call_that_is_refused_leaves_no_new_folder(tmp_path, verb):
+    frames = tmp_path / "day"
+    frames.mkdir()
+    for number, rows in enumerate((96, 64)):
+        tifffile.imwrite(frames / f"im{number}.tif", np.full((rows, 96), 40 + number, np.uint16))
+    named = sorted(map(str, frames.iterdir())) if verb == "evaluate" else [str(frames)]
+    out = tmp_path / "out"
+    words = ["--mm-per-px", "0.05", "-o", str(out)]
+    assert main([verb, *named, *words]) == USAGE
+    assert not out.exists()
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    assert main([verb, *named, *words]) == USAGE
+    assert (out / "notes.txt").exists()
