@@ -52,7 +52,7 @@ def test_bend_and_an_unsure_scene_are_foreseen():
     scene = camera("two_spheres_500", 1008).scene
     views = double_views(scene, step=4)
     exact = sheet_forecast(scene, views)
-    assert 0.09 < exact.sigma_mm < 0.16
+    assert 0.07 < exact.sigma_mm < 0.12
     root = np.zeros((len(CAMERA) + len(SPHERE) * len(scene.spheres), 1))
     root[len(CAMERA) + len(SPHERE) + 2, 0] = 0.02
     assert sheet_forecast(scene, views, SceneSigma(scene.content_hash(), root)).sigma_mm > 1.5 * exact.sigma_mm
