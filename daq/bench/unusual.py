@@ -1,4 +1,4 @@
-"""What a bench may be and hardly ever is: questions about it, each with its line; see `tracer.scene.unusual`.
+"""What a bench may be and hardly ever is: questions about it, each with its line; see `daq.bench.unusual_scene`.
 
 Speeds are compared with accelerations and ways, places with what the camera sees, the simulated stages with the
 axes that they stand for.
@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping
 
 from daq.bench.bench_table import GLASS, Bench
 from daq.bench.guards import keep_out_of
+from daq.bench.unusual_scene import bodies_in_picture
 from ground.config import Place
 from ground.errors import Problem
 from ground.plain_words import slip
 from ground.usual import Usual, question, unusual
 from tracer.bodies import shifted_by
-from tracer.scene.unusual import bodies_in_picture
 
 Asked = Iterator[tuple[Place, str]]
 

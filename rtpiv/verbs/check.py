@@ -9,6 +9,7 @@ from daq.bench.bench_table import Bench
 from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, check_simulation
 from daq.bench.unusual import bench_questions
+from daq.bench.unusual_scene import scene_questions
 from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
 from daq.plans.forecast import forecast_from_home
 from daq.plans.plan import load_plan, plan_questions, read_plan
@@ -27,7 +28,6 @@ from stages.errors import StageError
 from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
-from tracer.scene.unusual import scene_questions
 
 WRONG = (GroundError, TracerError, DaqError, StageError)
 TELLING = {  # keys that only one kind of file has

@@ -11,6 +11,7 @@ from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
 from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING, NodeStatus
+from daq.bench.unusual_scene import scene_questions
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.pictures.saved import short
@@ -21,7 +22,6 @@ from rtpiv.verbs.paths import Named, folder_for
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
-from tracer.scene.unusual import scene_questions
 from tracer.strategies.fov import FieldOfView, field_of_view
 from tracer.strategies.ray_map import RayMap, build_ray_map
 
