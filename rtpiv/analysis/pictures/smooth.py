@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 SIZES = ListedColormap(colormaps["viridis_r"](np.linspace(0.15, 1.0, 64)))  # the palest is paper
 MOST_WAYS = 6  # with the most corners
 FEWEST = 12  # corners of a way that is drawn
+LEAST_PX = 1e-4  # that is drawn at its own scale: nothing smaller matters
 ACROSS = 18  # arrows along a side of a panel, at most: each is the mean of its cell
 ARROW = 1.5 / ACROSS  # length of an arrow of typical size, of the panel
 
@@ -63,7 +64,7 @@ def smooth_figure(found: StoredVerdict, which: Literal["all", "first", "others"]
         rms = float(np.sqrt(np.mean(found.smooth_px[here] ** 2)))
         pixel, smooth = _thinned(found.pixel[here], found.smooth_px[here])
         length = np.hypot(*smooth.T)
-        typical = max(float(np.percentile(length, 95)), 1e-6)
+        typical = max(float(np.percentile(length, 95)), LEAST_PX)
         low, high = pixel.min(axis=0), pixel.max(axis=0)
         middle, reach = 0.5 * (low + high), 0.55 * max(float((high - low).max()), 1.0)
         shown = axes.quiver(
@@ -82,7 +83,8 @@ def smooth_figure(found: StoredVerdict, which: Literal["all", "first", "others"]
         u, v = middle.tolist()
         axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach), xlabel="u [px]", ylabel="v [px]")
         name = short(found.ways[way], 30) or "beside the glass"
-        axes.set_title(f"{name}: {rms:.2g} px rms", fontsize=10, parse_math=False)
+        size = f"{rms:.2g}" if rms >= LEAST_PX else f"less than {LEAST_PX:g}"
+        axes.set_title(f"{name}: {size} px rms", fontsize=10, parse_math=False)
     return figure
 
 

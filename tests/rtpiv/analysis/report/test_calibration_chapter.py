@@ -69,6 +69,14 @@ def test_every_way_with_corners_enough_has_a_panel_and_no_corners_are_no_picture
     assert smooth_figure(nothing) is None
 
 
+def test_a_smooth_part_too_small_to_matter_is_not_blown_up(fit):
+    found = StoredVerdict.of(fit)
+    still = smooth_figure(replace(found, smooth_px=1e-7 * found.smooth_px), "first")
+    (arrows,) = (part for axes in still.axes for part in axes.collections if isinstance(part, Quiver))
+    assert arrows.get_clim() == (0.0, 1e-4)
+    assert any(axes.get_title().endswith("less than 0.0001 px rms") for axes in still.axes)
+
+
 @pytest.mark.parametrize("harm", ["older", "way", "size", "text"])
 def test_a_fit_file_that_does_not_hold_together_is_refused_and_said_in_the_page(fit, harm, tmp_path):
     path = tmp_path / "fit.npz"
