@@ -40,7 +40,7 @@ HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`
 USUAL_MM = 0.18  # spread of the light of a sheet of 1 mm
 USUAL_SPREAD2, USUAL_SIZE = (USUAL_MM**2, 0.1), (0.45, 1.0)  # and how far they may be from that
 MODELLED, LEAST_MODELLED = 2000, 30  # places, and of a cell
-MODELLED_TO = 0.2  # of what bend and fading make of a height; sheets drawn behind two balls leave 0.14 to 0.19
+MODELLED_TO = 0.2  # of what bend and fading make of a height; sheets drawn behind two balls leave 0.14 to 0.22
 
 
 @dataclass(frozen=True)
