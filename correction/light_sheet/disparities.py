@@ -36,11 +36,13 @@ BRIGHTEST = 6.0  # standard deviations; brighter ones count as so many
 EVENED_PX = 5  # the standard deviation is that of so many pixels a side
 CLEAR = 8.0  # standard deviations, told by ten blocks, that the best of thirty places must stand out by
 ALONE = 20.0  # the same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
+LEAST_SURE = 0.25  # of the heights and lags looked at
+LONG_MM = 2.0  # height for a lag, from which on heights of cells are near enough for one step
 HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`
 USUAL_MM = 0.18  # spread of the light of a sheet of 1 mm
 USUAL_SPREAD2, USUAL_SIZE = (USUAL_MM**2, 0.1), (0.45, 1.0)  # and how far they may be from that
 MODELLED, LEAST_MODELLED = 2000, 30  # places, and of a cell
-MODELLED_TO = 0.2  # of what bend and fading make of a height; sheets drawn behind two balls leave 0.14 to 0.22
+MODELLED_TO = 0.3  # of what bend and fading make of a height; flows behind two balls left 0.22, a ball more
 
 
 @dataclass(frozen=True)
@@ -239,11 +241,16 @@ def _measured(
             lags = models[one].offset(*match.values[[SPREAD, SIZE]]) * units[one, 0]
             common[one, 2 * number] = MODELLED_TO * lags * views.pitch_mm / parallax[one]
             own = models[one].fit(whole, match.values, [HEIGHT, SHIFT])
-            if own is not None and models[one].clearness(blocks[:, one], own) >= ALONE:
+            is_long = units[one, 0] * views.pitch_mm / parallax[one] > LONG_MM
+            if is_long and (own is None or models[one].clearness(blocks[:, one], own) < ALONE):
+                at, values = match, models[one].beside(whole, match, [HEIGHT, SHIFT])
+            elif own is not None:
                 at, values = own, own.values
             else:
-                at, values = match, models[one].beside(whole, match, [HEIGHT, SHIFT])
+                continue
             sigma = np.hypot(*models[one].left_out(blocks[:, one], at, [HEIGHT, SHIFT]))
+            if not is_long and (sigma >= LEAST_SURE * np.array([reach_mm, ACROSS])).any():
+                continue
             if not (sigma > 0.0).all():  # no layer is seen from here
                 continue
             found[one] = (*values[:2], *np.maximum(sigma, 1e-4)) * np.array([1.0, units[one, 1]] * 2)
