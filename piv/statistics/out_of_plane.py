@@ -51,6 +51,7 @@ from piv.errors import PairError
 CORRELATED = 0.4  # of sqrt(R_uu R_ww): u'v' of shear layers, jets and walls
 UNSURE = 0.5  # of R_ww where it is assumed: w'w' over (u'u' + v'v')/2 is 0.6 to 1 in jets, layers and channels
 REACH_WINDOWS = 1.0  # standard deviation of the neighbourhood: less lacks eddies, more takes in the mean's shear
+FAR_BELOW = -10.0  # times its standard uncertainty that a variance may come out below 0 by chance, and far more
 FEWEST = 4.0  # vectors in it that say how much the field varies; where there are fewer, it is as elsewhere
 NotNegative = Annotated[float, Interval(ge=0.0)]
 Floats = NDArray[np.float64]
@@ -202,5 +203,7 @@ def _not_negative(variance: Floats, unsure: Floats) -> Floats:
     """Mean of what a variance can be that was found to be `variance` (perhaps below 0), give or take `unsure`."""
     with np.errstate(invalid="ignore", divide="ignore"):
         z = variance / unsure
-        ratio = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - scipy.special.log_ndtr(z))
-    return np.where(unsure > 0.0, variance + unsure * ratio, np.maximum(variance, 0.0))
+        near = np.maximum(z, FAR_BELOW)
+        ratio = np.exp(-0.5 * near * near - 0.5 * np.log(2.0 * np.pi) - scipy.special.log_ndtr(near))
+        shown = np.where(z > FAR_BELOW, variance + unsure * ratio, -unsure / z)  # its limit, where terms cancel
+    return np.where(unsure > 0.0, shown, np.maximum(variance, 0.0))

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import scipy
 
 from piv.errors import PairError
-from piv.statistics.out_of_plane import OutOfPlane, SlantedField
+from piv.statistics.out_of_plane import OutOfPlane, SlantedField, _not_negative
 
 SIDE, WINDOWS = 60, 2.0  # vectors; in the side of a window
 
@@ -128,3 +129,11 @@ def test_a_flow_that_noise_hides_is_not_known_to_be_still():
     assert np.sqrt(np.mean(sigma_w**2)) < 0.12  # well below the noise
     still = SlantedField(np.zeros((SIDE, SIDE, 2)), np.zeros((SIDE, SIDE, 2)), slope, WINDOWS)
     assert OutOfPlane().of_pair(still, 1.0).max() == 0.0
+    same = SlantedField(np.full((SIDE, SIDE, 2), 3.0), sigmas, slope, WINDOWS)  # varies by rounding alone
+    assert 0.0 <= OutOfPlane().of_pair(same, 1.0).max() < 1e-6
+
+
+@pytest.mark.parametrize("z", [5.0, 1.0, 0.0, -1.0, -5.0, -9.9, -10.1, -30.0, -1e9])
+def test_what_a_variance_can_be_is_the_mean_of_a_normal_cut_off_at_zero(z):
+    exact = scipy.stats.truncnorm.mean(-z, np.inf, loc=z) if z > -9.0 else -1.0 / z
+    assert float(_not_negative(np.array(z), np.array(1.0))) == pytest.approx(exact, rel=0.03, abs=1e-12)
