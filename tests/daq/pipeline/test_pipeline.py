@@ -116,12 +116,13 @@ def test_a_live_lane_that_falls_behind_skips_the_oldest(run):
 
 
 def test_in_time_nothing_is_skipped_and_latency_is_that_of_the_correction(run):
-    """Each frame comes when the one before is corrected, however long a busy computer takes."""
+    """Each frame comes when the one before is written and corrected, however long a busy computer takes."""
     folder, journal = run
     corrections, memory = Doubler(duration_s=0.005), Memory()
     pipeline = Pipeline(folder, journal, corrections)
     for number in range(FRAMES):
         pipeline.submit(Job(a_step(), number, memory.frame(number), dict(PLACES)))
+        pipeline.flush()
         while len(corrections.made) <= number:
             time.sleep(0.001)
     pipeline.close()

@@ -258,11 +258,14 @@ def test_a_dead_disk_is_named(bench_and_plan, folder, files, monkeypatch):
     bench, plan = bench_and_plan
     monkeypatch.setattr(pipeline_module, "DISK_TIMEOUT_S", 0.3)
     gate = threading.Event()
-    monkeypatch.setattr(pipeline_module, "write_raw", lambda *_: gate.wait(20.0))
-    with files_bench(bench, files) as hardware:
-        threading.Timer(1.5, gate.set).start()
-        with pytest.raises(DiskError, match=r"taken no frame for 0\.3 s"):
-            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
+
+    def dead(*_):
+        threading.Timer(1.5, gate.set).start()  # from then on: a busy computer may take long to get here
+        gate.wait(20.0)
+
+    monkeypatch.setattr(pipeline_module, "write_raw", dead)
+    with files_bench(bench, files) as hardware, pytest.raises(DiskError, match=r"taken no frame for 0\.3 s"):
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
 
 
 def test_unplugged_stage_ends_the_run_and_forgets_its_position(bench_and_plan, folder, files):
