@@ -8,7 +8,7 @@ import gc
 import glob
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -124,7 +124,28 @@ def given_to_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any
     compiled = numba.njit(**options | {"cache": False})(function)
     if options.get("cache") and cache_folder(Path(inspect.getfile(function))) is not None:
         compiled._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
+    _type_integers_once(compiled)
     return compiled
+
+
+def _type_integers_once(compiled: Any) -> None:  # noqa: ANN401
+    """Let a kernel that is called with an integer written in the code be compiled for int64, as for any other.
+
+    Numba has a type for each such number, and compiles ``next_body(..., 0)`` for it alone; that of a variable that
+    starts at 0 and is counted up is int64 as soon as the loop is read, and all callees are compiled twice.
+    True and False keep their types: a kernel leaves out what its caller has switched off (`glass_span`).
+    """
+    template = compiled.get_call_template
+
+    def typed_once(args: Sequence[types.Type], named: dict[str, types.Type]) -> object:
+        return template([*map(_int64, args)], {name: _int64(kind) for name, kind in named.items()})
+
+    compiled.get_call_template = typed_once
+
+
+def _int64(kind: types.Type) -> types.Type:
+    """Return the type of the integer where that is one written in the code, else the type itself."""
+    return kind.literal_type if isinstance(kind, types.IntegerLiteral) else kind
 
 
 def files_in_use() -> list[Path]:
