@@ -50,7 +50,7 @@ MUTANTS: tuple[tuple[str, str, str], ...] = (
      "test_it_is_brute_force_to_the_last_bit"),
     ("each, light in near if each is frame or light - floor >= dark_share * usual]", "each, light in near]",
      "test_one_dark_frame_does_not_bring_the_reflections_back"),
-    ("return along - up, np.hypot(along_sigma, up_sigma)", "return along + up, np.hypot(along_sigma, up_sigma)",
+    ('"vorticity": (c - b, np.hypot', '"vorticity": (c + b, np.hypot',
      "test_a_rotation_turns_and_does_not_diverge"),
     ("normal = total[..., :2] * np.sqrt(2.0 / faster)", "normal = total[..., :2] * np.sqrt(1.0 / faster)",
      "test_sigma_of_the_mean_covers_what_it_says"),

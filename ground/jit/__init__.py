@@ -14,6 +14,7 @@ Every kernel of every package is compiled through ``kernel``:
   ``tracer.kernels.chain``) is compiled another way inside its caller than by itself, and the process that compiles
   would use the one, later ones the other: such functions are `kernel_inlined`, and exist once.
 * ``error_model="numpy"``: 0/0 is NaN, never an exception inside a loop.
+* An integer written in a call is an int64 as any other, so that a kernel is compiled once for both (`compiler`).
 * ``nogil=True``: the row scheduler (ground.rows) runs kernels on all cores from ordinary threads.
 * ``cache=True`` with a folder for each file that changes with all it is compiled from, see `kernel_cache`.
 
