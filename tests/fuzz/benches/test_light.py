@@ -6,6 +6,7 @@ from daq.timing.states import LaserStateMachine
 from tests.fuzz.benches.light import Playground, play
 
 REFUSED = "202-119"
+LOST = "833-499"
 
 
 def test_nothing_moves_while_light_leaves():
@@ -50,3 +51,9 @@ def test_a_box_that_takes_one_line_at_a_time_and_refuses_off_is_told_again_in_50
     assert story.emulator.refused_off_s > 25.0
     monkeypatch.setattr("daq.timing.drivers.quantum_composers.PAUSE_S", 0.2)
     assert Playground().tell(REFUSED, 14).found
+
+
+def test_a_reference_run_whose_answer_is_lost_ends_by_its_own_time():
+    """In 180 s, of which nothing is heard; no thread hangs."""
+    story = Playground().tell(LOST, 14)
+    assert not story.found, "\n".join(story.found)
