@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Unpack
 
-from correction.maps.slant import vector_slopes
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
 from daq.runs.run_folder import RunFolder
@@ -13,6 +12,7 @@ from ground.terminal import console
 from piv.errors import PairError
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
+from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
 from rtpiv.analysis.series.mean_flow import MeanFlow
@@ -132,7 +132,8 @@ def mean(
         by_ensemble = ensemble_flow(given, found, ensemble, workers)
         said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
         seen = view.correction.corrector.map
-        slope = vector_slopes(seen, view.scene, by_ensemble.windows, SUMMED)[::-1]
+        slope = known_slopes(seen, view.scene, by_ensemble.windows, SUMMED)
+        slope = None if slope is None else slope[::-1]
         vectors = ensemble_vectors(by_ensemble, said, slope, view.out_of_plane)
         found = replace(found, by_ensemble=vectors)
         if output.files:

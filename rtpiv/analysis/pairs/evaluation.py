@@ -19,7 +19,6 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid
 from correction.maps.corrector import Corrector
 from daq.runs.acquired import read_acquired
-from daq.runs.run_views import tells_a_scale_alone
 from ground.short_repr import short_repr
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
@@ -334,7 +333,7 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
     slant = None
-    if truth is None and not tells_a_scale_alone(scene):
+    if truth is None:
         slant = slanted(field, corrector.map, scene, settings, how.out_of_plane, task.dt_s)
     seen = before_after(frame_a, pair.first, corrector, scene) if how.pictures else None
     return Evaluation(

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from correction.maps.correction_map import CorrectionMap
 from correction.maps.slant import vector_slopes
+from daq.runs.run_views import tells_a_scale_alone
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
+from piv.correlation.windows import WindowGrid
 from piv.statistics.out_of_plane import OutOfPlane, SlantedField
 from tracer.scene.scene import Scene
 
@@ -36,6 +38,13 @@ class Slanted:
     said: str
 
 
+def known_slopes(
+    found: CorrectionMap, scene: Scene, windows: WindowGrid, window_sigma: float
+) -> NDArray[np.float64] | None:
+    """`correction.maps.slant.vector_slopes`, or None where a scale is told and nothing of the camera."""
+    return None if tells_a_scale_alone(scene) else vector_slopes(found, scene, windows, window_sigma)
+
+
 def slanted(
     field: VectorField,
     found: CorrectionMap,
@@ -43,8 +52,8 @@ def slanted(
     settings: PivSettings,
     known: OutOfPlane,
     dt_s: float | None,
-) -> Slanted:
-    """Slant of the vectors of a corrected pair.
+) -> Slanted | None:
+    """Slant of the vectors of a corrected pair; None where nothing is known of the camera that would tell.
 
     Parameters
     ----------
@@ -67,7 +76,9 @@ def slanted(
         The map belongs to another scene.
     """
     windows = settings.result_grid(found.grid.shape)
-    slope = vector_slopes(found, scene, windows, settings.window_sigma)
+    slope = known_slopes(found, scene, windows, settings.window_sigma)
+    if slope is None:
+        return None
     measured = field.valid[..., None]
     uv = np.where(measured, np.stack((field.u_px, field.v_px), axis=-1), np.nan)
     noise = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)

@@ -8,8 +8,7 @@ The page begins with the scatter, and says the bias, a common offset, below. It 
 sheet by something else than it reported) or the map's; how large either may be stands in the budget of the
 comparison, and is no part of the total. Where no shift is known, the total is what vectors are unsure of:
 random sigma of the correlation, what windows do not resolve, map sigma and what flows through the sheet, in
-squares. Beside it stands whether
-sigma keeps its claim.
+squares. Beside it stands whether sigma keeps its claim.
 """
 
 from collections.abc import Mapping

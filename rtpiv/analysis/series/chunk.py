@@ -11,10 +11,8 @@ from itertools import islice
 from pathlib import Path
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
-from correction.maps.slant import vector_slopes
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
-from daq.runs.run_views import tells_a_scale_alone
 from ground.whole_file import whole_file
 from piv.correlation.vector_field import ONE_PICTURE
 from piv.correlation.windows import WindowGrid
@@ -22,6 +20,7 @@ from piv.errors import FrameError, PairError
 from piv.files.vector_file import vectors_netcdf
 from rtpiv.analysis.pairs.evaluation import Correlated, Evaluation, PairMethod, Task, correlated, evaluated
 from rtpiv.analysis.pairs.pair_vectors import PairResult, vectors_of_pairs
+from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.series_folder import Marker, sound_content, write_marker
 from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair
@@ -109,14 +108,14 @@ def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
         if isinstance(a, str) or isinstance(b, str):
             yield pair, a if isinstance(a, str) else str(b)
             continue
+        if pair.crc32[0] == pair.crc32[1]:  # of pixels as acquired: each pulse loses a background of its own
+            yield pair, ONE_PICTURE
+            continue
         try:
             both = corrector(a), corrector(b)
-            seen = correlated((a, b), both, corrector, method.settings, method.preparation)
+            yield pair, correlated((a, b), both, corrector, method.settings, method.preparation)
         except (PairError, FrameError) as error:
             yield pair, str(error)
-            continue
-        is_one = pair.crc32[0] == pair.crc32[1]  # of pixels as acquired: each pulse loses a background of its own
-        yield pair, ONE_PICTURE if is_one else seen
 
 
 def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:
@@ -129,9 +128,7 @@ def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
     prepared = correction_of(job.maps, job.method)
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()}
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
-    slope = None
-    if not tells_a_scale_alone(prepared.scene):
-        slope = vector_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
+    slope = known_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
     content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about, slope=slope))
     _keep(job.path, content)
     failed = {each.tag: each.found for each in results if isinstance(each.found, str)}

@@ -43,14 +43,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fitted.map_sigma import vector_map_sigma
-from correction.maps.slant import vector_slopes
 from daq.atomic_write import why
 from daq.errors import DiskError
-from daq.runs.run_views import tells_a_scale_alone
 from piv.files.vector_file import SPEED, Vectors, write_vectors
 from piv.statistics.derived import rates
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
 from rtpiv.analysis.pairs.pair_vectors import RATE, SLOPES
+from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks
@@ -81,9 +80,9 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
         A map cannot be kept.
     """
     mean, sigma, found_map = mean_flow(Chunks.of(view.folder)), view.sigma, view.correction.corrector.map
-    if not tells_a_scale_alone(view.scene):
-        slope = vector_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)[::-1]
-        mean = replace(mean, slope=slope, out_of_plane=view.out_of_plane)
+    slope = known_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)
+    if slope is not None:
+        mean = replace(mean, slope=slope[::-1], out_of_plane=view.out_of_plane)
     if isinstance(sigma, str):
         return replace(mean, no_map_sigma=sigma)
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)

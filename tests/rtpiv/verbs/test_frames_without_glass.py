@@ -30,6 +30,7 @@ def right(folder, name="vectors.nc"):
     """Velocities are the shift's, x to the right and y up."""
     with xarray.open_dataset(folder / name) as file:
         assert file["u"].attrs["units"] == "m s-1"
+        assert "dxdz" not in file  # nothing is known of the camera that would tell
         u, v = (float(np.nanmedian(file[name])) for name in ("u", "v"))
     m_s_per_px = 1e-3 * MM / (1e-6 * DT_US)
     np.testing.assert_allclose((u, v), np.multiply(SHIFT, m_s_per_px) * (1.0, -1.0), atol=0.03 * m_s_per_px)
@@ -47,9 +48,10 @@ def test_two_frames_are_evaluated_in_metres_a_second(day, tmp_path, capsys):
 
 def test_a_folder_is_averaged_in_one_command(day, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["mean", str(day), *TOLD]) == DONE
+    assert main(["mean", str(day), "--ensemble", "16", *TOLD]) == DONE
     assert "mean of 3 pairs" in capsys.readouterr().out
     assert "pairs in the mean" in (tmp_path / "evaluation" / "mean.html").read_text()
+    assert right(tmp_path / "evaluation", "mean_ensemble.nc")
 
 
 @pytest.mark.usefixtures("no_mean_page")
