@@ -38,12 +38,8 @@ from daq.runs.journal_lines import LINE, FrameEntry
 from daq.runs.journal_lines import Entry as Entry  # what readers of a journal hold in their hands
 from daq.runs.records import CURE, parsed
 from daq.runs.seal import sealed
+from ground.file_lock import hold
 from ground.plain_file import open_plain
-
-try:
-    from fcntl import LOCK_EX, LOCK_NB, flock
-except ImportError:  # not a POSIX machine: nobody keeps a second process away there
-    flock = None  # type: ignore[assignment]
 
 SYNC_S = 0.25
 LONGEST_LINE = 100_000_000  # bytes; a line that discards a million frames has 8 MB
@@ -121,8 +117,7 @@ class Journal:
         self._synced_s = time.monotonic()
         try:
             self._file = path.open("ab", buffering=0)
-            if flock is not None:
-                flock(self._file, LOCK_EX | LOCK_NB)
+            hold(self._file)
             _cut_torn_line(path)
             self._whole_bytes = path.stat().st_size
         except BlockingIOError as error:

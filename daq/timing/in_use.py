@@ -15,13 +15,9 @@ from typing import IO
 from pydantic import ValidationError
 
 from daq.timing.timing_table import TimingTable
+from ground.file_lock import HAS_LOCKS, hold
 from ground.plain_file import read_plain
 from stages.watchdog import needs_watchdog
-
-try:
-    from fcntl import LOCK_EX, LOCK_NB, flock
-except ImportError:  # no POSIX system: every file counts as held
-    flock = None  # type: ignore[assignment]
 
 MOST_BYTES = 100_000
 
@@ -68,8 +64,7 @@ def _written(table: TimingTable) -> IO[str] | None:
         file = tempfile.NamedTemporaryFile(  # noqa: SIM115 - open for as long as the laser is
             "w", prefix=f"{os.getpid()}-", suffix=".json", dir=_folder(), delete=False, encoding="utf-8"
         )
-        if flock is not None:
-            flock(file, LOCK_EX)
+        hold(file, wait=True)
         file.write(table.model_dump_json(exclude_unset=True))
         file.flush()
         return file
@@ -78,11 +73,11 @@ def _written(table: TimingTable) -> IO[str] | None:
 
 def _is_held(path: Path) -> bool:
     """Whether the process that wrote it still lives; what nobody holds is taken away."""
-    if flock is None:
+    if not HAS_LOCKS:
         return True
     with path.open("rb") as file:
         try:
-            flock(file, LOCK_EX | LOCK_NB)
+            hold(file)
         except OSError:
             return True
         if file.seek(0, os.SEEK_END):  # an empty one is being written

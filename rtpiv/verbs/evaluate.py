@@ -26,7 +26,7 @@ from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput, series_input, tasks_of
 from rtpiv.analysis.series.series_pairs import is_one_series
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of, removed_if_refused
+from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of, results_in
 from rtpiv.verbs.show import show_evaluation, show_series, show_through
 from tracer.scene.scene_file import load_scene
 
@@ -124,11 +124,11 @@ def evaluate(
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
         out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, run.resolve().name))
-        with removed_if_refused(out, COPIES):
+        with results_in(out, COPIES):
             series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
             return _series(screen, series, how, output, workers)
     out = folder_for(out, USUAL)
-    with removed_if_refused(out, COPIES):
+    with results_in(out, COPIES):
         given = tasks_of(paths, out, scene, recipe, details.shift_mm, dt_us)
         if given.alone:
             screen.print(f"{given.alone} frames lost their partner and are in no pair")

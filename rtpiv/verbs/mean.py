@@ -1,6 +1,7 @@
 """`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Literal, Unpack
 
@@ -23,7 +24,7 @@ from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, 
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.evaluate import COPIES, USUAL, holds_series_of
-from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, removed_if_refused, require_folder
+from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, require_folder, results_in
 from rtpiv.verbs.show import show_mean, show_series, show_through
 
 SUMMED = 0.0  # weights of windows that are sums of cells: none
@@ -96,55 +97,59 @@ def mean(
     """
     screen = console()
     path, out, scene = one_of(path), path_of(out), path_of(scene)
-    series = None
-    if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
-        name, choice = path.resolve().name, piv_choice(**options)
-        if is_run(path):
-            folder = require_folder(out if out is not None else RunFolder(path).own("series"))
-        else:
-            folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
-        with removed_if_refused(folder, COPIES):
+    with ExitStack() as held:
+        series = None
+        if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
+            name, choice = path.resolve().name, piv_choice(**options)
+            if is_run(path):
+                folder = require_folder(out if out is not None else RunFolder(path).own("series"))
+            else:
+                folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
+            held.enter_context(results_in(folder, COPIES))
             given = series_input(path, folder, choice, scene, recipe, dt_us)
-        books = run_series(given, workers)
-        show_series(screen, books)
-        series = given, books
-    elif (path / FILE).is_file():
-        folder = path
-        if (
-            (out is not None and output.files)
-            or scene is not None
-            or recipe != CorrectionRecipe()
-            or dt_us is not None
-            or ensemble is not None
-            or any(value is not None for name, value in options.items() if name not in TOLD)
-        ):
-            raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
-    else:
-        raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
-    told = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
-    view = SeriesView(folder, None if series is not None or told == NOTHING_TOLD else told)
-    found = mean_of_series(view)
-    if output.files:
-        write_mean(view, found)
-    by_ensemble = None
-    if series is not None and ensemble is not None:
-        given = series[0]
-        by_ensemble = ensemble_flow(given, found, ensemble, workers)
-        said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
-        seen = view.correction.corrector.map
-        slope = known_slopes(seen, view.scene, by_ensemble.windows, SUMMED)
-        slope = None if slope is None else slope[::-1]
-        vectors = ensemble_vectors(by_ensemble, said, slope, view.out_of_plane)
-        found = replace(found, by_ensemble=vectors)
+            books = run_series(given, workers)
+            show_series(screen, books)
+            series = given, books
+        elif (path / FILE).is_file():
+            folder = path
+            if (
+                (out is not None and output.files)
+                or scene is not None
+                or recipe != CorrectionRecipe()
+                or dt_us is not None
+                or ensemble is not None
+                or any(value is not None for name, value in options.items() if name not in TOLD)
+            ):
+                raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
+        else:
+            raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
+        told = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
+        view = SeriesView(folder, None if series is not None or told == NOTHING_TOLD else told)
+        found = mean_of_series(view)
         if output.files:
-            write_statistics(folder / "mean_ensemble.nc", vectors)
-    if output.files:
-        from rtpiv.analysis.report.mean import write_mean_page
+            write_mean(view, found)
+        by_ensemble = None
+        if series is not None and ensemble is not None:
+            given = series[0]
+            by_ensemble = ensemble_flow(given, found, ensemble, workers)
+            said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
+            seen = view.correction.corrector.map
+            slope = known_slopes(seen, view.scene, by_ensemble.windows, SUMMED)
+            slope = None if slope is None else slope[::-1]
+            vectors = ensemble_vectors(by_ensemble, said, slope, view.out_of_plane)
+            found = replace(found, by_ensemble=vectors)
+            if output.files:
+                write_statistics(folder / "mean_ensemble.nc", vectors)
+        if output.files:
+            from rtpiv.analysis.report.mean import write_mean_page
 
-        write_mean_page(folder / "mean.html", view, found, output.figures, by_ensemble, series)
-    show_through(screen, view.scene)
-    screen.print(where_lit(view.standing))
-    show_mean(
-        screen, found, folder / "mean.html" if output.files else None, () if series is None else series[1].failed
-    )
+            write_mean_page(folder / "mean.html", view, found, output.figures, by_ensemble, series)
+        show_through(screen, view.scene)
+        screen.print(where_lit(view.standing))
+        show_mean(
+            screen,
+            found,
+            folder / "mean.html" if output.files else None,
+            () if series is None else series[1].failed,
+        )
     return found

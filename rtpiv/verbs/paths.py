@@ -6,11 +6,12 @@ That is tried before work starts, so that a folder which cannot be written to co
 import errno
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeAlias
 
 from daq.errors import DiskError, RunUsageError
+from ground.file_lock import folder_held
 from tracer.scene.scene import Scene
 
 Named: TypeAlias = str | Path
@@ -95,28 +96,49 @@ def folder_for(out: Path | str | None, usual: str, goes_on: Callable[[Path], boo
 
 
 @contextmanager
-def removed_if_refused(out: Path, copies: Collection[str]) -> Iterator[None]:
-    """Leave no new folder behind in which a call that was refused has put nothing but copies of its input.
+def results_in(out: Path, copies: Collection[str]) -> Iterator[None]:
+    """Let one process at a time put results into a folder, and leave no new one behind that has none.
+
+    Two calls at once would mix their files: vectors by one scene beside the scene of the other.
 
     Parameters
     ----------
     out : path
         The folder for results.
     copies : collection of str
-        Names of the files that are no results.
+        Names of the files that are no results but copies of what was given.
+
+    Raises
+    ------
+    RunUsageError
+        Another process works in it.
     """
     was_there = out.exists()
-    try:
-        yield
-    except BaseException:
-        if not was_there and out.is_dir():
-            with suppress(OSError):
-                left = list(out.iterdir())
-                if {file.name for file in left} <= set(copies):
-                    for file in left:
-                        file.unlink()
-                    out.rmdir()
-        raise
+    with suppress(OSError):  # said by who writes there
+        out.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as held:
+        try:
+            held.enter_context(folder_held(out))
+        except BlockingIOError:
+            text = f"{out}: another process puts results there; let it finish, or name another folder with -o"
+            raise RunUsageError(text) from None
+        left: Collection[str] = copies  # by a call that is refused
+        try:
+            yield
+            left = ()
+        finally:
+            if not was_there:
+                _removed_but_for_results(out, left)
+
+
+def _removed_but_for_results(out: Path, copies: Collection[str]) -> None:
+    """Take a folder away that is empty, or holds copies alone."""
+    with suppress(OSError):
+        left = list(out.iterdir())
+        if {file.name for file in left} <= set(copies):
+            for file in left:
+                file.unlink()
+            out.rmdir()
 
 
 def require_folder(out: Path | str) -> Path:

@@ -108,14 +108,14 @@ def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
         if isinstance(a, str) or isinstance(b, str):
             yield pair, a if isinstance(a, str) else str(b)
             continue
-        if pair.crc32[0] == pair.crc32[1]:  # of pixels as acquired: each pulse loses a background of its own
-            yield pair, ONE_PICTURE
-            continue
         try:
             both = corrector(a), corrector(b)
-            yield pair, correlated((a, b), both, corrector, method.settings, method.preparation)
-        except (PairError, FrameError) as error:
+            seen = correlated((a, b), both, corrector, method.settings, method.preparation)
+        except (PairError, FrameError) as error:  # dark frames are alike too, and that they are dark says more
             yield pair, str(error)
+            continue
+        is_one = pair.crc32[0] == pair.crc32[1]  # of pixels as acquired: each pulse loses a background of its own
+        yield pair, ONE_PICTURE if is_one else seen
 
 
 def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:

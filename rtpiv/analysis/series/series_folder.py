@@ -27,16 +27,12 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 from daq.atomic_write import why, write_json
 from daq.errors import DiskError, RunUnsuitable
 from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
+from ground.file_lock import hold
 from ground.plain_file import read_plain
 from piv.errors import SeriesError
 from piv.files.vector_file import Vectors, read_vectors
 from rtpiv.analysis.pairs.pair_vectors import ChunkContent, read_chunk
 from rtpiv.analysis.series.series_plan import chunk_path
-
-try:
-    from fcntl import LOCK_EX, LOCK_NB, flock
-except ImportError:  # not on this system
-    flock = None  # type: ignore[assignment]
 
 FILE = "series.json"
 MEAN = "mean.nc"
@@ -285,8 +281,7 @@ class SeriesFolder:
             raise DiskError(f"{self.path}: {why(error)}; choose another folder with -o") from error
         with lock as file:
             try:
-                if flock is not None:
-                    flock(file, LOCK_EX | LOCK_NB)
+                hold(file)
             except BlockingIOError:
                 raise RunUnsuitable(f"{self.path}: another process evaluates into it; let it finish") from None
             yield

@@ -6,6 +6,7 @@ import tifffile
 import xarray
 
 from correction import Corrector, build_correction_map
+from ground.file_lock import folder_held
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
@@ -87,3 +88,15 @@ def test_a_scale_and_a_scene_are_one_too_many(day, tmp_path, capsys):
     with pytest.raises(SystemExit, match=str(USAGE)):
         main(["evaluate", *frames, "--mm-per-px", "-0.04"])
     assert "--mm-per-px: should be above 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["evaluate", "mean"])
+def test_two_at_once_do_not_mix_their_files(day, tmp_path, verb, capsys):
+    """The second is refused before it has written anything: not even its scene beside the vectors of the first."""
+    out = tmp_path / "out"
+    out.mkdir()
+    given = [str(day)] if verb == "mean" else [str(day / f"im{n:04d}.tif") for n in (0, 1)]
+    with folder_held(out):
+        assert main([verb, *given, *TOLD, "-o", str(out)]) == USAGE
+    assert "another process puts results there; let it finish" in " ".join(capsys.readouterr().err.split())
+    assert not list(out.iterdir())
