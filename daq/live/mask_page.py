@@ -68,7 +68,7 @@ class MaskPage:
         self._outlines = [part.outline_px for part in begun]
         self._token = secrets.token_urlsafe(24)
         self._server = listening(self._show, self._answer, port, MOST_BYTES)
-        self.door = LocalPage(self._token, self._server.socket.getsockname()[1], SOCKET, PAGES)
+        self.access = LocalPage(self._token, self._server.socket.getsockname()[1], SOCKET, PAGES)
 
     def serve(self) -> None:
         """Serve until `close` is called."""
@@ -79,11 +79,11 @@ class MaskPage:
         self._server.shutdown()
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        return self.door.answer(request)
+        return self.access.answer(request)
 
     def _show(self, connection: ServerConnection) -> None:
         with suppress(ConnectionClosed, TimeoutError):
-            if self.door.let_in(connection) is None:
+            if self.access.let_in(connection) is None:
                 return
             height, width = self._shape
             words = {"name": self._name, "width": width, "height": height, "file": self._path.name}

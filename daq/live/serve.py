@@ -121,18 +121,18 @@ class Page:
         self.quality = FrameQuality(self.slot)
 
     @property
-    def door(self) -> LocalPage:
+    def access(self) -> LocalPage:
         """Who may come in, and what is behind."""
         return LocalPage(self.token, self.port, SOCKET, PAGES)
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request, see `LocalPage.answer`."""
-        return self.door.answer(request)
+        return self.access.answer(request)
 
     def show(self, connection: ServerConnection) -> None:
         """Serve one viewer until it goes."""
         with suppress(ConnectionClosed, TimeoutError):
-            said = self.door.let_in(connection)
+            said = self.access.let_in(connection)
             if said is None:
                 return
             with self._lock:  # who knows no token keeps nobody out

@@ -56,7 +56,7 @@ def mask(frame: Named, /, out: Named = "mask.png", port: Port = 0) -> Path:
             f"the page cannot be shown: {error.strerror or error}; choose another --port"
         ) from None
     screen = console()
-    screen.print(f"look at {page.door.url}", soft_wrap=True, highlight=False)
+    screen.print(f"look at {page.access.url}", soft_wrap=True, highlight=False)
     screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
     try:
         with suppress(KeyboardInterrupt):

@@ -38,9 +38,9 @@ def shown(path, begun=()):
 @contextmanager
 def drawing(page, token=None, **options):
     """A browser that is let in, or is not; what it is told first, and the frame."""
-    host, options = f"127.0.0.1:{page.door.port}", {"origin": f"http://127.0.0.1:{page.door.port}"} | options
+    host, options = f"127.0.0.1:{page.access.port}", {"origin": f"http://127.0.0.1:{page.access.port}"} | options
     with connect(f"ws://{host}/outlines", **options) as browser:
-        browser.send(json.dumps({"token": page.door.token if token is None else token}))
+        browser.send(json.dumps({"token": page.access.token if token is None else token}))
         yield json.loads(browser.recv(5.0)), browser.recv(5.0), lambda words: _asked(browser, words)
 
 
@@ -98,14 +98,14 @@ def test_a_file_that_cannot_be_written_is_said(tmp_path):
 
 def test_who_does_not_know_the_token_or_comes_from_elsewhere_is_not_let_in(tmp_path):
     with shown(tmp_path / "mask.png") as page:
-        for token in ("", "x", page.door.token[:-1]):
+        for token in ("", "x", page.access.token[:-1]):
             with pytest.raises(ConnectionClosed), drawing(page, token):
                 pass
         for origin in ("http://evil.example", None):
             with pytest.raises(InvalidStatus), drawing(page, origin=origin):
                 pass
-        for host, status in ((f"127.0.0.1:{page.door.port}", 200), ("evil.example", 403)):
-            asked = http.client.HTTPConnection("127.0.0.1", page.door.port, timeout=5.0)
+        for host, status in ((f"127.0.0.1:{page.access.port}", 200), ("evil.example", 403)):
+            asked = http.client.HTTPConnection("127.0.0.1", page.access.port, timeout=5.0)
             asked.request("GET", "/", headers={"Host": host})
             assert asked.getresponse().status == status
             asked.close()
@@ -126,7 +126,7 @@ def test_the_verb_refuses_what_it_cannot_draw_on(tmp_path, capsys):
         assert len(error.strip().splitlines()) == 1
     with shown(tmp_path / "mask.png") as page:
         assert (
-            main(["mask", str(tmp_path / "a.tif"), "-o", str(tmp_path / "m.png"), "--port", str(page.door.port)])
+            main(["mask", str(tmp_path / "a.tif"), "-o", str(tmp_path / "m.png"), "--port", str(page.access.port)])
             == USAGE
         )
         assert "the page cannot be shown: Address already in use" in capsys.readouterr().err
