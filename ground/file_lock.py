@@ -5,14 +5,15 @@ nobody is.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from os import O_RDONLY, close
+from contextlib import contextmanager, suppress
+from os import O_RDONLY, close, fstat
 from os import open as open_descriptor
+from os.path import samestat
 from pathlib import Path
 from typing import Protocol
 
 try:
-    from fcntl import LOCK_EX, LOCK_NB, flock
+    from fcntl import LOCK_EX, LOCK_NB, LOCK_UN, flock
 except ImportError:
     flock = None  # type: ignore[assignment]
 
@@ -50,12 +51,14 @@ def hold(file: Opened | int, wait: bool = False) -> None:
 
 @contextmanager
 def folder_held(folder: Path) -> Iterator[None]:
-    """Hold a folder while the block lasts; BlockingIOError if another process does.
+    """Hold a folder while the block lasts; BlockingIOError if another process does, or has just taken it away.
 
-    A folder that cannot be held, or is not there, keeps nobody away.
+    A folder that cannot be held keeps nobody away.
     """
     try:
         descriptor = open_descriptor(folder, O_RDONLY)
+    except FileNotFoundError:
+        raise BlockingIOError from None
     except OSError:  # Windows opens no folders
         yield
         return
@@ -65,6 +68,19 @@ def folder_held(folder: Path) -> Iterator[None]:
         except OSError as error:
             if isinstance(error, BlockingIOError):
                 raise  # else it is of a file system without locks
+        if not _is_there(folder, descriptor):
+            raise BlockingIOError
         yield
     finally:
+        if flock is not None:
+            with suppress(OSError):
+                flock(descriptor, LOCK_UN)  # processes that were forked meanwhile have the descriptor as well
         close(descriptor)
+
+
+def _is_there(folder: Path, descriptor: int) -> bool:
+    """Whether a folder that was opened still has its name."""
+    try:
+        return samestat(folder.stat(), fstat(descriptor))
+    except FileNotFoundError:
+        return False

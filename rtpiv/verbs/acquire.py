@@ -33,7 +33,8 @@ from ground.terminal import console, error_console
 from piv.resampling.sample import Method
 from rtpiv.options.numbers import Count, DewarpOrder
 from rtpiv.verbs.operator import ScriptOperator, operator_of, require_person
-from rtpiv.verbs.paths import Named, path_of, require_folder
+from rtpiv.verbs.paths import Named, path_of
+from rtpiv.verbs.results import require_folder
 from stages.errors import PortUnavailable
 from stages.identities import confusable
 

@@ -16,7 +16,8 @@ from ground.plain_words import counted
 from ground.terminal import console, error_console
 from rtpiv.verbs.acquire import ENDS, forecast_said, run_and_report
 from rtpiv.verbs.operator import operator_of
-from rtpiv.verbs.paths import Named, require_folder
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import require_folder
 from stages.identities import confusable
 
 MAY_BE_OFF_MM = 1.5  # from which an alignment is made for; less room than that at a limit is said

@@ -7,7 +7,8 @@ from pathlib import Path
 from daq.child import child
 from daq.errors import DaqError, RunUsageError
 from rtpiv.options.numbers import Count
-from rtpiv.verbs.paths import Named, require_folder
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import results_in
 from tracer.scene.scene_file import load_scene
 
 
@@ -40,12 +41,13 @@ def benchmark(scene: Named, /, out: Named = "benchmark", rounds: Count = 9) -> P
     DaqError
         The benchmark stopped; what it printed says why.
     """
-    scene, out = Path(scene), require_folder(out)
+    scene, out = Path(scene), Path(out)
     load_scene(scene)
     if find_spec("benchmarks") is None:
         raise RunUsageError("the benchmarks are not installed: run this in a checkout of the sources of rtpiv")
     options = ["-o", str(out.resolve()), "--rounds", str(rounds), "--scenes", str(scene.resolve())]
     command, environment = child("benchmarks", *options)
-    if subprocess.run(command, env=environment, check=False).returncode:
-        raise DaqError("the benchmark stopped; what it said last tells why")
+    with results_in(out):
+        if subprocess.run(command, env=environment, check=False).returncode:
+            raise DaqError("the benchmark stopped; what it said last tells why")
     return out / "benchmark.json"

@@ -21,7 +21,8 @@ from piv.files.frame_file import FRAME_ENDINGS
 from rtpiv.analysis.calibration import Calibration, calibration_of
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.options.numbers import Positive
-from rtpiv.verbs.paths import Named, folder_for, one_of, path_of
+from rtpiv.verbs.paths import Named, one_of, path_of
+from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_calibration
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
@@ -85,30 +86,29 @@ def calibrate(
     nominal, priors = nominal_scene(folder, path_of(scene))
     target = board_of([folder], square_mm, disc_mm, path_of(board))
     frames = target_frames(folder, nominal.camera.shape)
-    out = folder_for(out, "fit")
+    with results_in(out, "fit") as out:
 
-    def say(text: str) -> None:
-        progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
+        def say(text: str) -> None:
+            progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
-    say(f"{counted(len(frames), 'frame')} of the target in {folder}")
-    fit = fit_scene(nominal, frames, target, priors, say)
-    seconds = time.monotonic() - began
-    say("standard deviation of the map")
-    sigma = map_sigma(fit)
-    say("errors before and after")
-    found = calibration_of(fit, sigma, frames, seconds)
-    out.mkdir(parents=True, exist_ok=True)
-    save_fit(out / "fit.npz", fit)
-    sigma.save(out / "map_sigma.npz")
-    write_json(out / "calibration.json", found.to_dict())
-    write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
-    show_calibration(console(), found)
-    if pictures:
-        _draw(out, found, nominal.camera.shape, folder.resolve().name)
-    console().print(
-        f"scene.yaml, covariance{', map sigma and pictures' if pictures else ' and map sigma'} are in {out}"
-    )
-    return fit
+        say(f"{counted(len(frames), 'frame')} of the target in {folder}")
+        fit = fit_scene(nominal, frames, target, priors, say)
+        seconds = time.monotonic() - began
+        say("standard deviation of the map")
+        sigma = map_sigma(fit)
+        say("errors before and after")
+        found = calibration_of(fit, sigma, frames, seconds)
+        save_fit(out / "fit.npz", fit)
+        sigma.save(out / "map_sigma.npz")
+        write_json(out / "calibration.json", found.to_dict())
+        write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
+        show_calibration(console(), found)
+        if pictures:
+            _draw(out, found, nominal.camera.shape, folder.resolve().name)
+        console().print(
+            f"scene.yaml, covariance{', map sigma and pictures' if pictures else ' and map sigma'} are in {out}"
+        )
+        return fit
 
 
 def _draw(out: Path, found: Calibration, shape: tuple[int, int], name: str) -> None:

@@ -13,7 +13,8 @@ from daq.runner.camera_session import CameraSession
 from daq.runner.trigger_check import TriggerCheck, try_trigger
 from daq.runs.raw_frame import checksum, write_raw
 from ground.terminal import console
-from rtpiv.verbs.paths import Named, require_folder
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import require_folder
 
 
 def camera(

@@ -1,6 +1,7 @@
 """`rtpiv campaign`: many runs, evaluated chunk by chunk on whatever computers there are, and averaged."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,8 @@ from rtpiv.analysis.campaign.run_campaign import PATIENCE_S, run_campaign
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.verbs.paths import Named, paths_of, require_folder
+from rtpiv.verbs.paths import Named, paths_of
+from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_campaign, show_forecasts
 
 Action = Literal["plan", "run", "status", "merge"]
@@ -125,36 +127,39 @@ def campaign(
         raise RunUsageError("scenes and settings belong to runs; name the runs as well")
     if not runs and action == "plan":
         raise RunUsageError("name the runs that are to be planned")
-    if runs:
-        ask = partial(ask_for, runs=paths_of(runs), choice=piv_choice(**options), settings=settings, used=folder)
+    with ExitStack() as held:
+        if action in ("run", "merge"):
+            held.enter_context(results_in(folder.path))
+        if runs:
+            ask = partial(
+                ask_for, runs=paths_of(runs), choice=piv_choice(**options), settings=settings, used=folder
+            )
+            with trial(folder, ask, thread_count()) as (tried, found):
+                show_forecasts(screen, found)
+                if action == "plan":
+                    return found
+                with SeriesFolder(folder.path).alone():
+                    adopt(tried, folder)
+        if action == "merge":
+            merged = merge_campaign(folder)
+            _show_merged(folder, merged)
+            return merged
         if action == "run":
-            require_folder(folder.path)
-        with trial(folder, ask, thread_count()) as (tried, found):
-            show_forecasts(screen, found)
-            if action == "plan":
-                return found
-            with SeriesFolder(folder.path).alone():
-                adopt(tried, folder)
-    if action == "merge":
-        merged = merge_campaign(folder)
-        _show_merged(folder, merged)
-        return merged
-    if action == "run":
-        books = run_campaign(folder, workers.engine(folder), workers.patience_s)
-        were = "was" if books.kept == 1 else "were"
-        screen.print(f"{counted(books.made, 'chunk')} made, {books.kept} {were} there")
-        if books.stopped:
-            screen.print(f"ended early: {books.stopped}", style="bold red")
-    states = campaign_status(folder)
-    show_campaign(screen, states)
-    missing = sum(state.chunks - state.done for state in states)
-    if missing:
-        raise Unfinished(
-            said_missing(missing), place=folder.path, cure=f"rtpiv campaign run -o {folder.path} goes on"
-        )
-    if action == "run":
-        screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
-    return states
+            books = run_campaign(folder, workers.engine(folder), workers.patience_s)
+            were = "was" if books.kept == 1 else "were"
+            screen.print(f"{counted(books.made, 'chunk')} made, {books.kept} {were} there")
+            if books.stopped:
+                screen.print(f"ended early: {books.stopped}", style="bold red")
+        states = campaign_status(folder)
+        show_campaign(screen, states)
+        missing = sum(state.chunks - state.done for state in states)
+        if missing:
+            raise Unfinished(
+                said_missing(missing), place=folder.path, cure=f"rtpiv campaign run -o {folder.path} goes on"
+            )
+        if action == "run":
+            screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
+        return states
 
 
 def _option(text: str) -> tuple[str, str | int]:

@@ -17,7 +17,8 @@ from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of
 from rtpiv.analysis.views.figures import ViewFigures
 from rtpiv.options.numbers import Positive
 from rtpiv.templates.scene_text import scene_text
-from rtpiv.verbs.paths import Named, folder_for
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import results_in
 
 SHOWN = 15  # rows of the table
 WRITTEN = 50  # scene files
@@ -81,39 +82,40 @@ def compare(
     DiskError
         The folder cannot hold results.
     """
-    out, screen = folder_for(out, "compare"), console()
-    labs, refused = question.labs()
-    found = candidates_of(labs, f_number, error_px, SHOWN)
-    views, best = found.views, found.best
-    refused += found.refused
-    if not views:
-        raise RunUsageError("; ".join(refused[:SAID]) or "no arrangement has such a number of balls")
-    if best:
-        screen.print(_table(best, error_px, f_number, len(views)))
-        screen.print(LEGEND)
-        screen.print(_unsaid(best))
-    else:
-        screen.print(
-            f"none of {len(views)} arrangements shows anything behind glass with noise below {error_px:g} px; see"
-            " compare.csv, and ask for a larger --error-px, a larger --f-number or other distances"
-        )
-    for reason in refused[:SAID]:
-        screen.print(f"left out: {reason}", soft_wrap=True)
-    if len(refused) > SAID:
-        screen.print(f"left out for {len(refused) - SAID} more reasons of this kind")
-    (out / "scenes").mkdir(parents=True, exist_ok=True)
-    write_text(out / "compare.csv", _csv(views))
-    scenes = []
-    for number, view in enumerate(best[:WRITTEN], start=1):
-        scenes.append(out / "scenes" / f"{number:02d}.yaml")
-        write_text(scenes[-1], scene_text(replace(view.lab, name=f"view{number:02d}")))
-    picture = None
-    if pictures and best:
-        picture = out / "compare.png"
-        with drawing() as draw:
-            draw("rtpiv.analysis.pictures.results:draw_views", picture, views, best, error_px)
-    screen.print(f"compare.csv{', compare.png' if picture else ''} and {len(scenes)} scene files are in {out}")
-    return Compared(views, best, tuple(scenes), picture)
+    screen = console()
+    with results_in(out, "compare") as out:
+        labs, refused = question.labs()
+        found = candidates_of(labs, f_number, error_px, SHOWN)
+        views, best = found.views, found.best
+        refused += found.refused
+        if not views:
+            raise RunUsageError("; ".join(refused[:SAID]) or "no arrangement has such a number of balls")
+        if best:
+            screen.print(_table(best, error_px, f_number, len(views)))
+            screen.print(LEGEND)
+            screen.print(_unsaid(best))
+        else:
+            screen.print(
+                f"none of {len(views)} arrangements shows anything behind glass with noise below {error_px:g} px;"
+                " see compare.csv, and ask for a larger --error-px, a larger --f-number or other distances"
+            )
+        for reason in refused[:SAID]:
+            screen.print(f"left out: {reason}", soft_wrap=True)
+        if len(refused) > SAID:
+            screen.print(f"left out for {len(refused) - SAID} more reasons of this kind")
+        (out / "scenes").mkdir(exist_ok=True)
+        write_text(out / "compare.csv", _csv(views))
+        scenes = []
+        for number, view in enumerate(best[:WRITTEN], start=1):
+            scenes.append(out / "scenes" / f"{number:02d}.yaml")
+            write_text(scenes[-1], scene_text(replace(view.lab, name=f"view{number:02d}")))
+        picture = None
+        if pictures and best:
+            picture = out / "compare.png"
+            with drawing() as draw:
+                draw("rtpiv.analysis.pictures.results:draw_views", picture, views, best, error_px)
+        screen.print(f"compare.csv{', compare.png' if picture else ''} and {len(scenes)} scene files are in {out}")
+        return Compared(views, best, tuple(scenes), picture)
 
 
 def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count: int) -> Table:

@@ -33,7 +33,8 @@ from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.recipe import CorrectionRecipe, Resampling, scene_sigma_beside
 from rtpiv.analysis.through_glass import through_glass
 from rtpiv.analysis.views.arranged import little
-from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of
+from rtpiv.verbs.paths import Named, path_of, paths_of
+from rtpiv.verbs.results import results_in
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -158,64 +159,65 @@ def correct(
     shape = loaded.camera.shape
     _refuse_same_names(frames)
     scene_file = None if recipe.sigma_limit_px is None else path_of(scene)
-    out = folder_for(out, "corrected")
-    with ReadAhead(frames, shape) as acquired:
-        board = recipe.board(frames)
-        dewarp = recipe.dewarp(fitted.camera, board)
-        limit = None
-        if scene_file is not None:
-            limit = recipe.limit(
-                scene_sigma_beside(scene_file, fitted, dewarp is not None, in_light_sheet=particles)
-            )
-        corrector = prepare(loaded, dewarp, resampling.method, resampling.blend, limit=limit).corrector
-        acquired.require_sound()
-        grid = corrector.map.grid
-        about: dict[str, Any] = {
-            "origin_mm": list(grid.origin_mm),
-            "scene_hash": loaded.content_hash(),
-            "method": resampling.method,
-            "dewarp": None if dewarp is None else dewarp.to_dict(),
-            "offset": None if as_float else UINT16_OFFSET,
-        }
-        out.mkdir(parents=True, exist_ok=True)
-        errors: list[TargetError] = []
-        clipped, shown = list[int](), None
+    with results_in(out, "corrected") as out:
+        with ReadAhead(frames, shape) as acquired:
+            board = recipe.board(frames)
+            dewarp = recipe.dewarp(fitted.camera, board)
+            limit = None
+            if scene_file is not None:
+                limit = recipe.limit(
+                    scene_sigma_beside(scene_file, fitted, dewarp is not None, in_light_sheet=particles)
+                )
+            corrector = prepare(loaded, dewarp, resampling.method, resampling.blend, limit=limit).corrector
+            acquired.require_sound()
+            grid = corrector.map.grid
+            about: dict[str, Any] = {
+                "origin_mm": list(grid.origin_mm),
+                "scene_hash": loaded.content_hash(),
+                "method": resampling.method,
+                "dewarp": None if dewarp is None else dewarp.to_dict(),
+                "offset": None if as_float else UINT16_OFFSET,
+            }
+            errors: list[TargetError] = []
+            clipped, shown = list[int](), None
 
-        def store(path: Path, corrected: NDArray[np.float32]) -> None:
-            stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
-            clipped.append(cut)
-            write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
+            def store(path: Path, corrected: NDArray[np.float32]) -> None:
+                stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
+                clipped.append(cut)
+                write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
 
-        with WriteBehind() as results:
-            for path, frame in zip(progress(frames, len(frames), "correcting"), acquired, strict=True):
-                corrected = corrector(frame)
-                results.write(partial(store, path, corrected))
-                if check_target:
-                    errors.append(target_error(corrected, corrector, board))
-                shown = shown or (frame, corrected)
-    write_frame(out / "mask.tif", corrector.status, grid.px_per_mm, {"meaning": list(MEANING.values()), **about})
-    counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
-    summary = {**about, "frames": [path.name for path in frames], "clipped_values": sum(clipped)}
-    summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
-    shown_share = through_glass(loaded, grid, corrector.recovered)
-    summary["through_glass"] = None if shown_share is None else shown_share.share
-    summary["target_errors"] = [error.to_dict() for error in errors]
-    write_json(out / "correction.json", summary)
-    if shown_share is not None:
-        screen.print(shown_share.sentence, style="bold")
-        if advice := little(loaded, shown_share.share):
-            screen.print(advice, style="bold red")
-    _print(screen, loaded, dewarp, corrector, frames, errors)
-    if fitted.sheet is not None:
-        plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
-        screen.print(f"corrected for {plane}")
-    elif particles and (limit is not None or _of_flow(shown)):
-        screen.print(where_lit(fitted))
-    if pictures and shown is not None:
-        _draw(out / "overview.png", loaded, board, *shown, corrector)
-    screen.print(f"{len(frames)} frame(s){', mask and overview' if pictures else ' and mask'} are in {out}")
-    files = tuple(out / f"{stem_of(path)}.tif" for path in frames)
-    return Corrected(files, out / "mask.tif", float(corrector.recovered.mean()), tuple(errors))
+            with WriteBehind() as results:
+                for path, frame in zip(progress(frames, len(frames), "correcting"), acquired, strict=True):
+                    corrected = corrector(frame)
+                    results.write(partial(store, path, corrected))
+                    if check_target:
+                        errors.append(target_error(corrected, corrector, board))
+                    shown = shown or (frame, corrected)
+        write_frame(
+            out / "mask.tif", corrector.status, grid.px_per_mm, {"meaning": list(MEANING.values()), **about}
+        )
+        counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
+        summary = {**about, "frames": [path.name for path in frames], "clipped_values": sum(clipped)}
+        summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
+        shown_share = through_glass(loaded, grid, corrector.recovered)
+        summary["through_glass"] = None if shown_share is None else shown_share.share
+        summary["target_errors"] = [error.to_dict() for error in errors]
+        write_json(out / "correction.json", summary)
+        if shown_share is not None:
+            screen.print(shown_share.sentence, style="bold")
+            if advice := little(loaded, shown_share.share):
+                screen.print(advice, style="bold red")
+        _print(screen, loaded, dewarp, corrector, frames, errors)
+        if fitted.sheet is not None:
+            plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
+            screen.print(f"corrected for {plane}")
+        elif particles and (limit is not None or _of_flow(shown)):
+            screen.print(where_lit(fitted))
+        if pictures and shown is not None:
+            _draw(out / "overview.png", loaded, board, *shown, corrector)
+        screen.print(f"{len(frames)} frame(s){', mask and overview' if pictures else ' and mask'} are in {out}")
+        files = tuple(out / f"{stem_of(path)}.tif" for path in frames)
+        return Corrected(files, out / "mask.tif", float(corrector.recovered.mean()), tuple(errors))
 
 
 def _of_flow(shown: tuple[NDArray[Any], NDArray[np.float32]] | None) -> bool:

@@ -26,7 +26,8 @@ from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput, series_input, tasks_of
 from rtpiv.analysis.series.series_pairs import is_one_series
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.verbs.paths import Named, folder_for, path_of, paths_of, results_in
+from rtpiv.verbs.paths import Named, path_of, paths_of
+from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_evaluation, show_series, show_through
 from tracer.scene.scene_file import load_scene
 
@@ -123,12 +124,11 @@ def evaluate(
     how = PairMethod("", details, choice.settings, preparation, output.pictures, choice.out_of_plane)
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
-        out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, run.resolve().name))
-        with results_in(out, COPIES):
+        name = run.resolve().name
+        with results_in(out, USUAL, lambda folder: holds_series_of(folder, name), COPIES) as out:
             series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
             return _series(screen, series, how, output, workers)
-    out = folder_for(out, USUAL)
-    with results_in(out, COPIES):
+    with results_in(out, USUAL, copies=COPIES) as out:
         given = tasks_of(paths, out, scene, recipe, details.shift_mm, dt_us)
         if given.alone:
             screen.print(f"{given.alone} frames lost their partner and are in no pair")

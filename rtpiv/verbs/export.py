@@ -13,7 +13,8 @@ from ground.plain_words import counted
 from ground.terminal import console, progress_if_long
 from piv.files.vector_file import Vectors, read_vectors
 from rtpiv.analysis.export import FORMATS, MAP_FORMATS
-from rtpiv.verbs.paths import Named, folder_for
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import results_in
 from tracer.scene.scene_file import load_scene
 
 SCENES = (".yaml", ".yml")
@@ -72,23 +73,24 @@ def export(
                 raise RunUsageError(f"{source}: is NetCDF already, which PIVPy and xarray read as it is")
             raise RunUsageError(f"{source}: {kind} can be exported to {' or '.join(formats)}, not {to}")
     names = _names(sources)
-    out = folder_for(out, "exported")
-    out.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = []
-    said = MAPS_SAID
-    for source, name in progress_if_long(list(zip(sources, names, strict=True)), len(sources), "files"):
-        try:
-            if to in MAP_FORMATS:
-                written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / name)
-            else:
-                vectors = read_vectors(source)
-                written += FORMATS[to](out / name, vectors)
-                said = _said(vectors, to)
-        except OSError as error:
-            raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
-    sync_folder(out)
-    console().print(f"{counted(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False)
-    return written
+    with results_in(out, "exported") as out:
+        written: list[Path] = []
+        said = MAPS_SAID
+        for source, name in progress_if_long(list(zip(sources, names, strict=True)), len(sources), "files"):
+            try:
+                if to in MAP_FORMATS:
+                    written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / name)
+                else:
+                    vectors = read_vectors(source)
+                    written += FORMATS[to](out / name, vectors)
+                    said = _said(vectors, to)
+            except OSError as error:
+                raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
+        sync_folder(out)
+        console().print(
+            f"{counted(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False
+        )
+        return written
 
 
 def _names(sources: Sequence[Path]) -> list[str]:

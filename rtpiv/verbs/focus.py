@@ -7,7 +7,8 @@ from daq.atomic_write import write_text
 from ground.terminal import console
 from rtpiv.analysis.focus import FocusScan, focus_scan
 from rtpiv.analysis.report.focus import best_rows, said_of, write_focus_page
-from rtpiv.verbs.paths import Named, one_of, require_folder
+from rtpiv.verbs.paths import Named, one_of
+from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_focus
 
 
@@ -34,24 +35,23 @@ def focus(run: Sequence[Named] | Named, /, out: Named | None = None) -> FocusSca
         A record or frame is not what was written.
     """
     run = one_of(run)
-    folder = require_folder(out if out is not None else run)
-    scan = focus_scan(run)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_focus_page(folder / "focus.html", run.resolve().name, scan)
-    found = {
-        each.part: {"z_mm": each.z_mm, "sigma_mm": each.sigma_mm, "diameter_px": each.diameter_px}
-        for each in scan.best
-        if not each.why
-    }
-    tree = {
-        "moves": scan.moves,
-        "best": found,
-        "not_found": {each.part: each.why for each in scan.best if each.why},
-        "needed_mm": scan.needed_mm if len(found) > 1 else None,
-        "needed_f_number": scan.needed_f_number if scan.needed_mm > 0.0 else None,
-        "f_number": scan.f_number,
-        "depth_mm": scan.depth_mm,
-    }
-    write_text(folder / "focus.json", json.dumps(tree, indent=1) + "\n")
-    show_focus(console(), best_rows(scan), said_of(scan), folder / "focus.html")
-    return scan
+    with results_in(out if out is not None else run) as folder:
+        scan = focus_scan(run)
+        write_focus_page(folder / "focus.html", run.resolve().name, scan)
+        found = {
+            each.part: {"z_mm": each.z_mm, "sigma_mm": each.sigma_mm, "diameter_px": each.diameter_px}
+            for each in scan.best
+            if not each.why
+        }
+        tree = {
+            "moves": scan.moves,
+            "best": found,
+            "not_found": {each.part: each.why for each in scan.best if each.why},
+            "needed_mm": scan.needed_mm if len(found) > 1 else None,
+            "needed_f_number": scan.needed_f_number if scan.needed_mm > 0.0 else None,
+            "f_number": scan.f_number,
+            "depth_mm": scan.depth_mm,
+        }
+        write_text(folder / "focus.json", json.dumps(tree, indent=1) + "\n")
+        show_focus(console(), best_rows(scan), said_of(scan), folder / "focus.html")
+        return scan

@@ -22,7 +22,8 @@ from rtpiv.templates.lab import Lab
 from rtpiv.templates.plan_texts import flow_plan, shift_plan, target_plan
 from rtpiv.templates.scene_text import scene_text
 from rtpiv.verbs.check import check_files
-from rtpiv.verbs.paths import Named, require_folder
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import results_in
 from rtpiv.verbs.schema import write_schemas
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
@@ -171,8 +172,10 @@ def init(
     with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
         _write(Path(trial), texts)
         _check(Path(trial))
-    _write(require_folder(folder), texts)
-    write_schemas(folder / "schemas")
+    with results_in(folder):
+        _refuse_existing(folder, overwrite)  # nobody was faster
+        _write(folder, texts)
+        write_schemas(folder / "schemas")
     _print(full, folder, "lens_mm" not in given)
     return [folder / file for file in FILES]
 

@@ -5,9 +5,13 @@ from pathlib import Path
 from ground.terminal import console
 from rtpiv.analysis.series.series_folder import MEAN
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
-from rtpiv.verbs.paths import Named, folder_for
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import results_in
 
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
+TOO_FAR_APART = (
+    "that is more than chance: another flow, or a part that is too blurred to be measured in one of them"
+)
 
 
 def join(beside: Named, behind: Named, /, out: Named | None = None) -> JoinedMean:
@@ -31,16 +35,15 @@ def join(beside: Named, behind: Named, /, out: Named | None = None) -> JoinedMea
     SeriesError, RunUnsuitable, ConfigError, DiskError
         As `rtpiv.analysis.series.split_focus.join_series`.
     """
-    out = folder_for(out, "joined")
-    joined = join_series(Path(beside), Path(behind), out)
-    screen = console()
-    counts = {name: int((joined.source == value).sum()) for name, value in (("first", BESIDE), ("second", BEHIND))}
-    screen.print(f"{counts['first']} vectors from {beside}, {counts['second']} from {behind}")
-    screen.print(f"where both have a mean they differ by {joined.apart_in_sigma:.2f} sigma (rms)")
-    if joined.apart_in_sigma > STRANGERS:
-        text = (
-            "that is more than chance: another flow, or a part that is too blurred to be measured in one of them"
-        )
-        screen.print(text, style="bold red")
-    screen.print(f"wrote {out / MEAN}")
-    return joined
+    with results_in(out, "joined") as out:
+        joined = join_series(Path(beside), Path(behind), out)
+        screen = console()
+        counts = {
+            name: int((joined.source == value).sum()) for name, value in (("first", BESIDE), ("second", BEHIND))
+        }
+        screen.print(f"{counts['first']} vectors from {beside}, {counts['second']} from {behind}")
+        screen.print(f"where both have a mean they differ by {joined.apart_in_sigma:.2f} sigma (rms)")
+        if joined.apart_in_sigma > STRANGERS:
+            screen.print(TOO_FAR_APART, style="bold red")
+        screen.print(f"wrote {out / MEAN}")
+        return joined

@@ -24,7 +24,8 @@ from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, 
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.evaluate import COPIES, USUAL, holds_series_of
-from rtpiv.verbs.paths import Named, folder_for, one_of, path_of, require_folder, results_in
+from rtpiv.verbs.paths import Named, one_of, path_of
+from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_mean, show_series, show_through
 
 SUMMED = 0.0  # weights of windows that are sums of cells: none
@@ -101,17 +102,18 @@ def mean(
         series = None
         if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
             name, choice = path.resolve().name, piv_choice(**options)
-            if is_run(path):
-                folder = require_folder(out if out is not None else RunFolder(path).own("series"))
-            else:
-                folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
-            held.enter_context(results_in(folder, COPIES))
+            if is_run(path) and out is None:
+                out = RunFolder(path).own("series")
+            alone = results_in(out, USUAL, lambda there: holds_series_of(there, name), COPIES)
+            folder = held.enter_context(alone)
             given = series_input(path, folder, choice, scene, recipe, dt_us)
             books = run_series(given, workers)
             show_series(screen, books)
             series = given, books
         elif (path / FILE).is_file():
             folder = path
+            if output.files:
+                held.enter_context(results_in(folder))
             if (
                 (out is not None and output.files)
                 or scene is not None

@@ -23,9 +23,10 @@ from rtpiv.analysis.recipe import FIT_FILE, CorrectionRecipe
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.series_pairs import is_flow
 from rtpiv.options.numbers import DewarpOrder, Positive
-from rtpiv.verbs.evaluate import evaluate
+from rtpiv.verbs.evaluate import COPIES, evaluate
 from rtpiv.verbs.mean import mean
-from rtpiv.verbs.paths import Named, one_of, path_of, require_folder
+from rtpiv.verbs.paths import Named, one_of, path_of
+from rtpiv.verbs.results import results_in
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -77,7 +78,7 @@ def report(
     run, scene, recipe = one_of(run), path_of(scene), CorrectionRecipe(target_clear, dewarp_order)
     folder = RunFolder.open(run)
     about = folder.about
-    out = require_folder(out if out is not None else folder.own("report"))
+    out = Path(out) if out is not None else folder.own("report")
     if _is_flow(run):
         mean(run, out, scene, recipe, **options)
         return out / "mean.html"
@@ -85,29 +86,31 @@ def report(
     from rtpiv.analysis.report.pair import pair_chapters, pair_summary
     from rtpiv.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
 
-    out.mkdir(parents=True, exist_ok=True)
-    scene = scene or scene_file(run, out)
-    loaded = load_scene(scene)
-    page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
-    if (run / MOVED).is_file():
-        asked = PairDetails(stage_sigma_um=stage_sigma_um, route=route if target_clear is None else "image")
-        found = evaluate([run], out, scene, recipe, asked, **options).details
-        shown = _most_telling(found)
-        pair_summary(page, shown)
-        pairs_chapter(page, found)
-        if len(found) > 1:
-            page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")
-        pair_chapters(page, shown)
-    else:
-        _single_frame(page, folder, loaded, recipe)
-    calibration_chapter(page, scene.with_name(FIT_FILE), loaded)
-    moved_chapter(page, folder)
-    books_chapter(page, folder)
-    provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])
-    path = out / "report.html"
-    page.write(path)
-    console().print(f"look at {path}", style="bold")
-    return path
+    with results_in(out, copies=COPIES):
+        scene = scene or scene_file(run, out)
+        loaded = load_scene(scene)
+        page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
+        if (run / MOVED).is_file():
+            asked = PairDetails(stage_sigma_um=stage_sigma_um, route=route if target_clear is None else "image")
+            found = evaluate([run], out, scene, recipe, asked, **options).details
+            shown = _most_telling(found)
+            pair_summary(page, shown)
+            pairs_chapter(page, found)
+            if len(found) > 1:
+                page.text(
+                    f"What follows is the pair {shown.task.name}; each of the others has a page in its folder."
+                )
+            pair_chapters(page, shown)
+        else:
+            _single_frame(page, folder, loaded, recipe)
+        calibration_chapter(page, scene.with_name(FIT_FILE), loaded)
+        moved_chapter(page, folder)
+        books_chapter(page, folder)
+        provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])
+        path = out / "report.html"
+        page.write(path)
+        console().print(f"look at {path}", style="bold")
+        return path
 
 
 def _is_flow(run: Path) -> bool:

@@ -8,7 +8,7 @@ from daq.atomic_write import write_text
 from daq.bench.bench_table import BenchTable
 from daq.plans.plan import EXPERIMENTS, plan_table
 from ground.terminal import console
-from rtpiv.verbs.paths import require_folder
+from rtpiv.verbs.results import require_folder
 from tracer.scene.scene_tables import SceneTable
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

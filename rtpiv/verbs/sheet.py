@@ -9,7 +9,8 @@ from ground.plain_words import counted
 from ground.terminal import console
 from rtpiv.analysis.light_sheet import about_sheet, flow_frames, sheet_of
 from rtpiv.analysis.recipe import FIT_FILE, scene_sigma_beside
-from rtpiv.verbs.paths import Named, file_of, folder_for, paths_of
+from rtpiv.verbs.paths import Named, file_of, paths_of
+from rtpiv.verbs.results import results_in
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
 
@@ -44,29 +45,31 @@ def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = N
         What files, frames or run make impossible.
     """
     screen, scene, given = console(), file_of(scene), paths_of(paths)
-    fitted, folder = load_scene(scene), folder_for(out, "sheet")
-    frames = flow_frames(given, fitted)
-    sigma = scene_sigma_beside(scene, fitted, dewarped=False, in_light_sheet=False)
-    if isinstance(sigma, str):
-        screen.print(f"the scene is taken to be exact: {sigma}")
-    found = sheet_of(frames, None if isinstance(sigma, str) else sigma)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet), load_priors(scene)))
-    if scene.with_name(FIT_FILE).is_file():
-        copy_whole(scene.with_name(FIT_FILE), folder / FIT_FILE)
-    write_json(folder / "sheet.json", about_sheet(found, [str(path) for path in given]))
-    from rtpiv.analysis.pictures.results import draw_light_sheet
+    fitted = load_scene(scene)
+    with results_in(out, "sheet") as folder:
+        frames = flow_frames(given, fitted)
+        sigma = scene_sigma_beside(scene, fitted, dewarped=False, in_light_sheet=False)
+        if isinstance(sigma, str):
+            screen.print(f"the scene is taken to be exact: {sigma}")
+        found = sheet_of(frames, None if isinstance(sigma, str) else sigma)
+        write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet), load_priors(scene)))
+        if scene.with_name(FIT_FILE).is_file():
+            copy_whole(scene.with_name(FIT_FILE), folder / FIT_FILE)
+        write_json(folder / "sheet.json", about_sheet(found, [str(path) for path in given]))
+        from rtpiv.analysis.pictures.results import draw_light_sheet
 
-    rows, columns = fitted.camera.shape
-    draw_light_sheet(folder / "sheet.png", found, (columns * found.views.pitch_mm, rows * found.views.pitch_mm))
-    screen.print(found.sheet.summary)
-    if found.cells is not None:
-        thick = found.sheet.thickness_mm
-        screen.print(
-            f"{counted(found.pairs, 'pair')}, {counted(len(found.cells.kind), 'place')} where particles are"
-            " seen twice" + ("" if thick is None else f"; about {thick:.1f} mm thick")
+        rows, columns = fitted.camera.shape
+        draw_light_sheet(
+            folder / "sheet.png", found, (columns * found.views.pitch_mm, rows * found.views.pitch_mm)
         )
-    for verdict in found.verdicts:
-        screen.print(verdict, style="bold red")
-    screen.print(f"scene.yaml, sheet.json and sheet.png are in {folder}")
-    return found
+        screen.print(found.sheet.summary)
+        if found.cells is not None:
+            thick = found.sheet.thickness_mm
+            screen.print(
+                f"{counted(found.pairs, 'pair')}, {counted(len(found.cells.kind), 'place')} where particles are"
+                " seen twice" + ("" if thick is None else f"; about {thick:.1f} mm thick")
+            )
+        for verdict in found.verdicts:
+            screen.print(verdict, style="bold red")
+        screen.print(f"scene.yaml, sheet.json and sheet.png are in {folder}")
+        return found

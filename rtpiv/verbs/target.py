@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Literal
 
 from daq.errors import RunUsageError
 from ground.terminal import console
-from rtpiv.verbs.paths import Named, file_of, folder_for
+from rtpiv.verbs.paths import Named, file_of
+from rtpiv.verbs.results import results_in
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -94,38 +95,39 @@ def target(
         return _measured(scene, measured_mm)
     screen, loaded = console(), scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
     size = size_mm or pages.room_on(paper)
-    folder = folder_for(out, "target")
-    if kind == "particles":
-        scale = PLAIN_PX_PER_MM if loaded is None else loaded.camera.focal_px / abs(loaded.camera.position_mm[2])
-        sheet = sheets.particles(size, scale, seed)
-        words = f"rtpiv particles, {sheet.particle_mm:.3g} mm, seed {seed}."
-    else:
-        if loaded is not None:
-            seen = (
-                best_square(loaded, size, kind == "charuco")
-                if square_mm is None
-                else corners_of(loaded, square_mm, size)
+    with results_in(out, "target") as folder:
+        if kind == "particles":
+            scale = (
+                PLAIN_PX_PER_MM if loaded is None else loaded.camera.focal_px / abs(loaded.camera.position_mm[2])
             )
-            square_mm = seen.square_mm
-            screen.print(seen.sentence)
-        square_mm = square_mm or PLAIN_MM
-        sheet = {"chessboard": sheets.chessboard, "charuco": sheets.charuco, "dots": sheets.dots}[kind](
-            size, square_mm
-        )
-        words = f"rtpiv {kind}, {square_mm:g} mm."
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "target.pdf"
-    printed = pages.write_pages(path, sheet, paper, words)
-    board = PrintedBoard(kind=kind, bars_mm=list(printed.bars_mm), **sheet.about)
-    write_board(folder / "board.yaml", board)
-    columns, rows = printed.pages
-    many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
-    screen.print(
-        f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and say so: rtpiv target"
-        f" {folder / 'board.yaml'} --measured-mm X Y",
-        soft_wrap=True, highlight=False,
-    )  # fmt: skip
-    return Target(board, printed.pages, path)
+            sheet = sheets.particles(size, scale, seed)
+            words = f"rtpiv particles, {sheet.particle_mm:.3g} mm, seed {seed}."
+        else:
+            if loaded is not None:
+                seen = (
+                    best_square(loaded, size, kind == "charuco")
+                    if square_mm is None
+                    else corners_of(loaded, square_mm, size)
+                )
+                square_mm = seen.square_mm
+                screen.print(seen.sentence)
+            square_mm = square_mm or PLAIN_MM
+            sheet = {"chessboard": sheets.chessboard, "charuco": sheets.charuco, "dots": sheets.dots}[kind](
+                size, square_mm
+            )
+            words = f"rtpiv {kind}, {square_mm:g} mm."
+        path = folder / "target.pdf"
+        printed = pages.write_pages(path, sheet, paper, words)
+        board = PrintedBoard(kind=kind, bars_mm=list(printed.bars_mm), **sheet.about)
+        write_board(folder / "board.yaml", board)
+        columns, rows = printed.pages
+        many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
+        screen.print(
+            f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and say so: rtpiv target"
+            f" {folder / 'board.yaml'} --measured-mm X Y",
+            soft_wrap=True, highlight=False,
+        )  # fmt: skip
+        return Target(board, printed.pages, path)
 
 
 def _measured(file: Named | Scene | None, measured_mm: tuple[float, float]) -> Target:

@@ -18,7 +18,8 @@ from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
 from rtpiv.analysis.views.arranged import little
-from rtpiv.verbs.paths import Named, folder_for
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import results_in
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
@@ -88,48 +89,48 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
         The folder cannot hold results.
     """
     loaded, name = (scene, "scene") if isinstance(scene, Scene) else (load_scene(scene), Path(scene).stem)
-    out, screen = folder_for(out, "trace"), console()
-    for question in [] if isinstance(scene, Scene) else scene_questions(scene):
-        screen.print(question, soft_wrap=True, highlight=False)
-    ray_map = build_ray_map(loaded)
-    correction_map = build_correction_map(loaded, ray_map)
-    share = plane_share(loaded, correction_map)
-    blur = None
-    if loaded.camera.pupil is not None:
-        from correction.maps.aperture import blur_map
+    screen = console()
+    with results_in(out, "trace") as out:
+        for question in [] if isinstance(scene, Scene) else scene_questions(scene):
+            screen.print(question, soft_wrap=True, highlight=False)
+        ray_map = build_ray_map(loaded)
+        correction_map = build_correction_map(loaded, ray_map)
+        share = plane_share(loaded, correction_map)
+        blur = None
+        if loaded.camera.pupil is not None:
+            from correction.maps.aperture import blur_map
 
-        blur = blur_map(correction_map, loaded)
-    try:
-        view: FieldOfView | None = field_of_view(loaded)
-    except SceneError:  # not in a row: the areas say it all
-        view = None
-    if share.through is not None:
-        screen.print(share.through.sentence, style="bold")
-        if advice := little(loaded, share.through.share):
-            screen.print(advice, style="bold red")
-    screen.print(_plane_table(f"{name}, scene {loaded.content_hash()}", share))
-    if share.bodies:
-        screen.print(_body_table(share))
-    if view is not None:
-        screen.print(_radial_table(view))
-    if blur is not None and np.isfinite(blur.width_px).any():
-        screen.print(
-            f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
-            f" {100.0 * blur.left_out:.1f} % of the view behind glass"
-        )
-    slant = ShownSlant.of(correction_map, loaded)
-    if slant.steepness.sentence:
-        screen.print(slant.steepness.sentence)
-    forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
-    if forecast is not None:
-        screen.print(forecast.sentence)
-    names: list[str] = []
-    if pictures:
-        del ray_map
-        out.mkdir(parents=True, exist_ok=True)
-        names = _draw(out, name, loaded, correction_map, share, blur, view, slant)
-        screen.print(f"{', '.join(names)} are in {out}")
-    return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names))
+            blur = blur_map(correction_map, loaded)
+        try:
+            view: FieldOfView | None = field_of_view(loaded)
+        except SceneError:  # not in a row: the areas say it all
+            view = None
+        if share.through is not None:
+            screen.print(share.through.sentence, style="bold")
+            if advice := little(loaded, share.through.share):
+                screen.print(advice, style="bold red")
+        screen.print(_plane_table(f"{name}, scene {loaded.content_hash()}", share))
+        if share.bodies:
+            screen.print(_body_table(share))
+        if view is not None:
+            screen.print(_radial_table(view))
+        if blur is not None and np.isfinite(blur.width_px).any():
+            screen.print(
+                f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
+                f" {100.0 * blur.left_out:.1f} % of the view behind glass"
+            )
+        slant = ShownSlant.of(correction_map, loaded)
+        if slant.steepness.sentence:
+            screen.print(slant.steepness.sentence)
+        forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
+        if forecast is not None:
+            screen.print(forecast.sentence)
+        names: list[str] = []
+        if pictures:
+            del ray_map
+            names = _draw(out, name, loaded, correction_map, share, blur, view, slant)
+            screen.print(f"{', '.join(names)} are in {out}")
+        return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names))
 
 
 def _draw(

@@ -10,13 +10,15 @@ import pytest
 import tifffile
 
 from daq.errors import DiskError, RunUsageError
+from ground import file_lock
+from ground.file_lock import folder_held
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import USAGE, main
-from rtpiv.verbs import paths
+from rtpiv.verbs import results
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.correct import correct
 from rtpiv.verbs.evaluate import evaluate
-from rtpiv.verbs.paths import folder_for, require_folder
+from rtpiv.verbs.results import require_folder, results_in
 from rtpiv.verbs.trace import trace
 from tracer.scene.scene_file import load_scene
 
@@ -44,7 +46,7 @@ def test_full_read_only_and_forbidden(tmp_path, monkeypatch, number, kind):
 
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
     with pytest.raises(kind, match=os.strerror(number).lower()):
-        paths.require_folder(tmp_path / "out")
+        results.require_folder(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -60,15 +62,44 @@ def test_verbs_say_so_before_they_work(tmp_path, words, capsys):
 
 def test_results_that_were_given_no_folder_are_never_written_over(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert folder_for(None, "trace") == Path("trace")
+    assert chosen(None) == Path("trace")
+    assert not Path("trace").exists()  # nothing was put there
     Path("trace").mkdir()
-    assert folder_for(None, "trace") == Path("trace")  # nothing lies in it
+    assert chosen(None) == Path("trace")  # nothing lies in it
+    assert Path("trace").is_dir()
+    with folder_held(Path("trace")):
+        assert chosen(None) == Path("trace-2")
     Path("trace", "plane.png").touch()
-    assert folder_for(None, "trace") == Path("trace-2")
+    assert chosen(None) == Path("trace-2")
     Path("trace-2").touch()  # a file of that name
-    assert folder_for(None, "trace") == Path("trace-3")
-    assert folder_for("trace", "trace") == Path("trace")  # who names it means it
-    assert folder_for(None, "trace", lambda path: path.name == "trace") == Path("trace")
+    assert chosen(None) == Path("trace-3")
+    assert chosen("trace") == Path("trace")  # who names it means it
+    assert chosen(None, lambda path: path.name == "trace") == Path("trace")
+
+
+def chosen(out, goes_on=lambda path: False):
+    with results_in(out, "trace", goes_on) as folder:
+        return folder
+
+
+def test_a_call_that_is_made_by_another_has_the_folder_too_and_takes_none_away(tmp_path):
+    with results_in(tmp_path / "a" / "b") as out:
+        with results_in(out), pytest.raises(BlockingIOError), folder_held(out):
+            pass
+        assert out.is_dir()
+    assert not (tmp_path / "a").exists()  # as nothing was put there
+
+
+def test_a_folder_that_is_taken_away_while_it_is_opened_is_not_held(tmp_path, monkeypatch):
+    def removed(file):
+        (tmp_path / "out").rmdir()
+
+    (tmp_path / "out").mkdir()
+    monkeypatch.setattr(file_lock, "hold", removed)
+    with pytest.raises(BlockingIOError), folder_held(tmp_path / "out"):
+        pass
+    with pytest.raises(BlockingIOError), folder_held(tmp_path / "out"):
+        pass
 
 
 SCENE = """camera: {focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0]}
