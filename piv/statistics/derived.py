@@ -18,8 +18,9 @@ eigenvalues of the gradients,
     lambda = sqrt(max(q, 0)),   q = -(a - d)^2/4 - b c,     sigma = sigma_q/(2 max(lambda, sqrt(sigma_q/2))),
 
 as the root has no slope at zero.  The four differences are of different neighbours, and their errors independent.
-What a fitted map, a slant or the time between frames put off smoothly is in none of these sigmas; across a rim it
-may jump (below).
+What a flow through the sheet adds where rays are slanted is counted for each rate as a whole, as one w is behind
+all four (`piv.statistics.out_of_plane`).  What a fitted map or the time between frames put off smoothly is in none
+of these sigmas; across a rim the first may jump (below).
 
 **Mass conservation.** A flow through a thin sheet has div = du/dx + dv/dy = -dw/dz, which is zero for a plane
 flow only. The mean of a round jet has none when its third part is added: about an axis, div = du_s/ds + du_r/dr
@@ -27,7 +28,8 @@ flow only. The mean of a round jet has none when its third part is added: about 
 
 **Step across a rim.** Around a piece of the rim vectors on both sides follow one smooth surface, a polynomial
 of degree 4 in x and y, plus a step on one side; the step comes out of least squares with its sigma. A flow that
-bends more within the reach (a jet narrower than that) shows in the residuals, and so in sigma.
+bends more within the reach (a jet narrower than that) shows in the residuals, and so in sigma.  The same
+least squares of the slopes tells by how much a steady w is seen as a step.
 """
 
 from dataclasses import dataclass
@@ -36,9 +38,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from piv.statistics.out_of_plane import Rate, ThroughSheet, neighbours
+
 Floats = NDArray[np.float64]
 DEGREE = 4  # of the surface: a jet as wide as the reach leaves a tenth of it with 2, a thousandth with 4
 LEAST_SIDE = 12  # vectors on each side of a rim that make a step
+VORTICITY, DIVERGENCE, SHEAR = (
+    Rate(0.0, -1.0, 1.0, 0.0), Rate(1.0, 0.0, 0.0, 1.0), Rate(0.0, 1.0, 1.0, 0.0)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,9 @@ class PlaneField:
         Standard uncertainty of both.
     correlation_length : float
         Length l over which errors are alike, in the unit of x.
+    through : ThroughSheet, optional
+        What is not known of the velocity through the sheet; None where the rays' slopes are not known, or no such
+        velocity can be.
     """
 
     x: Floats
@@ -62,6 +72,7 @@ class PlaneField:
     uv: Floats
     sigma: Floats
     correlation_length: float
+    through: ThroughSheet | None = None
 
 
 @dataclass(frozen=True)
@@ -83,19 +94,24 @@ def divergence(field: PlaneField, axis: Axis | None = None) -> tuple[Floats, Flo
     along, along_sigma = _slope(field, 0, 1)
     up, up_sigma = _slope(field, 1, 0)
     total, variance = along + up, along_sigma**2 + up_sigma**2
-    if axis is not None:
-        grid_x, grid_y = np.meshgrid(field.x, field.y)
-        r = axis.across(grid_x, grid_y)
-        normal = np.array([-np.sin(axis.angle_rad), np.cos(axis.angle_rad)])
-        outwards = field.uv @ normal
-        slope, slope_sigma = _slope_across(field, axis)
-        step = float(field.x[1] - field.x[0])
-        near = np.abs(r) < 1.5 * step  # on the axis u_r/r is du_r/dr
-        with np.errstate(divide="ignore", invalid="ignore"):
-            total = total + np.where(near, slope, outwards / r)
-            off = np.sqrt(np.square(field.sigma) @ normal**2) / np.abs(r)
-        variance = variance + np.where(near, slope_sigma, off) ** 2
-    return total, np.sqrt(variance)
+    if axis is None:
+        return total, np.sqrt(variance + _by_slant(field, DIVERGENCE))
+    grid_x, grid_y = np.meshgrid(field.x, field.y)
+    r = axis.across(grid_x, grid_y)
+    normal = np.array([-np.sin(axis.angle_rad), np.cos(axis.angle_rad)])
+    outwards = field.uv @ normal
+    slope, slope_sigma = _slope_across(field, axis)
+    step = float(field.x[1] - field.x[0])
+    near = np.abs(r) < 1.5 * step  # on the axis u_r/r is du_r/dr
+    seen = np.zeros((*r.shape, 2)) if field.through is None else field.through.slope
+    with np.errstate(divide="ignore", invalid="ignore"):
+        total = total + np.where(near, slope, outwards / r)
+        off = np.sqrt(np.square(field.sigma) @ normal**2) / np.abs(r)
+        of_w = np.where(near, 0.0, seen @ normal / r)
+    variance = variance + np.where(near, slope_sigma, off) ** 2
+    turned = np.outer(normal, normal).ravel()
+    rate = Rate(*(part + np.where(near, share, 0.0) for part, share in zip(DIVERGENCE, turned, strict=True)))
+    return total, np.sqrt(variance + _by_slant(field, rate, of_w))
 
 
 def rates(field: PlaneField) -> dict[str, tuple[Floats, Floats]]:
@@ -105,13 +121,14 @@ def rates(field: PlaneField) -> dict[str, tuple[Floats, Floats]]:
     )
     q = -0.25 * (a - d) ** 2 - b * c
     turns = np.sqrt(np.where(np.isfinite(q), np.maximum(q, 0.0), np.nan))
-    of_q = np.sqrt((0.5 * (a - d)) ** 2 * (a_sigma**2 + d_sigma**2) + (c * b_sigma) ** 2 + (b * c_sigma) ** 2)
+    of_q = (0.5 * (a - d)) ** 2 * (a_sigma**2 + d_sigma**2) + (c * b_sigma) ** 2 + (b * c_sigma) ** 2
+    of_q = np.sqrt(of_q + _by_slant(field, Rate(-0.5 * (a - d), -c, -b, 0.5 * (a - d))))
     with np.errstate(divide="ignore", invalid="ignore"):
         of_turns = np.where(of_q > 0.0, 0.5 * of_q / np.maximum(turns, np.sqrt(0.5 * of_q)), 0.0 * of_q)
     return {
-        "vorticity": (c - b, np.hypot(c_sigma, b_sigma)),
-        "divergence": (a + d, np.hypot(a_sigma, d_sigma)),
-        "shear": (b + c, np.hypot(b_sigma, c_sigma)),
+        "vorticity": (c - b, np.sqrt(c_sigma**2 + b_sigma**2 + _by_slant(field, VORTICITY))),
+        "divergence": (a + d, np.sqrt(a_sigma**2 + d_sigma**2 + _by_slant(field, DIVERGENCE))),
+        "shear": (b + c, np.sqrt(b_sigma**2 + c_sigma**2 + _by_slant(field, SHEAR))),
         "swirling_strength": (turns, of_turns),
     }
 
@@ -218,7 +235,12 @@ def rim_steps(
         terms = [x**k * y**m for m in range(DEGREE + 1) for k in range(DEGREE + 1 - m)]
         model = np.stack((two[both].astype(float), *terms), axis=-1)
         parts = [_weighted(model, field.uv[both][:, k], field.sigma[both][:, k]) for k in range(2)]
-        found.append((place, np.array([step for step, _ in parts]), np.array([sigma for _, sigma in parts])))
+        sigma = np.array([sigma for _, sigma in parts])
+        if field.through is not None:
+            slope, spread = np.nan_to_num(field.through.slope[both]), field.sigma[both]
+            jump = np.array([_weighted(model, slope[:, k], spread[:, k])[0] for k in range(2)])
+            sigma = np.hypot(sigma, jump * np.nanmedian(field.through.sigma_w[both]))
+        found.append((place, np.array([step for step, _ in parts]), sigma))
     places, steps, sigmas = (np.array([each[k] for each in found]).reshape(-1, 2) for k in range(3))
     return RimStep(places, steps, sigmas)
 
@@ -235,18 +257,22 @@ def _weighted(model: Floats, values: Floats, sigma: Floats) -> tuple[float, floa
 
 
 def _slope(field: PlaneField, component: int, axis: int) -> tuple[Floats, Floats]:
-    """Derivative of a component along an axis of the arrays, and its sigma; NaN at the ends."""
-    places = field.x if axis == 1 else field.y
-    span = 2.0 * float(places[1] - places[0])
-    values, sigma = field.uv[..., component], field.sigma[..., component]
-    slope, error = np.full_like(values, np.nan), np.full_like(values, np.nan)
-    low, mid, high = ([slice(None), slice(None)] for _ in range(3))
-    low[axis], mid[axis], high[axis] = slice(None, -2), slice(1, -1), slice(2, None)
-    a, b = sigma[tuple(low)], sigma[tuple(high)]
+    """Derivative of a component along an axis of the arrays, and its sigma by `field.sigma`; NaN at the ends."""
+    span = _spans(field)[1 - axis]
+    low, high = neighbours(field.uv[..., component], axis)
+    a, b = neighbours(field.sigma[..., component], axis)
     alike = np.exp(-(span**2) / (4.0 * field.correlation_length**2)) if field.correlation_length > 0.0 else 0.0
-    slope[tuple(mid)] = (values[tuple(high)] - values[tuple(low)]) / span
-    error[tuple(mid)] = np.sqrt(a**2 + b**2 - 2.0 * alike * a * b) / span
-    return slope, error
+    return (high - low) / span, np.sqrt(a**2 + b**2 - 2.0 * alike * a * b) / span
+
+
+def _by_slant(field: PlaneField, rate: Rate, more: Floats | float = 0.0) -> Floats | float:
+    """Variance (ny, nx) of a rate by the velocity through the sheet, which counts with `more` by itself."""
+    return 0.0 if field.through is None else field.through.variance(rate, _spans(field), more)
+
+
+def _spans(field: PlaneField) -> tuple[float, float]:
+    """Length of two steps along x and along y."""
+    return 2.0 * float(field.x[1] - field.x[0]), 2.0 * float(field.y[1] - field.y[0])
 
 
 def _slope_across(field: PlaneField, axis: Axis) -> tuple[Floats, Floats]:

@@ -27,6 +27,19 @@ plane (0: nothing flows through the sheet on average).  What is not told is assu
                                          their variances over a neighbourhood, noise taken off
     of stresses                          w' is as strong as u' and v' are: R_ww = (R_uu + R_vv)/2
 
+**Derivatives.**  Over two steps the error of du/dx is, with a+ and w+ one step ahead, a- and w- one behind,
+
+    -(a+ w+ - a- w-)/(2 h) = -[(a+ - a-) (w+ + w-)/2 + (a+ + a-)/2 (w+ - w-)]/(2 h)
+
+a part by the slopes, which jump at a rim, and a part by w, which changes from place to place.  A rate of
+derivatives, k_ux du/dx + k_uy du/dy + k_vx dv/dx + k_vy dv/dy, has the variance
+
+    sigma_w^2 (k_ux a_x + k_uy a_y + k_vx b_x + k_vy b_y)^2
+        + sigma_wx^2 (k_ux a + k_vx b)^2 + sigma_wy^2 (k_uy a + k_vy b)^2
+
+for w at a place, dw/dx and dw/dy are uncorrelated where turbulence is homogeneous.  w changes along x as v does
+there and along y as u does: of an isotropic flow these three are alike, across the way that is gone.
+
 A variance of which noise leaves nothing is not known to be nothing: it is known as well as so few windows tell it.
 So what counts is not the difference x of what is measured and of noise but the mean of what it can be, given x,
 its standard uncertainty s and that no variance is negative: x + s phi(x/s) / Phi(x/s), x where x is large.
@@ -172,23 +185,47 @@ class SlantedField:
         there = np.isfinite(self.uv).all(axis=-1, keepdims=True)
         return np.where(there, np.abs(self.slope) * sigma_w[..., None], np.nan)
 
+    def through_sheet(self, sigma_w: Floats) -> "ThroughSheet":
+        """What w of this size (ny, nx) is unsure by, and what its derivatives are: for those of the field."""
+        varied = self.varied()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            told = np.where(varied > 0.0, sigma_w / varied, 0.0)
+        return ThroughSheet(self.slope, sigma_w, self.changed() * told[..., None])
+
     def varied(self) -> Floats:
         """Isotropic share (ny, nx) of what the field varies by around each place; NaN where nothing tells."""
-        good: NDArray[np.bool_] = np.asarray(np.isfinite(self.uv).all(axis=-1), np.bool_)
+        return self._share(self.uv, np.square(self.noise), self.slope)
+
+    def changed(self) -> Floats:
+        """The same of what w changes by over two vectors, along x and along y (ny, nx, 2)."""
+        alike = np.exp(-4.0 / self.windows**2)  # noise of windows that share a part, see `piv.statistics.derived`
+        parts = []
+        for across, axis in ((1, 1), (0, 0)):
+            (behind, ahead), (less, more) = (neighbours(part[..., across], axis) for part in (self.uv, self.noise))
+            noise = less**2 + more**2 - 2.0 * alike * less * more
+            there, slope = np.isfinite(ahead - behind), self.slope[..., across, None]
+            change = np.where(there, ahead - behind, np.nan)[..., None]
+            parts.append(self._share(change, noise[..., None], slope))
+        return np.stack(parts, axis=-1)
+
+    def _share(self, values: Floats, noise: Floats, slope: Floats) -> Floats:
+        """Share of w in the variance of C values (ny, nx, C) around each place, of which `noise` is none."""
+        good: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=-1), np.bool_)
         count = self._around(good.astype(np.float64))
+        columns = values.shape[-1]
 
         def mean(values: Floats) -> Floats:
             shown = np.where(good[..., None], np.nan_to_num(values), 0.0)
-            sums = [self._around(shown[..., k]) for k in (0, 1)]
+            sums = [self._around(shown[..., k]) for k in range(columns)]
             with np.errstate(invalid="ignore", divide="ignore"):
                 return np.asarray(np.stack(sums, axis=-1) / count[..., None])
 
-        middle = mean(self.uv)
-        measured = (mean(np.square(self.uv)) - np.square(middle)).sum(axis=-1)
-        varied = measured - mean(np.square(self.noise)).sum(axis=-1)
+        middle = mean(values)
+        measured = (mean(np.square(values)) - np.square(middle)).sum(axis=-1)
+        varied = measured - mean(noise).sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):  # of so many windows that do not overlap
-            unsure = measured / np.sqrt(4.0 * np.pi * REACH_WINDOWS**2 * count)
-        share = _not_negative(varied, unsure) / (2.0 + mean(np.square(self.slope)).sum(axis=-1))
+            unsure = measured / np.sqrt(2.0 * columns * np.pi * REACH_WINDOWS**2 * count)
+        share = _not_negative(varied, unsure) / (columns + mean(np.square(slope)).sum(axis=-1))
         enough = good & (count * 2.0 * np.pi * (REACH_WINDOWS * self.windows) ** 2 >= FEWEST)
         usual = float(np.sqrt(np.median(share[enough]))) if enough.any() else np.nan
         return np.where(enough, np.sqrt(share), usual)
@@ -197,6 +234,76 @@ class SlantedField:
         """Share of values (ny, nx) in the neighbourhood of each place."""
         reach = REACH_WINDOWS * self.windows
         return np.asarray(scipy.ndimage.gaussian_filter(values, reach, mode="constant"), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class ThroughSheet:
+    """What is not known of w behind a field, rows in its order.
+
+    Parameters
+    ----------
+    slope : ndarray of float64, shape (ny, nx, 2)
+        dX/dz, dY/dz of the rays.
+    sigma_w : ndarray of float64, shape (ny, nx)
+        Standard uncertainty of w, in the unit of the field.
+    change_w : ndarray of float64, shape (ny, nx, 2)
+        That of its change over two vectors, along x and along y.
+    """
+
+    slope: Floats
+    sigma_w: Floats
+    change_w: Floats
+
+    @property
+    def upside_down(self) -> "ThroughSheet":
+        """The same with the rows in the other order."""
+        return ThroughSheet(self.slope[::-1], self.sigma_w[::-1], self.change_w[::-1])
+
+    def times(self, unit: float) -> "ThroughSheet":
+        """The same in another unit of velocity."""
+        return ThroughSheet(self.slope, self.sigma_w * unit, self.change_w * unit)
+
+    def variance(self, rate: "Rate", span: tuple[float, float], more: Floats | float = 0.0) -> Floats:
+        """Variance (ny, nx) by w of a sum of derivatives, see the top of this file; 0 where slopes are not known.
+
+        Parameters
+        ----------
+        rate : Rate
+            How much of each derivative counts, numbers or (ny, nx).
+        span : (float, float)
+            Length of two steps along x and along y.
+        more : (ny, nx) float64
+            What else w counts with, by itself.
+        """
+        steady: Floats | float = more
+        changing = np.zeros(self.sigma_w.shape)
+        for axis, parts in ((1, (rate.ux, rate.vx)), (0, (rate.uy, rate.vy))):
+            between: Floats | float = 0.0
+            for component, part in enumerate(parts):
+                behind, ahead = neighbours(self.slope[..., component], axis)
+                steady = steady + part * (ahead - behind) / span[1 - axis]
+                between = between + part * 0.5 * (ahead + behind)
+            changing = changing + (between * self.change_w[..., 1 - axis] / span[1 - axis]) ** 2
+        return np.nan_to_num((steady * self.sigma_w) ** 2 + changing)
+
+
+class Rate(NamedTuple):
+    """How much of du/dx, du/dy, dv/dx and dv/dy a rate holds: numbers, or arrays (ny, nx)."""
+
+    ux: Floats | float
+    uy: Floats | float
+    vx: Floats | float
+    vy: Floats | float
+
+
+def neighbours(values: Floats, axis: int) -> tuple[Floats, Floats]:
+    """Values (ny, nx) one step behind each place and one ahead along an axis of the arrays; NaN at its ends."""
+    behind, ahead = np.full_like(values, np.nan), np.full_like(values, np.nan)
+    middle: list[slice] = [slice(None), slice(None)]
+    before, after = list(middle), list(middle)
+    middle[axis], before[axis], after[axis] = slice(1, -1), slice(None, -2), slice(2, None)
+    behind[tuple(middle)], ahead[tuple(middle)] = values[tuple(before)], values[tuple(after)]
+    return behind, ahead
 
 
 def _not_negative(variance: Floats, unsure: Floats) -> Floats:

@@ -246,16 +246,19 @@ def quality_of(
             found[f"map_sigma_{place}"] = map_sigma.position_px[..., number] * grid.pitch_mm
     if by_velocity is not None:
         found["route"] = by_velocity.astype(np.int8)
-    return {name: values[::-1][None] for name, values in (found | _rates_of(field, grid, dt_s)).items()}
+    return {name: values[::-1][None] for name, values in (found | _rates_of(field, grid, dt_s, slant)).items()}
 
 
-def _rates_of(field: VectorField, grid: PlaneGrid, dt_s: float | None) -> dict[str, NDArray[Any]]:
+def _rates_of(
+    field: VectorField, grid: PlaneGrid, dt_s: float | None, slant: Slanted | None
+) -> dict[str, NDArray[Any]]:
     """Rates of a pair (ny, nx), rows from the top of the image: per s, or of displacements."""
     scale = per_px(grid.pitch_mm, dt_s)
     uv = np.stack((field.u_px, -field.v_px), axis=-1)[::-1] * scale
     x_mm, y_mm = grid.pitch_mm * field.x_px, -grid.pitch_mm * field.y_px[::-1]
     alike_mm = 0.5 * field.window_px * grid.pitch_mm
-    plane = PlaneField(x_mm, y_mm, uv, field.total_sigma_px[::-1] * scale, alike_mm)
+    through = None if slant is None else slant.through.upside_down.times(scale)
+    plane = PlaneField(x_mm, y_mm, uv, field.total_sigma_px[::-1] * scale, alike_mm, through)
     per_s = 1.0 if dt_s is None else 1e3  # m/s per mm
     found: dict[str, NDArray[Any]] = {}
     for name, (value, sigma) in rates(plane).items():

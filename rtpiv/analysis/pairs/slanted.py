@@ -15,7 +15,7 @@ from daq.runs.run_views import tells_a_scale_alone
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
 from piv.correlation.windows import WindowGrid
-from piv.statistics.out_of_plane import OutOfPlane, SlantedField
+from piv.statistics.out_of_plane import OutOfPlane, SlantedField, ThroughSheet
 from tracer.scene.scene import Scene
 
 
@@ -29,12 +29,15 @@ class Slanted:
         dX/dz, dY/dz of the rays, y UP; NaN where nothing is seen.
     sigma_px : (ny, nx, 2) float64
         Standard uncertainty of u and v by the velocity through the sheet; NaN where nothing was measured.
+    through : ThroughSheet
+        The same before it is a part of u and v: for their derivatives, in px.
     said : str
         What that velocity was taken to be.
     """
 
     slope: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
+    through: ThroughSheet
     said: str
 
 
@@ -84,4 +87,5 @@ def slanted(
     noise = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
     seen = SlantedField(uv, noise, slope, windows.size_px / windows.step_px)
     px_per_m_s = np.nan if dt_s is None else 1e3 * dt_s * found.grid.px_per_mm
-    return Slanted(slope, seen.sigma(known.of_pair(seen, px_per_m_s)), known.sentence)
+    sigma_w = known.of_pair(seen, px_per_m_s)
+    return Slanted(slope, seen.sigma(sigma_w), seen.through_sheet(sigma_w), known.sentence)

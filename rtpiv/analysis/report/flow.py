@@ -276,16 +276,16 @@ def _along_lines(page: Page, field: PlaneField, regions: Regions, axis: Axis | N
 def rim_chapter(page: Page, mean: MeanFlow, scene: Scene, regions: Regions) -> None:
     """Add steps of the mean between what is seen directly and what is seen through glass."""
     page.heading("Across the rim")
-    scale = mean.px_per_m_s
-    in_px = PlaneField(mean.x_mm, mean.y_mm, scale * mean.mean_m_s, scale * mean.local_sigma_m_s, 0.0)
+    field, scale = mean.field, mean.px_per_m_s
     outside, inside = regions.region == Region.DIRECT, regions.region == Region.GLASS
     reach = REACH_STEPS * mean.step_px / mean.px_per_mm
     rows: list[tuple[str, ...]] = []
     drawn = 0
     for centre in dict.fromkeys((round(s.centre_mm[0], 1), round(s.centre_mm[1], 1)) for s in scene.spheres):
-        steps = rim_steps(in_px, outside, inside, centre, reach)
-        if not len(steps.place):
+        found = rim_steps(field, outside, inside, centre, reach)
+        if not len(found.place):
             continue
+        steps = RimStep(found.place, scale * found.step, scale * found.sigma)
         covered = float(np.mean(np.abs(steps.step) < steps.sigma))
         weight = steps.sigma**-2
         mid, rms = (weight * steps.step).sum(axis=0) / weight.sum(axis=0), np.sqrt(np.mean(steps.step**2, axis=0))

@@ -194,7 +194,9 @@ class MeanFlow:
     def field(self) -> PlaneField:
         """The mean as a field whose derivatives can be taken: neighbouring windows see in part the same."""
         alike_mm = 0.5 * self.window_px / self.px_per_mm
-        return PlaneField(self.x_mm, self.y_mm, self.mean_m_s, self.local_sigma_m_s, alike_mm)
+        slanted = self._slanted
+        through = None if slanted is None else slanted.through_sheet(self.out_of_plane.of_mean(slanted))
+        return PlaneField(self.x_mm, self.y_mm, self.mean_m_s, self.local_sigma_m_s, alike_mm, through)
 
     @property
     def total_sigma_m_s(self) -> Floats:
@@ -208,10 +210,14 @@ class MeanFlow:
     @property
     def slant_sigma_m_s(self) -> Floats | None:
         """Sigma of the mean (ny, nx, 2) by a steady flow through the sheet; None where slopes are not known."""
+        slanted = self._slanted
+        return None if slanted is None else slanted.sigma(self.out_of_plane.of_mean(slanted))
+
+    @property
+    def _slanted(self) -> SlantedField | None:
         if self.slope is None:
             return None
-        field = SlantedField(self.mean_m_s, self.sigma_m_s, self.slope, self.window_px / self.step_px)
-        return field.sigma(self.out_of_plane.of_mean(field))
+        return SlantedField(self.mean_m_s, self.sigma_m_s, self.slope, self.window_px / self.step_px)
 
     @property
     def slanted_stresses(self) -> SlantedStresses | None:

@@ -1,6 +1,7 @@
 """What is told of the flow through the sheet: it changes sigma, no vector, and needs no pair evaluated again."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.io import netcdf_file
 
 from piv.errors import PairError
 from piv.files.vector_file import read_vectors
+from piv.statistics.derived import rates
 from rtpiv.analysis.pairs.evaluation import PairDetails
 from rtpiv.command_line.cli import USAGE, main
 from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
@@ -45,6 +47,10 @@ def test_a_mean_is_told_afterwards_what_flows_through_its_sheet(run):
     asked = json.loads((series / "series.json").read_text())
     assert asked["content"]["out_of_plane"] == {"sigma_w_m_s": 0.02, "w_over_u": 0.0}
     assert np.nanmax(both.slant_sigma_m_s) == 0.0
+    flat, slanted = (rates(each.field)["shear"][1] for each in (both, told))
+    assert np.nanmedian(slanted) > 1.1 * np.nanmedian(flat)
+    blind = rates(replace(told.field, through=None))["shear"][1]
+    np.testing.assert_array_equal(flat, blind)
     assert both.slanted_stresses.bias[..., 0] == pytest.approx((0.02 * both.slope[..., 0]) ** 2, nan_ok=True)
     again = mean(series, output=FIGURES)  # as it was told when it was evaluated
     np.testing.assert_array_equal(again.slanted_stresses.bias, both.slanted_stresses.bias)
@@ -68,6 +74,12 @@ def test_single_pairs_have_slopes_and_their_part_of_sigma_in_every_file(run, tmp
         total = np.sqrt(np.square(parts).sum(axis=0))
         assert pair.fields[f"total_sigma_{letter}"][measured] == pytest.approx(total, rel=1e-5)
         assert pair.units[f"slant_sigma_{letter}"] == pair.units[f"total_sigma_{letter}"] == "m s-1"
+    up, along = (np.gradient(pair.by_place[name], pair.y_mm, pair.x_mm) for name in ("dydz", "dxdz"))
+    steady = 1e3 * 0.5 * np.abs(along[1] + up[0])[1:-1, 1:-1]  # of a divergence [1/s], by a w that is everywhere
+    spread = pair.fields["sigma_divergence"][0, 1:-1, 1:-1]
+    known = np.isfinite(spread)
+    assert known.any()
+    assert (spread[known] > steady[known]).all()
     assert "0.5 m/s (told)" in pair.attributes["out_of_plane"]
     with netcdf_file(folder / "vectors.nc", mmap=False) as file:
         assert file.variables["dxdz"].long_name == b"slope dX/dz of the rays at the plane"
