@@ -34,13 +34,18 @@ and the flow as far as it is in h, are all in it. Pairs count as independent
 C_AB and C_AA share, are counted though they drop out.
 
 **Noise.** Sampling between pixels spreads the camera's noise to neighbours, where R_AA would count it as light.
-Its shape K(s) is known, how much of it there is comes out of the fit of R_AA: white noise of variance 1 that is
-sampled at a fraction f of a pixel through an interpolation h_f correlates with itself over K(s) = sum_k h_f(k)
-h_f(k + s). Frames are sampled through c (1 - m) + b m, the cardinal spline and the B-spline of degree 5 mixed by
-the size of the particle images (`piv.correlation.prepare`), both products of a factor along u and one along v.
-Frame A is sampled at -d/2 and frame B at d/2: K is the same for both.
-What is left of it is below 0.02 px^2 with 16 and 32 px; windows of 8 px with a dozen particles in all come out
-up to 0.07 px^2 too small.
+Its shape K(s) is known: white noise of variance 1 that is sampled at a fraction f of a pixel through an
+interpolation h_f correlates with itself over K(s) = sum_k h_f(k) h_f(k + s). Frames are sampled through c (1 -
+m) + b m, the cardinal spline and the B-spline of degree 5 mixed by the size of the particle images
+(`piv.correlation.prepare`), both products of a factor along u and one along v. Frame A is sampled at -d/2 and
+frame B at d/2: K is the same for both. How much there is, n, cannot be told from R_AA: where particle images
+are small, K is as wide as their peak, and a fit of both at once took light for noise (particles of 2.4 px:
+stresses 0.03 to 0.05 px^2 too small, of 1.6 px 0.3). It comes from the frames before they are deformed, where
+noise stands at no displacement only: what their autocorrelation has there beyond the Gaussian through its next
+displacements, averaged over `AROUND_PX`. What is left: stresses are 0.002 to 0.02 px^2 too large with particle
+images of 2 to 4 px, whose light beyond what pixels resolve matches itself but not its partner; in windows of 8
+px 0.03. With 1.6 px, where frames are blurred before they are sampled, noise makes them up to 0.1 px^2 too
+small.
 
 **Single dead pixels** stay as they were filled. A linear guess from the neighbours has their covariances, so that
 the peak stays where it is and its foot keeps its width; only its tip is lower by what was not guessed, which with
@@ -72,6 +77,8 @@ CARDINAL_PX = 20  # pixels to each side after which a cardinal spline is none an
 
 LEVEL_PX = 32  # side of the surroundings whose mean is taken off the frames
 OWN_REACH_PX = 4  # of the autocorrelation: particle images are small
+RAW_REACH_PX = 2  # of that of frames as they are, which tells noise
+AROUND_PX = 40  # over which noise is averaged: it changes as slowly as the light
 PAIRS_OF_TEMPLATES = np.triu_indices(TEMPLATES)
 PARTS = {  # of what is summed for each window, see `EnsembleSums.windows`
     "products": len(PAIRS_OF_TEMPLATES[0]),
@@ -86,22 +93,30 @@ Singles = NDArray[np.float32]
 
 def noise_correlation(field_px: Floats, lags: NDArray[np.int64], spread_px2: float) -> Floats:
     """K (L, ny, nx) at displacements (L, 2), v and u, for frames deformed by a field (ny, nx, 2)."""
+    return _mixed(_noise_parts(field_px, lags), spread_px2)
+
+
+def _mixed(parts: Floats, spread_px2: float) -> Floats:
+    """K (L, ny, nx) from its parts, for frames whose particle images have a variance."""
     mix = float(np.clip((SMOOTHEST - spread_px2) / (SMOOTHEST - SHARPEST), 0.0, 1.0))
+    return np.asarray(np.tensordot([(1 - mix) ** 2, mix * (1 - mix), mix**2], parts, axes=1))
+
+
+def _noise_parts(field_px: Floats, lags: NDArray[np.int64]) -> Floats:
+    """Parts (3, L, ny, nx) of K: of the cardinal spline, of both splines (twice), of the B-spline."""
     place = (0.5 * field_px) % 1.0 * (FRACTIONS - 1)
     first = np.minimum(place.astype(np.int64), FRACTIONS - 2)
     rest = place - first
     own, across, smooth = _spline_tables(int(np.abs(lags).max()))
-    result = np.empty((len(lags), *field_px.shape[:2]))
+    result = np.zeros((3, len(lags), *field_px.shape[:2]))
     for n, (v, u) in enumerate(lags):
-        parts = []
-        for table, way in ((own, 1), (across, 1), (across, -1), (smooth, 1)):
+        for part, table, way in ((0, own, 1), (1, across, 1), (1, across, -1), (2, smooth, 1)):
             along, down = (
                 table[first[..., axis], middle] * (1.0 - rest[..., axis])
                 + table[first[..., axis] + 1, middle] * rest[..., axis]
                 for axis, middle in ((0, way * u + table.shape[1] // 2), (1, way * v + table.shape[1] // 2))
             )
-            parts.append(along * down)
-        result[n] = (1 - mix) ** 2 * parts[0] + mix * (1 - mix) * (parts[1] + parts[2]) + mix**2 * parts[3]
+            result[part, n] += along * down
     return result
 
 
@@ -139,11 +154,13 @@ class EnsembleSums:
         self.pairs = 0
         ny, nx = sweep.cells.shape
         self.lags, self.own_lags = lags_of(sweep.reach_px), lags_of(OWN_REACH_PX, half=True)
+        self.raw_lags = lags_of(RAW_REACH_PX, half=True)
         self.across = np.zeros((ny, len(self.lags), nx), np.float32)
         self.own = np.zeros((ny, len(self.own_lags), nx), np.float32)
+        self.raw = np.zeros((ny, len(self.raw_lags), nx), np.float32)
         self.noise = np.zeros((ny, len(self.own_lags), nx), np.float32)
-        self._usual_noise: Singles | None = None
-        self.frames = np.zeros((3, *sweep.shape), np.float32)  # A, B, valid
+        self._usual_noise: Floats | None = None
+        self.frames = np.zeros((5, *sweep.shape), np.float32)  # A, B, as they are A, B, valid
         self.windows = {
             side: {
                 name: np.zeros((size, *windows_of(sweep.field_px[..., 0], side).shape))
@@ -185,10 +202,13 @@ class EnsembleSums:
         ny, nx = cells.shape
         told = np.empty((TEMPLATES, ny, nx), np.float32)
         frames = deformed.a, deformed.b
+        as_they_are = pair.a * deformed.valid, pair.b * deformed.valid
 
         def rows(first: int, last: int) -> None:
             line = np.empty(self.sweep.shape[1], np.float32)
-            plane, own = np.empty((len(self.lags), nx), np.float32), np.empty((len(self.own_lags), nx), np.float32)
+            plane, own, raw = (
+                np.empty((len(lags), nx), np.float32) for lags in (self.lags, self.own_lags, self.raw_lags)
+            )
             weight = np.empty((self.sweep.reach_px + 1, nx), np.float32)
             sums = np.empty((TEMPLATES, nx), np.float32)
             for j in range(first, last):
@@ -200,24 +220,26 @@ class EnsembleSums:
                 for frame in frames:
                     cell_products(frame, frame, self.own_lags, *at, line, own)
                     self.own[j] += own
+                for frame in as_they_are:
+                    cell_products(frame, frame, self.raw_lags, *at, line, raw)
+                    self.raw[j] += raw
 
         run_rows(rows, ny, block=2, threads=threads)
-        for total, frame in zip(self.frames, (*frames, deformed.valid), strict=True):
+        for total, frame in zip(self.frames, (*frames, *as_they_are, deformed.valid), strict=True):
             total += frame
-        self.noise += self._noise(field_px)
+        self.noise += self._noise(field_px, pair.spread_px2)
         self._count(told, np.moveaxis(field - self.sweep.field_px, -1, 0))
         self.pairs += 1
 
-    def _noise(self, field_px: Floats | None) -> Singles:
+    def _noise(self, field_px: Floats | None, spread_px2: float) -> Singles:
         """What noise correlates with itself (ny, L', nx) in frames deformed by a field, by default the sweep's."""
-        if field_px is None and self._usual_noise is not None:
-            return self._usual_noise
-        field = self.sweep.field_px if field_px is None else field_px
-        shape = noise_correlation(field, self.own_lags, self.sweep.spread_px2)
-        noise = np.ascontiguousarray(np.moveaxis(shape, 0, 1), np.float32)
         if field_px is None:
-            self._usual_noise = noise
-        return noise
+            if self._usual_noise is None:
+                self._usual_noise = _noise_parts(self.sweep.field_px, self.own_lags)
+            parts = self._usual_noise
+        else:
+            parts = _noise_parts(field_px, self.own_lags)
+        return np.ascontiguousarray(np.moveaxis(_mixed(parts, spread_px2), 0, 1), np.float32)
 
     def _count(self, told: Singles, off: Floats) -> None:
         """Add up for windows of each side what one pair has to say.
@@ -251,9 +273,9 @@ class EnsembleSums:
         if not self.sweep.same(other.sweep):
             raise SeriesError("sums of different sweeps of the ensemble correlation cannot be added; begin again")
         both = EnsembleSums.__new__(EnsembleSums)
-        both.sweep, both.lags, both.own_lags = self.sweep, self.lags, self.own_lags
+        both.sweep, both.lags, both.own_lags, both.raw_lags = self.sweep, self.lags, self.own_lags, self.raw_lags
         both.pairs = self.pairs + other.pairs
-        both.across, both.own = self.across + other.across, self.own + other.own
+        both.across, both.own, both.raw = self.across + other.across, self.own + other.own, self.raw + other.raw
         both.frames, both.noise = self.frames + other.frames, self.noise + other.noise
         both._usual_noise = self._usual_noise
         both.windows = {
@@ -262,8 +284,10 @@ class EnsembleSums:
         }
         return both
 
-    def planes(self, threads: int | None = None) -> tuple[Singles, Singles, Singles]:
-        """Sums over cells without what stands still: across (ny, L, nx), own (ny, L', nx), pixels (ny, L, nx).
+    def planes(self, threads: int | None = None) -> tuple[Singles, Singles, Singles, Singles]:
+        """Sums over cells without what stands still, a pair's: (ny, number of displacements, nx) each.
+
+        Across both frames, of each deformed frame with itself, of each as it is, and pixels in the first's.
 
         Raises
         ------
@@ -273,27 +297,31 @@ class EnsembleSums:
         if self.pairs < 2:
             raise SeriesError("ensemble correlation needs at least two pairs")
         cells, n = self.sweep.cells, self.pairs
-        a, b, valid = self.frames / np.float32(n)
-        across, seen, own = np.empty_like(self.across), np.empty_like(self.across), np.empty_like(self.own)
-        share, many = (
-            np.float32(1.0 / (n - 1)),
-            np.float32(n),
-        )  # a mean frame holds 1/n of each pair's own products
+        a, b, raw_a, raw_b, valid = self.frames / np.float32(n)
+        across, seen = np.empty_like(self.across), np.empty_like(self.across)
+        own, raw = np.empty_like(self.own), np.empty_like(self.raw)
+        # A mean frame holds 1/n of each pair's own products.
+        share, many = np.float32(1.0 / (n - 1)), np.float32(n)
 
         def rows(first: int, last: int) -> None:
             line = np.empty(self.sweep.shape[1], np.float32)
-            still, one, two = np.empty_like(across[0]), np.empty_like(own[0]), np.empty_like(own[0])
+            still = np.empty_like(across[0])
             for j in range(first, last):
                 at = cells.row[j], cells.column[0], CELL_PX
                 cell_products(a, b, self.lags, *at, line, still)
-                cell_products(a, a, self.own_lags, *at, line, one)
-                cell_products(b, b, self.own_lags, *at, line, two)
-                cell_products(valid, valid, self.lags, *at, line, seen[j])
                 across[j] = share * (self.across[j] - many * still)
-                own[j] = np.float32(0.5) * share * (self.own[j] - many * (one + two))
+                for sums, lags, frames, out in (
+                    (self.own, self.own_lags, (a, b), own),
+                    (self.raw, self.raw_lags, (raw_a, raw_b), raw),
+                ):
+                    one, two = np.empty_like(out[0]), np.empty_like(out[0])
+                    cell_products(frames[0], frames[0], lags, *at, line, one)
+                    cell_products(frames[1], frames[1], lags, *at, line, two)
+                    out[j] = np.float32(0.5) * share * (sums[j] - many * (one + two))
+                cell_products(valid, valid, self.lags, *at, line, seen[j])
 
         run_rows(rows, cells.shape[0], block=2, threads=threads)
-        return across, own, seen
+        return across, own, raw, seen
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays by name, for a file; the sweep's among them."""
@@ -305,6 +333,7 @@ class EnsembleSums:
             "spread_px2": np.array(self.sweep.spread_px2),
             "across": self.across,
             "own": self.own,
+            "raw": self.raw,
             "noise": self.noise,
             "frames": self.frames,
         }
@@ -340,6 +369,7 @@ class EnsembleSums:
         targets: dict[str, NDArray[Any]] = {
             "across": sums.across,
             "own": sums.own,
+            "raw": sums.raw,
             "noise": sums.noise,
             "frames": sums.frames,
         }

@@ -3,16 +3,17 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
 from piv.correlation.outliers import outliers
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
-from piv.statistics.cells import CELL_PX, WINDOWS_PX, lags_of, middles_of, window_cells, windows_of
-from piv.statistics.ensemble import OWN_REACH_PX, PAIRS_OF_TEMPLATES, EnsembleSums
+from piv.statistics.cells import CELL_PX, WINDOWS_PX, middles_of, window_cells, windows_of
+from piv.statistics.ensemble import AROUND_PX, PAIRS_OF_TEMPLATES, EnsembleSums
 from piv.statistics.kernels.cell_planes import TEMPLATES
-from piv.statistics.kernels.peak_fit import OF_PEAK, PARAMETERS, fit_row
+from piv.statistics.kernels.peak_fit import PARAMETERS, fit_row
 from piv.statistics.sweep import Sweep, sweep_with
 
 LEAST_VALID = 0.3  # share of a window's pixels
@@ -70,16 +71,17 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         raise SeriesError(f"a window of {window_px} px does not fit frames of {sums.sweep.shape} px")
     row, column = (places[: len(places) - many + 1 : step] for places in (cells.row, cells.column))
     grid = WindowGrid(row, column, window_px, step * CELL_PX)
-    across, own, seen = (windows_of(np.moveaxis(part, 1, 0), window_px) for part in sums.planes(threads))
+    across, own, raw, seen = (windows_of(np.moveaxis(part, 1, 0), window_px) for part in sums.planes(threads))
     middle = len(sums.lags) // 2
     seen_there = seen[middle].astype(np.float64)
+    variance = windows_of(sums.sweep.variance_px2, window_px).astype(np.float64) / many**2
+    noise = np.asarray(windows_of(np.moveaxis(sums.noise, 1, 0), window_px) / (sums.pairs * many**2), np.float32)
+    noise *= _noise_of(raw, seen[_places(sums.raw_lags, sums.sweep.reach_px)], sums, grid, variance, threads)
     across /= np.maximum(seen, np.float32(1.0))
     own /= np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], np.float32(1.0))
     del seen
-    variance = windows_of(sums.sweep.variance_px2, window_px).astype(np.float64) / many**2
-    noise = np.asarray(windows_of(np.moveaxis(sums.noise, 1, 0), window_px) / (sums.pairs * many**2), np.float32)
-    peak, slopes = _fits(across, sums.lags, variance, None, threads)
-    itself, _ = _fits(own, lags_of(OWN_REACH_PX, half=True), variance, noise, threads)
+    peak, slopes = _fits(across, sums.lags, variance, threads)
+    itself, _ = _fits(own - noise, sums.own_lags, variance, threads, is_own=True)
     covariance, own_covariance = _covariance(peak), _covariance(itself)
     back = _by_templates(slopes, sums.pairs * seen_there)
     spread = _parameter_covariance(sums, window_px, back)
@@ -127,29 +129,40 @@ def _places(lags: NDArray[np.int64], reach_px: int) -> NDArray[np.int64]:
     return places
 
 
-def _fits(
-    planes: Singles, lags: NDArray[np.int64], variance: Floats, noise: Singles | None, threads: int | None
-) -> tuple[Floats, Floats]:
-    """Parameters (ny, nx, 8) of `peak_fit` and slopes (ny, nx, 7, 7) of the templates, from planes (L, ny, nx).
+def _noise_of(
+    raw: Singles, seen: Singles, sums: EnsembleSums, grid: WindowGrid, variance: Floats, threads: int | None
+) -> Singles:
+    """Variance (ny, nx) of the camera's noise, see "Noise" in `ensemble`; 0 where no peak tells it from light.
 
-    With the shape of noise (L, ny, nx) planes are autocorrelations, whose peaks stand at no displacement.
+    `raw` and `seen` (L, ny, nx) are sums over windows of frames as they are, and of their pixels.
+    """
+    wide = max(round(AROUND_PX / grid.step_px) - grid.size_px // grid.step_px, 0) + 1
+    around = [scipy.ndimage.uniform_filter(part, (1, wide, wide), mode="constant") for part in (raw, seen)]
+    planes = around[0] / np.maximum(around[1], np.float32(1.0))
+    away = np.any(sums.raw_lags != 0, axis=-1)
+    light, _ = _fits(planes[away], sums.raw_lags[away], variance, threads, is_own=True)
+    beyond = planes[~away][0] - (light[..., 0] + light[..., 6])
+    return np.asarray(np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0), np.float32)
+
+
+def _fits(
+    planes: Singles, lags: NDArray[np.int64], variance: Floats, threads: int | None, is_own: bool = False
+) -> tuple[Floats, Floats]:
+    """Parameters (ny, nx, 7) of `peak_fit` and slopes (ny, nx, 7, 7) of the templates, from planes (L, ny, nx).
+
+    Peaks of a frame with itself (`is_own`) stand at no displacement.
     """
     _, ny, nx = planes.shape
-    fits, slopes = np.empty((ny, nx, PARAMETERS)), np.empty((ny, nx, TEMPLATES, OF_PEAK))
+    fits, slopes = np.empty((ny, nx, PARAMETERS)), np.empty((ny, nx, TEMPLATES, PARAMETERS))
     at = lags.astype(np.float64)
     free = np.ones(PARAMETERS, np.bool_)
-    free[1:3], free[7] = noise is None, noise is not None
-    shape = np.zeros_like(planes) if noise is None else noise
+    free[1:3] = not is_own
 
     def rows(first: int, last: int) -> None:
-        work, line = np.empty((22, PARAMETERS)), np.empty((2, len(lags)))
+        work, line = np.empty((20, PARAMETERS)), np.empty(len(lags))
         for j in range(first, last):
-            here = (
-                np.ascontiguousarray(planes[:, j], np.float64),
-                at,
-                np.ascontiguousarray(shape[:, j], np.float64),
-            )
-            fit_row(*here, free, variance[j], work, line, fits[j], slopes[j])
+            here = np.ascontiguousarray(planes[:, j], np.float64)
+            fit_row(here, at, free, variance[j], work, line, fits[j], slopes[j])
 
     run_rows(rows, ny, block=1, threads=threads)
     return fits, slopes

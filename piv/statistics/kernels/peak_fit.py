@@ -1,9 +1,9 @@
 """Least squares of a Gaussian on a pedestal through a correlation peak.
 
-    G(s) = A exp(-1/2 (s - m)^T P (s - m)) + c + n K(s),      p = (A, m_u, m_v, P_uu, P_vv, P_uv, c, n),
+    G(s) = A exp(-1/2 (s - m)^T P (s - m)) + c,      p = (A, m_u, m_v, P_uu, P_vv, P_uv, c),
 
-K being the known shape of what noise correlates with itself, by Levenberg and Marquardt's steps. P is the
-inverse of the peak's covariance. All displacements weigh alike: the noise of a plane is the same everywhere.
+by Levenberg and Marquardt's steps. P is the inverse of the peak's covariance. All displacements weigh alike: the
+noise of a plane is the same everywhere.
 """
 
 import numpy as np
@@ -11,15 +11,14 @@ import numpy as np
 from ground.jit import Array, kernel
 from ground.kernels.cholesky import factorise, solve
 
-PARAMETERS = 8
-OF_PEAK = 7  # the noise is none of them
+PARAMETERS = 7
 STEPS = 60
 ENOUGH = 1e-5  # px and relative change after which a fit is done
 
 
 @kernel
 def gaussian(p: Array, x: float, y: float, slope: Array) -> float:
-    """Value of the model at x, y without noise, and its derivatives (7 of 8) by the parameters."""
+    """Value of the model at x, y, and its derivatives (7,) by the parameters."""
     dx, dy = x - p[1], y - p[2]
     g = np.exp(-0.5 * (p[3] * dx * dx + p[4] * dy * dy) - p[5] * dx * dy)
     slope[0] = g
@@ -33,33 +32,31 @@ def gaussian(p: Array, x: float, y: float, slope: Array) -> float:
 
 
 @kernel
-def misfit(p: Array, plane: Array, lags: Array, noise: Array, slope: Array) -> float:
+def misfit(p: Array, plane: Array, lags: Array, slope: Array) -> float:
     """Sum of squared residuals."""
     total = 0.0
     for n in range(plane.size):
-        rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], slope) - p[7] * noise[n]
+        rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], slope)
         total += rest * rest
     return total
 
 
 @kernel
-def fit_peak(plane: Array, lags: Array, noise: Array, free: Array, work: Array, p: Array) -> bool:
-    """Fit from the start values in p (8,) float64; False where no peak was found.
+def fit_peak(plane: Array, lags: Array, free: Array, work: Array, p: Array) -> bool:
+    """Fit from the start values in p (7,) float64; False where no peak was found.
 
-    plane (L,), lags (L, 2) and noise (L,) float64; free (8,) bool, parameters that may change; work (22, 8)
-    float64 scratch.
+    plane (L,) and lags (L, 2) float64; free (7,) bool, parameters that may change; work (20, 7) float64 scratch.
     """
-    normal, lower, slope, right, step, trial = work[:8], work[8:16], work[16], work[17], work[18], work[19]
+    normal, lower, slope, right, step, trial = work[:7], work[7:14], work[14], work[15], work[16], work[17]
     damping = 1e-3
-    best = misfit(p, plane, lags, noise, slope)
+    best = misfit(p, plane, lags, slope)
     for _ in range(STEPS):
         for k in range(PARAMETERS):
             right[k] = 0.0
             for m in range(PARAMETERS):
                 normal[k, m] = 0.0
         for n in range(plane.size):
-            rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], slope) - p[7] * noise[n]
-            slope[7] = noise[n]
+            rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], slope)
             for k in range(PARAMETERS):
                 if free[k]:
                     right[k] += slope[k] * rest
@@ -76,7 +73,7 @@ def fit_peak(plane: Array, lags: Array, noise: Array, free: Array, work: Array, 
                 for k in range(PARAMETERS):
                     trial[k] = p[k] + (step[k] if free[k] else 0.0)
                 if trial[0] > 0.0 and trial[3] > 0.0 and trial[4] > 0.0 and trial[3] * trial[4] > trial[5] ** 2:
-                    value = misfit(trial, plane, lags, noise, slope)
+                    value = misfit(trial, plane, lags, slope)
                     if value <= best:
                         moved = True
                         break
@@ -96,7 +93,7 @@ def fit_peak(plane: Array, lags: Array, noise: Array, free: Array, work: Array, 
 
 @kernel
 def start_values(plane: Array, lags: Array, variance: float, p: Array) -> bool:
-    """Start p (8,) from the highest value near the plane's middle and a round peak; False if there is none."""
+    """Start p (7,) from the highest value near the plane's middle and a round peak; False if there is none."""
     reach = 0.0
     low, high, at = np.inf, -np.inf, 0
     for n in range(plane.size):
@@ -110,21 +107,20 @@ def start_values(plane: Array, lags: Array, variance: float, p: Array) -> bool:
         return False
     p[0], p[1], p[2] = high, lags[at, 1], lags[at, 0]
     p[3], p[4], p[5], p[6] = 1.0 / variance, 1.0 / variance, 0.0, 0.0
-    p[7] = 0.0
     return True
 
 
 @kernel
 def template_slopes(p: Array, lags: Array, variance: float, slope: Array, out: Array) -> None:
     """How the sums over `templates` change with the parameters: out (7, 7) float64."""
-    for k in range(OF_PEAK):
-        for m in range(OF_PEAK):
+    for k in range(PARAMETERS):
+        for m in range(PARAMETERS):
             out[k, m] = 0.0
     for n in range(lags.shape[0]):
         x, y = lags[n, 1], lags[n, 0]
         gaussian(p, x, y, slope)
         g = np.exp(-0.5 * (x * x + y * y) / variance)
-        for m in range(OF_PEAK):
+        for m in range(PARAMETERS):
             out[0, m] += g * slope[m]
             out[1, m] += x * g * slope[m]
             out[2, m] += y * g * slope[m]
@@ -138,33 +134,30 @@ def template_slopes(p: Array, lags: Array, variance: float, slope: Array, out: A
 def fit_row(
     planes: Array,
     lags: Array,
-    noise: Array,
     free: Array,
     variance: Array,
     work: Array,
-    line: Array,
+    plane: Array,
     fits: Array,
     slopes: Array,
 ) -> None:
     """Fit a row of windows.
 
-    planes and noise (L, n) float64; lags (L, 2) float64; free (8,) bool: without its place free, the peak stands
-    at no displacement (autocorrelation); variance (n,) float64, of a round peak to start from; work (22, 8)
-    and line (2, L) float64 scratch; fits (n, 8) float64 becomes the parameters, NaN where there is no peak;
-    slopes (n, 7, 7) float64 those of `template_slopes`.
+    planes (L, n) float64; lags (L, 2) float64; free (7,) bool: without its place free, the peak stands at no
+    displacement (autocorrelation); variance (n,) float64, of a round peak to start from; work (20, 7) and plane
+    (L,) float64 scratch; fits (n, 7) float64 becomes the parameters, NaN where there is no peak; slopes (n, 7, 7)
+    float64 those of `template_slopes`.
     """
-    plane, shape = line[0], line[1]
     for i in range(fits.shape[0]):
         for n in range(plane.size):
             plane[n] = planes[n, i]
-            shape[n] = noise[n, i]
         found = start_values(plane, lags, variance[i], fits[i])
         if found and not free[1]:
             fits[i, 1] = 0.0
             fits[i, 2] = 0.0
-        found = found and fit_peak(plane, lags, shape, free, work, fits[i])
+        found = found and fit_peak(plane, lags, free, work, fits[i])
         if found:
-            template_slopes(fits[i], lags, variance[i], work[16], slopes[i])
+            template_slopes(fits[i], lags, variance[i], work[14], slopes[i])
         else:
             fits[i] = np.nan
             slopes[i] = np.nan
