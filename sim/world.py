@@ -84,7 +84,7 @@ class World:
         self.lamp = target_light(bench) if shows == BOARD else None  # particles are lit by the laser
         self._colours: Colours = ((self.scene.wavelength_nm, 1.0),)
         if self.lamp is not None:
-            self._colours = colours_of(self.lamp.light())
+            self._colours = colours_of(self.lamp.light(self.scene.wavelength_nm))
         self._sensor = Sensor(blur_px=table.blur_px)
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
         self._flow_cameras: dict[tuple[float, ...], FlowCamera] = {}

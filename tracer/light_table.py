@@ -2,6 +2,7 @@
 
 One of these says what the lamp sends:
 
+    {source: laser}                             # the laser that lights the particles, a line at wavelength_nm
     {mean_nm: 532.0}                            # a line: a laser, or the light of the scene itself
     {mean_nm: 530.0, width_nm: 33.0}            # a Gaussian by its full width at half height: a coloured LED
     {mean_nm: 530.0, sigma_nm: 14.0}            # the same by its standard deviation
@@ -47,6 +48,7 @@ Wavelength = Annotated[float, Field(ge=VISIBLE_NM[0], le=VISIBLE_NM[1])]
 Width = Annotated[float, Field(ge=0.0, le=500.0)]
 Point = Annotated[list[Annotated[float, Field(ge=0.0, le=1e9)]], Field(min_length=2, max_length=2)]
 Points = Annotated[list[Point], Field(min_length=2, max_length=10_000)]
+MIDDLE_NM = 532.0  # where a laser is tried that has the scene's wavelength, which this table does not know
 VARIANCE_WIDTH = float(np.sqrt(12.0))  # width of a band in its standard deviations
 LAMPS_DIFFER_NM = 5.0  # in mean wavelength, between lamps of one data sheet
 UNCOVERED = 0.01  # of the light may lie where a response or filter says nothing
@@ -124,19 +126,22 @@ class LightTable(ShapeTable):
     @model_validator(mode="after")
     def _one(self) -> "LightTable":
         shapes = (self.mean_nm, self.band_nm, self.points, self.colour_temperature_k, self.lines)
-        if sum(given is not None for given in shapes) != 1:
+        given = sum(shape is not None for shape in shapes)
+        if given > 1 or (given == 0 and self.source != "laser"):
             raise ValueError(
                 "give exactly one of mean_nm, band_nm, points, lines and colour_temperature_k for the lamp"
             )
         if self.response is not None and self.quantum_efficiency is not None:
             raise ValueError("give either response (per watt) or quantum_efficiency (per photon)")
-        if self.source == "laser" and (self.mean_nm is None or self.spread_nm > 0.0 or self.unsure_nm):
-            raise ValueError("a laser is one line, known exactly: source: laser stands beside mean_nm alone")
+        if self.source == "laser" and ((given and self.mean_nm is None) or self.spread_nm > 0.0 or self.unsure_nm):
+            raise ValueError(
+                "a laser is one line, known exactly: source: laser stands alone, or beside mean_nm alone"
+            )
         for what in ("response", "quantum_efficiency", "lines"):
             if getattr(self, what) is not None:
                 _ascending(getattr(self, what), what)
         try:
-            self.light()
+            self.light(self.mean_nm or MIDDLE_NM)
         except SceneError as error:
             raise ValueError(str(error)) from None
         return self
@@ -148,13 +153,14 @@ class LightTable(ShapeTable):
         ----------
         particles_nm : float, optional
             What particles are seen in: one colour that is no laser and not theirs is a lamp, and as unsure as one.
+            A laser without a wavelength of its own has this one.
 
         Raises
         ------
         SceneError
             Nothing is left behind the filters, or a response says nothing about a part of the light.
         """
-        light = self._counted(self._sent())
+        light = self._counted(self._sent(particles_nm))
         alone = self.mean_nm is not None and self.spread_nm == 0.0 and self.unsure_nm is None
         other = particles_nm is not None and self.mean_nm != particles_nm and self.source is None
         if alone and (self.source == "lamp" or other):
@@ -203,7 +209,7 @@ class LightTable(ShapeTable):
         is_line = self.lines is not None or len(light.weight) == 1
         return light if is_line or light.unsure_nm else replace(light, unsure_nm=LAMPS_DIFFER_NM)
 
-    def _sent(self) -> Light:
+    def _sent(self, particles_nm: float | None) -> Light:
         """Light of the lamp."""
         if self.colour_temperature_k is not None:
             return white_led(self.colour_temperature_k)
@@ -215,8 +221,9 @@ class LightTable(ShapeTable):
             return continuous(points[0][0], points[-1][0], lambda nm: _interpolated(nm, points))
         if self.band_nm is not None:
             return band(*self.band_nm)
-        assert self.mean_nm is not None
-        return gaussian(self.mean_nm, self.spread_nm) if self.spread_nm > 0.0 else line(self.mean_nm)
+        mean_nm = self.mean_nm or particles_nm
+        assert mean_nm is not None
+        return gaussian(mean_nm, self.spread_nm) if self.spread_nm > 0.0 else line(mean_nm)
 
 
 def _interpolated(nm: Numbers, points: Sequence[Sequence[float]]) -> Numbers:

@@ -13,8 +13,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunDamaged
@@ -23,6 +24,8 @@ from daq.runs.run_file import FILE
 from daq.runs.run_folder import RunFolder, frame_entries
 from piv.errors import FrameError
 from piv.files.frame_file import read_frame
+
+DEPTHS = (255.0, 4095.0, 65535.0)  # full scales of cameras; 12 bit come in uint16, right- or left-aligned
 
 
 def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[Any]:
@@ -50,10 +53,28 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     if run is None:
         return read_named(path, shape)
     _require(path)
-    known = _checksums(run, _stamp(run.journal_path))
+    known = _known(run, _stamp(run.journal_path))
     if path.name not in known:
         raise RunDamaged(f"{path}: is not in the journal of its run, so it cannot be verified; leave it out")
-    return read_frame(path, shape, known[path.name])
+    return read_frame(path, shape, known[path.name].crc32)
+
+
+def full_scale(path: Path, frame: NDArray[Any]) -> float:
+    """Grey level at which a pixel of a frame is saturated.
+
+    Parameters
+    ----------
+    path : Path
+        The frame: of a run the journal says its bits, of others the kind of number and the brightest pixel do.
+    frame : ndarray (H, W) of uint8, uint16 or float32
+        Its pixels, background taken off or not.
+    """
+    run = run_of(path)
+    known = None if run is None else _known(run, _stamp(run.journal_path)).get(path.name)
+    if known is not None:
+        return float((1 << known.bits) - 1)
+    least = max(DEPTHS[0] if frame.dtype == np.uint8 else DEPTHS[1], float(np.nanmax(frame)))
+    return next((depth for depth in DEPTHS if depth >= least), DEPTHS[-1])
 
 
 def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any]:
@@ -100,10 +121,18 @@ def _stamp(journal: Path) -> tuple[int, int]:
     return (0, 0) if facts is None else (facts.st_mtime_ns, facts.st_size)
 
 
+class _Known(NamedTuple):
+    """What the journal says of a frame."""
+
+    crc32: str
+    bits: int
+
+
 @lru_cache(maxsize=2)
-def _checksums(run: RunFolder, stamp: tuple[int, int]) -> dict[str, str]:
-    """Checksum of every frame that the journal of a run has, by the name of its file; read again if it changed."""
-    return {Path(entry["file"]).name: entry["crc32"] for entry in frame_entries(run.entries()).values()}
+def _known(run: RunFolder, stamp: tuple[int, int]) -> dict[str, _Known]:
+    """Every frame that the journal of a run has, by the name of its file; read again if it changed."""
+    entries = frame_entries(run.entries()).values()
+    return {Path(entry["file"]).name: _Known(entry["crc32"], entry["bits"]) for entry in entries}
 
 
 Frame = NDArray[Any]

@@ -286,8 +286,8 @@ def where_lit(scene: Scene) -> str:
         return f"{scale}Particles were taken to lie in {scene.sheet.summary}; its sigma is in that of the vectors."
     return (
         f"{scale}The scene file does not say where the light sheet is, so particles were taken to lie in"
-        f" {scene.lit.summary}; all of that is in the sigma of map and vectors. Find it with rtpiv sheet, or"
-        " measure it and write `sheet` into the scene file."
+        f" {scene.lit.summary}; all of that is in the sigma of map and vectors. Find it with rtpiv sheet,"
+        " from 10 pairs or more, best 50; or measure it and write `sheet` into the scene file."
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.unknowns import unit_of
 from correction.fitted.map_sigma import MapSigma
 from rtpiv.analysis.digits import two_digits
-from rtpiv.analysis.through_glass import ThroughGlass, through_glass
+from rtpiv.analysis.through_glass import ThroughGlass, through_scene
 
 HARMLESS_PX = 0.05  # of the map, at the median: numbers known only together move nothing that vectors would show
 Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]  # title, pixels (N, 2), errors (N, 2) [px]
@@ -71,11 +72,10 @@ class Calibration:
             }
         return found
 
-    @property
+    @cached_property
     def through(self) -> ThroughGlass | None:
         """How much of what the balls hide the fitted map recovers; None if they hide nothing."""
-        recovered = np.isfinite(self.sigma.sigma_px[..., 0])
-        return through_glass(self.fit.measured_scene, self.sigma.grid, recovered)
+        return through_scene(self.fit.measured_scene)
 
     @property
     def percentiles(self) -> dict[str, dict[str, float]]:

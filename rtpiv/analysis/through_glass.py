@@ -28,7 +28,8 @@ from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 
-WIDEST_PX = 200  # of a map that only says what is recovered: areas to a few tenths of a per cent
+WIDEST_PX = 200  # of a map that only compares arrangements: areas to a few tenths of a per cent
+SAID_PX = 2500  # of one whose areas are said: to some hundredths
 
 Window = tuple[tuple[int, int], tuple[int, int]]  # rows and columns of nodes: the first, and behind the last
 
@@ -111,20 +112,27 @@ def through_glass(scene: Scene, grid: PlaneGrid, recovered: NDArray[np.bool_]) -
     return ThroughGlass(count * grid.pitch_mm**2, seen * grid.pitch_mm**2, what)
 
 
-def coarse_map(scene: Scene) -> CorrectionMap:
+def coarse_map(scene: Scene, widest_px: int = WIDEST_PX) -> CorrectionMap:
     """Map of a scene for a camera of the same view and few pixels: what is recovered, and where."""
-    small = shown_small(scene, WIDEST_PX)
+    small = shown_small(scene, widest_px)
     return build_correction_map(small, build_ray_map(small), layers=1)
 
 
-def through_said(scene: Scene) -> str:
-    """Say what is seen through glass, from a coarse map; "" if nothing is hidden, or the view has no map."""
+def through_scene(scene: Scene) -> ThroughGlass | None:
+    """Measure what is seen through glass by the map that frames are corrected by: the figure that verbs say.
+
+    A camera of more than SAID_PX columns is given fewer, which no digit shows.
+
+    Returns
+    -------
+    ThroughGlass or None
+        None if nothing is hidden, or the view has no map; `trace` says why.
+    """
     try:
-        found = coarse_map(scene)
-        shown = through_glass(scene, found.grid, found.recovered)
-    except TracerError:  # `trace` says why
-        return ""
-    return "" if shown is None else shown.sentence
+        found = coarse_map(scene, SAID_PX)
+        return through_glass(scene, found.grid, found.recovered)
+    except TracerError:
+        return None
 
 
 def coarse_share(scene: Scene) -> float:

@@ -58,7 +58,7 @@ def scene_text(lab: Lab) -> str:
 # yaml-language-server: $schema=schemas/scene.schema.json
 # What we know of our bench. The world is in mm: the investigation plane (target, light sheet) is z = 0, x to the
 # right and y up as the camera sees it, z towards the camera. A millimetre is good enough: `rtpiv calibrate` finds
-# the rest.
+# the rest, but for what lights the target: say that under `fit`.
 wavelength_nm: {lab.wavelength_nm:g}        # of the light, in vacuum: 532 for a doubled Nd:YAG laser
 ambient: air
 camera:                     # sees {field} mm of the plane without glass, {lab.px_per_mm:.1f} px/mm
@@ -73,10 +73,10 @@ bodies:
 {lines}
 {hold}# sheet: {{z_mm: 0.0, sigma_mm: 0.5}}  # the light sheet, where it is not quite the plane of the target
 fit:                        # what `rtpiv calibrate` goes by
-  # what lights the target: here the laser's own light, as on the simulated bench. Glass has another index in
-  # another light: {{mean_nm: 530, width_nm: 30}} for a green LED (source: lamp, if you know no width),
-  # {{colour_temperature_k: 5000}} for a white one, or better the lamp's spectrum as points
-  light: {{mean_nm: {lab.wavelength_nm:g}}}
+  # what lights the target: here the laser itself, as on the simulated bench. Glass has another index in another
+  # light: in place of it say yours, {{mean_nm: 530, width_nm: 30}} for a green LED ({{mean_nm: 530, source: lamp}}
+  # if you know no width), {{colour_temperature_k: 5000}} for a white one, or better the lamp's spectrum as points
+  light: {{source: laser}}
   # spheres: {{centre_mm: 1.0, radius_mm: 0.02}}   # what it may change: standard deviations, the defaults
   # n: 0.005
 """

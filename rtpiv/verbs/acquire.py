@@ -236,7 +236,7 @@ def _shown(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]"
         return
     from daq.live.live_page import BYTES_PER_PX, LivePage
     from daq.live.run_shown import RunShown
-    from rtpiv.analysis.through_glass import through_said
+    from rtpiv.analysis.through_glass import through_scene
     from tracer.scene.scene_file import load_scene
 
     bench, given = run.bench, run.request.scene
@@ -245,7 +245,8 @@ def _shown(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]"
     board = bench.board
     with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:
         screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
-        yield RunShown(page, run.folder, through_said(scene))
+        through = through_scene(scene)
+        yield RunShown(page, run.folder, "" if through is None else through.sentence)
 
 
 def forecast_said(

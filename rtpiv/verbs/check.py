@@ -174,15 +174,10 @@ def _through(scene: Scene) -> str:
     """How much is seen through glass, and what would show more where that is little."""
     if not scene.bodies:
         return ""
-    from rtpiv.analysis.through_glass import coarse_map, through_glass  # compiled: who checks a plan does not wait
+    from rtpiv.analysis.through_glass import through_scene  # compiled: who checks a plan does not wait
     from rtpiv.analysis.views.arranged import little
 
-    try:
-        found = coarse_map(scene)
-        shown = through_glass(scene, found.grid, found.recovered)
-    except TracerError:  # a view that has no map; `trace` says why
-        return ""
-    if shown is None:
+    if (shown := through_scene(scene)) is None:
         return ""
     return ". ".join(filter(None, (f"; {shown.sentence}", little(scene, shown.share))))
 

@@ -268,7 +268,7 @@ def _line(prompt: str) -> str:
 
 
 def _print(lab: Lab, folder: Path, lens: bool) -> None:
-    from rtpiv.analysis.through_glass import coarse_map, through_glass
+    from rtpiv.analysis.through_glass import through_scene
     from rtpiv.templates.scene_text import scene_of
 
     screen, scene = console(), scene_of(lab)
@@ -283,8 +283,7 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     screen.print(
         f"{board} (square_mm of target in bench.yaml and bench-flow.yaml, or --square-mm)", soft_wrap=True
     )
-    found = coarse_map(scene)
-    if (shown := through_glass(scene, found.grid, found.recovered)) is not None:
+    if (shown := through_scene(scene)) is not None:
         screen.print(shown.sentence, style="bold")
         _print_others(lab, shown.share, lens)
     screen.print(

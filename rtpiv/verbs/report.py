@@ -9,7 +9,7 @@ import numpy as np
 from correction.evaluate.target_error import target_error
 from correction.fitted.prepared import prepare
 from daq.errors import RunUnsuitable
-from daq.runs.acquired import read_acquired
+from daq.runs.acquired import full_scale, read_acquired
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
@@ -142,7 +142,7 @@ def _single_frame(page: Page, folder: RunFolder, scene: Scene, recipe: Correctio
     corrector = prepare(through, dewarp).corrector
     frame = read_acquired(view.path, scene.camera.shape)
     corrected = corrector(frame)
-    seen = before_after(frame, corrected, corrector, through)
+    seen = before_after(frame, corrected, corrector, through, full_scale(view.path, frame))
     tiles = []
     if seen.through is not None:
         console().print(seen.through.sentence, style="bold")

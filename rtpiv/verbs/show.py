@@ -27,10 +27,10 @@ SHOWN = 10  # pairs that are named one by one
 
 def show_through(screen: Console, scene: "Scene") -> None:
     """Say how much is seen through glass."""
-    from rtpiv.analysis.through_glass import through_said
+    from rtpiv.analysis.through_glass import through_scene
 
-    if said := through_said(scene):
-        screen.print(said, style="bold")
+    if (through := through_scene(scene)) is not None:
+        screen.print(through.sentence, style="bold")
 
 
 def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:

@@ -90,6 +90,10 @@ def test_colours_have_the_mean_and_nearly_the_spread_of_the_light():
     ("told", "words"),
     [
         ({}, "exactly one of"),
+        ({"source": "lamp"}, "exactly one of"),
+        ({"source": "laser", "band_nm": [450.0, 650.0]}, "stands alone"),
+        ({"source": "laser", "unsure_nm": 3.0}, "stands alone"),
+        ({"source": "laser", "filters": [{"band_nm": [600.0, 700.0]}]}, "needs some power"),
         ({"mean_nm": 550.0, "band_nm": [450.0, 650.0]}, "exactly one of"),
         ({"band_nm": [650.0, 450.0]}, "shorter to a longer"),
         ({"band_nm": [450.0, 650.0], "width_nm": 20.0}, "belong to mean_nm"),
@@ -135,6 +139,7 @@ def test_a_width_may_mean_a_band_or_a_gaussian_as_wide_or_of_the_same_variance()
     [
         ({"mean_nm": 550.0}, LAMPS_DIFFER_NM),  # not the particles' light, and nobody says that it is a laser
         ({"mean_nm": 550.0, "source": "laser"}, 0.0),
+        ({"source": "laser"}, 0.0),
         ({"mean_nm": 550.0, "unsure_nm": 0.0}, 0.0),
         ({"mean_nm": 532.0}, 0.0),  # both are seen in one light
         ({"mean_nm": 532.0, "source": "lamp"}, LAMPS_DIFFER_NM),
@@ -145,3 +150,7 @@ def test_a_width_may_mean_a_band_or_a_gaussian_as_wide_or_of_the_same_variance()
 )
 def test_one_colour_is_a_lamp_unless_it_is_the_particles_light_or_said_to_be_a_laser(told, unsure_nm):
     assert LightTable(**told).light(532.0).unsure_nm == unsure_nm
+
+
+def test_a_laser_alone_is_the_one_that_lights_the_particles():
+    assert LightTable(source="laser").light(488.0) == LightTable(mean_nm=488.0, source="laser").light(488.0)

@@ -18,7 +18,7 @@ from correction.fitted.prepared import PreparedCorrection
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid
 from correction.maps.corrector import Corrector
-from daq.runs.acquired import read_acquired
+from daq.runs.acquired import full_scale, read_acquired
 from ground.short_repr import short_repr
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
@@ -335,7 +335,9 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
     slant = None
     if truth is None:
         slant = slanted(field, corrector.map, scene, settings, how.out_of_plane, task.dt_s)
-    seen = before_after(frame_a, pair.first, corrector, scene) if how.pictures else None
+    seen = None
+    if how.pictures:
+        seen = before_after(frame_a, pair.first, corrector, scene, full_scale(task.frames[0], frame_a))
     return Evaluation(
         task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
         no_tracks, slant,

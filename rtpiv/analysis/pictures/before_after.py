@@ -13,8 +13,6 @@ from rtpiv.analysis.pictures.rasters import covered, embedded, grey, mask_pictur
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 from tracer.scene.scene import Scene
 
-DEPTHS = (255.0, 4095.0, 65535.0)  # full scales of cameras; 12 bit come in uint16, right- or left-aligned
-
 
 @dataclass(frozen=True)
 class BeforeAfter:
@@ -48,9 +46,9 @@ class BeforeAfter:
 
 
 def before_after(
-    frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, scene: Scene
+    frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, scene: Scene, full_scale: float
 ) -> BeforeAfter:
-    """Look at a frame (H, W) as acquired and (h, w) as corrected, NaN where nothing is recovered."""
+    """Look at a frame (H, W) as acquired, with its full scale, and (h, w) as corrected, NaN where nothing is."""
     limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
     shown = tinted(grey(corrected, limits), covered(corrector.status))
     layers = [("corrected", embedded(shown)), ("mask", embedded(mask_picture(corrector.status)))]
@@ -58,9 +56,7 @@ def before_after(
         layers.insert(0, ("acquired", embedded(grey(frame, limits))))
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
-    least = DEPTHS[0] if frame.dtype == np.uint8 else DEPTHS[1]
-    full = next((depth for depth in DEPTHS if depth >= max(least, float(np.nanmax(frame)))), DEPTHS[-1])
     named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
-    figures = {name: image_figures(image, full, which) for name, (image, which) in named.items()}
+    figures = {name: image_figures(image, full_scale, which) for name, (image, which) in named.items()}
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
-    return BeforeAfter(tuple(layers), shares, full, figures, through)
+    return BeforeAfter(tuple(layers), shares, full_scale, figures, through)

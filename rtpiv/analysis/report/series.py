@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
+from daq.runs.acquired import full_scale
 from piv.correlation.vector_field import VectorField
 from piv.preprocessing.preparation import CORRECTED, RAW, Preparation
 from rtpiv.analysis.pairs.evaluation import correlated
@@ -100,7 +101,7 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
     both = corrector(a), corrector(b)
     field = field or correlated((a, b), both, corrector, method.settings, method.preparation).field
     corrected = both[0]
-    seen = before_after(raw, corrected, corrector, method.scene)
+    seen = before_after(raw, corrected, corrector, method.scene, full_scale(pair.frames[0], raw))
     pictures: list[tuple[str, NDArray[Any]]] = [("as acquired", raw)]
     background = method.preparation.background
     if background is not None:

@@ -5,7 +5,16 @@ import pytest
 
 from correction.maps.correction_map import build_correction_map
 from rtpiv.analysis.kernels.behind import mark_behind
-from rtpiv.analysis.through_glass import ThroughGlass, behind, coarse_share, hiding, percent, through_glass
+from rtpiv.analysis.through_glass import (
+    ThroughGlass,
+    behind,
+    coarse_map,
+    coarse_share,
+    hiding,
+    percent,
+    through_glass,
+    through_scene,
+)
 from tests.rtpiv.analysis.test_plane_share import GLASS, cone_area_mm2, scene_of
 from tracer.bodies import Rod, Sphere, Window
 from tracer.strategies.fov import field_of_view
@@ -70,6 +79,19 @@ def test_few_pixels_say_the_same():
         scene = scene_of(Sphere("ball", centre, 30.0, GLASS), px_per_mm=2.0)
         assert coarse_share(scene) == pytest.approx(shown(scene)[0].share, abs=0.01)
     assert coarse_share(scene_of()) == 1.0
+
+
+def test_what_verbs_say_is_what_the_map_of_frames_gives_to_the_last_digit():
+    scene = scene_of(Sphere("ball", (3.0, 0.0, 33.0), 30.0, GLASS), px_per_mm=4.0)
+    found = through_scene(scene)
+    assert found == shown(scene)[0]
+    assert found.areas != coarse_said(scene)
+    assert through_scene(scene_of()) is None
+
+
+def coarse_said(scene):
+    found = coarse_map(scene)
+    return through_glass(scene, found.grid, found.recovered).areas
 
 
 def test_the_sentence_has_the_digits_that_matter():

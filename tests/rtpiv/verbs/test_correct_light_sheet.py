@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from correction.fitted.scene_sigma import KIND
+from correction.light_sheet.disparities import BLOCKS
 from daq.runs.run_file import FILE
 from daq.runs.run_views import shows_light_sheet
 from ground.map_file import save_arrays
@@ -57,6 +58,7 @@ def test_a_sheet_without_a_word_is_said_once_of_frames_that_show_particles(lab, 
     assert (
         said.count("does not say where the light sheet is") == said.count("rtpiv sheet") == (shows == "particles")
     )
+    assert (f"from {BLOCKS} pairs or more" in said) == (shows == "particles")  # what `sheet` asks for
 
 
 def test_two_frames_are_measured_in_the_sheet_and_say_so(lab, tmp_path):

@@ -27,7 +27,8 @@ from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import FileCheck, check
 from rtpiv.verbs.init import FILES, QUESTIONS, GivenLab, init
 from tests.slow_cases import slow
-from tracer.scene.scene_file import load_scene
+from tracer.light_table import LightTable
+from tracer.scene.scene_file import load_priors, load_scene
 from tracer.strategies.ray_map import build_ray_map
 
 LABS = {
@@ -271,6 +272,18 @@ def test_a_distance_that_is_asked_for_is_kept_and_what_would_show_more_comes_fir
     assert percent(traced_share(tmp_path / "other" / "scene.yaml")) == f"{first[4]} %"
 
 
+def test_the_target_is_lit_by_the_laser_until_somebody_says_another_light(tmp_path):
+    """Nobody is told of a lamp on the simulated bench, and whoever writes a wavelength there is."""
+    init(tmp_path, GivenLab(wavelength_nm=488.0))
+    scene = tmp_path / "scene.yaml"
+    light = load_priors(scene).light
+    assert light == LightTable(source="laser")
+    assert (light.light(488.0).mean_nm, light.light(488.0).unsure_nm) == (488.0, 0.0)
+    text = scene.read_text()
+    scene.write_text(text.replace("light: {source: laser}", "light: {mean_nm: 530}"))
+    assert load_priors(scene).light.light(488.0).unsure_nm > 0.0
+
+
 def traced_share(scene_file):
     """The share by the whole map."""
     scene = load_scene(scene_file)
@@ -292,7 +305,7 @@ def test_beds_are_acquired_and_fitted_on_their_simulated_benches(shape, tmp_path
     run = acquire("plan-target.yaml", bench="bench.yaml", simulate=True, home=True)
     fit = calibrate(run, out="fit", pictures=False)
     assert fit.verdict.is_right
-    assert "is not said" not in fit.light.sentence  # the scene file of `init` says what lights its target
+    assert not fit.light.sentence  # the scene file of `init` says what lights its target
     found = json.loads((tmp_path / "fit" / "calibration.json").read_text())
     assert found["through_glass"] > 0.2
     for way in found["model"]["ways"]:
