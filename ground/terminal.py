@@ -12,6 +12,7 @@ from contextvars import ContextVar
 from typing import Any, TypeVar
 
 from rich.console import Console
+from rich.live import Live
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -28,6 +29,7 @@ Item = TypeVar("Item")
 LONG_S = 1.0
 _silent: ContextVar[bool] = ContextVar("silent", default=False)
 _said: set[str] = set()
+_drawn: list[Live] = []  # what this process draws on its terminal now
 LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wide it is
 
 
@@ -64,6 +66,30 @@ def console() -> Console:
 def error_console() -> Console:
     """Return the console for what is said while a verb works, on standard error."""
     return _Screen(stderr=True)
+
+
+@contextmanager
+def drawn_anew(live: Live) -> Iterator[Live]:
+    """Show what is drawn anew again and again, until the end of the block."""
+    _drawn.append(live)
+    try:
+        with live:
+            yield live
+    finally:
+        _drawn.remove(live)
+
+
+@contextmanager
+def held_still() -> Iterator[None]:
+    """Let nothing be drawn anew while a person reads a question and types: it would wipe both out."""
+    stopped = [live for live in _drawn if live.is_started]
+    for live in stopped:
+        live.stop()
+    try:
+        yield
+    finally:
+        for live in stopped:
+            live.start(refresh=True)
 
 
 def say_once(text: str) -> None:

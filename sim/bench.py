@@ -6,12 +6,12 @@ the loopback.  `bench_table` says what can be chosen, `world` what is true.
 
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
 from daq.bench.kinds import kind_of
@@ -34,6 +34,8 @@ from sim.stages import SimulatedStages
 from sim.timing_wiring import connect
 from sim.world import FLOW, World
 from stages.config import StagesTable
+from stages.controller_tables import HandTable
+from stages.scale_question import ScaleQuestion
 from tracer.errors import SceneError
 
 SERIAL = "SIM-BENCH"
@@ -78,10 +80,13 @@ class SimulatedBench:
         self._shows = shows
         self._further_worlds: dict[str, World] = {}
         try:
-            options = {
+            options: dict[str, dict[str, Any]] = {
                 name: {"settings": settings_by_number(settings)} for name, settings in table.firmware.items()
             }
-            stages = SimulatedStages(bench.table.stages, self.clock, table.axes, options)
+            for name, controller in bench.table.stages.controllers.items():
+                if isinstance(controller, HandTable):
+                    options[name] = {**table.hand.model_dump(), "seed": table.seed}
+            self._stages = stages = SimulatedStages(bench.table.stages, self.clock, table.axes, options)
             self.lines, self.witness = stages.lines, stages.witness
             if bench.table.keep_out is not None:
                 home = put_up(bench, table.glass_off_mm)
@@ -124,6 +129,10 @@ class SimulatedBench:
     def true_mm(self) -> dict[str, float]:
         """Where every axis really is, in its own coordinate."""
         return self.world.true_mm()
+
+    def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """Turn an axis without a motor, and type what its scale seems to read."""
+        return self._stages.turns(question, given_up)
 
     def seed(self, is_open: bool) -> None:
         """Open or close the seeding of the flow."""

@@ -16,6 +16,7 @@ ring: frames/                 # optional: replay .npy frames instead of renderin
 aperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}    # optional: a pupil, sharp so far ahead of the camera
 blur_px: 0.5                  # of lens and pixel
 uneven_light: 0.03            # brighter to the right and darker to the left by this share
+hand: {reads_um: 3.0, division_um: 10.0}    # who turns axes without a motor; see sim.emulators.by_hand
 glass_off_mm: [1.2, -0.8, 0.5]    # how the glass was put up, beside its place in the scene file
 flow: {field: jet}            # what flow runs see; see sim.flow.table
 faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.config
@@ -69,6 +70,13 @@ class FurtherCameraTable(Table):
     clock_ppm: Annotated[float, Field(ge=-1000.0, le=1000.0)] = 0.0
 
 
+class HandErrorsTable(Table):
+    """How well the person reads who turns the axes without a motor."""
+
+    reads_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 3.0
+    division_um: Annotated[float, Field(gt=0.0, le=1000.0)] = 10.0
+
+
 class SimulationTable(Table):
     """The `simulation` section of a bench file."""
 
@@ -90,6 +98,7 @@ class SimulationTable(Table):
     glass_off_mm: Annotated[
         list[Annotated[float, Field(ge=-100.0, le=100.0)]], Field(min_length=3, max_length=3)
     ] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    hand: HandErrorsTable = HandErrorsTable()
     flow: FlowTable = FlowTable()
     faults: FaultsTable = FaultsTable()
     cameras: dict[Name, FurtherCameraTable] = Field(default_factory=dict)

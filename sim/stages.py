@@ -9,7 +9,7 @@ It comes from the carriage, never from a step counter.  Ports are either ``sim:/
 (`put_up`) or pseudo-terminals for any program (`serve`).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Annotated, Any, Literal
 
@@ -17,15 +17,26 @@ from pydantic import Field
 
 from ground.config import Table
 from sim.emulators import emulator_class
-from sim.emulators.device import Clock
+from sim.emulators.by_hand import HandScrews
 from sim.emulators.faults import FaultSchedule
 from sim.emulators.foreign_box import ForeignBox
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.mechanics.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
+from stages.clock import Clock
 from stages.config import Positive, StagesTable
-from stages.controller_tables import AnyControllerTable, MicroManagerTable, PositionersTable, PositionerTable
+from stages.controller_tables import (
+    AnyControllerTable,
+    HandTable,
+    MicroManagerTable,
+    PositionersTable,
+    PositionerTable,
+)
+from stages.scale_question import ScaleQuestion
+
+LOOK_S = 0.1  # how often a hand looks whether it is to go on
+PATIENCE = 50  # times that a hand tries again
 
 
 class ScrewTable(Table):
@@ -88,6 +99,7 @@ class SimulatedStages:
         self.clock = clock
         self.motors = {name: Motor(screws[name].mechanics()) for name in config.axes}
         self.lines: dict[str, Line] = {}
+        self._turns_in_vain = 0
         self._zero_mm = {name: screws[name].zero_mm for name in config.axes}
         for name, table in config.controllers.items():
             motors = {
@@ -131,6 +143,28 @@ class SimulatedStages:
             self.lines[self.config.axes[axis].controller].emulator.advance()
             motor.shove(round(distance_mm / motor.mechanics.lead_mm * motor.mechanics.steps_per_rev))
 
+    def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """Turn the screw of an axis without a motor by the simulated hand; return what that types in the end."""
+        table = self.config.axes[question.axis]
+        line, channel = self.lines[table.controller], str(table.channel)
+        hand = line.emulator
+        assert isinstance(hand, HandScrews)
+        self._turns_in_vain = self._turns_in_vain + 1 if question.wrong else 0
+        if self._turns_in_vain > PATIENCE:
+            return None  # it cannot read its scale as finely as is asked of it
+        with line.lock:
+            hand.advance()
+            typed = hand.begin(channel, question.target_mm)
+        while self.motors[question.axis].running:
+            self.clock.sleep_s(LOOK_S)
+            with line.lock:
+                hand.advance()
+                if given_up():
+                    hand.let_go(channel)
+                    return None
+        self.witness.judge_if_much()
+        return typed
+
     def _watched(self, axis: str, screw: ScrewTable) -> Watched:
         """An axis for the witness, with what the workshop built."""
         table = self.config.axes[axis]
@@ -157,14 +191,14 @@ class SimulatedStages:
     def serve(self) -> Iterator[StagesTable]:
         """Offer every line as a pseudo-terminal while the block runs; yield the file with these ports.
 
-        What a library moves is found in this process alone.
+        What a library or a hand moves is found in this process alone.
         """
         from sim.emulators.pty import PtyPort  # not every system has such terminals
 
         with ExitStack() as stack:
             ports = {}
             for name, line in self.lines.items():
-                if isinstance(line.emulator, ForeignBox):
+                if isinstance(line.emulator, ForeignBox | HandScrews):
                     ports[name] = stack.enter_context(self._named(name))
                 else:
                     ports[name] = stack.enter_context(PtyPort(line)).path
@@ -196,4 +230,4 @@ def _at(table: AnyControllerTable, port: str) -> AnyControllerTable:
             for channel in table.objects
         }
         return table.model_copy(update={"objects": objects})
-    return table.model_copy(update={"port": port})
+    return table if isinstance(table, HandTable) else table.model_copy(update={"port": port})

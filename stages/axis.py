@@ -27,7 +27,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from stages.axis_settings import AxisSettings
+from stages.axis_settings import ROUNDING_UM, AxisSettings
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import (
     AxisStalled,
@@ -260,7 +260,7 @@ class Axis:
                 self._latch.check(token)
                 self._guarded(lambda: self.controller.judge_unheard(self.settings.channel), token)
                 continue
-            if abs(measured_mm - target_mm) * 1000.0 <= self.settings.in_position_um:
+            if abs(measured_mm - target_mm) * 1000.0 <= self.settings.in_position_um + ROUNDING_UM:
                 self._rests_at_mm = target_mm
                 return Arrival(self.name, target_mm, measured_mm, attempt, self._clock.now_s() - begun_s)
             self._rests_at_mm, failure = None, None
@@ -311,9 +311,9 @@ class Axis:
             self._happens(Event.FOUND)
 
     @property
-    def by_hand(self) -> bool:
+    def homed_by_hand(self) -> bool:
         """Whether a person says where the axis stands, because its box cannot look for its reference."""
-        return self.controller.by_hand(self.settings.channel)
+        return self.controller.homed_by_hand(self.settings.channel)
 
     def confirm(self, position_mm: float) -> None:
         """Take a person's word for where the axis rests now; nothing moves.

@@ -18,7 +18,8 @@
           acceleration_mm_s2: 100.0
           approach: {side: from_below, distance_mm: 0.5, speed_mm_s: 2.0}
           settle_s: 0.3
-          in_position_um: 10.0         # at most 10
+          in_position_um: 10.0         # at most 10; of an axis that is moved by hand 500
+          reading_um: 5.0              # only and always of an axis that is moved by hand: sigma of a reading
           retries: 2
           homed_at_mm: 1.0             # optional: where homing leaves it, to judge the way out before it moves
       home_order: [rail_z, glass_y]    # every axis once; homing happens on request only
@@ -42,7 +43,7 @@ from ground.config import Pair, Table
 from ground.plain_words import NAME_PATTERN
 from ground.usual import Usual
 from stages.axis_settings import AxisSettings
-from stages.controller_tables import AnyControllerTable, ForeignTable
+from stages.controller_tables import AnyControllerTable, ForeignTable, HandTable
 from stages.drivers_by_name import check_driver
 from stages.errors import StageUsageError
 from stages.profile import Approach
@@ -74,10 +75,11 @@ class AxisTable(Table):
     offset_mm: float = 0.0
     approach: ApproachTable | None = None
     settle_s: Annotated[Annotated[float, Field(ge=0.0, le=60.0)], Usual(0.0, 5.0)] = 0.1
-    in_position_um: Annotated[Annotated[float, Field(gt=0.0, le=10.0)], Usual(0.2, 10.0)] = 10.0
+    in_position_um: Annotated[Annotated[float, Field(gt=0.0, le=500.0)], Usual(0.2, 500.0)] = 10.0
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     home_timeout_s: Annotated[Annotated[float, Field(gt=0.0, le=3600.0)], Usual(10.0, 1200.0)] = 180.0
     homed_at_mm: float | None = None
+    reading_um: Annotated[Annotated[float, Field(gt=0.0, le=1000.0)] | None, Usual(0.5, 500.0)] = None
 
     @model_validator(mode="after")
     def _makes_sense(self) -> "AxisTable":
@@ -102,6 +104,7 @@ class AxisTable(Table):
             in_position_um=self.in_position_um,
             retries=self.retries,
             home_timeout_s=self.home_timeout_s,
+            reading_um=self.reading_um,
         )
 
 
@@ -117,12 +120,21 @@ class StagesTable(Table):
     @model_validator(mode="after")
     def _fits_together(self) -> "StagesTable":
         problems = []
+        hands = {name for name, controller in self.controllers.items() if isinstance(controller, HandTable)}
         motors = [(axis.controller, str(axis.channel)) for axis in self.axes.values()]
         for name, axis in self.axes.items():
             if axis.controller not in self.controllers:
                 problems.append(f"axis {name} names an unknown controller {axis.controller!r}")
             if motors.count((axis.controller, str(axis.channel))) > 1:
                 problems.append(f"axis {name} shares its channel with another axis")
+            if axis.controller in hands and axis.reading_um is None:
+                problems.append(
+                    f"axis {name} is moved by hand; say reading_um, the standard deviation of a reading"
+                )
+            elif axis.controller not in hands and axis.reading_um is not None:
+                problems.append(f"axis {name} has a motor; reading_um is said of axes that are moved by hand")
+            if axis.controller in hands and axis.steps_per_mm is not None:
+                problems.append(f"axis {name} is moved by hand, which counts no steps; remove steps_per_mm")
         for key, order in (("home_order", self.home_order), ("move_order", self.move_order)):
             if order is not None and sorted(order) != sorted(self.axes):
                 problems.append(f"{key} must name every axis once")
@@ -143,6 +155,11 @@ class StagesTable(Table):
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+    @property
+    def by_hand(self) -> dict[str, float]:
+        """Axes that a person moves, and the standard deviation of a reading of their scales [um]."""
+        return {name: axis.reading_um for name, axis in self.axes.items() if axis.reading_um is not None}
 
     def beside(self, folder: Path) -> "StagesTable":
         """Return the same with files of controllers found in the folder of the bench file."""

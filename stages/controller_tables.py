@@ -21,6 +21,10 @@ Moved by objects with ``set``, ``stop`` and ``position``, as Bluesky's; channels
       homing: device                       # they have a ``home()`` that ends at the reference
       objects:
         x: {object: "ophyd:EpicsMotor", arguments: {prefix: "LAB:m1", name: x}}
+
+Turned by a person, who is asked to and says what the scale reads (`stages.by_hand`); channels are any names:
+
+    hands: {driver: by_hand}
 """
 
 import re
@@ -192,15 +196,25 @@ class PositionersTable(ForeignTable):
         return None
 
 
+class HandTable(Table):
+    """A person who turns screws."""
+
+    driver: Literal["by_hand"]
+    identity: None = None
+    place: ClassVar[str] = "a person at the terminal"  # for messages
+    programs: ClassVar[tuple[str, ...]] = ()
+
+
 def _kind(said: Any) -> str:  # noqa: ANN401 - whatever a file holds
     """Which of the tables a section is."""
     driver = said.get("driver") if isinstance(said, dict) else getattr(said, "driver", None)
-    return driver if driver in ("micromanager", "positioners") else "serial"
+    return driver if driver in ("micromanager", "positioners", "by_hand") else "serial"
 
 
 AnyControllerTable = Annotated[
     Annotated[ControllerTable, Tag("serial")]
     | Annotated[MicroManagerTable, Tag("micromanager")]
-    | Annotated[PositionersTable, Tag("positioners")],
+    | Annotated[PositionersTable, Tag("positioners")]
+    | Annotated[HandTable, Tag("by_hand")],
     Discriminator(_kind),
 ]

@@ -1,6 +1,6 @@
 """The controllers that can be driven: one line each.
 
-DRIVERS speak bytes on a port; FOREIGN are libraries of others (`stages.foreign`).
+DRIVERS speak bytes on a port; FOREIGN are libraries of others (`stages.foreign`); HANDS are a person.
 A bench file names a driver by its key here, or an own one as ``package.module:Class``. The class is imported
 only when it is asked for. Contract tests run on every line.
 """
@@ -23,6 +23,12 @@ FOREIGN = {
     "positioners": "stages.foreign.positioners:Positioners",
 }
 
+HANDS = {
+    "by_hand": "stages.by_hand:ByHand",
+}
+
+WITHOUT_PORT = {**FOREIGN, **HANDS}
+
 
 def controller_class(name: str) -> type[MotionController]:
     """Class of what a bench file names as `driver`, serial or not.
@@ -32,9 +38,9 @@ def controller_class(name: str) -> type[MotionController]:
     StageUsageError
         There is none of that name.
     """
-    if name not in FOREIGN:
+    if name not in WITHOUT_PORT:
         return driver_class(name)
-    found: type[MotionController] = program_of(name, FOREIGN)
+    found: type[MotionController] = program_of(name, WITHOUT_PORT)
     return found
 
 
@@ -46,7 +52,7 @@ def check_driver(name: str) -> None:
     StageUsageError
         There is none of that name.
     """
-    if name in FOREIGN or ":" not in name or is_trusted(name):
+    if name in WITHOUT_PORT or ":" not in name or is_trusted(name):
         controller_class(name)
     elif not is_installed(name):
         raise StageUsageError(f"driver {name!r} cannot be imported: its package is not installed here")
@@ -65,7 +71,7 @@ def driver_class(name: str) -> type[Controller]:
     try:
         found = program_of(name, DRIVERS)
     except UnknownName:
-        known = ", ".join([*DRIVERS, *FOREIGN])
+        known = ", ".join([*DRIVERS, *WITHOUT_PORT])
         raise StageUsageError(f"driver {name!r} is unknown; known are {known}, or give module:Class") from None
     except (ImportError, AttributeError) as error:
         raise StageUsageError(f"driver {name!r} cannot be imported: {error}") from error

@@ -10,6 +10,7 @@ A box that tells nothing of its own (isel and C142 know their model only, a Grbl
 """
 
 from stages.config import StagesTable
+from stages.controller_tables import HandTable
 from stages.errors import WrongDevice
 
 BY_ID = "/dev/serial/by-id/"
@@ -46,8 +47,9 @@ def confusable(config: StagesTable) -> list[str]:
     identity that the other one does not say.
     """
     found = []
-    for driver in dict.fromkeys(table.driver for table in config.controllers.values()):
-        twins = {name: table for name, table in config.controllers.items() if table.driver == driver}
+    boxes = {name: table for name, table in config.controllers.items() if not isinstance(table, HandTable)}
+    for driver in dict.fromkeys(table.driver for table in boxes.values()):
+        twins = {name: table for name, table in boxes.items() if table.driver == driver}
         loose = []
         for name, table in twins.items():
             others = [other.identity for other_name, other in twins.items() if other_name != name]

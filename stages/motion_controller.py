@@ -15,6 +15,7 @@ Whatever moves passes the gate of the bench's stop latch; ``stop`` may be called
 waits for nobody.
 """
 
+import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -24,16 +25,34 @@ from typing import ClassVar
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.controller_tables import AnyControllerTable
 from stages.errors import NotReferenced, StageUsageError
+from stages.scale_question import Person
 from stages.stop_latch import StopLatch
 from stages.watchdog import Watchdog
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One motor of a controller: its name there, and the scale for controllers that count steps."""
+    """One motor of a controller.
+
+    Parameters
+    ----------
+    name : str
+        Its name there.
+    steps_per_mm : float, optional
+        The scale of controllers that count steps.
+    axis : str
+        What the bench file calls the axis; for a person, who knows no channels.
+    limits_mm : (float, float)
+        Those of the axis, in the controller's own coordinate; for what a person says.
+    tolerance_mm : float
+        How far from its target the axis may rest; the same.
+    """
 
     name: str
     steps_per_mm: float | None = None
+    axis: str = ""
+    limits_mm: tuple[float, float] = (-math.inf, math.inf)
+    tolerance_mm: float = math.inf
 
 
 class MotionController(ABC):
@@ -105,6 +124,9 @@ class MotionController(ABC):
         start : callable
             Returns the watchdog, which begins its life then.
         """
+
+    def turned_by(self, person: Person) -> None:  # noqa: B027 - most boxes have motors
+        """Say who turns the screws of channels without a motor, and reads their scales."""
 
     def referenced(self, channel: str) -> bool:
         """True if the position of a channel meant something when the controller was last asked; asks nothing."""
@@ -229,7 +251,7 @@ class MotionController(ABC):
         """Channels that a reference run of this one homes, itself included."""
         return frozenset({channel})
 
-    def by_hand(self, channel: str) -> bool:
+    def homed_by_hand(self, channel: str) -> bool:
         """Whether a person says where the channel stands, because the box cannot look for it."""
         return False
 

@@ -18,12 +18,14 @@ from typing import Protocol, Self
 
 from ground.named_program import require_trust
 from stages.axis import Arrival, Axis, Turn
+from stages.axis_settings import AxisSettings
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
 from stages.drivers_by_name import controller_class
-from stages.errors import DeviceLost, NotReferenced, StageError, StageUsageError, WrongDevice
+from stages.errors import DeviceLost, MotionBarred, NotReferenced, StageError, StageUsageError, WrongDevice
 from stages.identities import require_identity
 from stages.motion_controller import Channel, MotionController
+from stages.scale_question import Person, ScaleQuestion
 from stages.states import AxisState
 from stages.stop_latch import StopLatch
 from stages.stop_signals import StopSignals
@@ -61,6 +63,7 @@ class Stage:
         self._clock = clock
         self._signals = StopSignals(self.stop)
         self._turn = Turn(judge=self._judge, signals=self._signals)
+        self._hand_bars: list[Callable[[], str | None]] = []
         self._watchdog: Watchdog | None = None
         self._just_judged: dict[str, float] | None = None
         self._controllers: dict[str, MotionController] = {}
@@ -68,9 +71,12 @@ class Stage:
         self._said_mm: dict[str, float] = {}
         require_trust(program for table in config.controllers.values() for program in table.programs)
         for name, table in config.controllers.items():
-            used = [axis.settings() for axis in config.axes.values() if axis.controller == name]
-            channels = {axis.channel: Channel(axis.channel, axis.steps_per_mm) for axis in used}
-            self._controllers[name] = controller_class(table.driver)(name, channels, clock, self.latch)
+            used = {
+                str(axis.channel): _channel_of(axis_name, axis.settings())
+                for axis_name, axis in config.axes.items()
+                if axis.controller == name
+            }
+            self._controllers[name] = controller_class(table.driver)(name, used, clock, self.latch)
         for name, axis in config.axes.items():
             self._axes[name] = Axis(name, self._controllers[axis.controller], axis.settings(), clock, self._turn)
 
@@ -125,6 +131,28 @@ class Stage:
     def bar_motion(self, why: Callable[[], str | None]) -> None:
         """Ask somebody before anything moves; a sentence as the answer refuses the motion, with `MotionBarred`."""
         self._turn.bars.append(why)
+
+    def turned_by(self, person: Person) -> None:
+        """Say who turns the axes without a motor, and reads their scales.
+
+        Parameters
+        ----------
+        person : callable
+            Puts a question (`stages.scale_question`) and returns what was typed.
+        """
+
+        def asked(question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+            for why_not in self._hand_bars:
+                if why := why_not():
+                    raise MotionBarred(f"{question.axis} is moved by hand, and nobody reaches in now: {why}")
+            return person(question, given_up)
+
+        for box in self._controllers.values():
+            box.turned_by(asked)
+
+    def bar_hands(self, why: Callable[[], str | None]) -> None:
+        """Ask somebody before a person reaches in; a sentence as the answer refuses it, with `MotionBarred`."""
+        self._hand_bars.append(why)
 
     def what_moves(self) -> str | None:
         """Say what moves, is about to, or was not heard to rest, as part of a sentence; asks nothing."""
@@ -318,7 +346,7 @@ class Stage:
 
     def _confirmed(self, names: Iterable[str], ask: Callable[[str], float] | None) -> set[str]:
         """Those of some axes that are homed by hand, each with a person's word that still holds."""
-        by_hand = [name for name in names if self._axes[name].by_hand]
+        by_hand = [name for name in names if self._axes[name].homed_by_hand]
         for name in by_hand:
             if self._axes[name].state is AxisState.READY:
                 continue
@@ -459,3 +487,10 @@ class Stage:
             start_mm = self._positions_mm([name])
             self.check(start_mm, {name: target_mm})
         return start_mm
+
+
+def _channel_of(axis: str, settings: AxisSettings) -> Channel:
+    """An axis as its controller knows it."""
+    low_mm, high_mm = sorted(settings.sign * (limit_mm - settings.offset_mm) for limit_mm in settings.limits_mm)
+    tolerance_mm = settings.in_position_um * 1e-3
+    return Channel(settings.channel, settings.steps_per_mm, axis, (low_mm, high_mm), tolerance_mm)

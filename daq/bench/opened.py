@@ -6,8 +6,9 @@ backend and everything above them stay the same, and never know.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, cast
 
 from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
@@ -15,15 +16,18 @@ from daq.bench.guards import idle_stage
 from daq.bench.kinds import kind_of
 from daq.cameras import BACKENDS, backend_class, require_libraries
 from daq.cameras.camera import Camera
-from daq.errors import PlanError
+from daq.errors import DaqError, PlanError
 from daq.timing.drivers_by_name import driver_class
 from daq.timing.laser import Laser
+from daq.timing.states import LaserState
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
 from ground.named_program import named_program, require_trust
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
+from stages.errors import StageError
+from stages.scale_question import ScaleQuestion
 from stages.stage import Stage
 
 
@@ -50,6 +54,10 @@ class Simulation(Protocol):
 
     def seed(self, is_open: bool) -> None:
         """Open or close the seeding of a simulated flow, which at a real bench a person does."""
+        ...
+
+    def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """Turn an axis by a simulated hand, and type what that reads; see `stages.scale_question.Person`."""
         ...
 
     def close(self) -> None:
@@ -251,6 +259,9 @@ def open_bench(
             for name, device in wanted.items()
         }
         _keep_apart(devices)
+        for stage in devices.values():
+            if isinstance(stage, Stage) and simulation is not None and bench.table.stages.by_hand:
+                stage.turned_by(simulation.turns)
         yield OpenBench(bench, devices, sections, clock, simulation)
 
 
@@ -261,6 +272,19 @@ def _keep_apart(devices: Mapping[str, object]) -> None:
         if isinstance(laser, Laser):
             for stage in stages:
                 laser.add_motion_interlock(stage)
+                stage.bar_hands(partial(_dark_for_hands, laser))
+
+
+def _dark_for_hands(laser: Laser) -> str | None:
+    """Switch a laser off before a person reaches in, lamps and all; say why that is not sure.
+
+    Motors may move while lamps run.  A hand is in the bench for minutes, and only a Q-switch would keep the light.
+    """
+    if laser.state in (LaserState.WARM, LaserState.READY):
+        with suppress(DaqError, StageError):
+            laser.safe()
+    state = laser.state
+    return None if state is LaserState.SAFE else f"{laser.name} is {state.value}; switch it off (rtpiv laser off)"
 
 
 def known_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:

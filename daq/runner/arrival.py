@@ -14,6 +14,7 @@ from collections.abc import Mapping
 
 from daq.bench.opened import OpenBench, known_positions
 from daq.plans.steps import route
+from stages.axis_settings import ROUNDING_UM
 from stages.errors import NotInPosition
 
 NAP_S = 0.1  # a resting bench looks at the latch this often
@@ -77,7 +78,7 @@ def off_by_mm(
     """Return the axes that stand outside their tolerance, and by how much (measured - planned)."""
     tolerance_um = {name: axis.settings.in_position_um for name, axis in hardware.stage.axes.items()}
     away_mm = {name: measured_mm[name] - mm for name, mm in planned_mm.items()}
-    return {name: mm for name, mm in away_mm.items() if abs(mm) * 1e3 > tolerance_um[name]}
+    return {name: mm for name, mm in away_mm.items() if abs(mm) * 1e3 > tolerance_um[name] + ROUNDING_UM}
 
 
 def require_arrived(

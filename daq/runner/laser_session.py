@@ -5,7 +5,7 @@ opened (daq.timing.laser), so no plan, script or habit can hold it.
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import cycle
 from typing import Protocol, cast
@@ -25,6 +25,7 @@ from daq.timing.states import LaserState
 from daq.timing.supervisor import LaserSupervisor
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import StageError
+from stages.scale_question import ScaleQuestion
 
 POLL_S = 0.05
 CAMERA_RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
@@ -44,6 +45,18 @@ class Operator(Protocol):
     def stands_mm(self, axis: str) -> float:
         """Return where an axis stands that is homed by hand, as read on its scale [mm]."""
         ...
+
+    def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """Have an axis turned that has no motor, and return what was typed; see `stages.scale_question.Person`."""
+        ...
+
+
+def no_hands(axes: Sequence[str]) -> str:
+    """Say that nobody is there to move some axes."""
+    return (
+        f"{', '.join(axes)} {'are' if len(axes) > 1 else 'is'} moved by hand, and what a person reads is typed at "
+        "the terminal: run this at one, with nothing piped into it (or --simulate, where a simulated hand turns)"
+    )
 
 
 def what_is_proven(hardware: OpenBench, name: str, laser: Laser) -> str:
@@ -83,6 +96,16 @@ class NoOperator:
         raise RunUsageError(
             f"{axis} is homed by hand, which needs an operator at a terminal to say where it stands"
         )
+
+    def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """Nobody turns it.
+
+        Raises
+        ------
+        RunUsageError
+            Always.
+        """
+        raise RunUsageError(no_hands([question.axis]))
 
 
 class LaserSession:

@@ -15,6 +15,7 @@ from daq.pipeline.stats import PipelineStats
 from daq.runs.frame_accounting import FrameAccounting
 from daq.timing.states import LaserState
 from ground.plain_words import counted
+from ground.terminal import drawn_anew
 
 
 @dataclass
@@ -121,7 +122,7 @@ def watch(screen: Console) -> Iterator[Watcher]:
 
         yield log
         return
-    with Live(console=screen, refresh_per_second=1.0 / DRAW_S, transient=True) as live:
+    with drawn_anew(Live(console=screen, refresh_per_second=1.0 / DRAW_S, transient=True)) as live:
 
         def draw(progress: Progress) -> None:
             nonlocal last_s

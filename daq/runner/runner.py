@@ -11,7 +11,7 @@ that may have gaps keeps every frame instead and goes on behind the last one (ru
 A session in which a frame may have been filed under the wrong stop says so in its lines; its run is never done.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ from daq.runs.journal import utc_now
 from daq.runs.run_folder import frame_entries, remaining
 from daq.timing.errors import LaserStopped
 from stages.errors import DeviceLost, NotInPosition, StageError
+from stages.scale_question import ScaleQuestion
 
 if TYPE_CHECKING:
     from daq.runner.alignment_loop import AlignmentLoop
@@ -80,6 +81,8 @@ class Runner:
         self.progress = Progress(steps=len(self._steps))
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
         self._alignment = alignment
+        if hardware.simulation is None:
+            hardware.stage.turned_by(self._turned)
         self._operator = operator or NoOperator()
         self._laser_session = LaserSession(hardware, self._first.folder, self._operator, self.interrupts)
 
@@ -246,6 +249,11 @@ class Runner:
             about = {"planned_mm": record["planned_mm"], "measured_mm": dict(measured_mm)}
             self._first.journal.append("miss", sync=True, step=step.index, tag=step.tag, utc=utc_now(), **about)
             raise
+
+    def _turned(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """Have the operator turn an axis; whoever asks for the end of the run is not asked for a reading first."""
+        self._tell(f"waiting for {question.axis}, which is moved by hand")
+        return self._operator.reads(question, lambda: given_up() or self.interrupts.wanted)
 
     def _tell(self, doing: str, accounting: FrameAccounting | None = None) -> None:
         self.progress.doing, self.progress.laser = doing, self._laser_session.state

@@ -406,6 +406,8 @@ def run_session(
                 write_text(folder.path / name, text)
         if before is not None:
             before(hardware)
+        if hardware.simulation is None:
+            hardware.stage.turned_by((operator or NoOperator()).reads)
         if home:
             _home(hardware, operator or NoOperator(), tell)
         cameras = [

@@ -155,7 +155,7 @@ def acquire(
     if dry_run:
         return None
     person = operator_of(operator, simulate)
-    require_person(person, steps.steps)
+    require_person(person, steps.steps, [] if simulate else list(loaded.table.stages.by_hand))
     require_folder(out).mkdir(parents=True, exist_ok=True)
     check_disk(out, said.raw_bytes + (said.corrected_bytes if frames.correct else 0))
     folder = begin(request, loaded, steps, out)

@@ -15,7 +15,7 @@ from daq.runner.session import Request, Run, begin, check_disk
 from ground.plain_words import counted
 from ground.terminal import console, error_console
 from rtpiv.verbs.acquire import ENDS, forecast_said, run_and_report
-from rtpiv.verbs.operator import operator_of
+from rtpiv.verbs.operator import operator_of, require_person
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import require_folder
 from stages.identities import confusable
@@ -92,13 +92,14 @@ def align(
 
 
 def _carried_out(screen: Console, request: Request, bench: Bench, out: Path, home: bool, raw_bytes: int) -> Path:
-    plan = load_plan(request.plan, bench)
+    plan, person = load_plan(request.plan, bench), operator_of(None, request.simulate)
+    require_person(person, plan.steps, [] if request.simulate else list(bench.table.stages.by_hand))
     require_folder(out).mkdir(parents=True, exist_ok=True)
     check_disk(out, raw_bytes)
     folder = begin(request, bench, plan, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {plan.table.shows}")
     screen.print(ENDS)
-    run_and_report(screen, Run(request, bench, plan, folder), home, operator_of(None, request.simulate))
+    run_and_report(screen, Run(request, bench, plan, folder), home, person)
     return folder.path
 
 

@@ -26,7 +26,7 @@ from daq.timing.timing_table import TimingTable
 from ground.terminal import console
 from rtpiv.example_files import examples
 from rtpiv.verbs.paths import Named
-from stages.controller_tables import ControllerTable
+from stages.controller_tables import ControllerTable, HandTable
 from stages.identities import confusable
 
 PACKAGES = ("rtpiv", "ground", "piv", "tracer", "correction", "stages", "daq", "sim")
@@ -118,6 +118,8 @@ def _bench(bench: Bench) -> Iterator[Finding]:
     for name, controller in bench.table.stages.controllers.items():
         if isinstance(controller, ControllerTable):
             yield _port(f"controller {name}", controller.driver, controller.port)
+        elif isinstance(controller, HandTable):
+            yield f"controller {name}", None, f"{controller.driver}: {controller.place}"
         else:
             lacks = controller.beside(bench.path.parent).lacks()
             yield f"controller {name}", lacks is None, lacks or f"{controller.driver}: {controller.place}"

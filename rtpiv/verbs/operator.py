@@ -1,21 +1,26 @@
-"""Who types the code that a laser asks for: a person at the terminal, or a script where there is no light.
+"""Who answers what a bench asks: a person at the terminal, or a script where there is no light.
 
 The laser makes its code up whenever it has been switched off, so nobody can write it down before the bench is
 open.  A script can therefore answer for a simulated laser only, by `--operator NAME`; a real one wants a person
 who reads the code and types it, at the bench, once a run.
+
+Axes without a motor are turned and read by the same person.  What was typed before such a question was shown does
+not count: it is an answer to something else.
 """
 
-import re
+import os
+import select
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq.errors import RunUsageError
 from daq.plans.steps import Step
-from daq.runner.laser_session import NoOperator, Operator
-from ground.terminal import error_console
+from daq.runner.laser_session import NoOperator, Operator, no_hands
+from ground.terminal import error_console, held_still
+from stages.scale_question import ScaleQuestion, no_place, place_mm
 
-_PLACE = re.compile(r"[-+]?[0-9]{1,5}(\.[0-9]{1,6})?")  # no 1_0, no nan, no comma that might part thousands
+LOOK_S = 0.1  # how often a wait for an answer looks whether the question is given up
 
 
 class TerminalOperator:
@@ -23,34 +28,41 @@ class TerminalOperator:
 
     def confirmation_code(self, challenge: str, watched: str) -> str:
         """Show the code and who watches the door, and return what was typed."""
-        error_console().print(
-            "\nThe laser is about to be armed. Software is no interlock: door switch, goggles and beam stops are "
-            f"yours.\nSwitches: {watched}.\nIs everybody out of the beam? Then type this code: {challenge}",
-            soft_wrap=True,
-        )
-        return _typed()
+        with held_still():
+            error_console().print(
+                "\nThe laser is about to be armed. Software is no interlock: door switch, goggles and beam stops "
+                f"are yours.\nSwitches: {watched}.\nIs everybody out of the beam? "
+                f"Then type this code: {challenge}",
+                soft_wrap=True,
+            )
+            return _typed()
 
     def open_seeding(self) -> None:
         """Wait for Enter."""
-        error_console().print("\nThe background is done. Open the seeding, then press Enter.", soft_wrap=True)
-        _typed()
+        with held_still():
+            error_console().print("\nThe background is done. Open the seeding, then press Enter.", soft_wrap=True)
+            _typed()
 
     def stands_mm(self, axis: str) -> float:
         """Ask for a number until one is typed; RunUsageError at an empty line, or if the terminal has gone."""
-        screen = error_console()
-        screen.print(
-            f"\n{axis} cannot look for its reference. Read on its scale where it stands, and type that in mm:",
-            soft_wrap=True,
-        )
-        while text := _typed():
-            if _PLACE.fullmatch(text):
-                return float(text)
+        with held_still():
+            screen = error_console()
             screen.print(
-                f"{text!r} is no place in mm; type digits with a point, as 10.0 (an empty line gives up):",
-                markup=False,
+                f"\n{axis} cannot look for its reference. Read on its scale where it stands, and type that in mm:",
                 soft_wrap=True,
             )
+            while text := _typed():
+                if (mm := place_mm(text)) is not None:
+                    return mm
+                screen.print(f"{no_place(text)} (an empty line gives up):", markup=False, soft_wrap=True)
         raise RunUsageError(f"no place of {axis} was typed; nothing has moved")
+
+    def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """Show the question and return what is typed; None if it is given up, or the terminal has gone."""
+        with held_still():
+            _forget_what_was_typed()
+            error_console().print(f"\n{question.words}", markup=False, highlight=False, soft_wrap=True)
+            return _line_unless(given_up)
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,16 @@ class ScriptOperator:
             Always.
         """
         raise RunUsageError(f"{axis} is homed by hand: a person has to read where it stands")
+
+    def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        """A script turns no screw.
+
+        Raises
+        ------
+        RunUsageError
+            Always.
+        """
+        raise RunUsageError(no_hands([question.axis]))
 
 
 def operator_of(name: str | None, simulate: bool) -> Operator:
@@ -101,8 +123,20 @@ def operator_of(name: str | None, simulate: bool) -> Operator:
     return TerminalOperator() if sys.stdin is not None and sys.stdin.isatty() else NoOperator()
 
 
-def require_person(person: Operator, steps: Sequence[Step]) -> None:
-    """Refuse steps that need light where the laser cannot be armed; RunUsageError before anything moves."""
+def require_person(person: Operator, steps: Sequence[Step], by_hand: Sequence[str]) -> None:
+    """Refuse what needs a person where none is at a terminal; RunUsageError before anything moves.
+
+    Parameters
+    ----------
+    person : Operator
+        Who answers.
+    steps : sequence of Step
+        Some may need light, and so somebody who types the code.
+    by_hand : sequence of str
+        Axes that a person moves; none on a simulated bench, which has a hand of its own.
+    """
+    if by_hand and not isinstance(person, TerminalOperator):
+        raise RunUsageError(no_hands(by_hand))
     if isinstance(person, NoOperator) and any(step.pulses is not None for step in steps):
         person.confirmation_code("", "")
 
@@ -110,3 +144,23 @@ def require_person(person: Operator, steps: Sequence[Step]) -> None:
 def _typed() -> str:
     """A line from the terminal; nothing if it has gone."""
     return sys.stdin.readline().strip()
+
+
+def _line_unless(given_up: Callable[[], bool]) -> str | None:
+    """A line from the terminal; None if it has gone, or the question is given up before a line has come.
+
+    A signal that asks for the end does not end a read that waits for a line, so what may be given up waits here.
+    """
+    while os.name == "posix" and sys.stdin.isatty() and not select.select([sys.stdin], [], [], LOOK_S)[0]:
+        if given_up():
+            return None
+    line = sys.stdin.readline()
+    return line.rstrip("\r\n") if line and not given_up() else None
+
+
+def _forget_what_was_typed() -> None:
+    """Drop lines that wait to be read; where the system cannot, they are read as answers."""
+    if os.name == "posix" and sys.stdin.isatty():
+        import termios  # not every system has it
+
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)

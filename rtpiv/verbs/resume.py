@@ -52,6 +52,7 @@ def resume(
     if found.again:
         screen.print(f"taken again for missing or damaged frames: {counted(len(found.again), 'step')}")
     person = operator_of(operator, found.request.simulate)
-    require_person(person, remaining(found.plan.steps, found.folder.entries(), found.again))
+    by_hand = [] if found.request.simulate else list(found.bench.table.stages.by_hand)
+    require_person(person, remaining(found.plan.steps, found.folder.entries(), found.again), by_hand)
     run_and_report(screen, found, home, person, live, is_new=False)
     return run

@@ -5,6 +5,7 @@ from typing import Literal
 
 from daq.bench.bench_session import open_session
 from ground.terminal import console, error_console
+from rtpiv.verbs.operator import operator_of
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.stage_prompt import numbers, where_table
 
@@ -51,6 +52,8 @@ def stage(
         say.print(f"homing {axis}")
 
     with open_session(bench, simulate) as session:
+        if not simulate:
+            session.stage.turned_by(operator_of(None, simulate).reads)
         if home:
             session.home(tell=tell)
         if action == "session":

@@ -65,14 +65,14 @@ class ForeignController(ForeignLibrary):
         latch: StopLatch | None = None,
     ) -> None:
         super().__init__(name, channels, clock, latch)
-        self._by_hand = False
+        self._homed_by_hand = False
         self._home_mm = 0.0
         self._motion: Motion | None = None
         self._rests_mm: dict[str, float] = {}  # where channels came to rest, by the library's own zero
         self._zero_mm: dict[str, float] = dict.fromkeys(channels, 0.0)  # the library's zero, as a person has said
 
     def _begin_anew(self, table: ForeignTable) -> None:
-        self._motion, self._by_hand, self._home_mm = None, table.homing == "hand", table.home_mm
+        self._motion, self._homed_by_hand, self._home_mm = None, table.homing == "hand", table.home_mm
 
     # ---- reference -----------------------------------------------------------------------------
 
@@ -85,13 +85,13 @@ class ForeignController(ForeignLibrary):
         super()._forget_references()
         self._rests_mm.clear()
 
-    def by_hand(self, channel: str) -> bool:
+    def homed_by_hand(self, channel: str) -> bool:
         """Whether a person says where the stage stands."""
-        return self._by_hand
+        return self._homed_by_hand
 
     def confirm(self, channel: str, position_mm: float) -> None:
         """Take a person's word for where a channel at rest stands."""
-        if not self._by_hand:
+        if not self._homed_by_hand:
             super().confirm(channel, position_mm)
         if not math.isfinite(position_mm):
             raise OutOfRange(f"{self.name}: {position_mm} is no position")
@@ -116,7 +116,7 @@ class ForeignController(ForeignLibrary):
 
     def start_home(self, channel: str) -> None:
         """Let the device look for its reference."""
-        if self._by_hand:
+        if self._homed_by_hand:
             raise StageUsageError(
                 f"{self.name} cannot look for its reference; see where channel {channel} stands, and confirm that"
             )

@@ -41,7 +41,7 @@ class MicroManager(ForeignController):
         """Both axes of an XY stage are homed by one command."""
         label, axis = _parted(channel)
         pair = {f"{label}/x", f"{label}/y"} & set(self._channels)
-        return frozenset(pair if axis and not self._by_hand else {channel})
+        return frozenset(pair if axis and not self._homed_by_hand else {channel})
 
     def _load(self, table: ForeignTable) -> str:
         assert isinstance(table, MicroManagerTable)

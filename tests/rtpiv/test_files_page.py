@@ -61,6 +61,8 @@ def test_the_scene_on_the_page_can_be_loaded(tmp_path):
     assert len(load_scene(path).bodies) == 1
 
 
-@pytest.mark.parametrize("name", ["bench-sim.yaml", "bench-flow.yaml", "demo/bench.yaml", "demo/bench-flow.yaml"])
+@pytest.mark.parametrize(
+    "name", ["bench-sim.yaml", "bench-flow.yaml", "bench-by-hand.yaml", "demo/bench.yaml", "demo/bench-flow.yaml"]
+)
 def test_the_examples_are_benches(name):
     validate(load_yaml(PAGE.parents[1] / "examples" / name), BenchTable)

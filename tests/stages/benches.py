@@ -18,6 +18,7 @@ BOXES = {  # kind of a library -> how a bench file names it, and two channels
         {"driver": "positioners", "homing": "device", "objects": {n: {"object": "sim:X"} for n in "xy"}},
         ("x", "y"),
     ),
+    "by_hand": ({"driver": "by_hand"}, ("upper", "lower")),
 }
 
 
@@ -35,6 +36,8 @@ def stages_table(driver: str, box=None, **changes) -> StagesTable:
             axis["steps_per_mm"] = 400.0
     if emulator_class(driver).zero_at_top:
         axis["offset_mm"] = 130.0
+    if driver == "by_hand":
+        axis["reading_um"] = 3.0
     axis.update(changes)
     axes = {name: {**axis, "channel": channel} for name, channel in zip("ab", channels, strict=True)}
     return StagesTable.model_validate(
