@@ -47,6 +47,12 @@ images of 2 to 4 px, whose light beyond what pixels resolve matches itself but n
 px 0.03. With 1.6 px, where frames are blurred before they are sampled, noise makes them up to 0.1 px^2 too
 small.
 
+**Walls that nobody told.** A bright wall stands still, and nothing is left across the frames of a pair when
+that is taken off, while its grain, which flickers, is left in R_AA: windows that hold some of it had stresses
+0.05 to 0.15 px^2 too small, and in the wall itself half of them a mean. So cells are solid in which a part of
+the light stands still and what does not has no partner (`piv.statistics.solid`); they belong to no window, and
+the next sweep masks them.
+
 **Single dead pixels** stay as they were filled. A linear guess from the neighbours has their covariances, so that
 the peak stays where it is and its foot keeps its width; only its tip is lower by what was not guessed, which with
 20 % of all pixels dead makes stresses 0.05 px^2 too large. Drawing the frames of a pair to each other, as vectors
@@ -56,7 +62,7 @@ mean would move to the sweep's field. Weights of 0 in the gaps leave 0.02 px^2, 
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -140,6 +146,20 @@ def _spline_tables(reach: int) -> tuple[Floats, Floats, Floats]:
     return tables[0], tables[1], tables[2]
 
 
+class Planes(NamedTuple):
+    """Sums over cells (ny, number of displacements, nx) of a pair, without what stands still in all.
+
+    across, own, raw: products across both frames, of each deformed frame with itself, of each as it is; seen:
+    pixels for the first. still (ny, nx) is the share of the squares of frames as they are that stands still.
+    """
+
+    across: Singles
+    own: Singles
+    raw: Singles
+    seen: Singles
+    still: Singles
+
+
 class EnsembleSums:
     """Sums of a sweep over some pairs: a state that grows with no pair and can be stored.
 
@@ -160,6 +180,7 @@ class EnsembleSums:
         self.raw = np.zeros((ny, len(self.raw_lags), nx), np.float32)
         self.noise = np.zeros((ny, len(self.own_lags), nx), np.float32)
         self._usual_noise: Floats | None = None
+        self._fluid_px = sweep.fluid_px
         self.frames = np.zeros((5, *sweep.shape), np.float32)  # A, B, as they are A, B, valid
         self.windows = {
             side: {
@@ -195,6 +216,9 @@ class EnsembleSums:
         """
         if np.shape(frame_a) != self.sweep.shape:
             raise SeriesError(f"a frame of {np.shape(frame_a)} in a series of {self.sweep.shape} (rows, columns)")
+        fluid = self._fluid_px
+        if fluid is not None:
+            valid = fluid if valid is None else valid & fluid
         pair = prepared(frame_a, frame_b, valid, LEVEL_PX)
         cells = self.sweep.cells
         field = self.sweep.field_px if field_px is None else field_px
@@ -277,17 +301,15 @@ class EnsembleSums:
         both.pairs = self.pairs + other.pairs
         both.across, both.own, both.raw = self.across + other.across, self.own + other.own, self.raw + other.raw
         both.frames, both.noise = self.frames + other.frames, self.noise + other.noise
-        both._usual_noise = self._usual_noise
+        both._usual_noise, both._fluid_px = self._usual_noise, self._fluid_px
         both.windows = {
             side: {name: values + other.windows[side][name] for name, values in total.items()}
             for side, total in self.windows.items()
         }
         return both
 
-    def planes(self, threads: int | None = None) -> tuple[Singles, Singles, Singles, Singles]:
-        """Sums over cells without what stands still, a pair's: (ny, number of displacements, nx) each.
-
-        Across both frames, of each deformed frame with itself, of each as it is, and pixels in the first's.
+    def planes(self, threads: int | None = None) -> Planes:
+        """Sums over cells without what stands still.
 
         Raises
         ------
@@ -321,7 +343,10 @@ class EnsembleSums:
                 cell_products(valid, valid, self.lags, *at, line, seen[j])
 
         run_rows(rows, cells.shape[0], block=2, threads=threads)
-        return across, own, raw, seen
+        middle = int(np.flatnonzero((self.raw_lags == 0).all(axis=-1))[0])
+        whole = self.raw[:, middle] * np.float32(0.5 / n)
+        still = np.where(whole > 0.0, 1.0 - raw[:, middle] / np.where(whole > 0.0, whole, 1.0), 0.0)
+        return Planes(across, own, raw, seen, still.astype(np.float32))
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays by name, for a file; the sweep's among them."""
@@ -331,6 +356,7 @@ class EnsembleSums:
             "field_px": self.sweep.field_px,
             "energy_px2": self.sweep.energy_px2,
             "spread_px2": np.array(self.sweep.spread_px2),
+            "solid": self.sweep.solid,
             "across": self.across,
             "own": self.own,
             "raw": self.raw,
@@ -356,15 +382,18 @@ class EnsembleSums:
             reach, pairs, spread = int(arrays["reach_px"]), int(arrays["pairs"]), float(arrays["spread_px2"])
             shape = (int(arrays["frames"].shape[1]), int(arrays["frames"].shape[2]))
             field, energy = (np.asarray(arrays[name], np.float64) for name in ("field_px", "energy_px2"))
+            solid = np.asarray(arrays["solid"])
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise damaged from error
         if pairs < 0 or not 1 <= reach <= MOST_REACH_PX or min(shape) < CELL_PX or max(shape) > 1 << 16:
             raise damaged
         if energy.shape != cells_of(shape).shape or field.shape != (*energy.shape, 2):
             raise damaged
+        if solid.shape != energy.shape or solid.dtype != np.bool_:
+            raise damaged
         if not (np.isfinite(field).all() and (energy >= 0.0).all() and np.isfinite(energy).all() and spread > 0.0):
             raise damaged
-        sums = cls(Sweep(shape, field, energy, spread, reach))
+        sums = cls(Sweep(shape, field, energy, spread, reach, solid))
         sums.pairs = pairs
         targets: dict[str, NDArray[Any]] = {
             "across": sums.across,

@@ -14,9 +14,11 @@ from piv.statistics.cells import CELL_PX, WINDOWS_PX, middles_of, window_cells, 
 from piv.statistics.ensemble import AROUND_PX, PAIRS_OF_TEMPLATES, EnsembleSums
 from piv.statistics.kernels.cell_planes import TEMPLATES
 from piv.statistics.kernels.peak_fit import PARAMETERS, fit_row
+from piv.statistics.solid import solid_cells
 from piv.statistics.sweep import Sweep, sweep_with
 
 LEAST_VALID = 0.3  # share of a window's pixels
+LEAST_ALIKE = 0.1  # of the usual share of particles that stay: less is noise of something that shines
 LARGEST_SIGMA_PX = 0.5  # of a mean that is worth being called one
 THRESHOLD, EPSILON_PX = 3.0, 0.1  # of the universal outlier detection, as for single pairs
 
@@ -44,6 +46,8 @@ class EnsembleField:
         Windows with a clear peak that fits its neighbours.
     pairs : int
         Pairs in the sums.
+    solid : ndarray of bool
+        Cells of the sweep that are solid (`piv.statistics.solid`), with those that were known before.
     """
 
     grid: WindowGrid
@@ -54,6 +58,7 @@ class EnsembleField:
     correlation: Floats
     valid: NDArray[np.bool_]
     pairs: int
+    solid: NDArray[np.bool_]
 
 
 def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = None) -> EnsembleField:
@@ -71,11 +76,16 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         raise SeriesError(f"a window of {window_px} px does not fit frames of {sums.sweep.shape} px")
     row, column = (places[: len(places) - many + 1 : step] for places in (cells.row, cells.column))
     grid = WindowGrid(row, column, window_px, step * CELL_PX)
-    across, own, raw, seen = (windows_of(np.moveaxis(part, 1, 0), window_px) for part in sums.planes(threads))
+    planes = sums.planes(threads)
+    fluid = ~solid_cells(sums, planes)
+    across, own, raw, seen = (
+        windows_of(np.moveaxis(part * fluid[:, None], 1, 0), window_px) for part in planes[:4]
+    )
     middle = len(sums.lags) // 2
     seen_there = seen[middle].astype(np.float64)
     variance = windows_of(sums.sweep.variance_px2, window_px).astype(np.float64) / many**2
-    noise = np.asarray(windows_of(np.moveaxis(sums.noise, 1, 0), window_px) / (sums.pairs * many**2), np.float32)
+    noise = windows_of(np.moveaxis(sums.noise * fluid[:, None], 1, 0), window_px)
+    noise = np.asarray(noise / (sums.pairs * np.maximum(windows_of(fluid.astype(np.float32), window_px), 1.0)))
     noise *= _noise_of(raw, seen[_places(sums.raw_lags, sums.sweep.reach_px)], sums, grid, variance, threads)
     across /= np.maximum(seen, np.float32(1.0))
     own /= np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], np.float32(1.0))
@@ -95,8 +105,10 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         volume = peak[..., 0] * _area(covariance) / (itself[..., 0] * _area(own_covariance))
     near = 0.8 * sums.sweep.reach_px
     inside = (np.abs(peak[..., 1:3]) < near).all(axis=-1) & (covariance[..., :2] < near**2).all(axis=-1)
+    stays = volume >= LEAST_ALIKE * np.nanmedian(volume[inside]) if inside.any() else inside
     valid = (
         inside
+        & stays
         & (seen_there >= LEAST_VALID * window_px**2)
         & (sigma < LARGEST_SIGMA_PX).all(axis=-1)
         & np.isfinite(volume)
@@ -115,12 +127,14 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         kept(volume),
         valid,
         sums.pairs,
+        sums.sweep.solid | ~fluid,
     )
 
 
 def next_sweep(field: EnsembleField, sweep: Sweep) -> Sweep:
     """Get ready for a sweep that begins with what another has found."""
-    return sweep_with(sweep.shape, field.mean_px, field.stress_px2, field.grid, sweep.spread_px2)
+    known = field.mean_px, field.stress_px2, field.grid
+    return sweep_with(sweep.shape, *known, sweep.spread_px2, field.solid)
 
 
 def _places(lags: NDArray[np.int64], reach_px: int) -> NDArray[np.int64]:

@@ -17,7 +17,7 @@ from piv.correlation.passes import moved
 from piv.correlation.planes import filled, smoothed
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
-from piv.statistics.cells import cells_of
+from piv.statistics.cells import CELL_PX, cells_of
 
 LEAST_REACH_PX, MOST_REACH_PX = 5, 15
 SMOOTH_PX = 6.0  # standard deviation of what smooths a field before it deforms frames
@@ -26,6 +26,7 @@ GAP_STEPS, LEAST_AROUND = 1.5, 0.1  # how a pair's own field is continued: stand
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
+Cells = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class Sweep:
         Variance of a particle image (`piv.correlation.prepare`).
     reach_px : int
         Largest displacement left to look at, along each axis.
+    solid : ndarray of bool, shape (ny, nx)
+        Cells that the sweep before has found to be solid: they are masked in this one.
     """
 
     shape: tuple[int, int]
@@ -51,6 +54,19 @@ class Sweep:
     energy_px2: Floats
     spread_px2: float
     reach_px: int
+    solid: Cells
+
+    @property
+    def fluid_px(self) -> Cells | None:
+        """Pixels (H, W) outside solid cells; None where there is none. Beyond the cells, as the nearest one."""
+        if not self.solid.any():
+            return None
+        cells = self.cells
+        row, column = (
+            np.clip((np.arange(side) - first[0]) // CELL_PX, 0, len(first) - 1)
+            for side, first in zip(self.shape, (cells.row, cells.column), strict=True)
+        )
+        return np.asarray(~self.solid[row[:, None], column])
 
     @property
     def variance_px2(self) -> Singles:
@@ -93,13 +109,22 @@ class Sweep:
 
     def same(self, other: "Sweep") -> bool:
         """Whether parts of both may be added."""
-        arrays = ((self.field_px, other.field_px), (self.energy_px2, other.energy_px2))
+        arrays = (
+            (self.field_px, other.field_px),
+            (self.energy_px2, other.energy_px2),
+            (self.solid, other.solid),
+        )
         numbers = (self.reach_px, self.spread_px2) == (other.reach_px, other.spread_px2)
         return numbers and all(np.array_equal(one, two) for one, two in arrays)
 
 
 def sweep_with(
-    shape: tuple[int, int], mean_px: Floats, stress_px2: Floats, grid: WindowGrid, spread_px2: float
+    shape: tuple[int, int],
+    mean_px: Floats,
+    stress_px2: Floats,
+    grid: WindowGrid,
+    spread_px2: float,
+    solid: Cells | None = None,
 ) -> Sweep:
     """Get ready for a sweep.
 
@@ -115,6 +140,8 @@ def sweep_with(
         Where they belong.
     spread_px2 : float
         Variance of a particle image (`piv.correlation.prepare`).
+    solid : ndarray of bool, shape (ny, nx), optional
+        Cells that are known to be solid; default none.
 
     Raises
     ------
@@ -133,7 +160,8 @@ def sweep_with(
     largest = 2.0 * spread_px2 + float(np.percentile(energy, 98))
     reach = int(np.clip(np.ceil(3.0 * np.sqrt(largest)), LEAST_REACH_PX, MOST_REACH_PX))
     smooth = smoothed(np.where(known[..., None], mean_px, 0.0), known, SMOOTH_PX / grid.step_px)
-    return Sweep(shape, moved(smooth, grid, cells), energy, spread_px2, reach)
+    solid = np.zeros(cells.shape, np.bool_) if solid is None else solid
+    return Sweep(shape, moved(smooth, grid, cells), energy, spread_px2, reach, solid)
 
 
 def _blurred(values: Floats, sigma_steps: float) -> Floats:

@@ -79,7 +79,8 @@ class PartJob:
     @cached_property
     def key(self) -> str:
         """SHA-256 of all that the file is a function of."""
-        sweep = [self.sweep.field_px.tobytes().hex(), self.sweep.energy_px2.tobytes().hex()]
+        arrays = self.sweep.field_px, self.sweep.energy_px2, self.sweep.solid
+        sweep = [values.tobytes().hex() for values in arrays]
         numbers = [self.sweep.spread_px2, self.sweep.reach_px, self.round, self.usual_share]
         return digest([self.frames.key, list(self.chunks), sweep, numbers])
 

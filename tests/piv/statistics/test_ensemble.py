@@ -10,6 +10,7 @@ from piv.correlation.prepare import prepared
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
 from piv.errors import SeriesError
+from piv.preprocessing.sliding_minimum import without_sliding_minimum
 from piv.statistics.cells import cells_of, lags_of
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field, next_sweep
@@ -158,6 +159,48 @@ def test_what_stands_still_is_taken_off():
     field = ensemble_field(swept(pairs, (2.5, 0.0), 0.0), 32)
     assert np.abs(np.nanmedian(field.mean_px, axis=(0, 1)) - [2.5, 0.0]).max() < 0.05
     assert field.valid.mean() > 0.9
+
+
+def walled(pairs, wall, seed=12):
+    """Over a wall whose grain flickers from flash to flash; without the smallest of its neighbours in time."""
+    rng = np.random.default_rng(seed)
+    shape = (112, 112)
+    grain = draw(shape, rng.uniform(0, 112, 300), rng.uniform(wall, 112, 300), 3.0, rng.uniform(200, 1500, 300))
+    bright = np.where(np.arange(shape[0])[:, None] >= wall, 300.0 + grain, 0.0)
+    series = [], []
+    for k in range(pairs):
+        made = frames(
+            lambda u, v: (1.5 + 0 * u, 0 * v), k, shape, ppp=0.03, inside=lambda u, v: v < wall, static=100.0
+        )
+        for one, frame in zip(series, made, strict=True):
+            one.append((frame + bright * rng.uniform(0.75, 1.25)).astype(np.uint16))
+    return list(zip(*(without_sliding_minimum(one) for one in series), strict=True))
+
+
+def test_a_bright_wall_that_nobody_told_is_found():
+    """Stresses beside it came out as low as -0.7 px^2, and its own light pulled the mean."""
+    field = ensemble_field(swept(walled(20, 64), (1.5, 0.0), 0.0), 16)
+    rows = cells_of((112, 112)).row
+    assert field.solid[rows >= 64].all()
+    assert not field.solid[rows < 64].any()
+    assert not field.valid[field.grid.y_px > 64].any()
+    beside = (field.grid.y_px > 40) & (field.grid.y_px < 57)
+    assert field.valid[beside].all()
+    assert np.nanmean(field.mean_px[beside], axis=(0, 1)) == pytest.approx([1.5, 0.0], abs=0.02)
+    assert np.abs(np.nanmean(field.stress_px2[beside], axis=1)).max() < 0.04
+
+
+def test_neither_dust_before_a_flow_nor_a_thin_series_is_solid():
+    rng = np.random.default_rng(9)
+    dust = draw((96, 96), *rng.uniform(0, 96, (2, 200)), 3.0, np.full(200, 900.0))
+    lost = [
+        frames(
+            lambda u, v: (2.5 + 0 * u, 0 * u), k, (96, 96), static=dust, loss=lambda u, v: np.where(u > 64, 0.7, 0)
+        )
+        for k in range(24)
+    ]
+    assert not ensemble_field(swept(lost, (2.5, 0.0), 0.0, sweeps=1), 16).solid.any()
+    assert not ensemble_field(swept(walled(4, 64), (1.5, 0.0), 0.0, sweeps=1), 16).solid.any()
 
 
 RADIUS, MIDDLE = 122.0, 127.5
