@@ -10,7 +10,7 @@
     report       a run as one page
 
 What belongs together is one value: `CorrectionRecipe` (`correct`, `evaluate`, `mean`), `Resampling` (`correct`),
-`PairDetails` and `EvaluationOutput` (`evaluate`), `MeanOutput` (`mean`), `LiveFrames` (`acquire`).
+`PairDetails` and `EvaluationOutput` (`evaluate`), `MeanOutput` (`mean`), `LiveFrames` and `Rehearsal` (`acquire`).
 Values come in and values go out: nothing is printed but by `acquire` and `report`, and `trace`, `calibrate`,
 `evaluate` and `mean` write only into a folder that is named (`out`).  Files may be named as text or as `Path`.
 `docs/python.md` goes through them.  ERRORS holds the root of all that they raise on purpose,
@@ -57,6 +57,7 @@ _HOMES = {
     "EvaluationOutput": "rtpiv.verbs.evaluate",
     "MeanOutput": "rtpiv.verbs.mean",
     "LiveFrames": "rtpiv.verbs.acquire",
+    "Rehearsal": "daq.bench.rehearsal",
 }
 _VALUES = ("trace", "calibrate", "evaluate", "mean")  # print nothing, and write only where `out` says
 __all__ = [*_HOMES, "ERRORS"]

@@ -1,3 +1,4 @@
+from daq.bench.rehearsal import Rehearsal as Rehearsal
 from rtpiv.analysis.pairs.evaluation import PairDetails as PairDetails
 from rtpiv.analysis.recipe import CorrectionRecipe as CorrectionRecipe
 from rtpiv.analysis.recipe import Resampling as Resampling

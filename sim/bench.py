@@ -29,9 +29,13 @@ from sim.camera.gige.process import device_process
 from sim.camera.in_process import DEVICES
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
+from sim.fault_strikes import Struck
+from sim.happened import Happened
 from sim.mechanics.clock import PacedClock, ScaledClock
 from sim.stages import SimulatedStages
+from sim.timing import SimulatedTiming
 from sim.timing_wiring import connect
+from sim.watched_world import WatchedWorld
 from sim.world import FLOW, World
 from stages.config import StagesTable
 from stages.controller_tables import HandTable
@@ -79,6 +83,9 @@ class SimulatedBench:
         self._stack = ExitStack()
         self._shows = shows
         self._further_worlds: dict[str, World] = {}
+        self._cameras: dict[str, SimCamera] = {}  # that have power in this process, by serial number
+        self._units: dict[str, SimulatedTiming] = {}
+        self._watched: WatchedWorld | None = None
         try:
             options: dict[str, dict[str, Any]] = {
                 name: {"settings": settings_by_number(settings)} for name, settings in table.firmware.items()
@@ -106,7 +113,9 @@ class SimulatedBench:
                     self.sections[name] = self._further(bench, name, table, stages, exposures_before, folder)
                 else:
                     self.sections[name] = self._stack.enter_context(self._more(bench, name, device))
-                    self._wire(device)
+                    self._wire(name, device)
+            if table.keeps:
+                self._watched = self._watch(table, stages)
         except BaseException:
             self._stack.close()
             raise
@@ -139,6 +148,15 @@ class SimulatedBench:
         if self.world.lit is not None:
             self.world.lit.seed(is_open)
 
+    def step_begins(self, number: int) -> None:
+        """Hear that a step of a run begins, 1 first; faults may wait for it."""
+        if self._watched is not None:
+            self._watched.step_begins(number)
+
+    def happened(self) -> Happened:
+        """What has happened so far, if the bench file's section keeps it."""
+        return Happened(()) if self._watched is None else self._watched.happened(self.witness.judge())
+
     def secrets(self) -> dict[str, str]:
         """The true scene, and the flow if one was shown: to score a run by."""
         truths = {"truth.yaml": STOOD + self.world.truth()}
@@ -163,10 +181,19 @@ class SimulatedBench:
         put_up = getattr(import_module(module), function)
         return cast("AbstractContextManager[Table]", put_up(device.section, self.world, self.clock))
 
-    def _wire(self, device: Device) -> None:
+    def _wire(self, name: str, device: Device) -> None:
         """Hang camera and light on the unit that was put up last, if the device is one."""
         if isinstance(device.section, TimingTable):
-            connect(self.world.timing[-1], device.section, self.clock, self._wires, self.world.lit)
+            self._units[name] = self.world.timing[-1]
+            connect(self._units[name], self.clock, self._wires, self.world.lit)
+
+    def _watch(self, table: SimulationTable, stages: SimulatedStages) -> WatchedWorld:
+        """Keep what happens from now on, and let the faults of a rehearsal wait for their moments."""
+        assert isinstance(self.clock, PacedClock)
+        worlds = {CAMERA: self.world, **self._further_worlds}
+        cameras = {name: self._cameras[_serial_of(name)] for name in worlds if _serial_of(name) in self._cameras}
+        lines = {**self.lines, **{name: unit.line for name, unit in self._units.items()}}
+        return WatchedWorld(Struck(lines, stages, cameras, worlds), self._units, self.clock, table.schedule)
 
     def _further(
         self,
@@ -188,7 +215,7 @@ class SimulatedBench:
         config = CameraConfig(
             width,
             height,
-            serial=f"{SERIAL}-{name}",
+            serial=_serial_of(name),
             row_time_us=its.row_time_us,
             clock_ppm=own.clock_ppm,
             faults=fault_plan(own.faults, exposures_before),
@@ -225,6 +252,7 @@ class SimulatedBench:
         name = f"{config.serial}-{id(self):x}"
         sees_world = config.source == CameraConfig().source
         DEVICES[name] = device = SimCamera(config, world if sees_world else None)
+        self._cameras[config.serial] = device
         self._wires.lead_to(device.line_pulse)
         try:
             yield name
@@ -237,7 +265,7 @@ class SimulatedBench:
         config = CameraConfig(
             width,
             height,
-            serial=SERIAL,
+            serial=_serial_of(CAMERA),
             row_time_us=table.row_time_us,
             faults=fault_plan(table.faults, exposures_before),
         )
@@ -248,6 +276,11 @@ class SimulatedBench:
             arguments = {"folder": str(ring), "first": exposures_before}
             config = replace(config, source="sim.camera.source:RingSource", source_arguments=arguments)
         return self._behind_transport(bench, config, self.world, folder)
+
+
+def _serial_of(camera: str) -> str:
+    """Serial number of a simulated camera."""
+    return SERIAL if camera == CAMERA else f"{SERIAL}-{camera}"
 
 
 def _any_box(stages: StagesTable) -> StagesTable:

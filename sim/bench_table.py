@@ -21,6 +21,8 @@ glass_off_mm: [1.2, -0.8, 0.5]    # how the glass was put up, beside its place i
 flow: {field: jet}            # what flow runs see; see sim.flow.table
 faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.config
 cameras: {behind: {aperture: {...}, faults: {...}, clock_ppm: 20.0}}    # optional, of further cameras
+
+A rehearsal (daq.bench.rehearsal) says `schedule` and `keeps` beside them.
 """
 
 import sys
@@ -30,6 +32,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from daq.bench.bench_table import Bench
+from daq.bench.fault_table import Fault
 from ground.config import Document, Table, validate
 from sim.camera.config import FaultPlan
 from sim.flow.table import FlowTable
@@ -102,6 +105,8 @@ class SimulationTable(Table):
     flow: FlowTable = FlowTable()
     faults: FaultsTable = FaultsTable()
     cameras: dict[Name, FurtherCameraTable] = Field(default_factory=dict)
+    schedule: list[Fault] = Field(default_factory=list)  # of a rehearsal: what goes wrong, and when
+    keeps: bool = False  # of a rehearsal: whether what happens is kept
 
     @property
     def pupil(self) -> Aperture | None:
@@ -127,6 +132,10 @@ def simulation_of(bench: Bench) -> SimulationTable:
         raise SceneError(f"{bench.path}: simulation.cameras: the bench has no further camera {', '.join(strange)}")
     if table.prints_truth and table.ring is not None:
         raise SceneError(f"{bench.path}: simulation: frames of a ring cannot print their truth; leave one out")
+    if table.schedule and not table.keeps:
+        raise SceneError(f"{bench.path}: simulation: what goes wrong by schedule is kept; say keeps: true as well")
+    if table.keeps and (table.transport, table.camera_transport) != ("memory", "memory"):
+        raise SceneError(f"{bench.path}: simulation.keeps: say transport and camera_transport: memory as well")
     width, height = bench.scene.camera.sensor_px
     rows = height_px(len(bench.table.stages.axes))
     if table.prints_truth and (width < WIDTH_PX or height < rows):

@@ -136,6 +136,12 @@ class SimulatedStages:
             self.lines[self.config.axes[axis].controller].emulator.advance()
             self.motors[axis].slip(distance_mm)
 
+    def jam(self, axis: str) -> None:
+        """Let the carriage of an axis be stuck from now on; pulses go on, and an encoder notices."""
+        with self.lines[self.config.axes[axis].controller].lock:
+            self.lines[self.config.axes[axis].controller].emulator.advance()
+            self.motors[axis].is_jammed = True
+
     def shove(self, axis: str, distance_mm: float) -> None:
         """Turn the screw of an axis by hand now, which encoders count and step counters do not."""
         motor = self.motors[axis]

@@ -40,6 +40,7 @@ class SimulatedTiming:
 
     def __init__(self, table: TimingTable, clock: Clock) -> None:
         self.wiring = table.wiring
+        self._light_delays_us = table.head.head().q_switch_to_light_us
         made = emulator_of(table.box)
         options: dict[str, Any] = {"name": table.identity}
         if issubclass(made, QuantumComposersEmulator):
@@ -52,6 +53,10 @@ class SimulatedTiming:
         self._hears_time: list[Callable[[float], object]] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="timing unit", daemon=True)
+
+    def light_delay_s(self, pulse: int) -> float:
+        """From a Q-switch, 0 or 1, to its light."""
+        return 1e-6 * self._light_delays_us[pulse]
 
     def listen(self, role: Role, hear: Callable[[Pulse], object]) -> None:
         """Hang something on an output; a role that is not wired is never heard."""

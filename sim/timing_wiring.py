@@ -53,17 +53,13 @@ def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterat
         yield section.model_copy(update={"port": port, "identity": None, "switches": switches})
 
 
-def connect(
-    unit: SimulatedTiming, table: TimingTable, clock: PacedClock | ScaledClock, wires: Wires, lit: LitFlow | None
-) -> None:
+def connect(unit: SimulatedTiming, clock: PacedClock | ScaledClock, wires: Wires, lit: LitFlow | None) -> None:
     """Hang camera and light on a timing unit.
 
     Parameters
     ----------
     unit : SimulatedTiming
         The unit.
-    table : TimingTable
-        Its section, for the delay from a Q-switch to its light.
     clock : PacedClock or ScaledClock
         The world's, whose time the pulses carry.
     wires : Wires
@@ -91,7 +87,7 @@ def connect(
     if lit is None:
         return
     for number, role in enumerate(Q_SWITCHES):
-        delay_s = 1e-6 * table.head.head().q_switch_to_light_us[number]
+        delay_s = unit.light_delay_s(number)
 
         def flash(pulse: Pulse, number: int = number, delay_s: float = delay_s) -> None:
             lit.flash(number, clock.wall_ns(pulse.rises_s + delay_s))

@@ -9,7 +9,7 @@ the light that the scene file tells of target frames (`sim.target_light`).
 
 import secrets
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,20 +92,28 @@ class World:
         if self.lit is not None and table.flow.prepared is not None:
             folder = bench.path.parent / table.flow.prepared
             self._prepared = PreparedPairs(folder, self.scene.content_hash())
-        self._number = secrets.randbelow(WORLDS)
+        self._number = table.seed % WORLDS if table.keeps else secrets.randbelow(WORLDS)
         self._lock = threading.Lock()
+        self._dimmed = 1.0
+        self.on_exposed: Callable[[int, NDArray[np.uint16], dict[str, float]], None] | None = None
 
     def true_mm(self) -> dict[str, float]:
         """Where every axis really is, in its own coordinate."""
         return {name: self._stages.true_mm(name) for name in self._bench.table.stages.axes}
 
+    def dim(self, share: float) -> None:
+        """Leave this share of its light to the target from now on; of a flow the light is the laser's."""
+        self._dimmed = share
+
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """One exposure of the world as it stands (H, W) uint16."""
         with self._lock:
             true_mm = self.true_mm()
-            light = self._light(true_mm)
+            light = self._light(true_mm) * np.float32(self._dimmed)
             number, self._exposures = self._exposures, self._exposures + 1
             image = self._sensor.expose(light, seed=self._table.seed * 1_000_003 + number)
+            if self.on_exposed is not None:
+                self.on_exposed(number, image, true_mm)
             if not self._table.prints_truth:
                 return image
             truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
@@ -119,6 +127,8 @@ class World:
             true_mm = self.true_mm()
             image = self.lit.exposed(self._flow_camera(true_mm), start_ns, end_ns, self._prepared)
             number, self._exposures = self._exposures, self._exposures + 1
+            if self.on_exposed is not None:
+                self.on_exposed(number, image, true_mm)
             if not self._table.prints_truth:
                 return image
             truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)

@@ -19,14 +19,16 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 from daq.bench.bench_edit import Place, Value, changed, difference, replace_file
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import STAGES, Bench
+from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
 from daq.bench.guards import guard_of
-from daq.bench.opened import known_positions, open_bench
+from daq.bench.kinds import kind_of
+from daq.bench.opened import check_devices, known_positions, open_bench, require_camera_libraries
 from daq.errors import RunUsageError
+from daq.timing.laser import Laser
 from stages.axis import Arrival
 
 DECIMALS = 4  # of a position that a person reads or a file keeps: a tenth of a micrometre
@@ -55,6 +57,7 @@ class BenchSession:
         try:
             opened = self._stack.enter_context(open_bench(bench, simulate, only={STAGES}))
             self.stage, self.simulation = opened.stage, opened.simulation
+            self._opened, self._devices = opened, dict(opened.devices)
         except BaseException:
             self._stack.close()
             raise
@@ -202,6 +205,38 @@ class BenchSession:
         """
         before, after = self._texts()
         return replace_file(self.bench.path, after) if before != after else None
+
+    def device(self, name: str) -> object:
+        """Another device of the bench, as its kind gives it; opened when it is first asked for.
+
+        Parameters
+        ----------
+        name : str
+            `camera`, or a name under `devices`.
+
+        Raises
+        ------
+        RunUsageError
+            There is none of that name; the message lists those there are.
+        CameraError, TimingError
+            It is not there, or its libraries are not installed.
+        """
+        known = self.bench.devices
+        if name not in known:
+            raise RunUsageError(f"there is no device {name!r} on this bench; there are {', '.join(known)}")
+        if name not in self._devices:
+            check_devices(self.bench, {name})
+            require_camera_libraries(self.bench, self.simulated, {name})
+            section, clock = self._opened.sections[name], self._opened.clock
+            opening = kind_of(known[name].kind).open(section, self.bench, clock)
+            self._devices[name] = device = self._stack.enter_context(opening)
+            if isinstance(device, Laser):
+                device.add_motion_interlock(self.stage)
+        return self._devices[name]
+
+    def camera_section(self, name: str = CAMERA) -> CameraSection:
+        """How a camera of this session is to be configured."""
+        return cast("CameraSection", self._opened.sections[name])
 
     def close(self) -> None:
         """Stop what moves and close everything; harmless when repeated."""

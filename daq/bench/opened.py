@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
 from daq.bench.guards import idle_stage
@@ -58,6 +58,14 @@ class Simulation(Protocol):
 
     def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Turn an axis by a simulated hand, and type what that reads; see `stages.scale_question.Person`."""
+        ...
+
+    def step_begins(self, number: int) -> None:
+        """Hear that a step of a run begins, 1 first."""
+        ...
+
+    def happened(self) -> Any:  # noqa: ANN401 - `sim.happened.Happened`, which stands above us
+        """What has happened in the simulated world, if that is kept; its `text()` is "" if it is not."""
         ...
 
     def close(self) -> None:

@@ -179,6 +179,8 @@ class Runner:
 
     def _step(self, frames: StepFrames, step: Step, flow: FlowStep | None) -> None:
         self.progress.step, self.progress.tag = step.index, step.tag
+        if self._hardware.simulation is not None:
+            self._hardware.simulation.step_begins(step.index + 1)
         place = "on the way to"
         try:
             record = self._arrive(step)

@@ -25,7 +25,8 @@ from correction.target.board_file import board_text
 from daq.atomic_write import write_text
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA, Bench, digest
-from daq.bench.opened import OpenBench, open_bench
+from daq.bench.opened import OpenBench, Simulation, open_bench
+from daq.bench.rehearsal import with_rehearsal
 from daq.errors import DiskError, ResumeRefused, RunDamaged
 from daq.pipeline.corrections import Corrections
 from daq.pipeline.job import Show
@@ -122,6 +123,7 @@ def _with_partners(indices: set[int], steps: Sequence[Step]) -> frozenset[int]:
 
 
 DISK_MARGIN = 1.05
+HAPPENED = "world.jsonl"  # what was true of a rehearsal; read by `sim.happened`
 MAPS = "maps"  # beside the runs: maps by the hash of their scene
 
 
@@ -147,6 +149,10 @@ class Request:
         Interpolation.
     live_queue : int
         Frames that may wait to be corrected.
+    rehearsed : bool
+        Whether it is a rehearsal, all in memory and with its happenings kept.
+    seed : int, optional
+        Of the rehearsal, if another than the bench file's.
     """
 
     bench: Path
@@ -158,10 +164,13 @@ class Request:
     dewarp_order: int = 2
     method: Method = "quintic"
     live_queue: int = LIVE_QUEUE
+    rehearsed: bool = False
+    seed: int | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain data, paths made absolute."""
-        return {name: str(v.resolve()) if isinstance(v, Path) else v for name, v in vars(self).items()}
+        """As plain data, paths made absolute; a run that is no rehearsal says nothing of one."""
+        said = {name: v for name, v in vars(self).items() if self.rehearsed or name not in ("rehearsed", "seed")}
+        return {name: str(v.resolve()) if isinstance(v, Path) else v for name, v in said.items()}
 
     @classmethod
     def from_dict(cls, tree: Mapping[str, Any]) -> "Request":
@@ -317,6 +326,8 @@ def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
     again = damaged_steps(folder, plan.steps, entries, retake, track)
     if folder.is_done and not again:
         raise ResumeRefused(f"{path} is finished and all of its frames are right; there is nothing to take again")
+    if request.rehearsed:
+        bench = with_rehearsal(bench, request.seed)
     return Run(request, bench, plan, folder, again)
 
 
@@ -404,6 +415,7 @@ def run_session(
         if hardware.simulation is not None:
             for name, text in hardware.simulation.secrets().items():
                 write_text(folder.path / name, text)
+            stack.callback(_keep_what_happened, hardware.simulation, folder)
         if before is not None:
             before(hardware)
         if hardware.simulation is None:
@@ -437,6 +449,13 @@ def _exposures_before(run: Run, left: Sequence[Step]) -> int:
     goes_on = first.may_have_gaps and first.index not in run.again
     kept = next_place(first, frame_entries(run.folder.entries())) if goes_on else 0
     return first.first_frame + kept
+
+
+def _keep_what_happened(simulation: Simulation, folder: RunFolder) -> None:
+    """Write what has happened in a rehearsal behind what is there of its earlier sessions."""
+    if text := simulation.happened().text():
+        with (folder.path / HAPPENED).open("a", encoding="utf-8", newline="\n") as file:
+            file.write(text)
 
 
 def _home(hardware: OpenBench, operator: Operator, tell: Callable[[str], None]) -> None:

@@ -38,6 +38,8 @@ class AskedFor(TypedDict):
     dewarp_order: Annotated[int, Field(ge=2, le=5)]
     method: Literal["quintic", "bilinear"]
     live_queue: Annotated[int, Field(ge=1, le=1_000_000)]
+    rehearsed: NotRequired[bool]
+    seed: NotRequired[Annotated[int, Field(ge=0, le=2**31)] | None]
 
 
 @with_config(STRICT)

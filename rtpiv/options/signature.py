@@ -24,6 +24,7 @@ VERBS = "rtpiv.verbs"
 READERS = {"str": "str", "int": "whole", "float": "finite", "Path": "Path", "bool": "bool"}
 SEQUENCES = ("Sequence", "list", "tuple")
 REQUIRED = object()
+FOR_PYTHON = re.compile(r"None$|Sequence\[Mapping\b")  # what no word of a command can be
 AS_OF = re.compile(r"As (?:for|of) (?:the verb )?`(\w+)`")
 
 
@@ -194,7 +195,8 @@ def _home(name: str, module: str) -> tuple[ast.stmt, str]:
 def _kind(node: ast.expr, module: str) -> Kind | ValueClass:
     """How a parameter of a type is read."""
     if isinstance(node, ast.BinOp):  # a | b: one word, or several; a scene in memory is for Python alone
-        sides = [_kind(side, module) for side in (node.left, node.right) if ast.unparse(side) != "None"]
+        words = [side for side in (node.left, node.right) if not FOR_PYTHON.match(ast.unparse(side))]
+        sides = [_kind(side, module) for side in words]
         kinds = [side for side in sides if isinstance(side, Kind)]
         kinds.sort(key=lambda kind: (kind.many is None, kind.read != "Path"))
         return kinds[0] if kinds else sides[0]

@@ -14,7 +14,8 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench, Vector
 from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, require_camera_libraries
-from daq.errors import BadBalance, FrameDoubt, PlanError
+from daq.bench.rehearsal import Rehearsal
+from daq.errors import BadBalance, FrameDoubt, PlanError, RunUsageError
 from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
 from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home
@@ -91,6 +92,7 @@ def acquire(
     home: bool = False,
     operator: str | None = None,
     frames: LiveFrames = LiveFrames(),
+    rehearsal: Rehearsal = Rehearsal(),
 ) -> Path | None:
     """Carry a plan out on a bench.
 
@@ -114,6 +116,8 @@ def acquire(
         Who answers for the light of a flow run where nobody sits at a terminal; see `verbs.operator`.
     frames : LiveFrames
         What is done with frames as they arrive.
+    rehearsal : Rehearsal
+        The simulated bench as a test wants it.
 
     Returns
     -------
@@ -133,12 +137,19 @@ def acquire(
     plan, bench, out = Path(plan), Path(bench), Path(out)
     given = path_of(frames.scene), path_of(frames.target_clear)
     order, method, queue = frames.dewarp_order, frames.method, frames.live_queue
-    request = Request(bench, plan, simulate, frames.correct, *given, order, method, queue)
+    if rehearsal.is_wanted and not simulate:
+        raise RunUsageError(
+            "faults and a seed are for the simulated bench; say --simulate as well, or leave them out"
+        )
     loaded = _bench_of(bench, plan)
     check_devices(loaded)
-    if not dry_run:
+    if not dry_run and not rehearsal.is_wanted:  # it has all cameras in memory
         require_camera_libraries(loaded, simulate)
     steps = load_plan(plan, loaded)
+    rehearsed = rehearsal.of(loaded, len(steps.steps)) if rehearsal.is_wanted else loaded
+    request = Request(
+        bench, plan, simulate, frames.correct, *given, order, method, queue, rehearsal.is_wanted, rehearsal.seed
+    )
     said = forecast_said(screen, loaded, steps, home, with_steps=dry_run, simulate=simulate)
     if not simulate:
         for warning in confusable(loaded.table.stages):
@@ -161,7 +172,7 @@ def acquire(
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
     screen.print(ENDS_IN_LIGHT if any(step.pulses is not None for step in steps.steps) else ENDS)
-    run_and_report(screen, Run(request, loaded, steps, folder), home, person, live=frames.live)
+    run_and_report(screen, Run(request, rehearsed, steps, folder), home, person, live=frames.live)
     return folder.path
 
 

@@ -26,6 +26,7 @@ from sim.camera.payload import Picture, SensorReadout, tail, tail_bytes
 from sim.camera.registers import RegisterMap, Value, WriteProtected
 from sim.camera.source import FrameSource, PatternSource, image_of, load_source
 from sim.camera.wires import listen
+from tracer.errors import SceneError
 
 log = logging.getLogger(__name__)
 VENDOR = "rtpiv"
@@ -104,6 +105,7 @@ class SimCamera:
         self._exposures = 0  # that were asked for, whether they were made or skipped
         self._skip = 0
         self._random = random.Random(config.faults.seed)
+        self._next_struck: deque[tuple[str, float]] = deque()  # what the next frames meet, with a delay [s]
         self._lines = Lines()
         self._chunks_on: set[str] = set()
         self._readout = SensorReadout(self.registers, config.bits, config.delivers)
@@ -129,6 +131,13 @@ class SimCamera:
             self._lost_ns = None
             self._power_up_settings()
             return False
+
+    def strike(self, what: str, delay_s: float = 0.0) -> None:
+        """Let a fault happen: "unplug" now; "late", "lost", "cut" or "doubled" to the next frame."""
+        if what == "unplug":
+            self._lose()
+            return
+        self._next_struck.append((what, delay_s))
 
     def now_ns(self) -> int:
         """Time on the camera's own clock."""
@@ -385,12 +394,13 @@ class SimCamera:
             return
         try:
             sensor = self._picture(pending)
-        except OSError as error:  # a remote world that ended takes its camera along
+        except (OSError, SceneError) as error:  # a world that ended, or that cannot be, takes its camera along
             log.error("no picture for frame %d: %s", number, error)
             self._lose()
             return
         if not self._is_acquiring:
             return
+        struck, struck_s = self._next_struck.popleft() if self._next_struck else ("", 0.0)
         start_ns = pending.exposures[0].start_ns
         frame = SimFrame(
             number,
@@ -398,14 +408,14 @@ class SimCamera:
             pending.trigger_index,
             self._on_own_clock_ns(start_ns) + self.config.stamp_offset_ns,
             self._readout.develop(sensor),
-            number in faults.incomplete,
+            number in faults.incomplete or struck == "cut",
             self._chunk_values(pending.exposures[0], pending.of_trigger),
         )
-        time.sleep(float(faults.late_s.get(str(number), 0.0)))
+        time.sleep(float(faults.late_s.get(str(number), struck_s)))
         sink = self.sink
-        if sink is not None and number not in faults.dropped:
+        if sink is not None and number not in faults.dropped and struck != "lost":
             sink(frame)
-            if number in faults.doubled:
+            if number in faults.doubled or struck == "doubled":
                 frame_id, self._next_id = self._next_id, self._next_id + 1
                 sink(replace(frame, frame_id=frame_id))
 

@@ -67,6 +67,7 @@ class FaultSchedule:
         self._busy_until_s = 0.0
         self.met: list[Fault] = []
         self.unplugged = False
+        self._is_mute = False
 
     def dead(self, now_s: float) -> bool:
         """True once the line has been unplugged."""
@@ -78,10 +79,16 @@ class FaultSchedule:
         """Let the next answer meet a fault."""
         self._by_answer[self._count] = fault
 
+    def mute(self) -> None:
+        """Let no answer come any more, though the line lives."""
+        self._is_mute = True
+
     def pass_on(self, time_s: float, data: bytes) -> list[tuple[float, bytes]]:
         """Return when an answer comes and what is left of it, in one piece or two."""
         fault = self._by_answer.get(self._count)
         self._count += 1
+        if self._is_mute:
+            return []
         if fault is None:
             return [(self._after(time_s), data)]
         self.met.append(fault)

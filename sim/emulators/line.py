@@ -101,6 +101,7 @@ class Line:
         self.hooks = Hooks()
         self.on_cut: Callable[[], None] | None = None
         self.after_traffic: Callable[[], None] | None = None  # called without the lock
+        self.on_told: Callable[[bytes], None] | None = None  # called before the box hears it
         self._coming: deque[Said] = deque()
 
     @property
@@ -160,6 +161,8 @@ class Line:
         with self.lock:
             self._collect()
             self.hooks.count("write")
+            if self.on_told is not None:
+                self.on_told(data)
             while data and not self.dead:
                 now, data = self.hooks.cut("byte", data)
                 self.emulator.feed(now)

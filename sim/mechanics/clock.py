@@ -7,9 +7,11 @@ a camera looks. A `ScaledClock` runs some times faster than the wall clock; emul
 All satisfy `stages.clock.Clock`.
 """
 
+import heapq
 import threading
 import time
 from collections.abc import Callable
+from itertools import count
 
 
 class VirtualClock:
@@ -18,20 +20,46 @@ class VirtualClock:
     def __init__(self, start_s: float = 0.0) -> None:
         self._now_s = start_s
         self._lock = threading.Lock()
+        self._due: list[tuple[float, int, Callable[[], object]]] = []  # a heap; the number keeps the order
+        self._numbers = count()
 
     def now_s(self) -> float:
         """Seconds of the simulated world."""
         return self._now_s
 
+    def at(self, time_s: float, action: Callable[[], object]) -> None:
+        """Call something when a moment comes, in the thread that lets it come; at once it is not called."""
+        with self._lock:
+            heapq.heappush(self._due, (time_s, next(self._numbers), action))
+
+    def forget(self) -> None:
+        """Call nothing any more of what waits for a moment."""
+        with self._lock:
+            self._due.clear()
+
     def sleep_s(self, duration_s: float) -> None:
         """Let time pass, at once."""
         with self._lock:
-            self._now_s += max(duration_s, 0.0)
+            end_s = self._now_s + max(duration_s, 0.0)
+            if not self._due:
+                self._now_s = end_s
+                return
+        self._pass(end_s)
 
     def advance_to(self, time_s: float) -> None:
         """Let time pass up to a moment; the past changes nothing."""
-        with self._lock:
-            self._now_s = max(self._now_s, time_s)
+        self._pass(time_s)
+
+    def _pass(self, end_s: float) -> None:
+        """Come to a moment, and call on the way what waits for one before it; without the lock."""
+        while True:
+            with self._lock:
+                if not self._due or self._due[0][0] > end_s:
+                    self._now_s = max(self._now_s, end_s)
+                    return
+                time_s, _, action = heapq.heappop(self._due)
+                self._now_s = max(self._now_s, time_s)
+            action()
 
 
 class PacedClock(VirtualClock):
@@ -58,10 +86,12 @@ class PacedClock(VirtualClock):
     def sleep_s(self, duration_s: float) -> None:
         """Let time pass, at once or in real time."""
         with self._lock:
-            if not self._follow():
-                self._now_s += max(duration_s, 0.0)
-                return
+            is_paced = self._follow()
+        if not is_paced:
+            super().sleep_s(duration_s)
+            return
         time.sleep(max(duration_s, 0.0))
+        self._pass(self.now_s())
 
     def advance_to(self, time_s: float) -> None:
         """Let time pass up to a moment; the past changes nothing."""

@@ -114,6 +114,7 @@ class Motor:
         self.listener: Listener | None = None
         self.watcher: Callable[[Glide], None] | None = None
         self.obstacle_mm: float | None = None
+        self.is_jammed = False  # the carriage is stuck where it is
         self.time_s = 0.0
         self._pulses = 0.0
         self._speed = 0.0
@@ -282,6 +283,8 @@ class Motor:
 
     def _ends(self) -> tuple[float, float]:
         mechanics = self.mechanics
+        if self.is_jammed:
+            return self._carriage_mm, self._carriage_mm
         low_mm, high_mm = (
             mechanics.low_switch_mm - mechanics.run_out_mm,
             mechanics.high_switch_mm + mechanics.run_out_mm,

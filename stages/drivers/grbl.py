@@ -25,7 +25,6 @@ question. Nothing here resumes what a person may have held.
 All input goes through one decoder, so a line that comes in two pieces is one line, whoever reads the second piece.
 """
 
-import random
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -172,7 +171,7 @@ class GrblController(Controller):
 
     def _leave_mark(self) -> None:
         """Give the board something to forget."""
-        number = random.choice(MARKS)
+        number = MARKS[int(1e6 * self.clock.now_s()) % len(MARKS)]  # other programs have come at other times
         try:
             self._line(f"T{number}")
             self._mark = number if self._agreed(self._tool) == number else None

@@ -11,7 +11,15 @@ import rtpiv
 
 ROOT = Path(__file__).resolve().parents[2]
 EIGHT = {"load_scene", "trace", "acquire", "calibrate", "correct", "evaluate", "mean", "report"}
-VALUES = {"CorrectionRecipe", "Resampling", "PairDetails", "EvaluationOutput", "MeanOutput", "LiveFrames"}
+VALUES = {
+    "CorrectionRecipe",
+    "Resampling",
+    "PairDetails",
+    "EvaluationOutput",
+    "MeanOutput",
+    "LiveFrames",
+    "Rehearsal",
+}
 
 
 def test_importing_it_loads_nothing_heavy():

@@ -1,6 +1,5 @@
 """A bench of two axes on one controller, for any driver, with its simulated world."""
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
@@ -17,31 +16,13 @@ from stages.stage import Stage
 from tests.stages.benches import screws, stages_table
 
 
-class HookedClock(VirtualClock):
-    """A virtual clock that calls something when a moment has come."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.hooks: list[tuple[float, Callable[[], None]]] = []
-
-    def at(self, time_s: float, action: Callable[[], None]) -> None:
-        self.hooks.append((time_s, action))
-
-    def sleep_s(self, duration_s: float) -> None:
-        super().sleep_s(duration_s)
-        due = [hook for hook in self.hooks if hook[0] <= self.now_s()]
-        self.hooks = [hook for hook in self.hooks if hook not in due]
-        for _, action in due:
-            action()
-
-
 @dataclass
 class Bench:
     """Stage, world and clock of a test."""
 
     stage: Stage
     world: SimulatedStages
-    clock: HookedClock
+    clock: VirtualClock
     line: Line
     table: StagesTable
     opened: list[Stage] = field(default_factory=list)
@@ -81,7 +62,7 @@ def bench():
         box=None,
         **changes,
     ) -> Bench:
-        clock = HookedClock()
+        clock = VirtualClock()
         table = stages_table(driver, box, **changes)
         built = screws(table, backlash_um=backlash_um, **(sim or {}))
         schedule = faults if isinstance(faults, FaultSchedule) else FaultSchedule(faults, seed)

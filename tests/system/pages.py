@@ -17,11 +17,14 @@ CLUSTER = "needs a cluster"
 OTHERS = "frames of another program, which no lab has"
 NAMES = "names stand for folders of the reader"
 LONG = "takes many minutes, and has a test of its own"
+REHEARSED = "in a lab of its own: tests/faces/test_rehearsal_page.py"
 NOT_RUN = {  # commands that nothing here carries out, and why; all others are run as they stand
     "demo": LONG,
     "live --bench bench-sim.yaml --simulate": LASTS,
     "live --bench bench.yaml": LASTS,
     "init lab": "asks a person",
+    "init . --yes --balls 1 --sensor-px 128 128 --pixel-pitch-um 86": REHEARSED,
+    "acquire plan-target.yaml --simulate --home --no-correct --faults faults.yaml --seed 3": REHEARSED,
     "benchmark scene.yaml": LONG,
     "stage --bench bench.yaml": HARDWARE,
     "align plan-align.yaml --bench bench.yaml --home": HARDWARE,
