@@ -93,7 +93,7 @@ def campaign(
     runs : sequence of path
         Flow runs: of ``plan``, and of the first ``run``.
     out : path
-        Folder of the campaign, see `rtpiv.analysis.campaign.campaign_folder`; all workers see it by this name.
+        Folder of the campaign, which all workers see by this name.
     settings : CampaignSettings
         What holds for the named runs.
     workers : Workers

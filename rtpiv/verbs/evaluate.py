@@ -77,7 +77,7 @@ def evaluate(
     ----------
     paths : list of path, or path
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, a stream, or
-        a flow run; or frames of others in pairs, see `daq.frames.source`.
+        a flow run; or frames of others in pairs: a folder, a pattern in quotes, a stack, a video.
     out : path, optional
         Folder, on the command line by default ``evaluation`` (or ``evaluation-2`` ... where that has other
         results): ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request

@@ -65,9 +65,9 @@ def mean(
     Parameters
     ----------
     path : path
-        A flow run, of several of one plan the newest finished one; or frames of others in
-        pairs (`daq.frames.source`), evaluated where that has not
-        been done with these settings; or the folder of a series that `evaluate` has made.
+        A flow run, of several of one plan the newest finished one; or frames of others in pairs (a folder, a
+        pattern in quotes, a stack, a video), evaluated where that has not been done with these settings; or the
+        folder of a series that `evaluate` has made.
     out : path, optional
         Folder of the series, on the command line by default ``series`` in the run or, of frames of others,
         ``evaluation``: ``mean.nc`` and ``mean.html``, beside what `evaluate` writes there.

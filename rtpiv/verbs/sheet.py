@@ -23,8 +23,8 @@ def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = N
     Parameters
     ----------
     paths : path, or list of path
-        The folder of a flow run; frames of others in pairs, see `daq.frames.source`; or frames in
-        order: A, B, A, B ...; some 50 pairs.
+        The folder of a flow run; frames of others in pairs (a folder, a pattern in quotes, a stack, a video); or
+        frames in order: A, B, A, B ...; some 50 pairs.
     scene : path
         scene.yaml, fitted; what it says of its `sheet` is where the search begins.  With the fit's ``fit.npz``
         beside it the sheet's sigma holds what the scene is unsure of.

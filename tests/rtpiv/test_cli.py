@@ -1,6 +1,7 @@
 """The command line from outside: quick help, one sentence for each mistake, nothing half-written."""
 
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -12,6 +13,7 @@ import tifffile
 
 from daq import cameras
 from rtpiv.command_line.cli import DEVICE, USAGE, main
+from rtpiv.options.command import parser
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = """
@@ -43,6 +45,16 @@ def test_help_is_quick_and_imports_nothing_heavy():
     nothing_s = min(_run("pass")[1] for _ in range(3))
     for words in (["--help"], ["evaluate", "--help"]):
         assert min(_run(f"{show}({words}).format_help()")[1] for _ in range(3)) < nothing_s + 0.3
+
+
+def test_help_sends_nobody_into_the_code():
+    """Who installs a wheel has no modules to read: no dotted name of ours stands in any help."""
+    ours = "rtpiv|ground|piv|tracer|correction|stages|daq|sim"
+    dotted = re.compile(rf"\b(?:{ours})\.(?!json|yaml|html)[a-z_]{{3,}}\b")
+    verbs = next(each.choices for each in parser()._actions if each.dest == "verb")
+    for verb, each in verbs.items():
+        said = dotted.findall(" ".join(each.format_help().split()))
+        assert not said, (verb, said)
 
 
 def _run(code):
