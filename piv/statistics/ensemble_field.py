@@ -11,7 +11,7 @@ from piv.correlation.outliers import outliers
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.statistics.cells import CELL_PX, WINDOWS_PX, middles_of, window_cells, windows_of
-from piv.statistics.ensemble import AROUND_PX, PAIRS_OF_TEMPLATES, EnsembleSums
+from piv.statistics.ensemble import AROUND_PX, PAIRS_OF_TEMPLATES, PRODUCTS_OF_FIELDS, EnsembleSums
 from piv.statistics.kernels.cell_planes import TEMPLATES
 from piv.statistics.kernels.peak_fit import PARAMETERS, fit_row
 from piv.statistics.solid import solid_cells
@@ -95,10 +95,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     covariance, own_covariance = _covariance(peak), _covariance(itself)
     back = _by_templates(slopes, sums.pairs * seen_there)
     spread = _parameter_covariance(sums, window_px, back)
-    fields = (
-        middles_of(np.moveaxis(sums.sweep.field_px, -1, 0), window_px)
-        + sums.windows[window_px]["fields"] / sums.pairs
-    )
+    fields = middles_of(np.moveaxis(sums.sweep.field_px, -1, 0) + sums.cells["fields"] / sums.pairs, window_px)
     mean = np.moveaxis(fields, 0, -1) + peak[..., 1:3]
     sigma = np.sqrt(np.stack((spread[..., 1, 1], spread[..., 2, 2]), axis=-1))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -121,7 +118,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     return EnsembleField(
         grid,
         kept(mean),
-        kept(covariance - own_covariance + _of_fields(sums, window_px, back)),
+        kept(covariance - own_covariance + _of_fields(sums, window_px, back, fluid)),
         kept(sigma),
         kept(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
         kept(volume),
@@ -216,18 +213,17 @@ def _parameter_covariance(sums: EnsembleSums, window_px: int, back: Floats) -> F
     return result
 
 
-def _of_fields(sums: EnsembleSums, window_px: int, back: Floats) -> Floats:
+def _of_fields(sums: EnsembleSums, window_px: int, back: Floats, fluid: NDArray[np.bool_]) -> Floats:
     """Stresses (ny, nx, 3) of the fields that have deformed the frames, and of them with what was left."""
-    total, n = sums.windows[window_px], sums.pairs
+    total, n = sums.cells, sums.pairs
     d, q = total["fields"], total["templates"]
     mixed = total["mixed"].reshape(2, TEMPLATES, *d.shape[1:]) - d[:, None] * q[None] / n
-    left = (
-        n / (n - 1) * np.einsum("...km,am...->...ak", back[..., 1:3, :], mixed)
-    )  # field a with what is left of k
+    left = n / (n - 1) * np.einsum("...km,am...->...ak", back[..., 1:3, :], windows_of(mixed * fluid, window_px))
+    cells = np.maximum(windows_of(fluid.astype(np.float64), window_px), 1.0)
     stresses = []
-    for number, (a, b) in enumerate(((0, 0), (1, 1), (0, 1))):
+    for number, (a, b) in enumerate(PRODUCTS_OF_FIELDS):  # field a with what is left of b
         own = (total["field_products"][number] - d[a] * d[b] / n) / (n - 1)
-        stresses.append(own + left[..., a, b] + left[..., b, a])
+        stresses.append(windows_of(own * fluid, window_px) / cells + left[..., a, b] + left[..., b, a])
     return np.stack(stresses, axis=-1)
 
 
