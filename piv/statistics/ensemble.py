@@ -44,10 +44,13 @@ frame B at d/2: K is the same for both. How much there is, n, cannot be told fro
 are small, K is as wide as their peak, and a fit of both at once took light for noise (particles of 2.4 px:
 stresses 0.03 to 0.05 px^2 too small, of 1.6 px 0.3). It comes from the frames before they are deformed, where
 noise stands at no displacement only: what their autocorrelation has there beyond the Gaussian through its next
-displacements, averaged over `AROUND_PX`. What is left: stresses are 0.002 to 0.02 px^2 too large with particle
-images of 2 to 4 px, whose light beyond what pixels resolve matches itself but not its partner; in windows of 8
-px 0.03. With 1.6 px, where frames are blurred before they are sampled, noise makes them up to 0.1 px^2 too
-small.
+displacements, averaged over `AROUND_PX`. What is left is 0.002 px^2 with particle images of 2 to 9 px, 0.007
+where noise has 0.8 of the light's variance. Where frames are blurred before they are sampled, which images of
+1.6 px or noise that hides their size lead to, stresses are too small by 0.03 to 0.4 px^2.
+
+**Shape.** No peak is quite a Gaussian, and what a fit makes of it depends on where it looks. R_AA is fitted at
+the displacements of R_AB, s and -s: at fewer of them, or at one half, stresses were off by 0.01 to 0.07 px^2
+with particle images of 2.4 to 6 px.
 
 **Walls that nobody told.** A bright wall stands still, and nothing is left across the frames of a pair when
 that is taken off, while its grain, which flickers, is left in R_AA: windows that hold some of it had stresses
@@ -76,7 +79,7 @@ from piv.correlation.prepare import SHARPEST, SMOOTHEST, prepared
 from piv.errors import SeriesError
 from piv.statistics.cells import CELL_PX, WINDOWS_PX, cells_of, lags_of, windows_of
 from piv.statistics.kernels.cell_planes import TEMPLATES, cell_products, template_sums
-from piv.statistics.sweep import MOST_REACH_PX, Sweep
+from piv.statistics.sweep import LEAST_REACH_PX, MOST_REACH_PX, Sweep
 
 SPLINE_DEGREE = 5
 FRACTIONS = 33  # of a pixel that are tabulated
@@ -84,7 +87,6 @@ CARDINAL_PX = 20  # pixels to each side after which a cardinal spline is none an
 
 
 LEVEL_PX = 32  # side of the surroundings whose mean is taken off the frames
-OWN_REACH_PX = 4  # of the autocorrelation: particle images are small
 RAW_REACH_PX = 2  # of that of frames as they are, which tells noise
 AROUND_PX = 40  # over which noise is averaged: it changes as slowly as the light
 PAIRS_OF_TEMPLATES = np.triu_indices(TEMPLATES)
@@ -179,7 +181,7 @@ class EnsembleSums:
         self.sweep = sweep
         self.pairs = 0
         ny, nx = sweep.cells.shape
-        self.lags, self.own_lags = lags_of(sweep.reach_px), lags_of(OWN_REACH_PX, half=True)
+        self.lags, self.own_lags = lags_of(sweep.reach_px), lags_of(sweep.own_reach_px, half=True)
         self.raw_lags = lags_of(RAW_REACH_PX, half=True)
         self.across = np.zeros((ny, len(self.lags), nx), np.float32)
         self.own = np.zeros((ny, len(self.own_lags), nx), np.float32)
@@ -395,7 +397,12 @@ class EnsembleSums:
             solid = np.asarray(arrays["solid"])
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise damaged from error
-        if pairs < 0 or not 1 <= reach <= MOST_REACH_PX or min(shape) < CELL_PX or max(shape) > 1 << 16:
+        if (
+            pairs < 0
+            or not LEAST_REACH_PX <= reach <= MOST_REACH_PX
+            or min(shape) < CELL_PX
+            or max(shape) > 1 << 16
+        ):
             raise damaged
         if energy.shape != cells_of(shape).shape or field.shape != (*energy.shape, 2):
             raise damaged

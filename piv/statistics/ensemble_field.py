@@ -91,7 +91,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     own /= np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], np.float32(1.0))
     del seen
     peak, slopes = _fits(across, sums.lags, variance, threads)
-    itself, _ = _fits(own - noise, sums.own_lags, variance, threads, is_own=True)
+    itself = _own_peak(own - noise, sums, variance, threads)
     covariance, own_covariance = _covariance(peak), _covariance(itself)
     back = _by_templates(slopes, sums.pairs * seen_there)
     spread = _parameter_covariance(sums, window_px, back)
@@ -154,6 +154,31 @@ def _noise_of(
     light, _ = _fits(planes[away], sums.raw_lags[away], variance, threads, is_own=True)
     beyond = planes[~away][0] - (light[..., 0] + light[..., 6])
     return np.asarray(np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0), np.float32)
+
+
+def _own_peak(own: Singles, sums: EnsembleSums, variance: Floats, threads: int | None) -> Floats:
+    """Parameters (ny, nx, 7) of the peaks of frames with themselves, from planes (L', ny, nx) without noise.
+
+    They are looked at where those of both frames are, see "Shape" in `ensemble`; beyond what is kept of them a
+    first fit continues them.
+    """
+    reach, kept = sums.sweep.reach_px, np.abs(sums.own_lags).max(axis=-1)
+    whole = np.empty((len(sums.lags), *own.shape[1:]), np.float32)
+    if reach > kept.max():
+        first, _ = _fits(own, sums.own_lags, variance, threads, is_own=True)
+        whole = _gaussians(first, sums.lags)
+    for way in (1, -1):
+        whole[_places(way * sums.own_lags[kept <= reach], reach)] = own[kept <= reach]
+    return _fits(whole, sums.lags, variance, threads, is_own=True)[0]
+
+
+def _gaussians(fits: Floats, lags: NDArray[np.int64]) -> Singles:
+    """Values (L, ny, nx) of fitted peaks at displacements (L, 2)."""
+    amplitude, _, _, along, down, tilt, foot = np.moveaxis(fits, -1, 0)
+    values = np.empty((len(lags), *fits.shape[:2]), np.float32)
+    for place, (v, u) in enumerate(lags):
+        values[place] = amplitude * np.exp(-0.5 * (along * u * u + down * v * v) - tilt * u * v) + foot
+    return values
 
 
 def _fits(

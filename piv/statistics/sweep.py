@@ -69,6 +69,11 @@ class Sweep:
         return np.asarray(~self.solid[row[:, None], column])
 
     @property
+    def own_reach_px(self) -> int:
+        """The same of a frame with itself, whose peak is only as wide as particle images."""
+        return int(np.clip(np.ceil(3.0 * np.sqrt(2.0 * self.spread_px2)), LEAST_REACH_PX, self.reach_px))
+
+    @property
     def variance_px2(self) -> Singles:
         """Expected variance (ny, nx) of the peak along an axis: that of the templates."""
         return (2.0 * self.spread_px2 + self.energy_px2).astype(np.float32)
