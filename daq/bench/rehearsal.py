@@ -35,11 +35,6 @@ class Rehearsal:
     faults: Path | str | Sequence[Mapping[str, Any]] | None = None
     seed: int | None = None
 
-    @property
-    def is_wanted(self) -> bool:
-        """Whether anything is to be other than the bench file says."""
-        return self.faults is not None or self.seed is not None
-
     def of(self, bench: Bench, steps: int | None = None) -> Bench:
         """Return a bench whose simulation is this rehearsal.
 
@@ -99,7 +94,7 @@ def with_rehearsal(bench: Bench, seed: int | None, schedule: Sequence[Fault] = (
     if not hasattr(simulation_class(bench), "happened"):
         named = (bench.table.simulation or {})["bench"]
         raise RunUsageError(
-            f"{bench.path}: {named} takes neither faults nor a seed; leave --faults and --seed out, or name "
+            f"{bench.path}: {named} takes neither faults nor a seed; leave them out, or name "
             '"sim.bench:SimulatedBench" in its simulation'
         )
     own: dict[str, Any] = {"transport": "memory", "camera_transport": "memory", "keeps": True}

@@ -101,8 +101,11 @@ def call_of(verb: str, options: dict[str, Any]) -> tuple[list[Any], dict[str, An
             values.setdefault(option.holder, {})[option.name] = options[option.name]
     for option in signature(verb):
         if option.of is not None and option.holder in values:
+            said = values.pop(option.holder)
+            if option.holder in named and all(value is None for value in said.values()):
+                continue  # a flag, and nothing that it might be else
             make = getattr(import_module(option.of.module), option.of.name)
-            named[option.holder] = make(**values.pop(option.holder))
+            named[option.holder] = make(**said)
     return words, named
 
 

@@ -5,7 +5,8 @@
 What stands before the stroke is a word of the command, what stands behind it an option: required without a
 default, ``--no-x`` for a flag that is on.  The type says how it is read (`rtpiv.options.numbers`), a Literal its
 choices, a sequence that there may be several; the help is its description under "Parameters".  A parameter whose
-type is a frozen dataclass, or typed keywords (``**options: Unpack[T]``), gives an option for each field.
+type is a frozen dataclass, or typed keywords (``**options: Unpack[T]``), gives an option for each field; a flag
+that may be such a value (``simulate: bool | Rehearsal``) gives both, and is that value where a field is said.
 
 Nothing is imported for it: the verbs need compiled kernels and pictures, and ``--help`` answers at once.  Names
 are followed through the sources instead, from module to module.
@@ -139,6 +140,10 @@ def signature(verb: str) -> tuple[Option, ...]:
             value = REQUIRED if default is None else _value(default, module)
             help_text = said.get(one.arg, "")
             found.append(Option(one.arg, kind, value, help_text, number < len(taken.posonlyargs)))
+            if kind.read == "bool" and isinstance(one.annotation, ast.BinOp):
+                beside = _kind(one.annotation.right, module)
+                assert isinstance(beside, ValueClass)
+                found += _fields(beside, one.arg)
     if taken.kwarg is not None:
         assert isinstance(taken.kwarg.annotation, ast.Subscript)  # Unpack[T]
         kind = _kind(taken.kwarg.annotation.slice, module)

@@ -15,7 +15,7 @@ from daq.bench.bench_table import Bench, Vector
 from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, require_camera_libraries
 from daq.bench.rehearsal import Rehearsal
-from daq.errors import BadBalance, FrameDoubt, PlanError, RunUsageError
+from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
 from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home
@@ -87,12 +87,11 @@ def acquire(
     /,
     bench: Named = "bench.yaml",
     out: Named = "runs",
-    simulate: bool = False,
+    simulate: bool | Rehearsal = False,
     dry_run: bool = False,
     home: bool = False,
     operator: str | None = None,
     frames: LiveFrames = LiveFrames(),
-    rehearsal: Rehearsal = Rehearsal(),
 ) -> Path | None:
     """Carry a plan out on a bench.
 
@@ -104,8 +103,8 @@ def acquire(
         bench.yaml.
     out : path
         Folder in which the run gets a folder of its own.
-    simulate : bool
-        Use the bench's simulation in place of the hardware.
+    simulate : bool or Rehearsal
+        Use the bench's simulation in place of the hardware; a rehearsal has faults and a seed of its own.
     dry_run : bool
         Print steps, travel, time, disk and violations; open nothing.  With `simulate` also refuse what the
         simulated bench cannot show.
@@ -116,8 +115,6 @@ def acquire(
         Who answers for the light of a flow run where nobody sits at a terminal; see `verbs.operator`.
     frames : LiveFrames
         What is done with frames as they arrive.
-    rehearsal : Rehearsal
-        The simulated bench as a test wants it.
 
     Returns
     -------
@@ -137,18 +134,17 @@ def acquire(
     plan, bench, out = Path(plan), Path(bench), Path(out)
     given = path_of(frames.scene), path_of(frames.target_clear)
     order, method, queue = frames.dewarp_order, frames.method, frames.live_queue
-    if rehearsal.is_wanted and not simulate:
-        raise RunUsageError(
-            "faults and a seed are for the simulated bench; say --simulate as well, or leave them out"
-        )
+    rehearsal = simulate if isinstance(simulate, Rehearsal) else None
+    simulate = bool(simulate)
     loaded = _bench_of(bench, plan)
     check_devices(loaded)
-    if not dry_run and not rehearsal.is_wanted:  # it has all cameras in memory
+    if not dry_run and rehearsal is None:  # which has all cameras in memory
         require_camera_libraries(loaded, simulate)
     steps = load_plan(plan, loaded)
-    rehearsed = rehearsal.of(loaded, len(steps.steps)) if rehearsal.is_wanted else loaded
+    rehearsed = loaded if rehearsal is None else rehearsal.of(loaded, len(steps.steps))
+    seed = None if rehearsal is None else rehearsal.seed
     request = Request(
-        bench, plan, simulate, frames.correct, *given, order, method, queue, rehearsal.is_wanted, rehearsal.seed
+        bench, plan, simulate, frames.correct, *given, order, method, queue, rehearsal is not None, seed
     )
     said = forecast_said(screen, loaded, steps, home, with_steps=dry_run, simulate=simulate)
     if not simulate:

@@ -49,7 +49,7 @@ def run_tests(lab, *words):
     environment = clean | {"PYTHONPATH": str(PAGE.parents[1])}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ran = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "rtpiv.pytest_plugin", "-p", "no:cacheprovider", *words],
+        [sys.executable, "-m", "pytest", "-q", "-p", "rtpiv_pytest", "-p", "no:cacheprovider", *words],
         cwd=lab, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -1,6 +1,10 @@
 """A rehearsal: a bench with its truth, each kind of fault does what its name says, bad input is refused."""
 
+import subprocess
+import sys
 import time
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +14,7 @@ from daq.bench.fault_table import OF_A, things_of
 from daq.bench.rehearsal import Rehearsal
 from daq.errors import CameraError, RunUsageError
 from ground.errors import ConfigError
+from rtpiv.options import call_of, parser
 from sim.happened import read_happened
 from sim.rehearsed import Rehearsed
 from stages.errors import DeviceLost, StageError
@@ -17,6 +22,7 @@ from tests.daq.small_bench import write_bench
 from tests.slow_cases import slow_but
 
 pytest_plugins = ("pytester",)
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +214,7 @@ def lab(pytester, path, monkeypatch):
 
     def run(body):
         pytester.makepyfile(f"def test_it(rehearse):\n    bench = rehearse({str(path)!r}, {body}")
-        return pytester.runpytest_inprocess("-q", "-p", "rtpiv.pytest_plugin")
+        return pytester.runpytest_inprocess("-q", "-p", "rtpiv_pytest")
 
     return run
 
@@ -222,3 +228,31 @@ def test_the_fixture_fails_a_test_whose_fault_has_never_struck(lab):
 @pytest.mark.slow
 def test_the_fixture_is_content_with_what_is_right(lab):
     lab("seed=1)\n    bench.home()\n").assert_outcomes(passed=1)
+
+
+def test_every_pytest_of_the_computer_loads_it_and_nothing_else():
+    """A stranger's project may have a folder sim of its own, which must not meet ours."""
+    code = (
+        "import sys, rtpiv_pytest; names = {m.partition('.')[0] for m in sys.modules};"
+        "print(*names & {'rtpiv', 'sim', 'daq', 'ground', 'numpy', 'pydantic', 'yaml'});"
+        "print(*(f for f in sys.meta_path if 'Neighbour' in repr(f)))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == []
+
+
+def test_the_entry_point_is_called_like_its_module():
+    """So that ``-p rtpiv_pytest`` and an installed rtpiv are one plug-in, not two."""
+    about = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert about["project"]["entry-points"]["pytest11"] == {"rtpiv_pytest": "rtpiv_pytest"}
+
+
+def test_the_command_line_says_the_same():
+    for said, simulate in (
+        (["--faults", "f.yaml", "--seed", "3"], Rehearsal(Path("f.yaml"), 3)),
+        (["--simulate", "--seed", "3"], Rehearsal(None, 3)),
+        (["--simulate"], True),
+        ([], False),
+    ):
+        read = vars(parser().parse_args(["acquire", "plan.yaml", *said]))
+        assert call_of("acquire", read)[1]["simulate"] == simulate

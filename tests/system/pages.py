@@ -24,7 +24,7 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
     "live --bench bench.yaml": LASTS,
     "init lab": "asks a person",
     "init . --yes --balls 1 --sensor-px 128 128 --pixel-pitch-um 86": REHEARSED,
-    "acquire plan-target.yaml --simulate --home --no-correct --faults faults.yaml --seed 3": REHEARSED,
+    "acquire plan-target.yaml --simulate --faults faults.yaml --seed 3 --home --no-correct": REHEARSED,
     "benchmark scene.yaml": LONG,
     "stage --bench bench.yaml": HARDWARE,
     "align plan-align.yaml --bench bench.yaml --home": HARDWARE,

@@ -27,7 +27,11 @@ def test_every_file_that_is_used_and_nothing_else(wheel):
     assert "rtpiv/analysis/report/page.css" in names
     shown = {path.relative_to(ROOT / "examples") for path in (ROOT / "examples").rglob("*.*")}
     assert {f"rtpiv/examples/{path}" for path in shown if "__pycache__" not in path.parts} <= names
-    allowed = {*PACKAGES, next(name for name in names if name.endswith("/RECORD")).partition("/")[0]}
+    allowed = {
+        *PACKAGES,
+        "rtpiv_pytest.py",
+        next(name for name in names if name.endswith("/RECORD")).partition("/")[0],
+    }
     assert {name.partition("/")[0] for name in names} == allowed
     assert not [name for name in names if "__pycache__" in name or name.startswith("benchmarks")]
 

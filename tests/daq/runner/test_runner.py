@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from daq.bench.rehearsal import Rehearsal
 from daq.cameras.files import FilesCamera
 from daq.errors import CameraLost, DiskError, FramesLost, ResumeRefused, RunDamaged, RunInterrupted
 from daq.pipeline import pipeline as pipeline_module
@@ -270,14 +271,11 @@ def test_a_dead_disk_is_named(bench_and_plan, folder, files, monkeypatch):
 
 def test_unplugged_stage_ends_the_run_and_forgets_its_position(bench_and_plan, folder, files):
     bench, plan = bench_and_plan
-
-    def unplug(progress):
-        if progress.step == 3 and progress.doing == "moving":
-            hardware.simulation.lines["target"].unplug()
-
-    with files_bench(bench, files) as hardware:
+    rehearsal = Rehearsal([{"what": "unplug", "of": "target", "step": 4}])
+    with files_bench(rehearsal.of(bench, len(plan.steps)), files) as hardware:
         with pytest.raises(DeviceLost):
-            Runner(hardware, [RunCamera(hardware, folder)], plan.steps, watcher=unplug).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
+        assert hardware.simulation.happened().faults == ["unplug of target at step 4"]
         assert hardware.stage.where_mm()["target_x"] is None
         assert finished_steps(folder.entries()) == {0, 1, 2}
     with files_bench(bench, files) as hardware:
