@@ -18,10 +18,10 @@ from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 
-FRAMES, SIDE_PX = 200, 64
+FRAMES, SIDE_PX = 100, 64
 CAMERA = """camera:
   backend: harvesters
-  settings: {PixelFormat: Mono12p, ExposureTime: 100.0, TriggerMode: "Off", AcquisitionFrameRate: 200.0}
+  settings: {PixelFormat: Mono12p, ExposureTime: 100.0, TriggerMode: "Off", AcquisitionFrameRate: 100.0}
   buffers: 4
   timeout_s: 5.0
 """
@@ -34,7 +34,7 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
     (tmp_path / "plan.yaml").write_text(f"experiment: stream\nview: clear\nframes: {FRAMES}\n")
 
     def slow(path, pixels, about):
-        time.sleep(0.1)  # two writers: 20 frames/s
+        time.sleep(0.2)  # two writers: 10 frames/s
         write_raw(path, pixels, about)
 
     monkeypatch.setattr(pipeline_module, "write_raw", slow)
