@@ -168,7 +168,7 @@ def print_warning(
 def print_compiling(functions: int, seconds: float) -> None:
     """Say on standard error why nothing else happens: kernels are compiled once on each computer."""
     if functions == 0:
-        text = f"compiling, first use on this computer{_why_not_shipped()}, less than a minute in all"
+        text = f"compiling, first use on this computer{_why_not_shipped()}, one to three minutes in all"
     else:
         left = getattr(compile_news.helper, "seconds_left", lambda: None)()
         text = f"compiling: {functions} functions, {seconds:.0f} s"
