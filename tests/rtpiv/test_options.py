@@ -144,7 +144,8 @@ def test_compiling_is_said_once_and_goes_on(capsys, monkeypatch):
     print_compiling(7, 12.3)
     said = capsys.readouterr().err
     assert (
-        said == "compiling, first use on this computer, one to three minutes in all\ncompiling: 7 functions, 12 s\n"
+        said
+        == "compiling, first use on this computer, one to three minutes in all\ncompiling: 7 functions, 12 s\n"
     )
 
 

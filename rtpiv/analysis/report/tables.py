@@ -212,18 +212,29 @@ def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, st
 def moved_head(evaluation: Evaluation) -> Row:
     """Head of `moved_rows`: velocities where the time between the frames is known."""
     unit = "mm" if evaluation.task.dt_s is None else "m/s"
-    return "region", "vectors", "median u, v [px]", f"median x, y [{unit}]"
+    return (
+        "region",
+        "vectors",
+        "median u, v [px]",
+        f"median x, y [{unit}]",
+        f"its median sigma [{unit}]",
+    )
 
 
 def moved_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under `moved_head`: the median of what moved beside and behind the glass, v down, y up."""
+    """Rows under `moved_head`: what moved beside and behind the glass, v down, y up, and how sure a vector is."""
     scale = per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
     field, rows = evaluation.field, list[Row]()
+    parts = [_random(field), _resolution(field)]
+    parts += [] if evaluation.map_sigma is None else [evaluation.map_sigma.displacement_px]
+    parts += [] if evaluation.slant is None else [evaluation.slant.sigma_px]
+    sigma = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))
     for total in totals_of(evaluation):
         where = total.where(evaluation)
         u, v = float(np.median(field.u_px[where])), float(np.median(field.v_px[where]))
         on_plane = ", ".join(f"{part * scale:+z.4f}" for part in (u, -v))
-        rows.append((total.region, str(total.count), f"{u:+z.3f}, {v:+z.3f}", on_plane))
+        unsure = ", ".join(f"{part * scale:.2g}" for part in np.median(sigma[where], axis=0))
+        rows.append((total.region, str(total.count), f"{u:+z.3f}, {v:+z.3f}", on_plane, unsure))
     return rows
 
 

@@ -126,12 +126,15 @@ def test_tables_and_head_have_one_verdict_of_a_region():
 
 @pytest.mark.parametrize(("dt_s", "unit", "scale"), [(None, "mm", 0.5), (2e-3, "m/s", 0.25)])
 def test_without_a_known_shift_what_moved_is_said_beside_and_behind_the_glass(dt_s, unit, scale):
-    made = evaluation(known=False)
+    made = evaluation(known=False, sigma=0.03)
+    made.field = replace(made.field, resolution_px=np.full(made.field.flags.shape, 0.04))
+    made.field.sigma_u_px[::5, ::5] = 9.0  # a few vectors that noise has taken are not what is usual
     made.grid, made.task = SimpleNamespace(pitch_mm=0.5), SimpleNamespace(dt_s=dt_s)
     rows = moved_rows(made)
     assert f"[{unit}]" in moved_head(made)[-1]
     assert [row[:2] for row in rows] == [("behind glass", "400"), ("seen directly", "1121")]
-    for _, _, px, on_plane in rows:
+    for _, _, px, on_plane, unsure in rows:
+        assert [float(part) for part in unsure.split(",")] == pytest.approx([0.05 * scale] * 2, rel=0.05)
         u, v = (float(part) for part in px.split(","))
         assert (u, v) == pytest.approx((4.03, -3.01), abs=0.01)
         assert [float(part) for part in on_plane.split(",")] == pytest.approx((scale * u, -scale * v), abs=1e-3)
