@@ -147,8 +147,9 @@ class ShiftResult:
     ----------
     shift_px : (float, float)
         True displacement, u right, v down.
-    stage_px : float
-        Standard error of the stage, in pixels: what a common bias may be without any fault of the optics.
+    stage_px : (float, float)
+        Standard error of a position of the stage along u and v, in pixels: what a common bias may be without any
+        fault of the optics.
     regions : mapping of str to Scatter
         "seen directly", "behind glass, r < 0.75 R", "behind glass", "across a rim".
     rings : mapping of (float, float) to Scatter
@@ -158,7 +159,7 @@ class ShiftResult:
     """
 
     shift_px: tuple[float, float]
-    stage_px: float
+    stage_px: tuple[float, float]
     regions: Mapping[str, Scatter]
     rings: Mapping[tuple[float, float], Scatter]
     valid: int
@@ -168,7 +169,7 @@ class ShiftResult:
         """JSON-able figures."""
         return {
             "shift_px": list(self.shift_px),
-            "stage_px": self.stage_px,
+            "stage_px": list(self.stage_px),
             "valid_vectors": self.valid,
             "nodes": self.nodes,
             "regions": {name: vars(scatter) for name, scatter in self.regions.items()},
@@ -183,7 +184,10 @@ def shift_errors(field: VectorField, shift_px: tuple[float, float]) -> NDArray[n
 
 
 def evaluate_shift(
-    field: VectorField, regions: Regions, shift_px: tuple[float, float], stage_px: float = 0.0
+    field: VectorField,
+    regions: Regions,
+    shift_px: tuple[float, float],
+    stage_px: tuple[float, float] = (0.0, 0.0),
 ) -> ShiftResult:
     """Compare a field with the shift of the sheet.
 
@@ -195,8 +199,8 @@ def evaluate_shift(
         Where each belongs.
     shift_px : (float, float)
         True displacement in corrected pixels, u right, v DOWN.
-    stage_px : float
-        Standard error of the stage in pixels.
+    stage_px : (float, float)
+        Standard error of a position of the stage along u and v, in pixels.
     """
     errors = shift_errors(field, shift_px)
     sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)

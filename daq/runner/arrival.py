@@ -7,7 +7,9 @@ was moved by hand, or was never moved: the step fails by its name, and planned a
 journal.
 
 What an axis is believed to have been sent to stands in for what it reads only within that tolerance: the
-micrometre that a reading differs from its target is no reason to drive there again, a millimetre is.
+micrometre that a reading differs from its target is no reason to drive there again, a millimetre is. A run begins
+by driving every motor to its place, from its own side; a hand is not asked to turn what reads right already: glass
+that has not been touched since it was calibrated stays so.
 """
 
 from collections.abc import Mapping
@@ -46,8 +48,9 @@ def go_to(
         A move was refused, or something came between; everything has been halted.
     """
     found_mm = dict(here_mm or known_positions(hardware.stage.where_mm()))
-    away = off_by_mm(hardware, rests_at_mm, found_mm)
-    found_mm |= {name: mm for name, mm in rests_at_mm.items() if name not in away}
+    believed_mm = {name: targets_mm[name] for name in hardware.bench.table.stages.by_hand} | dict(rests_at_mm)
+    away = off_by_mm(hardware, believed_mm, found_mm)
+    found_mm |= {name: mm for name, mm in believed_mm.items() if name not in away}
     for move in route(hardware.bench, found_mm, targets_mm):
         hardware.stage.move(move)
 

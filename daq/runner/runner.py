@@ -205,6 +205,8 @@ class Runner:
                 f"ended on request within step {step.index + 1} ({step.tag}), which keeps its frames"
             )
         record |= {"gaps": gaps} if gaps else {}
+        by_hand = self._hardware.bench.table.stages.by_hand
+        record |= {"reading_um": by_hand} if by_hand else {}
         for camera in self._first_last:
             camera.finish_step(step, record)
 

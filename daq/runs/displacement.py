@@ -6,22 +6,29 @@ The displacement is that of the target between a step and its reference step, in
     measured    from what the controllers reported at rest
     true        from where the carriages of the simulated bench really stood
 
-Evaluations must use `measured`; `true` is there to score them.
+Evaluations must use `measured`; `true` is there to score them.  Where hands move the target, `sigma` is the
+standard deviation of `measured` in each direction, from how well each scale is read: twice for an axis that was
+turned, not at all for one that was not touched, and unknown (None) where a motor moves.
 
 displacements.json is a list with one entry a line, each with its seal (runs.seal).
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import (
+    Annotated,
+    Any,
+    NotRequired,  # that of typing cannot be checked before Python 3.12
+)
 
-from pydantic import TypeAdapter, with_config
-from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+from pydantic import Field, TypeAdapter, with_config
+from typing_extensions import TypedDict
 
 from daq.atomic_write import write_text
-from daq.bench.bench_table import TARGET, Bench, Vector
+from daq.bench.bench_table import DIRECTIONS, TARGET, Bench, Vector
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.plans.steps import Step
 from daq.runs.journal import Entry
@@ -34,6 +41,10 @@ from ground.plain_file import read_plain
 FILE = "displacements.json"
 
 
+SigmaMm = Annotated[float, Field(ge=0.0, le=100.0)]
+Sigmas = tuple[float | None, float | None, float | None]
+
+
 @with_config(STRICT)
 class Moved(TypedDict):
     """An entry of displacements.json."""
@@ -43,6 +54,7 @@ class Moved(TypedDict):
     commanded_mm: Way
     measured_mm: Way
     true_mm: Way | None
+    sigma_mm: NotRequired[tuple[SigmaMm | None, SigmaMm | None, SigmaMm | None]]  # where hands moved it
 
 
 _ENTRY: TypeAdapter[Moved] = TypeAdapter(Moved)
@@ -58,10 +70,14 @@ class Displacement:
     commanded_mm: Vector
     measured_mm: Vector
     true_mm: Vector | None
+    sigma_mm: Sigmas | None = None  # of measured_mm; None where no hand moves the target
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data."""
-        return asdict(self)
+        tree = asdict(self)
+        if self.sigma_mm is None:
+            del tree["sigma_mm"]
+        return tree
 
 
 def displacements(bench: Bench, steps: Sequence[Step], entries: Sequence[Entry]) -> list[Displacement]:
@@ -90,6 +106,7 @@ def displacements(bench: Bench, steps: Sequence[Step], entries: Sequence[Entry])
                 _between(bench, before["planned_mm"], after["planned_mm"]),
                 _between(bench, before["measured_mm"], after["measured_mm"]),
                 _between(bench, before["true_mm"], after["true_mm"]) if has_truth else None,
+                _sigma(bench, before, after),
             )
         )
     return found
@@ -98,6 +115,24 @@ def displacements(bench: Bench, steps: Sequence[Step], entries: Sequence[Entry])
 def _between(bench: Bench, before_mm: Mapping[str, float], after_mm: Mapping[str, float]) -> Vector:
     before, after = bench.table.offset_mm(TARGET, before_mm), bench.table.offset_mm(TARGET, after_mm)
     x, y, z = (b - a for a, b in zip(before, after, strict=True))
+    return (x, y, z)
+
+
+def _sigma(bench: Bench, before: Entry, after: Entry) -> Sigmas | None:
+    """What readings leave open of the way along x, y, z; None where no hand moves the target."""
+    by_hand = bench.table.stages.by_hand
+    carried = bench.table.axes_of(TARGET)
+    if not by_hand.keys() & carried.keys():
+        return None
+    places = [(entry["planned_mm"], entry["measured_mm"]) for entry in (before, after)]
+    found: list[float | None] = []
+    for direction in DIRECTIONS:
+        along = [name for name, axis in carried.items() if axis.along == direction]
+        touched = [name for name in along if any(a[name] != b[name] for a, b in zip(*places, strict=True))]
+        read_mm = [by_hand[name] * 1e-3 for name in touched if name in by_hand]
+        known = bool(read_mm) or (bool(along) and by_hand.keys() >= set(along))
+        found.append(math.sqrt(2.0 * sum(mm**2 for mm in read_mm)) if known else None)
+    x, y, z = found
     return (x, y, z)
 
 

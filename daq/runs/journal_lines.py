@@ -85,6 +85,7 @@ class StepLine(TypedDict):
     planned_mm: Positions
     measured_mm: Positions
     true_mm: NotRequired[Positions]
+    reading_um: NotRequired[Positions]  # of axes that hands move: standard deviation of a reading in measured_mm
     gaps: NotRequired[list[Gap]]
 
 

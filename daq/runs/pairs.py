@@ -110,6 +110,9 @@ class FramePair:
         Before and after, always two files: a buffer with both exposures is cut in two as it arrives.
     commanded_mm, measured_mm : (float, float, float), optional
         Displacement of the target in the world, as planned and as the stages reported it; None if it did not move.
+    sigma_mm : (float or None, ...), optional
+        Standard deviation of `measured_mm` in each direction where hands moved it, None for a motor; see
+        `runs.displacement`.
     dt_s : float, optional
         From the first exposure, or light pulse, to the second: measured if somebody did, else commanded; None if
         nobody knows.
@@ -127,6 +130,7 @@ class FramePair:
     frames: tuple[Path, Path]
     commanded_mm: Vector | None = None
     measured_mm: Vector | None = None
+    sigma_mm: tuple[float | None, ...] | None = None
     dt_s: float | None = None
     dt_sigma_s: float | None = None
     time_s: float | None = None
@@ -316,6 +320,7 @@ def _moved(folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, En
             (folder.inside(first["file"]), folder.inside(second["file"])),
             entry["commanded_mm"],
             entry["measured_mm"],
+            tuple(entry["sigma_mm"]) if "sigma_mm" in entry else None,
         )
 
 

@@ -5,6 +5,7 @@ sheet, or a print on the target's stage (`shows_light_sheet`).  A camera's dewar
 target (`dewarp_of`).
 """
 
+import math
 import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -174,6 +175,16 @@ def bench_table(folder: RunFolder) -> "BenchTable":
     from daq.bench.bench_table import BenchTable
 
     return load_kept(folder, "bench", lambda file: read(file, BenchTable))
+
+
+def height_sigma_mm(path: Path) -> float:
+    """Standard deviation of a height of the target, a difference of two places, as hands read; 0 of motors."""
+    from daq.bench.bench_table import TARGET
+
+    table = bench_table(RunFolder.open(path))
+    axes = table.axes_of(TARGET)
+    read_um = [um for name, um in table.stages.by_hand.items() if name in axes and axes[name].along == "z"]
+    return math.sqrt(2.0 * sum((um * 1e-3) ** 2 for um in read_um))
 
 
 def notes_of(folder: RunFolder) -> dict[str, str]:

@@ -14,7 +14,7 @@ from correction.fitted.scene_sigma import save_fit
 from daq.atomic_write import write_json, write_text
 from daq.runs.acquired import read_acquired
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import TargetView, board_of, is_run, load_kept, target_views
+from daq.runs.run_views import TargetView, board_of, height_sigma_mm, is_run, load_kept, target_views
 from ground.plain_words import counted
 from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS
@@ -92,7 +92,7 @@ def calibrate(
             progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
         say(f"{counted(len(frames), 'frame')} of the target in {folder}")
-        fit = fit_scene(nominal, frames, target, priors, say)
+        fit = fit_scene(nominal, frames, target, _as_read(priors, folder), say)
         seconds = time.monotonic() - began
         say("standard deviation of the map")
         sigma = map_sigma(fit)
@@ -141,6 +141,14 @@ def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
             "is no run, which would know its scene", place=folder, cure="give the nominal one with --scene"
         )
     return load_kept(RunFolder.open(folder), "scene", lambda file: (load_scene(file), load_priors(file)))
+
+
+def _as_read(priors: FitTable, folder: Path) -> FitTable:
+    """What is known before the fit, where a person has read how far the target was moved along z: no better."""
+    read_mm = height_sigma_mm(folder) if is_run(folder) else 0.0
+    if read_mm <= priors.target.z_mm:
+        return priors
+    return priors.model_copy(update={"target": priors.target.model_copy(update={"z_mm": read_mm})})
 
 
 def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:

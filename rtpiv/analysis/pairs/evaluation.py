@@ -1,5 +1,6 @@
 """One pair from frames to figures: correct, correlate, carry the map's uncertainty along, compare with truth."""
 
+import math
 from dataclasses import dataclass
 from dataclasses import field as made_by
 from html import escape
@@ -52,6 +53,8 @@ class Task:
         Folder of its results.
     shift_mm : (float, float) or None
         True displacement, x right, y UP; None if it is not known, or not one number for all particles.
+    shift_sigma_mm : (float or None, ...) or None
+        Its standard deviation along x and y where hands moved the particles; None for what a motor moved.
     commanded_mm : (float, float) or None
         What was asked of the stage that moved them.
     dt_s : float or None
@@ -65,6 +68,7 @@ class Task:
     scene: Scene
     out: Path
     shift_mm: tuple[float, float] | None = None
+    shift_sigma_mm: tuple[float | None, ...] | None = None
     commanded_mm: tuple[float, float] | None = None
     dt_s: float | None = None
     note: str = ""
@@ -170,7 +174,8 @@ class PairDetails:
         True displacement of the particles, x to the right and y UP: errors are stated against it.  For a run
         the displacement measured by the stages is taken.
     stage_sigma_um : float
-        Standard error of the stage that moved the sheet, for the error budget.
+        Standard error of a position of the motor that moved the sheet, for the error budget; along an axis that
+        a hand moved, how well its scale is read counts, as the bench file says it.
     route : {"image", "compare", "best"}
         Correct, then correlate; also carry raw vectors through the glass and compare; or take in each region the
         better of both (the scene must hold the camera's true pose; no dewarp).
@@ -328,7 +333,7 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
         routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
         if asked.route == "best":
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)
-    stage_px = asked.stage_sigma_um * 1e-3 * grid.px_per_mm
+    stage_px = _stage_px(task, asked.stage_sigma_um, grid.px_per_mm)
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
@@ -342,6 +347,13 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
         task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
         no_tracks, slant,
     )  # fmt: skip
+
+
+def _stage_px(task: Task, motor_um: float, px_per_mm: float) -> tuple[float, float]:
+    """Standard error of one position along u and v [px]: of the motor, or of a hand's reading."""
+    x, y, *_ = task.shift_sigma_mm or (None, None)
+    along_x, along_y = (motor_um * 1e-3 if way is None else way / math.sqrt(2.0) for way in (x, y))
+    return along_x * px_per_mm, along_y * px_per_mm
 
 
 def _corrected(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:

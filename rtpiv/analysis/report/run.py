@@ -73,13 +73,16 @@ def moved_chapter(page: Page, folder: RunFolder) -> None:
     if not (folder.path / MOVED).is_file():
         return
     moved = read_displacements(folder)
+    by_hand = any("sigma_mm" in entry for entry in moved)
     page.heading("What the stages did")
     rows = [
         (entry["tag"], *("-" if moved_mm is None else ", ".join(f"{c:+.4f}" for c in moved_mm)
-                         for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])))
+                         for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])),
+         *((", ".join("-" if c is None else f"{c:.4f}" for c in entry.get("sigma_mm", ())),) if by_hand else ()))
         for entry in moved[:SHOWN_PAIRS]
     ]  # fmt: skip
-    head = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
+    head: tuple[str, ...] = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
+    head += ("sigma of measured, as read by hand",) if by_hand else ()
     page.table(head, rows, "Displacement of the target. Errors above are against the measured one.")
 
 

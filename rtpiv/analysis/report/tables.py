@@ -396,7 +396,7 @@ def offset_said(evaluation: Evaluation) -> str:
         return ""
     first, *others = totals_of(evaluation)
     offset = np.array(result.regions[first.region].bias_px)
-    allowed_px = 2.0 * float(np.sqrt(2.0)) * result.stage_px
+    allowed_px = 2.0 * float(np.hypot(*result.stage_px))  # two positions, two components
     said = f"Common offset {_norm(offset)} px"
     if not others:
         return f"{said}, of the stage or of the map (the stage is allowed {allowed_px:.2g} px)."
@@ -430,7 +430,7 @@ def budget_rows(evaluation: Evaluation) -> list[Row]:
     random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]
     rows: list[Row] = [
         ("correlation of one vector: scatter", _rms(random)),
-        ("stage, two positions: a common bias of all vectors", two_digits(np.sqrt(2.0) * result.stage_px)),
+        ("stage, two positions: a common bias of all vectors", two_digits(float(np.hypot(*result.stage_px)))),
     ]
     if evaluation.map_sigma is not None:
         moved = evaluation.map_sigma.displacement_px[where]

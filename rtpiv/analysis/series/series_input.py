@@ -143,7 +143,7 @@ def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
     task = replace(task, commanded_mm=pair.commanded_mm[:2])
     if abs(z) > IN_PLANE_MM:
         return replace(task, note=f"moved by {z:+.3f} mm along z: no one displacement is true for all vectors.")
-    return replace(task, shift_mm=(x, y))
+    return replace(task, shift_mm=(x, y), shift_sigma_mm=pair.sigma_mm)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import pytest
 
 from daq.bench.bench_file import load_bench
 from daq.bench.opened import _keep_apart, open_bench
+from daq.runner.arrival import go_to
 from daq.timing.states import Event, LaserState
 from rtpiv.command_line.cli import DONE, USAGE, main
 from stages.errors import MotionBarred
@@ -83,3 +84,28 @@ def test_the_hand_of_a_simulated_bench_turns_for_whoever_opens_it(tmp_path):
     assert where["target_x"] == pytest.approx(3.0, abs=0.011)
     assert all(abs(where[name] - truth[name]) < 0.05 for name in truth)
     assert where != truth
+
+
+def test_a_hand_is_not_asked_to_turn_what_reads_right_already(tmp_path):
+    """Glass that was not touched since it was calibrated stays so; a known way is turned however short it is."""
+    bench = load_bench(write_hand_bench(tmp_path)[0])
+    asked = []
+    with open_bench(bench, simulate=True, only={"stages"}) as opened:
+        reads = {"glass_y": 140.05, "target_x": 12.5, "target_y": 12.49, "target_z": 20.0}
+
+        def person(question: ScaleQuestion, given_up):
+            if question.target_mm is not None:
+                asked.append(question.axis)
+                reads[question.axis] = question.target_mm
+            return f"{reads[question.axis]:.3f}"
+
+        opened.stage.turned_by(person)
+        opened.stage.home()
+        home = bench.home_mm
+        go_to(opened, home, {})
+        assert asked == ["target_z"]
+        where = opened.stage.where_mm()
+        assert where["glass_y"] == pytest.approx(0.05)
+        assert where["target_y"] == pytest.approx(-0.01)
+        go_to(opened, home | {"target_y": -0.005}, home)
+        assert asked == ["target_z", "target_y"]

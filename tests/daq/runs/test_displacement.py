@@ -1,8 +1,12 @@
 """Displacements of a shift run: which way the target went, from the reference to the step."""
 
 import pytest
+import yaml
 
+from daq.bench.bench_file import load_bench
+from daq.plans.plan import load_plan
 from daq.runs.displacement import displacements
+from tests.daq.hand_bench import write_hand_bench
 from tests.daq.small_bench import load
 
 
@@ -41,3 +45,36 @@ def test_a_plan_to_the_right_and_up_is_a_displacement_to_the_right_and_up(tmp_pa
     assert found.commanded_mm[0] == pytest.approx(found.commanded_mm[1])
     assert found.commanded_mm[0] > 0.0
     assert found.true_mm is None
+    assert found.sigma_mm is None
+    assert "sigma_mm" not in found.to_dict()
+
+
+def test_a_way_that_hands_have_read_is_as_unsure_as_its_two_readings(tmp_path):
+    """Along x it was turned; y was not touched; along z it was read anew, which is a reading too."""
+    path, plan = write_hand_bench(tmp_path)
+    bench = load_bench(path)
+    steps = load_plan(plan, bench).steps
+    here = {**bench.home_mm}
+    before = {"kind": "step", "step": 0, "planned_mm": here, "measured_mm": here}
+    there = {**here, "target_x": 1.0}
+    after = {"kind": "step", "step": 1, "planned_mm": there, "measured_mm": {**there, "target_z": 0.01}}
+    (found,) = displacements(bench, steps, [before, after])
+    turned_mm = 2**0.5 * 0.0042
+    assert found.sigma_mm == pytest.approx((turned_mm, 0.0, turned_mm))
+    assert found.to_dict()["sigma_mm"] == found.sigma_mm
+
+
+def test_beside_a_motor_only_the_hand_says_how_well_it_reads(tmp_path):
+    path, plan = write_hand_bench(tmp_path)
+    tree = yaml.safe_load(path.read_text())
+    tree["stages"]["controllers"]["rail"] = {"driver": "pi_gcs2", "port": "/dev/ttyUSB0"}
+    tree["stages"]["axes"]["target_x"] |= {"controller": "rail", "channel": "1"}
+    del tree["stages"]["axes"]["target_x"]["reading_um"]
+    path.write_text(yaml.safe_dump(tree))
+    bench = load_bench(path)
+    entries = [
+        {"kind": "step", "step": step.index, "planned_mm": step.targets_mm, "measured_mm": step.targets_mm}
+        for step in load_plan(plan, bench).steps
+    ]
+    (found,) = displacements(bench, load_plan(plan, bench).steps, entries)
+    assert found.sigma_mm == (None, 0.0, 0.0)

@@ -32,7 +32,7 @@ def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=Tru
     region = np.full(field.flags.shape, Region.DIRECT, np.uint8)
     region[10:30, 10:30] = Region.GLASS if glass else Region.DIRECT
     regions = Regions(region, np.where(region == Region.GLASS, 0.5, np.nan))
-    shift = evaluate_shift(field, regions, SHIFT_PX, 0.05) if known else None
+    shift = evaluate_shift(field, regions, SHIFT_PX, (0.05, 0.05)) if known else None
     joined = None
     if moved is not None:
         joined = SimpleNamespace(displacement_px=np.full((*field.flags.shape, 2), moved))
@@ -113,7 +113,7 @@ def test_an_offset_that_is_the_same_beside_the_glass_is_the_stage():
     assert offset_said(evaluation(known=False)) == ""
     made = evaluation()
     made.field.u_px[made.regions.region == Region.GLASS] += 0.05
-    made.shift = evaluate_shift(made.field, made.regions, SHIFT_PX, 0.05)
+    made.shift = evaluate_shift(made.field, made.regions, SHIFT_PX, (0.05, 0.05))
     assert "beside the glass: the map or the scene is off" in offset_said(made)
 
 
