@@ -1,4 +1,7 @@
-"""Commands as the pages have them: indented lines of README.md and docs/*.md that begin with `rtpiv`."""
+"""Commands as the pages have them: lines of README.md and docs/*.md that begin with `rtpiv`, and their text.
+
+Which of them no test runs, and why, stands here.
+"""
 
 import glob
 import re
@@ -12,42 +15,85 @@ PAGES = [*FIRST, *sorted(set(DOCS.glob("*.md")) - set(FIRST))]
 SITE = [ROOT / "README.md", *(page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts)]
 
 HARDWARE = "opens real devices: no --simulate"
-LASTS = "lasts until somebody ends it"
 CLUSTER = "needs a cluster"
-OTHERS = "frames of another program, which no lab has"
-NAMES = "names stand for folders of the reader"
-LONG = "takes many minutes, and has a test of its own"
 REHEARSED = "in a lab of its own: tests/faces/test_rehearsal_page.py"
 NOT_RUN = {  # commands that nothing here carries out, and why; all others are run as they stand
-    "demo": LONG,
-    "live --bench bench-sim.yaml --simulate": LASTS,
-    "live --bench bench.yaml": LASTS,
-    "init lab": "asks a person",
+    "demo": "the first hour with a finer camera, step by step: `make demo` at each check of a change",
+    "init lab": "asks a person: tests/rtpiv/verbs/test_init.py answers",
     "init . --yes --balls 1 --sensor-px 128 128 --pixel-pitch-um 86": REHEARSED,
     "acquire plan-target.yaml --simulate --faults faults.yaml --seed 3 --home --no-correct": REHEARSED,
-    "benchmark scene.yaml": LONG,
-    "stage --bench bench.yaml": HARDWARE,
+    "live --bench bench-sim.yaml --simulate": "in the lab of examples, by its own test",
+    "benchmark scene.yaml": "many minutes, its rounds fewer in tests/rtpiv/verbs/test_benchmark.py",
+    "stage --bench bench.yaml": "a prompt: tests/system/test_first_day.py types the lines of at-the-bench.md",
     "align plan-align.yaml --bench bench.yaml --home": HARDWARE,
     "acquire plan-target.yaml --bench bench.yaml --home": HARDWARE,
     "acquire plan-shift.yaml --bench bench.yaml --scene fit/scene.yaml": HARDWARE,
     "acquire plan-shift.yaml --live": HARDWARE,
     "acquire plan-flow.yaml --bench bench-flow.yaml": HARDWARE,
-    "laser off": HARDWARE,
+    "laser off": "reaches lasers of all programs here: tests/rtpiv/verbs/test_laser_verb.py has its own",
     "laser prove --bench bench-flow.yaml": HARDWARE,
     "probe /dev/ttyUSB0": HARDWARE,
     "focus runs/*focus": "its run is one of plan-focus.yaml, with a lens of its own: tests/system/test_focus.py",
-    "campaign run RUN1 RUN2 --scene fit/scene.yaml -o week": NAMES,
     "campaign run -o week --scheduler tcp://10.0.0.1:8786": CLUSTER,
     "campaign run -o week --slurm 64 --slurm-set slurm_partition=long timeout_min=120 mem_gb=4": CLUSTER,
-    "evaluate 'day1/B%05d_a.tif' --scene fit/scene.yaml --dt-us 500 -o day1/series": OTHERS,
-    "mean day1 --scene fit/scene.yaml --dt-us 500 --ensemble 16": OTHERS,
-    "evaluate A.tif B.tif --scene fit/scene.yaml --dt-us 500": OTHERS,
 }
+NAMED = "a word for what another page gives as a whole"
+BOARD = "a board that somebody has printed: tests/rtpiv/analysis/prints"
+IN_TEXT = {  # with words behind the verb -> the same in a lab after its first hour, or why not
+    "camera list": "camera list --simulate",
+    "camera snap -o snap.tif": "camera snap -o snap.tif --simulate",
+    "camera test": "camera test --simulate",
+    "target scene.yaml": "target scene.yaml",
+    "correct ... --scene scene.yaml --square-mm 4 --target-clear target_clear.tif":
+        "correct frames/target_glass.tif --scene scene.yaml --square-mm 4 --target-clear frames/target_clear.tif",
+    "mean RUN --ensemble 16": "mean runs/*flow --scene fit/scene.yaml --ensemble 16",
+    "mean SERIES --w-over-u 0": "mean runs/*flow/series --w-over-u 0",
+    "mean week/runs/NAME": "mean week/runs/RUN1",
+    "evaluate A B --scene scene.yaml -o FOLDER": "evaluate a.tif b.tif --scene scene.yaml -o one",
+    "evaluate RUN -o FOLDER": "evaluate RUN1 -o other",
+    "laser align --rate-hz 5 --for-s 10": "asks a person for a code: tests/rtpiv/verbs/test_laser_verb.py",
+    "align plan-align.yaml --bench bench.yaml": NAMED,
+    "acquire plan-target.yaml --bench bench.yaml --home --dry-run":
+        "acquire plan-target.yaml --bench bench.yaml --home --dry-run",
+    "calibrate runs/<run> -o fit": NAMED,
+    "report runs/<run> --scene fit/scene.yaml": NAMED,
+    "sheet runs/...flow --scene fit/scene.yaml -o sheet": NAMED,
+    "sheet RUN --scene fit/scene.yaml -o sheet": NAMED,
+    "report RUN": NAMED,
+    "mean RUN": NAMED,
+    "check RUN": NAMED,
+    "check RUN...": NAMED,
+    "check runs/<run>": NAMED,
+    "check FILE...": NAMED,
+    "trace scene.yaml": NAMED,
+    "probe PORT": NAMED,
+    "laser prove": NAMED,
+    "benchmark SCENE": NAMED,
+    "stage < morning.txt": "a shell's own word: tests/system/test_stage_terminal.py",
+    "stage move --home glass_y=-20": "tests/system/test_first_day.py",
+    "resume runs/<run>": "a run that was stopped: tests/system/test_kill.py",
+    "resume --home": "the same",
+    "resume RUN --home": REHEARSED,
+    "resume runs/<run> --retake": "a run with damage: tests/daq/runs/test_damaged_frames.py",
+    "focus RUN": "tests/system/test_focus.py",
+    "join week/runs/BESIDE week/runs/BEHIND": "two runs, focused apart: tests/system/test_split_focus.py",
+    "join RUN/series RUN/cameras/behind/series": "two cameras: tests/system/test_split_focus.py",
+    "mask FRAME": "a page for a person: tests/rtpiv/verbs/test_masks.py",
+    "target [SCENE]": BOARD,
+    "target board.yaml --measured-mm X Y": BOARD,
+}  # fmt: skip
 
 
 def commands(page: Path) -> list[str]:
     """What stands behind `rtpiv` on a page, without comments, in order."""
     return [line.rstrip() for line in re.findall(r"^    rtpiv ([^#\n]+)", page.read_text("utf-8"), re.MULTILINE)]
+
+
+def in_text(page: Path) -> list[str]:
+    """What stands behind `rtpiv` in the text of a page, with words behind the verb, that no block has."""
+    found = re.findall(r"`rtpiv (\w[^`]*)`", prose(page))
+    plain = [" ".join(each.split()) for each in found]
+    return [each for each in plain if " " in each and not each.startswith(("VERB", "--"))]
 
 
 def prose(page: Path) -> str:

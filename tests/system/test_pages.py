@@ -6,12 +6,32 @@ What opens real devices is run on the simulated bench; what is not run is marked
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
+import tifffile
 
+from daq.runs.pairs import pairs_of
 from rtpiv.command_line.cli import DEVICE, DONE, main
 from rtpiv.options import parser
-from tests.system.pages import DOCS, HARDWARE, NOT_RUN, PAGES, ROOT, SITE, commands, in_files, places, words
+from rtpiv.options.command import VERBS
+from tests.system.pages import (
+    DOCS,
+    HARDWARE,
+    IN_TEXT,
+    NOT_RUN,
+    PAGES,
+    ROOT,
+    SITE,
+    commands,
+    in_files,
+    in_text,
+    places,
+    words,
+)
 
 README = ROOT / "README.md"
 QUICK = [  # of a second or two each, on a lab that nobody has measured in
@@ -28,9 +48,22 @@ SIMULATED = {  # commands at real devices -> what makes them commands of this la
     for command, why in NOT_RUN.items()
     if why == HARDWARE and command.startswith(("acquire", "align", "laser prove"))
 }
+ENDED = {"live --bench bench.yaml": ["--simulate", "--for-s", "2"]}  # what else would last until somebody ends it
+UNTIL_CTRL_C = ("mask a.tif -o mask.png",)  # the same, of what knows no other end
 FIRST = {"report": "runs/*plan-shift/report/report.html", "mean": "runs/*flow/series/*.html"}  # through glass
 FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
 FEW = ((r"\bpairs: 1\d+", "pairs: 10"), (r"chunk: \d+", "chunk: 10"), (r"{pairs: \d+}", "{pairs: 4}"))
+CALM = {"calibrate": "rests on fit.light", "correct": "Traceback"}  # what must not be said
+OTHER_PROGRAMS = {  # of a page, each with the test that does the same
+    "README.md": ("cd", "python3"),  # below; tests/wheel/test_installed.py
+    "first-lab.md": ("cd",),  # tests/system/test_tutorials.py
+    "own-frames.md": ("cd", "python"),
+    "plain-piv.md": ("cd", "python"),
+    "live.md": ("ssh",),  # another computer
+    "rehearse.md": ("python",),  # tests/faces/test_rehearsal_page.py
+    "alignment.md": ("pytest",),  # slow tests
+    "add-a-stage.md": ("pytest",),
+}
 ALL = [(page, command) for page in PAGES for command in commands(page)]
 FIRST_HOUR = commands(README)[commands(README).index("init lab") + 1 :][:7]
 MADE = {  # what must be there after a command, as its page says
@@ -49,11 +82,14 @@ MADE = {  # what must be there after a command, as its page says
 SAID = {  # what must be said
     "trace": "through glass",  # "has what is seen through glass in front"
     "check .": "through glass",
-    "mean": "10 of 10 pairs",  # "every pair of a flow"
+    "mean": "mean of 10 pairs",
+    "mean runs/*flow --scene fit/scene.yaml": "10 of 10 pairs",  # "every pair of a flow"
     "sheet": "z",
     "campaign status": "done",
-    "campaign merge": "10 pairs in the mean",
+    "campaign merge": "20 pairs in the mean",  # of two runs, docs/campaigns.md
     "check runs/*": "hash",
+    "mean day1": "10 of 10 pairs",
+    "live": "look at",  # "print an address for a browser"
     "acquire plan-target.yaml --bench bench.yaml --dry-run": "steps",
 }
 
@@ -70,6 +106,33 @@ def test_what_is_not_run_stands_on_a_page_and_what_is_quick_too():
     assert not set(QUICK) & set(NOT_RUN)
     assert len(FIRST_HOUR) == 7
     assert not [command for command in said if "..." in command]
+
+
+def test_every_command_in_a_text_is_run_or_has_a_reason():
+    """Those that a block of some page has too are run there."""
+    said = {command for page in PAGES for command in in_text(page)} - {command for _, command in ALL}
+    assert said == set(IN_TEXT) - {command for _, command in ALL}
+    for page in SITE:  # verbs that a text names
+        for verb in re.findall(r"`rtpiv ([a-z]\w*)[^`]*`", page.read_text("utf-8")):
+            assert verb in VERBS, f"{page}: rtpiv {verb}"
+
+
+def test_every_other_line_of_a_block_is_known():
+    """Of shells and make: targets that there are, and what the test of the wheel does."""
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
+    for page in [*SITE, ROOT / "CONTRIBUTING.md"]:
+        text = page.read_text("utf-8")
+        assert set(re.findall(r"^    make ([a-z-]+)", text, re.MULTILINE)) <= targets
+        for line in re.findall(r"^    pytest (.*)", text, re.MULTILINE):
+            assert all((ROOT / word).exists() for word in line.split() if "/" in word), line
+        for program in re.findall(r"^    (cd|python3?|pip|ssh|pytest|source|curl) ", text, re.MULTILINE):
+            assert program in OTHER_PROGRAMS.get(page.name, ()), f"{page}: {program}"
+
+
+def test_what_a_text_names_is_taken_as_well():
+    for command in IN_TEXT.values():
+        if command.split()[0] in VERBS:
+            parser().parse_args(command.split())
 
 
 def test_every_link_leads_to_a_file_and_to_a_place_in_it():
@@ -136,10 +199,16 @@ def test_the_first_hour_and_what_follows_it(tmp_path, monkeypatch, capsys):
     _few_pairs(lab)
     _frames_of_the_reader(lab)
     assert not (wrong := _wrong(FLOW, lab, capsys)), wrong  # mean, sheet and campaign stand before it on some page
+    _frames_of_another_program(lab)
     for _, command in ALL:
         if command not in done | {FLOW} and (command not in NOT_RUN or command in SIMULATED):
+            if "RUN1" in command:
+                _two_runs(lab)
             missed += filter(None, [_wrong(command, lab, capsys)])
             done.add(command)
+    for command in IN_TEXT.values():
+        if command.split()[0] in VERBS and command not in done:
+            missed += filter(None, [_wrong(command, lab, capsys)])
     assert not missed, "\n".join(missed)
 
 
@@ -165,6 +234,7 @@ def test_the_lab_of_examples(tmp_path, monkeypatch, capsys):
         "report runs/*plan-shift --scene fit/scene.yaml",
         "mean runs/*flow --scene fit/scene.yaml",
         "check runs/*",
+        "live --bench bench-sim.yaml --simulate --for-s 2",  # as docs/commands.md has it, and an end
     )
     assert not [wrong for command in then if (wrong := _wrong(command, lab, capsys))]
 
@@ -176,24 +246,63 @@ def test_what_the_examples_say_in_their_comments_is_taken():
 
 def _wrong(command, lab, capsys):
     """What is not as its page says after a command; empty if all is."""
-    code = main([*words(command), *SIMULATED.get(command, [])])
-    said = capsys.readouterr()
-    if code != SAYS.get(command, DONE) or "Traceback" in said.err:
-        return f"rtpiv {command} ends with {code}: {said.err[-1500:]}"
+    if command in UNTIL_CTRL_C:
+        code, out, err = _ended(words(command))
+    else:
+        code = main([*words(command), *SIMULATED.get(command, []), *ENDED.get(command, [])])
+        out, err = capsys.readouterr()
+    if code != SAYS.get(command, DONE) or "Traceback" in err:
+        return f"rtpiv {command} ends with {code}: {err[-1500:]}"
     for start, patterns in MADE.items():
         if f"{command} ".startswith(f"{start} ") and (
             lack := [each for each in patterns if not list(lab.glob(each))]
         ):
             return f"rtpiv {command} has left no {' and no '.join(lack)}"
     for start, text in SAID.items():
-        if f"{command} ".startswith(f"{start} ") and text not in " ".join(said.out.split()):
-            return f"rtpiv {command} does not say {text!r}: {said.out[-1500:]}"
+        if f"{command} ".startswith(f"{start} ") and text not in " ".join(out.split()):
+            return f"rtpiv {command} does not say {text!r}: {out[-1500:]}"
+    for start, text in CALM.items():
+        if f"{command} ".startswith(f"{start} ") and text in " ".join(out.split()):
+            return f"rtpiv {command} says {text!r}"
     for start, pattern in FIRST.items():
         if f"{command} ".startswith(f"{start} ") and not any(
             "is seen through glass" in page.read_text() for page in lab.glob(pattern)
         ):
             return f"rtpiv {command}: its page does not say what is seen through glass"
     return ""
+
+
+def _frames_of_another_program(lab):
+    """day1/ with the pairs of the flow as another program names them, A.tif and B.tif."""
+    (run,) = (lab / "runs").glob("*plan-flow")
+    pairs = [pair.frames for pair in pairs_of(run).pairs if not pair.is_background]
+    (lab / "day1").mkdir()
+    for number, frames in enumerate(pairs, start=1):
+        for letter, frame in zip("ab", frames, strict=True):
+            pixels = tifffile.imread(frame)
+            tifffile.imwrite(lab / "day1" / f"B{number:05d}_{letter}.tif", pixels)
+            tifffile.imwrite(lab / f"{letter.upper()}.tif", pixels)
+
+
+def _two_runs(lab):
+    """RUN1 and RUN2, and no campaign of other runs in week/."""
+    (run,) = (lab / "runs").glob("*plan-flow")
+    for name in ("RUN1", "RUN2"):
+        shutil.copytree(run, lab / name)
+    (lab / "week").rename(lab / "week-of-one-run")
+
+
+def _ended(words_of_it):
+    """Exit code, output and errors of a command that is ended by Ctrl-C once it has said where to look."""
+    out = ""
+    program = [sys.executable, "-m", "rtpiv", *words_of_it]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as asked:
+        while "look at http" not in out and (line := asked.stdout.readline()):
+            out += line
+        time.sleep(1.0)
+        asked.send_signal(signal.SIGINT)
+        rest, err = asked.communicate(timeout=120)
+    return asked.returncode, out + rest, err
 
 
 def _few_pairs(lab):

@@ -22,7 +22,7 @@ WORDS = {  # verb -> one call and another, of other settings, into one folder
     "correct": (["frame.tif", "--scene", "one.yaml"], ["frame.tif", "frame2.tif", "--scene", "other.yaml"]),
     "trace": (["one.yaml"], ["other.yaml"]),
     "export": (["one.yaml", "--to", "tiff"], ["other.yaml", "one.yaml", "--to", "netcdf"]),
-    "target": (["--kind", "dots"], ["one.yaml", "--kind", "charuco"]),
+    "target": (["--kind", "dots"], ["--square-mm", "5", "--paper", "A3"]),
     "compare": ([*LAB, "--sensor-px", "96", "96"], [*LAB, "--sensor-px", "96", "80", "--counts", "3"]),
     "init": (["--yes", "--balls", "1"], ["--yes", "--balls", "3", "--overwrite"]),
 }
