@@ -27,9 +27,9 @@ class Rehearsal:
     Parameters
     ----------
     faults : path or sequence of mapping, optional
-        What goes wrong, and when: a YAML file, or its entries; see `daq.bench.fault_table`.
+        What goes wrong on the simulated bench, and when: a YAML file, or its entries.
     seed : int, optional
-        Of misalignment, prints and noise, in place of the bench file's.
+        Of misalignment, prints and noise of the simulated bench, in place of the bench file's.
     """
 
     faults: Path | str | Sequence[Mapping[str, Any]] | None = None

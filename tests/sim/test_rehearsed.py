@@ -152,6 +152,7 @@ def test_a_camera_that_is_late_torn_or_gone(rehearsed):
         photograph(rehearsed(fault("unplug", "camera", at_s=0.1)))
 
 
+@pytest.mark.slow
 def test_the_lamp_grows_dim(rehearsed):
     bright = photograph(rehearsed()).astype(float).mean()
     dim = photograph(rehearsed(fault("dim", "lamp", at_s=0.1, share=0.5))).astype(float).mean()
