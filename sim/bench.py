@@ -15,6 +15,7 @@ from typing import Any, cast
 
 from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
 from daq.bench.kinds import kind_of
+from daq.errors import RunUsageError
 from daq.plans.steps import Step
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
@@ -190,6 +191,10 @@ class SimulatedBench:
     def _watch(self, table: SimulationTable, stages: SimulatedStages) -> WatchedWorld:
         """Keep what happens from now on, and let the faults of a rehearsal wait for their moments."""
         assert isinstance(self.clock, PacedClock)
+        if self._shows == FLOW and any(fault.what == "dim" for fault in table.schedule):
+            raise RunUsageError(
+                "dim of lamp: a flow is lit by the laser, which cannot be dimmed; leave that fault out"
+            )
         worlds = {CAMERA: self.world, **self._further_worlds}
         cameras = {name: self._cameras[_serial_of(name)] for name in worlds if _serial_of(name) in self._cameras}
         lines = {**self.lines, **{name: unit.line for name, unit in self._units.items()}}

@@ -11,6 +11,7 @@ import pytest
 from daq import photograph
 from daq.bench.bench_file import load_bench
 from daq.bench.fault_table import OF_A, things_of
+from daq.bench.opened import start_simulation
 from daq.bench.rehearsal import Rehearsal
 from daq.errors import CameraError, RunUsageError
 from ground.errors import ConfigError
@@ -200,6 +201,12 @@ def test_other_bad_input_is_one_sentence(path, tmp_path):
         read_happened(tmp_path)
     with pytest.raises(ConfigError, match="cannot be read"):
         Rehearsal(tmp_path / "none.yaml").of(bench)
+
+
+def test_the_light_of_a_flow_is_no_lamp(path):
+    rehearsed = Rehearsal([fault("dim", "lamp", step=1, share=0.5)]).of(load_bench(path), steps=2)
+    with pytest.raises(RunUsageError, match="a flow is lit by the laser, which cannot be dimmed"):
+        start_simulation(rehearsed, "flow")
 
 
 def test_every_thing_of_a_bench_has_its_faults(path):
