@@ -85,7 +85,7 @@ class PivSettings:
 
     def __post_init__(self) -> None:
         sides = self.windows_px
-        if not sides or any(int(side) != side or side < SMALLEST_WINDOW_PX for side in sides):
+        if not sides or any(side % 1 != 0 or side < SMALLEST_WINDOW_PX for side in sides):
             raise PairError(
                 f"windows_px needs at least one window, of whole pixels and at least {SMALLEST_WINDOW_PX} px, "
                 f"got {sides}"
@@ -97,13 +97,13 @@ class PivSettings:
             if value is not None and not (field.name == "window_sigma" and value == 0.0):
                 _require(field.name, value)
         if self.finest_px is not None and not (
-            int(self.finest_px) == self.finest_px and SMALLEST_WINDOW_PX <= self.finest_px < sides[-1] < sum(sides)
+            self.finest_px % 1 == 0 and SMALLEST_WINDOW_PX <= self.finest_px < sides[-1] < sum(sides)
         ):
             raise PairError(
                 f"finest_px is a whole number of pixels, at least {SMALLEST_WINDOW_PX} and smaller than the last "
                 f"of two windows or more, got {self.finest_px} below {sides}"
             )
-        if self.extra_passes != int(self.extra_passes):
+        if self.extra_passes % 1 != 0:
             raise PairError(f"extra_passes is a whole number, got {self.extra_passes}")
 
     @property

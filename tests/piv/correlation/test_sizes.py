@@ -85,3 +85,16 @@ def test_settings_that_a_file_has_kept():
             PivSettings(finest_px=finest)
     with pytest.raises(PairError, match="two windows"):
         PivSettings(windows_px=(32,), finest_px=16)
+
+
+@pytest.mark.parametrize("name", ["windows_px", "finest_px", "extra_passes"])
+@pytest.mark.parametrize("value", ["shown", float("inf"), float("nan"), None, {}])
+def test_what_a_damaged_file_says_of_settings_is_refused_in_a_way_that_its_reader_knows(name, value):
+    """A word where a size should be, as in a series.json of which two keys have run into one."""
+    kept = {"windows_px": [64, 32], "finest_px": 16, "extra_passes": 2}
+    told = kept | {name: [64, value] if name == "windows_px" else value}
+    if (name, value) == ("finest_px", None):
+        assert not settings_of(told).finds
+        return
+    with pytest.raises((PairError, TypeError)):
+        settings_of(told)
