@@ -26,7 +26,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
 from daq.bench.guards import guard_of
 from daq.bench.kinds import kind_of
-from daq.bench.opened import check_devices, known_positions, open_bench, require_camera_libraries
+from daq.bench.opened import check_devices, keep_apart, known_positions, open_bench, require_camera_libraries
 from daq.errors import RunUsageError
 from daq.timing.laser import Laser
 from stages.axis import Arrival
@@ -231,7 +231,7 @@ class BenchSession:
             opening = kind_of(known[name].kind).open(section, self.bench, clock)
             self._devices[name] = device = self._stack.enter_context(opening)
             if isinstance(device, Laser):
-                device.add_motion_interlock(self.stage)
+                keep_apart(device, self.stage)
         return self._devices[name]
 
     def camera_section(self, name: str = CAMERA) -> CameraSection:

@@ -266,21 +266,18 @@ def open_bench(
             name: stack.enter_context(kind_of(device.kind).open(sections[name], bench, clock))
             for name, device in wanted.items()
         }
-        _keep_apart(devices)
-        for stage in devices.values():
-            if isinstance(stage, Stage) and simulation is not None and bench.table.stages.by_hand:
+        for stage in [device for device in devices.values() if isinstance(device, Stage)]:
+            for laser in [device for device in devices.values() if isinstance(device, Laser)]:
+                keep_apart(laser, stage)
+            if simulation is not None and bench.table.stages.by_hand:
                 stage.turned_by(simulation.turns)
         yield OpenBench(bench, devices, sections, clock, simulation)
 
 
-def _keep_apart(devices: Mapping[str, object]) -> None:
-    """See that nothing moves while light may leave a laser, and none leaves while something moves."""
-    stages = [device for device in devices.values() if isinstance(device, Stage)]
-    for laser in devices.values():
-        if isinstance(laser, Laser):
-            for stage in stages:
-                laser.add_motion_interlock(stage)
-                stage.bar_hands(partial(_dark_for_hands, laser))
+def keep_apart(laser: Laser, stage: Stage) -> None:
+    """See that nothing moves while light may leave a laser, none leaves meanwhile, and no hand finds it on."""
+    laser.add_motion_interlock(stage)
+    stage.bar_hands(partial(_dark_for_hands, laser))
 
 
 def _dark_for_hands(laser: Laser) -> str | None:

@@ -150,7 +150,7 @@ class Evaluation:
         task, field, settings = self.task, self.field, self.settings
         windows = settings.result_grid(self.grid.shape)
         more = quality_of(field, self.grid, self.map_sigma, self.by_velocity, task.dt_s, self.slant)
-        slope = None if self.slant is None else self.slant.slope
+        slope = None if self.slant is None else self.slant.through.slope
         result = PairResult(task.name, field, task.dt_s)
         return vectors_of_pairs([result], windows, self.grid, self.about, more, slope)
 

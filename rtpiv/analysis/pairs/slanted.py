@@ -25,17 +25,14 @@ class Slanted:
 
     Parameters
     ----------
-    slope : (ny, nx, 2) float64
-        dX/dz, dY/dz of the rays, y UP; NaN where nothing is seen.
     sigma_px : (ny, nx, 2) float64
         Standard uncertainty of u and v by the velocity through the sheet; NaN where nothing was measured.
     through : ThroughSheet
-        The same before it is a part of u and v: for their derivatives, in px.
+        Slopes of the rays, y UP, and what is not known of that velocity [px].
     said : str
         What that velocity was taken to be.
     """
 
-    slope: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
     through: ThroughSheet
     said: str
@@ -88,4 +85,4 @@ def slanted(
     seen = SlantedField(uv, noise, slope, windows.size_px / windows.step_px)
     px_per_m_s = np.nan if dt_s is None else 1e3 * dt_s * found.grid.px_per_mm
     sigma_w = known.of_pair(seen, px_per_m_s)
-    return Slanted(slope, seen.sigma(sigma_w), seen.through_sheet(sigma_w), known.sentence)
+    return Slanted(seen.sigma(sigma_w), seen.through_sheet(sigma_w), known.sentence)

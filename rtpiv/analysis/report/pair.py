@@ -258,7 +258,7 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     )
     page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
     if evaluation.slant is not None:
-        region, slope = evaluation.regions.region, evaluation.slant.slope
+        region, slope = evaluation.regions.region, evaluation.slant.through.slope
         steepness = Steepness.of(slope, region == Region.GLASS, region == Region.DIRECT)
         slant_lines(page, steepness, evaluation.slant.said)
         if steepness.behind is not None:

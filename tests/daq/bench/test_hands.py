@@ -5,16 +5,18 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 
+from daq import open_session
 from daq.bench.bench_file import load_bench
-from daq.bench.opened import _keep_apart, open_bench
+from daq.bench.opened import keep_apart, open_bench
 from daq.runner.arrival import go_to
 from daq.timing.states import Event, LaserState
 from rtpiv.command_line.cli import DONE, USAGE, main
 from stages.errors import MotionBarred
 from stages.scale_question import ScaleQuestion
 from stages.stage import Stage
-from tests.daq.hand_bench import write_hand_bench, write_real_hand_bench
+from tests.daq.hand_bench import EXAMPLES, write_hand_bench, write_real_hand_bench
 from tests.daq.small_bench import SIDE_PX
 from tests.daq.timing.armed_laser import laser_on
 from tests.stages.benches import stages_table
@@ -60,7 +62,7 @@ def test_lamps_are_off_while_somebody_reaches_in():
         return "20.0"
 
     stage.turned_by(reads)
-    _keep_apart({"laser": laser, "stages": stage})
+    keep_apart(laser, stage)
     laser.warm(10.0)
     assert (laser.state, bool(box.lamps)) == (LaserState.WARM, True)
     code = laser.challenge
@@ -72,6 +74,18 @@ def test_lamps_are_off_while_somebody_reaches_in():
     with pytest.raises(MotionBarred):
         stage.move({"a": 30.0})
     assert len(asked) == 2
+
+
+def test_a_laser_that_a_script_opens_later_is_off_as_well_before_a_hand_reaches_in(tmp_path):
+    bench, _ = write_hand_bench(tmp_path)
+    tree, flow = (yaml.safe_load(path.read_text()) for path in (bench, EXAMPLES / "bench-flow.yaml"))
+    bench.write_text(yaml.safe_dump(tree | {name: flow[name] for name in ("camera", "devices")}))
+    with open_session(bench, simulate=True) as session:
+        laser = session.device("laser")
+        laser.warm(10.0)
+        assert laser.state is LaserState.WARM
+        session.home()
+        assert laser.state is LaserState.SAFE
 
 
 def test_the_hand_of_a_simulated_bench_turns_for_whoever_opens_it(tmp_path):
