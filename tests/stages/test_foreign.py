@@ -26,7 +26,7 @@ from stages.states import AxisState
 from tests.stages.benches import BOXES, screws, stages_table, true_errors_um
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
-CALL_S = 0.3
+CALL_S = 1.5  # a library that is not hung may wait for the processor: 0.3 s were once too few
 
 
 @pytest.fixture(params=FOREIGN)
