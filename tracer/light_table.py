@@ -3,7 +3,8 @@
 One of these says what the lamp sends:
 
     {source: laser}                             # the laser that lights the particles, a line at wavelength_nm
-    {mean_nm: 532.0}                            # a line: a laser, or the light of the scene itself
+    {mean_nm: 532.0, source: laser}             # a line: any other laser
+    {mean_nm: 530.0, source: lamp}              # one colour, of whatever width
     {mean_nm: 530.0, width_nm: 33.0}            # a Gaussian by its full width at half height: a coloured LED
     {mean_nm: 530.0, sigma_nm: 14.0}            # the same by its standard deviation
     {band_nm: [450.0, 650.0]}                   # equally strong between two wavelengths
@@ -14,9 +15,11 @@ One of these says what the lamp sends:
 Beside it stand ``filters`` (a list of the same shapes, read as transmittance) and how the camera counts:
 ``response`` (points of signal per watt) or ``quantum_efficiency`` (points of electrons per photon).  Without
 either the spectrum is taken as what the camera counts.  ``unsure_nm`` is the standard deviation of the mean
-wavelength (8 for a colour temperature, 5 for other lamps, of which no two are alike, 0 for lines).  A single
-``mean_nm`` is a line if ``source: laser`` says so, or if it is the light that the particles are seen in; any other
-is taken for a lamp of one colour, whose data sheet gives no more than its typical wavelength.
+wavelength: 0 for a laser and for lines, 5 for lamps, of which no two of one data sheet are alike, 8 where a colour
+temperature or one colour is all that is said.  Whoever writes no more than a wavelength, be it the one in which
+particles are seen, has not said that it is a laser's; and of a lamp three are sold as "the" wavelength: the peak
+of the spectrum, the dominant wavelength, which is the colour that eyes see, and the mean.  They are some 5 nm
+apart, beside the 5 nm by which lamps differ.
 """
 
 from collections.abc import Sequence
@@ -51,6 +54,7 @@ Points = Annotated[list[Point], Field(min_length=2, max_length=10_000)]
 MIDDLE_NM = 532.0  # where a laser is tried that has the scene's wavelength, which this table does not know
 VARIANCE_WIDTH = float(np.sqrt(12.0))  # width of a band in its standard deviations
 LAMPS_DIFFER_NM = 5.0  # in mean wavelength, between lamps of one data sheet
+ONE_FIGURE_NM = 8.0  # of a wavelength that is all that is said, whatever it is and of whatever source
 UNCOVERED = 0.01  # of the light may lie where a response or filter says nothing
 
 
@@ -152,20 +156,14 @@ class LightTable(ShapeTable):
         Parameters
         ----------
         particles_nm : float, optional
-            What particles are seen in: one colour that is no laser and not theirs is a lamp, and as unsure as one.
-            A laser without a wavelength of its own has this one.
+            What particles are seen in: the line of a laser without a wavelength of its own.
 
         Raises
         ------
         SceneError
             Nothing is left behind the filters, or a response says nothing about a part of the light.
         """
-        light = self._counted(self._sent(particles_nm))
-        alone = self.mean_nm is not None and self.spread_nm == 0.0 and self.unsure_nm is None
-        other = particles_nm is not None and self.mean_nm != particles_nm and self.source is None
-        if alone and (self.source == "lamp" or other):
-            return replace(light, unsure_nm=LAMPS_DIFFER_NM)
-        return light
+        return self._counted(self._sent(particles_nm))
 
     @property
     def is_believed(self) -> bool:
@@ -206,8 +204,10 @@ class LightTable(ShapeTable):
             light = light.through(lambda nm: _interpolated(nm, counts) * (nm if photons else 1.0))
         if self.unsure_nm is not None:
             return replace(light, unsure_nm=self.unsure_nm)
-        is_line = self.lines is not None or len(light.weight) == 1
-        return light if is_line or light.unsure_nm else replace(light, unsure_nm=LAMPS_DIFFER_NM)
+        if light.unsure_nm or self.lines is not None or self.source == "laser":
+            return light
+        one_figure = self.mean_nm is not None and self.spread_nm == 0.0 and self.source is None
+        return replace(light, unsure_nm=ONE_FIGURE_NM if one_figure else LAMPS_DIFFER_NM)
 
     def _sent(self, particles_nm: float | None) -> Light:
         """Light of the lamp."""

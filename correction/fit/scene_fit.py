@@ -26,16 +26,13 @@ from correction.fit.judge.result import SceneFit, check
 from correction.fit.progress import Progress
 from correction.fit.seen.masked_parts import View, unconfirmed_ways, unlisted_parts
 from correction.fit.seen.measurement import TargetFrame
-from correction.fit.seen.smear import Dispersion, moved_by_light
+from correction.fit.seen.smear import Dispersion
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.fit.solve.solver import Corners, residuals
 from correction.target import Chessboard
 from tracer.light import Light
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
-
-OFF_NM = 10.0  # of a mean wavelength, of which it is said what it would do
-WORTH_A_WORD_PX = 0.01
 
 
 def _silent(text: str) -> None:
@@ -98,10 +95,7 @@ def fit_scene(
     if seen is not None:
         fit = replace(fit, verdict=replace(fit.verdict, wrong_light=str(seen) if seen.alarm else ""))
         light = replace(seen.told, unsure_nm=seen.unsure_nm)
-    doubt = doubt_of(nominal, light, _rivals(fit, priors, light))
-    is_laser = priors.light is not None and priors.light.source == "laser"
-    if light is not None and not doubt.sentence and not is_laser:
-        doubt = replace(doubt, sentence=_rests_on(work, fit, nominal, light))
+    doubt = doubt_of(nominal, light, _rivals(fit, priors, light), priors.wavelength_nm)
     measured = replace(back_from_light(fit.scene, nominal, light), masked=(*by_hand, *fit.verdict.masked))
     board = work.board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
     return replace(fit, measured_scene=measured, light=doubt, board=board)
@@ -136,27 +130,6 @@ def _blamed(work: Progress, reason: str) -> str:
     """Say what the rims of the balls show, then the reason of a failure."""
     seen = work.outlines.in_words(0.0) if work.outlines else ""
     return f"{seen}; {reason}" if seen else reason
-
-
-def _rests_on(work: Progress, fit: SceneFit, nominal: Scene, light: Light) -> str:
-    """Say what no frame shows: that the mean of the light is as given; nothing where it hardly matters."""
-    if not nominal.spheres or not (fit.corners.behind & fit.corners.inlier).any():
-        return ""
-    off, full = replace(light, unsure_nm=OFF_NM), fit.unknowns.full(fit.x)
-    moved = []
-    for frame in work.glass_frames:
-        behind = fit.corners.behind & fit.corners.inlier & (fit.corners.frame == fit.frames.index(frame.name))
-        pose = fit.unknowns.pose(full, work.height_number(frame))
-        steps = moved_by_light(fit.scene, nominal, off, pose, fit.corners.pixel[behind])
-        moved.append(np.linalg.norm(steps, axis=1))
-    typical = float(np.sqrt(np.mean(np.concatenate(moved) ** 2)))
-    if not typical > WORTH_A_WORD_PX:
-        return ""
-    return (
-        f"the map rests on fit.light (mean {light.mean_nm:.0f} nm): no frame shows a mean wavelength, and a lamp"
-        f" {OFF_NM:g} nm off that moves what is seen behind glass by {typical:.2g} px; say source: lamp in"
-        " fit.light if it is one, so that the map's sigma holds what lamps differ by; source: laser ends this word"
-    )
 
 
 def _rivals(fit: SceneFit, priors: FitTable, light: Light | None) -> list[Rival]:

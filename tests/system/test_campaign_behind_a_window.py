@@ -29,7 +29,7 @@ PLAN = "experiment: target\nclear: {z_mm: [0.0, -20.0, 10.0]}\nglass: {z_mm: [0.
 PANE = """  - {name: pane, kind: window, centre_mm: [0, 0, 220], normal: [0.03, 0, 1], thickness_mm: 10,
      radius_mm: 110, material: N-BK7}
 """
-LIGHT = "fit: {light: {mean_nm: 532.0}}\n"
+LIGHT = "fit: {light: {source: laser}}\n"
 
 
 def calibrated(folder: Path) -> tuple[Path, RunFolder]:

@@ -53,7 +53,7 @@ UNTIL_CTRL_C = ("mask a.tif -o mask.png",)  # the same, of what knows no other e
 FIRST = {"report": "runs/*plan-shift/report/report.html", "mean": "runs/*flow/series/*.html"}  # through glass
 FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
 FEW = ((r"\bpairs: 1\d+", "pairs: 10"), (r"chunk: \d+", "chunk: 10"), (r"{pairs: \d+}", "{pairs: 4}"))
-CALM = {"calibrate": "rests on fit.light", "correct": "Traceback"}  # what must not be said
+CALM = {"calibrate": "fit.light", "correct": "Traceback"}  # what must not be said
 OTHER_PROGRAMS = {  # of a page, each with the test that does the same
     "README.md": ("cd", "python3"),  # below; tests/wheel/test_installed.py
     "first-lab.md": ("cd",),  # tests/system/test_tutorials.py

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from tracer.errors import SceneError
 from tracer.light import band, gaussian, light_of, line, white_led
-from tracer.light_table import LAMPS_DIFFER_NM, LightTable
+from tracer.light_table import LAMPS_DIFFER_NM, ONE_FIGURE_NM, LightTable
 from tracer.media import MEDIA
 
 GLASS = MEDIA["N-BK7"]
@@ -137,18 +137,19 @@ def test_a_width_may_mean_a_band_or_a_gaussian_as_wide_or_of_the_same_variance()
 @pytest.mark.parametrize(
     ("told", "unsure_nm"),
     [
-        ({"mean_nm": 550.0}, LAMPS_DIFFER_NM),  # not the particles' light, and nobody says that it is a laser
+        ({"mean_nm": 550.0}, ONE_FIGURE_NM),
+        ({"mean_nm": 532.0}, ONE_FIGURE_NM),  # the particles' own, and nobody says that it is their laser
+        ({"mean_nm": 532.0, "source": "laser"}, 0.0),
         ({"mean_nm": 550.0, "source": "laser"}, 0.0),
         ({"source": "laser"}, 0.0),
         ({"mean_nm": 550.0, "unsure_nm": 0.0}, 0.0),
-        ({"mean_nm": 532.0}, 0.0),  # both are seen in one light
         ({"mean_nm": 532.0, "source": "lamp"}, LAMPS_DIFFER_NM),
         ({"mean_nm": 532.0, "source": "lamp", "unsure_nm": 2.0}, 2.0),
         ({"mean_nm": 530.0, "width_nm": 30.0}, LAMPS_DIFFER_NM),
         ({"lines": [[546.1, 1.0]]}, 0.0),
     ],
 )
-def test_one_colour_is_a_lamp_unless_it_is_the_particles_light_or_said_to_be_a_laser(told, unsure_nm):
+def test_one_colour_is_a_lamp_unless_it_is_said_to_be_a_laser(told, unsure_nm):
     assert LightTable(**told).light(532.0).unsure_nm == unsure_nm
 
 

@@ -12,6 +12,7 @@ stage accuracy, catalogue tolerance.  0 holds a number fixed; what is not given 
       glasses: {crown: 0.001}                         # ... but this one
       target: {sideways_mm: 0.02, z_mm: 0.01, rotation_deg: 0.0}    # planes other than z = 0
       light: {colour_temperature_k: 4000.0}         # of the target frames, see tracer.light_table
+      wavelength_nm: 0.0                              # 5 where a lamp lights the particles, and no laser
 
 ``focal_px`` left out means: free (0.3 %) if the bare target was seen at three or more heights, else fixed,
 because one plane cannot tell the focal length from the distance.
@@ -106,6 +107,7 @@ class FitTable(Table):
     glasses: Annotated[dict[str, Sigma], Usual(0.0, 0.02)] = Field(default_factory=dict)
     target: FitTargetTable = FitTargetTable()
     light: LightTable | None = None
+    wavelength_nm: Annotated[Sigma, Usual(0.0, 50.0)] = 0.0
 
     def sphere(self, name: str) -> FitSphereTable:
         """Return what is known of the sphere called `name`."""

@@ -30,7 +30,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.light import index_sigma
 from correction.target.corners import found_smeared
 from tracer.light import Light
 from tracer.pupil import Pupil
@@ -148,29 +147,6 @@ def colour_steps(
         for _ in range(ROUNDS):
             steps_of += _displaced(_landed(scene, pose, pixels + steps_of, index_step), mean)
     return np.nan_to_num(steps), np.array(np.broadcast_to(dispersion.weight[:, None], steps.shape[:2]))
-
-
-def moved_by_light(
-    scene: Scene, nominal: Scene, light: Light, pose: TargetPose, pixels: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """How far corners (N, 2) [px] move if the mean wavelength of a light is off by its `unsure_nm`.
-
-    Parameters
-    ----------
-    scene, nominal : Scene
-        As fitted, and with the glass as it stands in the file.
-    light : Light
-        Of the target frames.
-    pose : TargetPose
-        Of the target.
-    pixels : (N, 2) float64
-        Corners.
-    """
-    step = [
-        index_sigma(one.medium, light, nominal.wavelength_nm) if one.medium else 0.0 for one in nominal.spheres
-    ]
-    moved, _ = colour_steps(scene, pose, Dispersion(np.array([step]), np.ones(1)), pixels)
-    return np.asarray(moved[0])
 
 
 def smeared_by_colour(

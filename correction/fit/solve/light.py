@@ -17,7 +17,7 @@ would change, as far as the smear of the edges leaves it open (`smear_test`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -69,7 +69,9 @@ def back_from_light(fitted: Scene, nominal: Scene, light: Light | None) -> Scene
     return _moved(fitted, nominal, light, -1.0)
 
 
-def doubt_of(nominal: Scene, light: Light | None, rivals: Sequence[Rival] = ()) -> LightDoubt:
+def doubt_of(
+    nominal: Scene, light: Light | None, rivals: Sequence[Rival] = (), particles_unsure_nm: float = 0.0
+) -> LightDoubt:
     """What a fit with this light leaves open, for the numbers of the scene's camera, spheres and walls.
 
     Parameters
@@ -79,16 +81,20 @@ def doubt_of(nominal: Scene, light: Light | None, rivals: Sequence[Rival] = ()) 
         As told.
     rivals : sequence of Rival
         What it may be instead.
+    particles_unsure_nm : float
+        Standard deviation of the scene's wavelength; nothing depends on it where the target is seen in that light.
     """
+    alike = light == line(nominal.wavelength_nm)
+    flow = replace(line(nominal.wavelength_nm), unsure_nm=0.0 if alike else particles_unsure_nm)
 
     def unsure(medium: Medium | None) -> float:
         if medium is None or isinstance(medium, ConstantMedium):
             return 0.0
-        own = index_sigma(medium, light, nominal.wavelength_nm)
-        if light is None or not rivals:
-            return own
-        here = light.index(medium)
-        return -float(np.hypot(own, max(abs(one.index(medium) - here) * open_ for one, open_ in rivals)))
+        parts = [index_sigma(medium, light, nominal.wavelength_nm), flow.index_sigma(medium)]
+        if light is not None and rivals:
+            here = light.index(medium)
+            parts.append(max(abs(one.index(medium) - here) * open_ for one, open_ in rivals))
+        return -float(np.linalg.norm(parts))
 
     sigma = [unsure(sphere.medium) for sphere in nominal.spheres]
     others = OtherBodies(nominal)
@@ -108,8 +114,8 @@ def doubt_of(nominal: Scene, light: Light | None, rivals: Sequence[Rival] = ()) 
         sentence = (
             "the light of the target frames is not said: glass is taken as it is at"
             f" {nominal.wavelength_nm:g} nm, and a white lamp may show its n off by {largest:.1g}; the map's sigma"
-            " holds that. Give fit.light: points from the lamp's data sheet, or colour_temperature_k; mean_nm"
-            " alone if it is the light of the measurement"
+            " holds that. Give fit.light: points from the lamp's data sheet, or colour_temperature_k; or source:"
+            " laser, if it is the laser of the measurement"
         )
     elif rivals:
         sentence = (
@@ -118,13 +124,23 @@ def doubt_of(nominal: Scene, light: Light | None, rivals: Sequence[Rival] = ()) 
             " fit.light.points would help"
         )
         sentence = sentence if largest > WORTH_A_WORD else ""
-    else:
-        known = f"{light.unsure_nm:.0f}" if light.unsure_nm >= 10.0 else f"{light.unsure_nm:.1f}"
+    elif not light.unsure_nm:
         sentence = (
-            f"the mean wavelength of the target's light is known to {known} nm, n to {largest:.1g};"
-            " the map's sigma holds that. The lamp's spectrum as fit.light.points would help"
+            f"the wavelength of the particles' light is known to {_nm(flow)} nm, n to {largest:.1g};"
+            " the map's sigma holds that"
+        )
+    else:
+        sentence = (
+            f"the mean wavelength of the target's light is known to {_nm(light)} nm, n to {largest:.1g};"
+            " the map's sigma holds that. The lamp's spectrum as fit.light.points would help; a laser is known"
+            " exactly where fit.light says source: laser"
         )
     return LightDoubt(step, sentence)
+
+
+def _nm(light: Light) -> str:
+    """How well its mean wavelength is known, in digits that mean something."""
+    return f"{light.unsure_nm:.0f}" if light.unsure_nm >= 10.0 else f"{light.unsure_nm:.1f}"
 
 
 def _of_numbers(nominal: Scene) -> str:
@@ -141,8 +157,8 @@ def _of_numbers(nominal: Scene) -> str:
         f"the light of the target frames is not said, and the index of {', '.join(glass)} is a number without"
         f" dispersion: the map holds in the light of the target frames, nothing is counted for another (between a"
         f" white lamp and {nominal.wavelength_nm:g} nm the n of {ORDINARY_GLASS} differs by up to {off:.1g}). Give"
-        f" fit.light, and the glass as one: {{base: {ORDINARY_GLASS}, offset: 0.0}}; mean_nm ="
-        f" {nominal.wavelength_nm:g} alone if target and measurement are lit alike"
+        f" fit.light, and the glass as one: {{base: {ORDINARY_GLASS}, offset: 0.0}};"
+        " source: laser if target and particles are seen in one laser's light"
     )
 
 

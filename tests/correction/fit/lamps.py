@@ -20,7 +20,6 @@ from tracer.scene.scene import Scene
 
 WAVES_NM = np.arange(420.0, 701.0, 10.0)
 FINE = Sensor(white_counts=53000.0, electrons_per_count=float("inf"), read_noise_counts=0.0, bits=16)
-LASER_NM = 532.0
 
 
 @dataclass(frozen=True)
@@ -86,27 +85,26 @@ def lab_scene(glasses: tuple[str, str] = BK7) -> Scene:
     return nominal.with_bodies([replace(ball, medium=MEDIA[glass]) for ball, glass in balls])
 
 
+def true_scene(glasses: tuple[str, str] = BK7) -> Scene:
+    """The same with everything a little elsewhere."""
+    return misaligned(lab_scene(glasses), 6)
+
+
 @cache
-def lab(glasses: tuple[str, str] = BK7) -> tuple[Scene, Scene, np.ndarray, dict[float, np.ndarray]]:
-    """Nominal and true scene, light of the bare board, and of the glass by wavelength."""
-    nominal = lab_scene(glasses)
-    truth = misaligned(nominal, 6)
-    board = Print(SQUARE_MM, 0.4 * SQUARE_MM)
-    bare = render_irradiance(truth.with_bodies(()), board, samples=4, seed=1)
-    glass = {
-        nm: render_irradiance(replace(truth, wavelength_nm=nm), board, samples=4, seed=2)
-        for nm in (LASER_NM, *WAVES_NM.tolist())
-    }
-    return nominal, truth, bare, glass
+def shown(nm: float | None, glasses: tuple[str, str]) -> np.ndarray:
+    """Light that reaches the sensor at one wavelength through glass, or from the bare board."""
+    truth, board = true_scene(glasses), Print(SQUARE_MM, 0.4 * SQUARE_MM)
+    if nm is None:
+        return render_irradiance(truth.with_bodies(()), board, samples=4, seed=1)
+    return render_irradiance(replace(truth, wavelength_nm=nm), board, samples=4, seed=2)
 
 
-def frames_in(share: np.ndarray | None, glasses: tuple[str, str] = BK7) -> list[TargetFrame]:
-    """Frames in a spectrum; in that of the laser without one."""
-    _, _, bare, glass = lab(glasses)
-    light = glass[LASER_NM]
-    if share is not None:
-        light = sum(
-            np.float32(part) * glass[nm] for part, nm in zip(share, WAVES_NM.tolist(), strict=True) if part
-        )
-    shots = (("bare", bare, False), ("glass", light, True))
+def frames_in(share: np.ndarray | float, glasses: tuple[str, str] = BK7) -> list[TargetFrame]:
+    """Frames in a spectrum, or at one wavelength."""
+    if isinstance(share, float):
+        light = shown(share, glasses)
+    else:
+        parts = zip(share, WAVES_NM.tolist(), strict=True)
+        light = sum(np.float32(part) * shown(nm, glasses) for part, nm in parts if part)
+    shots = (("bare", shown(None, glasses), False), ("glass", light, True))
     return [TargetFrame(name, FINE.expose(shot, seed=0), behind) for name, shot, behind in shots]

@@ -13,7 +13,6 @@ from correction.fit.seen.smear import (
     Dispersion,
     Smear,
     colour_steps,
-    moved_by_light,
     smeared,
     smeared_by_colour,
     uneven_blur,
@@ -23,27 +22,12 @@ from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
 from tests.correction.fit.lamps import lab_scene
-from tracer.light import band, line
+from tracer.light import band
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
-from tracer.strategies.trace import trace
 
 AXES = np.array([[[20.0, 6.0], [-4.0, 18.0]]])  # a square along +x, +y in the frame
-
-
-def test_a_mean_wavelength_that_is_off_moves_corners_as_another_wavelength_does():
-    scene = lab_scene()
-    pixels = np.random.default_rng(4).uniform(0.42, 0.58, (20, 2)) * scene.camera.sensor_px
-    shift = moved_by_light(scene, scene, replace(line(532.0), unsure_nm=10.0), TargetPose(), pixels)
-    rise = [0.5 * (ball.medium.n(542.0) - ball.medium.n(522.0)) for ball in scene.spheres]
-    glass = [ConstantMedium(ball.medium.n(532.0) + more) for ball, more in zip(scene.spheres, rise, strict=True)]
-    redder = scene.with_bodies([replace(b, medium=n) for b, n in zip(scene.spheres, glass, strict=True)])
-    landed, moved = trace(scene, pixels).plane_mm, trace(redder, pixels + shift).plane_mm
-    np.testing.assert_allclose(moved, landed, atol=1e-4)
-    assert np.linalg.norm(shift, axis=1).max() > 0.05
-    numbers = scene.with_bodies([replace(ball, medium=ConstantMedium(1.5)) for ball in scene.spheres])
-    assert not moved_by_light(numbers, numbers, replace(line(532.0), unsure_nm=10.0), TargetPose(), pixels).any()
 
 
 def edge_found(steps: np.ndarray, share: np.ndarray, blur_px: float) -> float:

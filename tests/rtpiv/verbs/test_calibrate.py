@@ -104,7 +104,7 @@ def test_a_folder_that_is_no_run_needs_a_scene(tmp_path, capsys):
 def test_a_run_is_calibrated_by_what_the_scene_file_of_its_bench_lets_change(tmp_path):
     path = write_bench(tmp_path)
     with (tmp_path / "scene.yaml").open("a") as file:
-        file.write("fit: {light: {mean_nm: 532.0}, n: 0.001}\n")
+        file.write("fit: {light: {source: laser}, n: 0.001}\n")
     (tmp_path / "plan.yaml").write_text(TARGET)
     bench = load_bench(path)
     plan = load_plan(tmp_path / "plan.yaml", bench)
