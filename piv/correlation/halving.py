@@ -6,43 +6,59 @@ deformed by detail that only the finest have seen, and either match better or no
 
     e = (C_after - C_before)/(1 - C_before),
 
-C the correlation around a place, is what halving explains. Where detail was there, that is half and more
-(turbulence, short waves); where vectors have only followed their noise it is a twentieth: two numbers fitted to
-the five and more pieces of a window explain that much of anything. It matters little where between them the line
-is drawn. So a place
+C the correlation around a place, is what halving explains. Where detail was there, that is a fifth to four fifths
+(turbulence, short waves); where vectors have only followed their noise it is a twentieth at most. So a place
 
 * takes the finest windows where e exceeds a tenth to a fifth, whatever its noise is said to be: in an unresolved
-  gradient that is mostly the flow itself;
-* goes on from what the usual windows had found everywhere else, so that no noise of small windows gets into it,
-  and takes larger ones where these hold too few pieces, or are noisier than `NOISY_PX`: poor light, thin seeding.
+  gradient that is mostly the flow itself. They must hold `PIECES` particle images or more: with fewer the frames
+  match better at the particles, and the vector stands elsewhere;
+* goes on from what the usual windows had found everywhere else, so that no noise of small windows gets into it.
 
-The last filter (`piv.correlation.denoise`) takes off what is still noise, in all of them. Lepski, Theory Probab.
-Appl. 35, 454 (1991), on the principle: the largest window that smaller ones do not contradict.
+The last filter (`piv.correlation.denoise`) takes off what is still noise, in both. Windows larger than the usual
+ones in poor light were tried: where the flow bends they are far worse, and where it does not that filter does as
+well (ADR 39).
+
+**What the usual windows miss.** Where they stay though halving explains something, that much at least is missing
+in their vectors. Particle images of variance s^2 that are apart by d match to exp(-d^2/(4 s^2)), so
+
+    r^2 = 2 s^2 (e - e_0)(1 - C_before)/C_after
+
+is the mean square of a component, e_0 (`CHANCE`) what following noise explains. It is the least that
+`piv.correlation.pair` says of their resolution: under noise nothing else shows it.
+
+Lepski, Theory Probab. Appl. 35, 454 (1991), on the principle: the largest window that smaller ones do not
+contradict.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from piv.correlation.passes import Course, Measured, moved
-from piv.correlation.planes import filled
-from piv.correlation.refine import Refined
-from piv.correlation.sizes import Sizes, leaning_of, widened, widened_sums
-from piv.correlation.uncertainty import LARGEST_PX, blocks_of, correlation_statistics, leaning
+from piv.correlation.sizes import Sizes, matched, variance_px2
 from piv.correlation.windows import WindowGrid
 
 TRIALS = 2  # passes with the finest windows
 EXPLAINED = 0.1, 0.2  # of what does not match: from here on halving counts, and from here on alone
+CHANCE = 0.04  # of it that vectors explain by following their noise
+PIECES = 3.0  # particle images that the finest windows must hold
 JUDGED = 3  # side of what is judged together, in finest windows
-LARGER = 1.5, 2.0  # sides of windows for poor light, in usual ones
-NOISY_PX, PIECES = 0.1, 6.0  # noise beyond which, and pieces below which, a window should be larger
+CELL_PX = 4  # light is added up over cells about as large as a particle image
 LEFT_PX, LEFT_SHARE = 0.1, 0.03  # more fine vectors than this share moved by more: another pass
 
 Floats = NDArray[np.float64]
 
 
-def find_sizes(course: Course, grid: WindowGrid, spread_px2: float) -> int:
-    """Go on from usual windows with those that each node of `grid` finds; returns the passes that were added.
+class Found(NamedTuple):
+    """Passes that were added; and what windows of usual size miss as halving shows (ny, nx) [px], 0 of others."""
+
+    added: int
+    missed_px: Floats
+
+
+def find_sizes(course: Course, grid: WindowGrid, spread_px2: float) -> Found:
+    """Go on from usual windows with those that each node of `grid` finds.
 
     Parameters
     ----------
@@ -53,58 +69,46 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float) -> int:
     spread_px2 : float
         Variance of a particle image.
     """
-    settings, usual, usual_px = course.settings, course.predictor(), course.grid.size_px
-    usual = moved(usual, course.grid, grid)
-    course.look(grid)
-    seen = [course.found.refined]
-    sides, which = _larger(course, spread_px2, usual_px)
-    for _ in range(TRIALS - 1):
+    settings, usual_px = course.settings, course.grid.size_px
+    usual = moved(course.predictor(), course.grid, grid)
+    match = []
+    for _ in range(TRIALS):
         course.look(grid)
-        seen.append(course.found.refined)
-    fine = explained_share(seen, grid, settings.window_sigma)
-    halved = course.predictor()
-    sizes = Sizes((grid.size_px, *sides), np.where(fine > 0.5, 0, which + 1))
-    course.look(grid, fine[..., None] * halved + (1.0 - fine[..., None]) * usual, sizes)
-    course.look(grid, None, sizes)
+        match.append(matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma))
+    before, after = match[0], match[-1]
+    explained = (after - before) / np.maximum(1.0 - before, 1e-3)
+    fine = np.clip((explained - EXPLAINED[0]) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
+    fine *= pieces_of(course.deformed.a, grid, settings.window_sigma) >= PIECES
+    sizes = Sizes((grid.size_px, usual_px), np.where(fine > 0.5, 0, 1))
+    course.look(grid, fine[..., None] * course.predictor() + (1.0 - fine[..., None]) * usual, sizes)
     added = 0
     while added < settings.extra_passes and _changes(course.found):
-        course.look(grid, None, course.found.sizes)
+        course.look(grid, None, sizes)
         added += 1
-    return added
+    gained = np.maximum(explained - CHANCE, 0.0) * (1.0 - before) / np.maximum(after, 1e-3)
+    missed = np.sqrt(2.0 * spread_px2 * np.clip(gained, 0.0, 1.0))
+    return Found(added, np.where(sizes.which == 1, missed, 0.0))
 
 
-def explained_share(seen: list[Refined | None], grid: WindowGrid, window_sigma: float) -> Floats:
-    """How far (ny, nx), 0 to 1, the finest windows are to be believed, by what two passes with them explain."""
-    match = []
-    for raw in seen[:2]:
-        if raw is None:
-            return np.zeros(grid.shape)
-        sums = widened_sums(raw.sums[..., [0, 8, 9]].copy(), grid, JUDGED * grid.size_px, window_sigma)
-        power = np.sqrt(sums[..., 1] * sums[..., 2])
-        match.append(np.divide(sums[..., 0], power, out=np.zeros_like(power), where=power > 0.0))
-    before, after = match
-    explained = (after - before) / np.maximum(1.0 - before, 1e-3)
-    return np.clip((explained - EXPLAINED[0]) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
+def pieces_of(frame: NDArray[np.float32], grid: WindowGrid, window_sigma: float) -> Floats:
+    """How many particle images (ny, nx) of about the same light would make that of each window of `grid`.
 
+    Of N equal ones the light W has a sum whose square is N times the sum of squares.
+    """
+    import cv2
 
-def _larger(course: Course, spread_px2: float, usual_px: int) -> tuple[tuple[int, ...], NDArray[np.int64]]:
-    """Sides from the usual one up and which one (ny, nx) a place needs, told where frames match by usual ones."""
-    grid, settings, found, pair = course.grid, course.settings, course.found, course.deformed
-    if found.refined is None:
-        raise ValueError("sizes are found after passes that refine")
-    usual = widened(found.refined, grid, usual_px, settings.window_sigma, pair.floor)
-    left, _ = filled(usual.shift_px, found.good & np.isfinite(usual.shift_px).all(axis=-1))
-    lean = leaning(blocks_of(pair, spread_px2, course.threads), grid, settings.window_sigma, left)
-    which, sides = np.zeros(grid.shape, np.int64), [usual_px]
-    for times in LARGER:
-        sizes = Sizes((grid.size_px, sides[-1]), np.ones(grid.shape, np.int64))
-        raw = widened(found.refined, grid, sides[-1], settings.window_sigma, pair.floor)
-        stated = correlation_statistics(leaning_of(lean, grid, sizes, settings.window_sigma), raw)
-        noise = np.square(np.nan_to_num(stated.sigma_px, nan=LARGEST_PX)).mean(axis=-1)
-        poor = (scipy.ndimage.uniform_filter(noise, 3) > NOISY_PX**2) | (stated.pieces < PIECES)
-        which[(which == len(sides) - 1) & poor] = len(sides)
-        sides.append(round(times * usual_px / 2) * 2 + usual_px % 2)
-    return tuple(sides), scipy.ndimage.median_filter(which, 3)
+    height, width = (side // CELL_PX for side in frame.shape)
+    whole = np.square(frame[: height * CELL_PX, : width * CELL_PX])
+    light = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+    reach = float(np.sqrt(variance_px2(grid.size_px, window_sigma))) / CELL_PX
+    seen = np.square(cv2.GaussianBlur(light, (0, 0), reach))  # means under the weights, and under their squares
+    squares = cv2.GaussianBlur(np.square(light), (0, 0), reach / np.sqrt(2.0))
+    count = 4.0 * np.pi * reach**2 * seen / np.maximum(squares, np.float32(1e-30))
+    at = (
+        np.clip(((place + 0.5) / CELL_PX).astype(np.int64), 0, cells - 1)
+        for place, cells in ((grid.y_px, height), (grid.x_px, width))
+    )
+    return np.asarray(count[np.ix_(*at)], np.float64)
 
 
 def _changes(found: Measured) -> bool:

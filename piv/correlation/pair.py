@@ -32,7 +32,7 @@ from piv.correlation.agreement import LEAST_BLOCKS, agreed, resolution_of
 from piv.correlation.correlate import peak_ratios
 from piv.correlation.deform import DeformedPair, Frames
 from piv.correlation.denoise import Denoised, denoised
-from piv.correlation.evidence import unproven
+from piv.correlation.evidence import by_chance, unproven
 from piv.correlation.halving import find_sizes
 from piv.correlation.passes import Course, Measured, search
 from piv.correlation.planes import filled
@@ -41,7 +41,7 @@ from piv.correlation.refine import refine, window_weights
 from piv.correlation.resolution import Window, matched_share, unmatched_px, unresolved_px
 from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
 from piv.correlation.settings import PivSettings
-from piv.correlation.sizes import Sizes, leaning_of
+from piv.correlation.sizes import Sizes, leaning_of, matched
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
@@ -59,6 +59,7 @@ BYTES_PER_PX = 32  # that all passes hold at most; measured 30 at 2016 x 2016 an
 DOUBTFUL_SHARE, GAIN = 0.6, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
 LEAST_MATCHED, OTHERWISE_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
 MEASURED_PX = 0.5  # noise of a correlation up to which a vector that is known to a pixel says more than that
+AROUND = 1.5  # side of what must match around a doubtful vector, in usual windows
 CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time
 Floats = NDArray[np.float64]
 
@@ -168,18 +169,18 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
     for grid in grids[1:]:
         course.look(grid)
     still_share = static_share(still, filled(course.found.vectors_px, course.found.good)[0], spread_px2)
-    every, added = 1, 0
+    every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
     while course.found.refined is not None and added < settings.extra_passes and _changes(course):
         course.look(course.grid)
         added += 1
     if settings.finds:
         own, every = settings.own_grid(shape)
-        added = find_sizes(course, own, spread_px2)
+        added, missed_px = find_sizes(course, own, spread_px2)
     if settings.peak_ratios:
         dense = course.found.valid_fraction >= settings.min_valid
         ratio = peak_ratios(course.deformed, course.grid, dense, settings.min_valid, threads)
         course.found = course.found._replace(peak_ratio=ratio)
-    field = _result(course, spread_px2, added)
+    field = _result(course, spread_px2, added, missed_px)
     return _sparser(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
 
 
@@ -202,8 +203,11 @@ def _changes(course: Course) -> bool:
     return bool((far & dense).sum() > CHANGED_SHARE * dense.sum())
 
 
-def _result(course: Course, spread_px2: float, added: int) -> VectorField:
-    """Judge the vectors of the last pass by their own uncertainty, and take noise off them."""
+def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) -> VectorField:
+    """Judge the vectors of the last pass by their own uncertainty, and take noise off them.
+
+    `missed_px` (ny, nx) is what smaller windows have shown that they miss.
+    """
     found, grid, settings = course.found, course.grid, course.settings
     vectors, good = found.vectors_px, found.good
     sizes = found.sizes or Sizes((grid.size_px,), np.zeros(grid.shape, np.int64))
@@ -214,14 +218,14 @@ def _result(course: Course, spread_px2: float, added: int) -> VectorField:
         lean = leaning(blocks, grid, settings.window_sigma, left)
         lean = leaning_of(lean, grid, sizes, settings.window_sigma)
         one, pieces = correlation_statistics(lean, found.refined)
-        good = good & ~_empty(course, one)
+        good = good & ~_empty(course, one, pieces / np.square(sizes.side_px))
         good = good & ~_beside_the_point(found, good)
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
         one = np.where(good[..., None] & np.isnan(one), LARGEST_PX, one)
         vectors, sigma, taken = _denoised(course, sizes, good, one, added)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         final = filled(vectors, good)[0]
-        resolution = _unresolved(course, sizes, final, taken, pieces)
+        resolution = np.maximum(_unresolved(course, sizes, final, taken, pieces), missed_px)
         beyond = np.clip(final - filled(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         measured = agreed(blocks, grid, beyond, good * large * found.refined.gain, settings.windows_px[-1])
@@ -257,8 +261,8 @@ def _result(course: Course, spread_px2: float, added: int) -> VectorField:
     )
 
 
-def _empty(course: Course, sigma: Floats) -> NDArray[np.bool_]:
-    """Windows (ny, nx) in which nothing was measured: no uncertainty worth the name, and a weak peak."""
+def _empty(course: Course, sigma: Floats, pieces_a_px2: Floats) -> NDArray[np.bool_]:
+    """Windows (ny, nx) in which nothing was measured: no uncertainty worth the name, and a weak peak or match."""
     found, settings = course.found, course.settings
     # Windows larger than their spacing see the same light, and support each other even where there is nothing.
     largest_px = np.inf if found.sizes is None else MEASURED_PX
@@ -268,6 +272,10 @@ def _empty(course: Course, sigma: Floats) -> NDArray[np.bool_]:
         return doubtful
     ratio = peak_ratios(course.deformed, course.grid, doubtful, settings.min_valid, course.threads)
     empty = unproven(ratio, sigma)
+    if found.sizes is not None:
+        around_px = AROUND * settings.windows_px[-1]
+        match = matched(found.own, course.grid, round(around_px), settings.window_sigma)
+        empty |= doubtful & by_chance(match, pieces_a_px2 * around_px**2)
     if not (found.good & ~empty).any():
         raise PairError("no window gave a vector that its own correlation supports; check exposure and pairing")
     return empty

@@ -28,7 +28,7 @@ from piv.correlation.refine import window_weights
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import spline_weights
 
-FOUND = 3  # smoothings between the passes with windows that places have found
+FOUND = 2  # smoothings between the passes with windows that places have found
 COARSE = 2  # passes after which the predictor is smoothed more
 SMOOTH_COARSE, SMOOTH_FINE = 0.35, 0.25  # of the window's side: standard deviation of the predictor's smoothing
 

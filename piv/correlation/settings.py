@@ -1,8 +1,7 @@
 """How a pair is evaluated, and what cannot be meant.
 
 Passes go down to the usual windows, the last of `windows_px`. Where a finest window is told, each place finds its
-own from there (`piv.correlation.halving`): down to `finest_px` where halving shows more, up where noise asks for
-it.
+own from there (`piv.correlation.halving`): `finest_px` where halving shows more, and the usual ones elsewhere.
 
 The range of a number stands once, in its type: settings made in Python are held to it here, and a file of settings
 by whoever reads it.

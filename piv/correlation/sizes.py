@@ -98,10 +98,22 @@ def widened_sums(values: Floats, grid: WindowGrid, side_px: int, window_sigma: f
     return found / _there(values, more)
 
 
+def matched(raw: Refined | None, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
+    """Correlation (ny, nx) in windows of `side_px` of frames as they are deformed, from what those of `grid` show.
+
+    0 after a pass that has searched.
+    """
+    if raw is None:
+        return np.zeros(grid.shape)
+    sums = widened_sums(raw.sums[..., [0, 8, 9]].copy(), grid, side_px, window_sigma)
+    power = np.sqrt(sums[..., 1] * sums[..., 2])
+    return np.divide(sums[..., 0], power, out=np.zeros_like(power), where=power > 0.0)
+
+
 def widened_squares(values: Floats, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
     """The same for sums (ny, nx[, n]) over the squares of weights."""
     more = _more_steps(grid, side_px, window_sigma)
-    own, wide = (_variance_px2(side, window_sigma) for side in (grid.size_px, side_px))
+    own, wide = (variance_px2(side, window_sigma) for side in (grid.size_px, side_px))
     found = blurred(values, more / np.sqrt(2.0)) * (own / wide)
     return found / np.square(_there(values, more))
 
@@ -119,6 +131,12 @@ def blurred(values: Floats, sigma_steps: float) -> Floats:
     return np.asarray(found, np.float64)
 
 
+def variance_px2(side_px: int, window_sigma: float) -> float:
+    """Variance of a window's weights along one axis."""
+    weights, place = window_weights(side_px, window_sigma), np.arange(side_px) - (side_px - 1) / 2
+    return float((weights * place**2).sum() / weights.sum())
+
+
 def _there(values: Floats, sigma_steps: float) -> Floats:
     """Share of a Gaussian that lies on the grid, in the shape of `values` but for its last axes."""
     share = blurred(np.ones(values.shape[:2]), sigma_steps)
@@ -127,11 +145,5 @@ def _there(values: Floats, sigma_steps: float) -> Floats:
 
 def _more_steps(grid: WindowGrid, side_px: int, window_sigma: float) -> float:
     """Standard deviation of the Gaussian that widens the windows of `grid` [steps]."""
-    own, wide = (_variance_px2(side, window_sigma) for side in (grid.size_px, side_px))
+    own, wide = (variance_px2(side, window_sigma) for side in (grid.size_px, side_px))
     return float(np.sqrt(max(wide - own, 0.0))) / grid.step_px
-
-
-def _variance_px2(side_px: int, window_sigma: float) -> float:
-    """Variance of a window's weights along one axis."""
-    weights, place = window_weights(side_px, window_sigma), np.arange(side_px) - (side_px - 1) / 2
-    return float((weights * place**2).sum() / weights.sum())

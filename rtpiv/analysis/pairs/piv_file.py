@@ -59,8 +59,8 @@ class PivOptions(TypedDict, total=False):
     final_window_px : int
         Side of the last windows (default 32): smaller ones show shorter waves and are noisier.
     finest_window_px : int
-        Side of the smallest windows, such as 16, that a place may find for itself, and larger ones where light is
-        poor; vectors stand as dense as the finest make them (default: all windows are the last ones).
+        Side of the smallest windows, such as 16, that a place finds for itself where they show more; vectors stand
+        as dense as those make them (default: all windows are the last ones).
     passes : int
         How many (default 4 or more): sides are halved from pass to pass, and the last one repeats.
     overlap : float

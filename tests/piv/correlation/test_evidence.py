@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piv.correlation.evidence import PROVEN, WEAK, proven, unproven
+from piv.correlation.evidence import PROVEN, WEAK, by_chance, proven, unproven
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from tests.slow_cases import slow
@@ -83,3 +83,8 @@ def test_nothing_is_measured_without_a_peak_and_without_a_sigma():
     ratio = np.array([WEAK - 0.1, WEAK - 0.1, WEAK + 0.1])
     sigma = np.array([[np.nan, 0.1], [0.1, 0.1], [np.nan, np.nan]])
     assert unproven(ratio, sigma).tolist() == [True, False, False]
+
+
+def test_a_match_is_chance_until_it_exceeds_what_so_many_pieces_reach():
+    match = np.array([[0.2, 0.4, 0.4, -0.9]])
+    assert by_chance(match, np.array([[50.0, 50.0, 16.0, 400.0]])).tolist() == [[True, False, True, True]]
