@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ground.errors import ConfigError, Problem
 from ground.plain_file import read_plain
-from ground.plain_words import exactly, is_of_a_kind, place_words, sentence
+from ground.plain_words import NAME_PATTERN, exactly, is_of_a_kind, place_words, sentence
 
 MAX_BYTES = 1_000_000
 MAX_ALIASES = 16
@@ -44,13 +44,17 @@ _YES_NO = re.compile(r"(yes|no|on|off|y|n)", re.IGNORECASE)
 KINDS = {"experiment": "plan", "stages": "bench", "bodies": "scene"}  # by a key that only files of a kind have
 Place = tuple[str | int, ...]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3), exactly(3)]
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2), exactly(2)]
 
 
 class Table(BaseModel):
-    """Base of every part of a file: no unknown keys, no silent conversion, no NaN."""
+    """Base of every part of a file: no unknown keys, no silent conversion, no NaN.
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    What reads it is built when a file has such a part: a command that reads a scene does not wait for benches.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 Model = TypeVar("Model", bound=Table)

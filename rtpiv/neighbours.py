@@ -9,16 +9,23 @@ break the other (docs/adr/0020 weighs the ways).  So a name that both have becom
 
 Nothing of ours takes a name from the top of a package (tests/faces hold that), so nothing is missed.  The user's
 file runs when one of its names is first asked for, and not at all if only we use the package.
+
+Finder and loader are what Python asks of either and no subclasses of `importlib.abc`: importing that would take
+longer than all that ``--help`` does.
 """
 
 import sys
 import threading
 from collections.abc import Sequence
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.abc import Loader
+else:
+    Loader = object
 
 PACKAGES = ("ground", "piv", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
 HOME = Path(__file__).resolve().parents[1]
@@ -62,7 +69,7 @@ class SharedLoader(Loader):
         """Do nothing yet."""
 
 
-class NeighbourFinder(MetaPathFinder):
+class NeighbourFinder:
     """Finds our packages by their names whatever else has these names; all others are left to Python."""
 
     def find_spec(

@@ -33,13 +33,12 @@ from pydantic import Field
 
 from daq.bench.bench_table import Bench
 from daq.bench.fault_table import Fault
-from ground.config import Document, Table, validate
+from ground.config import Document, Name, Table, validate
 from sim.camera.config import FaultPlan
 from sim.flow.table import FlowTable
 from sim.frame_truth import WIDTH_PX, height_px
 from sim.renderer.render import Aperture
 from sim.stages import ScrewTable
-from stages.config import Name
 from tracer.errors import SceneError
 
 

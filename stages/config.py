@@ -39,8 +39,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ground.config import Pair, Table
-from ground.plain_words import NAME_PATTERN
+from ground.config import Name, Pair, Table
 from ground.usual import Usual
 from stages.axis_settings import AxisSettings
 from stages.controller_tables import AnyControllerTable, ForeignTable, HandTable
@@ -49,7 +48,6 @@ from stages.errors import StageUsageError
 from stages.profile import Approach
 
 Positive = Annotated[float, Field(gt=0.0, le=1e7)]
-Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
 
 class ApproachTable(Table):

@@ -27,7 +27,7 @@ The random sigma of the correlation comes on top, in squares.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import scipy
@@ -35,7 +35,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from correction.errors import MapUsageError
-from correction.fit.judge.result import SceneFit
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import CorrectionMap, build_correction_map
@@ -48,6 +47,9 @@ from piv.correlation.vector_field import VectorField
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.trace import trace
+
+if TYPE_CHECKING:  # who reads a fit does not wait for all that makes one
+    from correction.fit.judge.result import SceneFit
 
 KIND = "map sigma"
 STEP = 4  # nodes between those computed; sigma is smooth
@@ -121,7 +123,7 @@ class MapSigma:
         )
 
 
-def map_sigma(fit: SceneFit, step: int = STEP) -> MapSigma:
+def map_sigma(fit: "SceneFit", step: int = STEP) -> MapSigma:
     """Carry the covariance of a fit through its correction map.
 
     Parameters
@@ -148,7 +150,7 @@ def map_sigma(fit: SceneFit, step: int = STEP) -> MapSigma:
     return MapSigma(grid, sigma, sheets.behind_glass, full_grid.pitch_mm, fit.measured_scene.content_hash())
 
 
-def sigma_at(fit: SceneFit, pixels: NDArray[np.float64], glass: bool) -> NDArray[np.float64]:
+def sigma_at(fit: "SceneFit", pixels: NDArray[np.float64], glass: bool) -> NDArray[np.float64]:
     """Standard deviation (N, 2) [mm] of the plane points that raw pixels (N, 2) show at z = 0."""
     return SceneSigma.of(fit).sigma(fit.measured_scene if glass else fit.measured_scene.bare(), pixels)
 

@@ -20,13 +20,12 @@ smooth part of it, and what the test of the model says.
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from correction.fit.judge.result import SceneFit
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.solve.doubted import ShapeRoot
 from correction.fit.solve.unknowns import left_jacobian
@@ -40,6 +39,9 @@ from tracer.scene.scene import Scene, SceneBound
 from tracer.strategies.branches import text_of
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, parameter_names
 from tracer.strategies.trace import name_keys
+
+if TYPE_CHECKING:  # who reads a fit does not wait for all that makes one
+    from correction.fit.judge.result import SceneFit
 
 KIND = "scene fit"
 BLOCK, ORDINARY_DRAWS = 65536, 64  # pixels at a time, fewer of beds: some 60 MB of derivatives
@@ -91,7 +93,7 @@ class SceneSigma(SceneBound):
     cure: ClassVar[str] = "calibrate again"
 
     @classmethod
-    def of(cls, fit: SceneFit) -> "SceneSigma":
+    def of(cls, fit: "SceneFit") -> "SceneSigma":
         """Uncertainty of the scene of a fit."""
         unknowns, full = fit.unknowns, fit.unknowns.full(fit.x)
         rows = unknowns.other_bodies.row_rates(full[unknowns.others], glass=True)
@@ -289,7 +291,7 @@ class StoredVerdict:
     smooth_px: NDArray[np.float64]
 
     @classmethod
-    def of(cls, fit: SceneFit) -> "StoredVerdict":
+    def of(cls, fit: "SceneFit") -> "StoredVerdict":
         """What `save_fit` stores of it."""
         ways, way = np.unique(fit.corners.branch_name, return_inverse=True)
         verdict, scene_hash = fit.verdict, fit.measured_scene.content_hash()
@@ -299,7 +301,7 @@ class StoredVerdict:
         )
 
 
-def save_fit(path: Path | str, fit: SceneFit) -> None:
+def save_fit(path: Path | str, fit: "SceneFit") -> None:
     """Write a fit, atomically.
 
     Header: ``names``, ``numbers``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``,

@@ -33,10 +33,10 @@ from daq.bench.read_out import require_squares
 from daq.cameras.camera import Setting
 from daq.cameras.link import LinkName
 from daq.errors import PlanError, SettingRefused
-from ground.config import Document, Table
+from ground.config import Document, Name, Table
 from ground.plain_words import slip
 from ground.usual import Usual
-from stages.config import AxisTable, Name, Positive, StagesTable
+from stages.config import AxisTable, Positive, StagesTable
 from tracer.scene.scene import Scene
 
 Preset = Literal["free_running", "software", "edge", "falling_edge", "pulse_width", "burst"]

@@ -45,6 +45,7 @@ from daq.runs.frame_check import Track, frame_faults, named, orphan_files, untra
 from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from daq.runs.journal import Entry
+from daq.runs.names import MAPS
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, remaining, versions
 from daq.runs.run_views import dewarp_of
 from piv.resampling.sample import Method
@@ -124,7 +125,6 @@ def _with_partners(indices: set[int], steps: Sequence[Step]) -> frozenset[int]:
 
 DISK_MARGIN = 1.05
 HAPPENED = "world.jsonl"  # what was true of a rehearsal; read by `sim.happened`
-MAPS = "maps"  # beside the runs: maps by the hash of their scene
 
 
 @dataclass(frozen=True)

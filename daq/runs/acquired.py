@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from daq.errors import RunDamaged
 from daq.frames.named_frame import read_named
-from daq.runs.run_file import FILE
+from daq.runs.names import FILE
 from daq.runs.run_folder import RunFolder, frame_entries
 from piv.errors import FrameError
 from piv.files.frame_file import read_frame

@@ -12,11 +12,11 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from daq.errors import RunDamaged, RunUnsuitable
+from daq.runs.names import FILE
 from daq.runs.records import CURE, MOST_BYTES, STRICT, Count, Tag, Text, read_record
 from daq.runs.seal import SealBroken, unsealed
 from ground.plain_file import read_plain
 
-FILE = "run.json"
 LAYOUT = 2
 LAYOUTS = (1, 2)
 SEALED_FROM = 2

@@ -27,14 +27,14 @@ from daq.atomic_write import sync_folder
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs.journal import read_journal
 from daq.runs.journal_lines import Entry, frame_name
+from daq.runs.names import CAMERAS, FILE
 from daq.runs.records import CURE
-from daq.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
+from daq.runs.run_file import LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
 from daq.runs.seal import write_record
 
 if TYPE_CHECKING:
     from daq.plans.steps import Step
 
-CAMERAS = "cameras"
 IDLE = frozenset({"session", "camera", "counts", "end"})  # lines of a session that came to nothing
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 

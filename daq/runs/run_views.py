@@ -6,7 +6,6 @@ target (`dewarp_of`).
 """
 
 import math
-import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,8 +22,9 @@ from correction.target.board_file import PrintedBoard, read_board
 from daq.atomic_write import write_text
 from daq.errors import RunDamaged
 from daq.runs.acquired import read_acquired, run_of
+from daq.runs.names import FILE, is_run
 from daq.runs.records import CURE
-from daq.runs.run_file import FILE, PlannedStep
+from daq.runs.run_file import PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
 from ground.config import load_yaml, read
 from ground.errors import ConfigError, GroundError
@@ -61,11 +61,6 @@ class View:
     shows: str
     glass: bool
     on_plane: bool
-
-
-def is_run(path: Path) -> bool:
-    """Whether a folder is a run, if only by the name of a record that can no longer be read."""
-    return os.path.lexists(path / FILE)
 
 
 def bench_scene(path: Path) -> str:

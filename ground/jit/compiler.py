@@ -15,7 +15,9 @@ from typing import Any
 
 import numba
 import numba.extending
+from llvmlite.binding import parse_bitcode
 from numba.core import caching, event, types
+from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.extending import overload, typeof_impl
 
@@ -63,8 +65,51 @@ class _ByContent:
         return None if folder is None else cls(function.__code__.co_firstlineno, folder)
 
 
+class _KeptCode(JITCodeLibrary):
+    """Machine code from the cache, and beside it, as large, what LLVM compiles its callers from.
+
+    Numba reads both, and lists all names in the latter.  Here it is read when a caller is compiled: most commands
+    compile nothing.
+    """
+
+    _code = _for_callers = b""
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: Any) -> "_KeptCode":  # noqa: ANN401 - numba has no types
+        name, _, (code, for_callers) = state
+        kept = cls(codegen, name)
+        kept._code, kept._for_callers = code, for_callers
+        kept.enable_object_caching()  # type: ignore[no-untyped-call]
+        kept._set_compiled_object(code)  # type: ignore[no-untyped-call]
+        kept._finalize_final_module()  # type: ignore[no-untyped-call]
+        return kept
+
+    def _get_module_for_linking(self) -> Any:  # noqa: ANN401
+        if self._shared_module is None:
+            self._shared_module = parse_bitcode(self._for_callers)
+            self._codegen._engine._load_defined_symbols(self._shared_module)  # type: ignore[no-untyped-call]
+        return super()._get_module_for_linking()  # type: ignore[no-untyped-call]
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return where a function begins, 0 for one that is not here: LLVM would end the process."""
+        if b"\0%s\0" % name.encode() in self._code:  # as it stands in the table of names
+            self._codegen._engine._defined_symbols.add(name)
+        else:
+            self._get_module_for_linking()
+        return int(super().get_pointer_to_function(name))  # type: ignore[no-untyped-call]
+
+
 class _KeptByContent(caching.CompileResultCacheImpl):
     _locator_classes = [_ByContent]  # noqa: RUF012 - numba's own name for it
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:  # noqa: ANN401
+        """Make a kept function ready to be called; whoever asks holds numba's lock of its compiler."""
+        codegen = target_context.codegen()
+        usual, codegen._library_class = codegen._library_class, _KeptCode
+        try:
+            return super().rebuild(target_context, payload)  # type: ignore[no-untyped-call]
+        finally:
+            codegen._library_class = usual
 
 
 class _KernelCache(caching.FunctionCache):

@@ -161,9 +161,10 @@ def _imported(path: Path, root: Path) -> tuple[Path, ...]:
     return tuple(found)
 
 
+@cache  # many files import the same
 def _files_of(module: str, root: Path) -> list[Path]:
-    parts = module.split(".")
-    if parts[0] not in PACKAGES:
+    top, *below = module.split(".")
+    if top not in PACKAGES:
         return []
-    place = root.joinpath(*parts)
-    return [path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()]
+    place = os.path.join(root, top, *below)  # noqa: PTH118 - thrice as quick, and each command waits for hundreds
+    return [Path(name) for name in (f"{place}.py", f"{place}/__init__.py") if os.path.isfile(name)]  # noqa: PTH113

@@ -14,8 +14,8 @@ from daq.errors import RunDamaged
 from daq.frames.source import is_source, source_of
 from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import glass_place_mm, with_glass_at
+from daq.runs.names import is_run
 from daq.runs.pairs import pairs_of
-from daq.runs.run_views import is_run
 from ground.terminal import progress, say_once
 from piv.errors import FrameError, PairError
 from tracer.light_sheet import LightSheet

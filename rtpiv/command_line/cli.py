@@ -30,6 +30,7 @@ from rtpiv.options import call_of, parser
 THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
 # Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}  # it would look through all that is installed for some
 
 
 PICTURES = "rtpiv.analysis.pictures"
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return USAGE
     if trusted is not None:  # for children as well
         os.environ[VARIABLE] = ",".join(filter(None, (os.environ.get(VARIABLE), trusted)))
-    os.environ.update(ONE_THREAD | os.environ)
+    os.environ.update(ONE_THREAD | NO_PLUGINS | os.environ)
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling

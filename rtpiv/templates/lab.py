@@ -8,9 +8,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from daq.errors import RunUsageError
+from ground.config import Name
 from ground.plain_words import slip
 from rtpiv.templates.arrangement import (
     ALIASES,
@@ -22,10 +23,9 @@ from rtpiv.templates.arrangement import (
     rods_mm,
     span_mm,
 )
-from stages.config import Name
 from tracer.media import ConstantMedium, Medium, known_media, medium_called
 
-NAME = TypeAdapter(Name)
+NAME = TypeAdapter(Name, config=ConfigDict(defer_build=True))
 DENSEST = 4.0  # index
 LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
 LEAST_BALL_PX, LEAST_CORNER_PX = 16.0, 4.0  # of a ball and of a square, below which a lab shows nothing of them

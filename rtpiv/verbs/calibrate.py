@@ -13,8 +13,9 @@ from correction.fitted.map_sigma import map_sigma
 from correction.fitted.scene_sigma import save_fit
 from daq.atomic_write import write_json, write_text
 from daq.runs.acquired import read_acquired
+from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import TargetView, board_of, height_sigma_mm, is_run, load_kept, target_views
+from daq.runs.run_views import TargetView, board_of, height_sigma_mm, load_kept, target_views
 from ground.plain_words import counted
 from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS

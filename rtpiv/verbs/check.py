@@ -3,31 +3,23 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import Bench
-from daq.bench.guards import idle_stage
-from daq.bench.opened import check_devices, check_simulation
-from daq.bench.unusual import bench_questions
 from daq.bench.unusual_scene import scene_questions
-from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
-from daq.plans.forecast import forecast_from_home
-from daq.plans.plan import load_plan, plan_questions, read_plan
-from daq.plans.plan_table import px_per_mm
-from daq.runner.session import MAPS
-from daq.runs.run_check import RunCheck, check_run
-from daq.runs.run_folder import CAMERAS, RunFolder
-from daq.runs.run_views import is_run
+from daq.errors import DaqError, RunDamaged, RunUsageError
+from daq.runs.names import CAMERAS, MAPS, is_run
 from ground.config import open_document
 from ground.errors import ConfigError, GroundError, Problem, UntrustedProgram
-from ground.plain_words import counted
 from ground.terminal import console, progress
-from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.verbs.paths import Named, paths_of
 from stages.errors import StageError
 from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
+
+if TYPE_CHECKING:
+    from daq.runs.run_check import RunCheck
+    from rtpiv.verbs.check_bench import Benches
 
 WRONG = (GroundError, TracerError, DaqError, StageError)
 TELLING = {  # keys that only one kind of file has
@@ -48,7 +40,7 @@ class FileCheck:
     questions: tuple[str, ...] = ()  # about what it may say and few labs have, with file and line
 
 
-def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> list[FileCheck | RunCheck]:
+def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "list[FileCheck | RunCheck]":
     """Check files before anything is done with them, and runs after; nothing is changed, nothing is opened.
 
     Parameters
@@ -113,11 +105,12 @@ def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCh
             kinds[path] = _kind_of(path)
         except ConfigError as error:
             problems.append(str(error))
-    benches = [path for path, kind in kinds.items() if kind == "bench"] if bench is None else [bench]
+    named = [path for path, kind in kinds.items() if kind == "bench"] if bench is None else [bench]
+    benches = _benches() if {"bench", "plan"} & set(kinds.values()) else None
     for path, kind in kinds.items():
         beside = path.parent / "bench.yaml"
         try:
-            said, questions = _said(path, kind, benches or [beside] * beside.is_file())
+            said, questions = _said(path, kind, benches, named or [beside] * beside.is_file())
             found.append(FileCheck(path, kind, said, tuple(questions)))
         except UntrustedProgram:  # a person may be asked
             raise
@@ -127,6 +120,12 @@ def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCh
         lines = [line for problem in problems for line in problem.splitlines()]
         raise RunUsageError("\n".join(dict.fromkeys(lines)))
     return found
+
+
+def _benches() -> "Benches":
+    from rtpiv.verbs.check_bench import Benches  # who checks a scene does not wait for what moves
+
+    return Benches()
 
 
 def _kind_of(path: Path) -> str:
@@ -144,30 +143,17 @@ def _kind_of(path: Path) -> str:
     return best
 
 
-def _said(path: Path, kind: str, benches: Sequence[Path]) -> tuple[str, list[str]]:
+def _said(path: Path, kind: str, benches: "Benches | None", named: Sequence[Path]) -> tuple[str, list[str]]:
     """What a file says in one sentence, and questions about it."""
     if kind == "scene":
         scene = load_scene(path)
         return f"{_scene_said(scene)}{_through(scene)}", scene_questions(path)
-    if kind == "bench":
-        bench = load_bench(path)
-        return _bench_said(bench), bench_questions(bench)
     if kind == "piv":
+        from rtpiv.analysis.pairs.piv_file import piv_choice
+
         return f"last windows of {piv_choice(piv=path).settings.windows_px[-1]} px", []
-    _, table = read_plan(path)
-    if not benches:
-        return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)", []
-    fitting, reasons, questions = [], [], []
-    for named in benches:
-        try:
-            bench = load_bench(named)
-            fitting.append(f"{_plan_said(path, bench)} on {named.name}")
-            questions += plan_questions(load_plan(path, bench), bench)
-        except WRONG as error:
-            reasons.append(error)
-    if not fitting:
-        raise reasons[0]
-    return "; ".join(fitting), list(dict.fromkeys(questions))
+    assert benches is not None
+    return benches.said(path) if kind == "bench" else benches.plan_said(path, named)
 
 
 def _through(scene: Scene) -> str:
@@ -196,34 +182,10 @@ def _scene_said(scene: Scene) -> str:
     return f"{bodies}; camera of {width} x {height} px, {scale:.1f} px/mm on the plane{sheet}"
 
 
-def _bench_said(bench: Bench) -> str:
-    check_devices(bench)
-    stages = bench.table.stages
-    more = ", ".join(name for name in bench.more)
-    simulated = "can be simulated" if check_simulation(bench) else "has no simulation"
-    return (
-        f"{counted(len(stages.axes), 'axis', 'axes')} on {counted(len(stages.controllers), 'controller')},"
-        f" camera by {bench.table.camera.backend}"
-        f"{', ' + more if more else ''}; {px_per_mm(bench):.1f} px/mm; {simulated}"
-    )
-
-
-def _plan_said(path: Path, bench: Bench) -> str:
-    plan = load_plan(path, bench)
-    said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps)
-    if said.violations:
-        lines = [
-            f"{path}: step {v.step + 1} ({v.tag}) is not allowed on {bench.path.name}: {v.text}"
-            for v in said.violations
-        ]
-        raise PlanError("\n".join(lines))
-    size = f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}"
-    steps = f"{plan.table.experiment}, {size}, about {said.duration_s:.0f} s"
-    return f"{steps}; {said.link}" if said.link else steps
-
-
 def _cameras_of(run: Path) -> list[Path]:
     """Runs of the further cameras in the folder of a run; none of a damaged one, which is named for itself."""
+    from daq.runs.run_folder import RunFolder
+
     try:
         names = RunFolder(run).about.get("cameras", [])
     except DaqError:
@@ -231,7 +193,9 @@ def _cameras_of(run: Path) -> list[Path]:
     return [run / CAMERAS / name for name in names]
 
 
-def _check_runs(runs: Sequence[Path]) -> list[RunCheck]:
+def _check_runs(runs: Sequence[Path]) -> "list[RunCheck]":
+    from daq.runs.run_check import check_run
+
     screen = console()
     checks = []
     for path in [inner for run in runs for inner in (run, *_cameras_of(run))]:

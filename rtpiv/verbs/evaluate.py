@@ -10,8 +10,9 @@ from rich.console import Console
 from correction.fitted.prepared import PreparedCorrections
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
+from daq.runs.names import is_run
 from daq.runs.pairs import pairs_of
-from daq.runs.run_views import is_run, where_lit
+from daq.runs.run_views import where_lit
 from ground.terminal import console
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import Preparation

@@ -7,8 +7,9 @@ from typing import Literal, Unpack
 
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
+from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import is_run, where_lit
+from daq.runs.run_views import where_lit
 from ground.terminal import console
 from piv.errors import PairError
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane

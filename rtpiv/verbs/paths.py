@@ -40,8 +40,8 @@ def one_of(named: Sequence[Named] | Named) -> Path:
     paths = paths_of(named)
     if len(paths) == 1:
         return paths[0]
+    from daq.runs.names import is_run
     from daq.runs.run_folder import RunFolder  # most commands have no run
-    from daq.runs.run_views import is_run
     from ground.terminal import console
 
     if not all(map(is_run, paths)):

@@ -119,6 +119,11 @@ USE = (
     "print(twice(1.0), other(1.0), sum(twice.stats.cache_hits.values()), sum(other.stats.cache_hits.values()))\n"
 )
 
+COUNTED = (
+    "import ground.jit.compiler as compiler\nplain, read = compiler.parse_bitcode, []\n"
+    "compiler.parse_bitcode = lambda bitcode: (read.append(1), plain(bitcode))[1]\n" + USE + "print(len(read))\n"
+)
+
 
 class Clone:
     """A checkout of three kernels."""
@@ -135,11 +140,11 @@ class Clone:
         (self.kernels / "caller.py").write_text(CALLER)
         (self.kernels / "other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
 
-    def use(self, cache):
+    def use(self, cache, code=USE):
         """Call both in a process of its own: their values, and how many of each were found."""
         environment = {**os.environ, "RTPIV_CACHE": str(cache), "PYTHONPATH": str(self.root)}
         ran = subprocess.run(
-            [sys.executable, "-c", USE], cwd=self.root, env=environment, capture_output=True, text=True
+            [sys.executable, "-c", code], cwd=self.root, env=environment, capture_output=True, text=True
         )
         assert ran.returncode == 0, ran.stderr
         return ran.stdout.split()
@@ -170,6 +175,15 @@ def test_no_stale_callee_is_ever_run(clone):
     assert made.use(cache) == ["6.0", "7.0", "1", "1"]
     (made.kernels / "callee.py").write_text(CALLEE.format("5.0"))
     assert made.use(cache) == ["10.0", "7.0", "0", "1"]
+
+
+@pytest.mark.timeout(300)
+def test_what_callers_are_compiled_from_is_read_by_who_compiles_one(clone):
+    made, cache = clone
+    assert made.use(cache, COUNTED) == ["6.0", "7.0", "1", "1", "0"]
+    for kept in cache.rglob("caller.twice*"):
+        kept.unlink()
+    assert made.use(cache, COUNTED) == ["6.0", "7.0", "0", "1", "1"]
 
 
 @pytest.mark.timeout(300)

@@ -30,10 +30,10 @@ from pydantic import Field, model_validator
 from daq.bench.bench_table import CAMERA, Bench
 from daq.plans.plan_table import PlanTable, Pose, View
 from daq.plans.pulse_order import PulseOrder, check_pulses, check_same_trigger
-from ground.config import Table
+from ground.config import Name, Table
 from ground.plain_words import slip
 from ground.usual import Usual
-from stages.config import Name, Positive
+from stages.config import Positive
 
 MOST_PAIRS = 1_000_000
 LONGEST_CHUNK_S = 10.0

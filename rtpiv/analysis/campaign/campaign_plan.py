@@ -15,8 +15,9 @@ from correction.grid import grid_of
 from daq.atomic_write import copy_whole, why, write_json
 from daq.errors import DiskError, RunUnsuitable
 from daq.frames.source import is_source
+from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import is_run, scene_file
+from daq.runs.run_views import scene_file
 from ground.plain_words import counted
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import SLIDING_MINIMUM

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from correction.errors import SheetError
 from correction.evaluate.regions import Region, Regions
 from correction.self_check.moved_sphere import FALSE_ALARMS, SelfCheck, check_spheres
+from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import is_run
 from piv.errors import PairError
 from rtpiv.analysis.digits import two_digits, with_sigma
 from rtpiv.analysis.light_sheet import FlowFrames, flow_frames, read_pairs

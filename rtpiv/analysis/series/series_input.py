@@ -15,8 +15,9 @@ from daq.errors import DiskError
 from daq.frames.source import is_source, source_of
 from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import with_glass_at
+from daq.runs.names import is_run
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
-from daq.runs.run_views import is_run, scene_file, shows_light_sheet, where_lit
+from daq.runs.run_views import scene_file, shows_light_sheet, where_lit
 from piv.errors import PairError
 from piv.files.frame_file import stem_of
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation

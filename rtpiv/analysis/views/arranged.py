@@ -13,7 +13,6 @@ from typing import TypeVar
 from daq.errors import RunUsageError
 from rtpiv.analysis.through_glass import coarse_share, percent
 from rtpiv.templates.arrangement import AIR_MM, ARRANGEMENTS, BEDS, most_balls
-from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.scene_text import scene_of
 from tracer.bodies import Body
@@ -75,6 +74,8 @@ def best_gap(lab: Lab, lens: bool) -> Arranged | None:
 
 def arranged(lab: Lab) -> Arranged | None:
     """The lab with the share that it shows; None if it cannot be."""
+    from rtpiv.templates.bench_room import room_of  # of a bench: who has a scene does not wait
+
     try:
         room_of(lab)
         return Arranged(lab, coarse_share(scene_of(lab)))

@@ -8,7 +8,7 @@ import pytest
 
 from correction.fitted.scene_sigma import KIND
 from correction.light_sheet.disparities import BLOCKS
-from daq.runs.run_file import FILE
+from daq.runs.names import FILE
 from daq.runs.run_views import shows_light_sheet
 from ground.map_file import save_arrays
 from piv.errors import FrameError

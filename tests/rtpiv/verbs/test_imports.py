@@ -14,6 +14,14 @@ VERBS = sorted(path.stem for path in (ROOT / "rtpiv" / "verbs").glob("[a-z]*.py"
 DRAWN = {"matplotlib"}
 TRACED = {"numba", "llvmlite"}
 SOLVED = {f"scipy.{part}" for part in ("stats", "optimize", "spatial", "interpolate", "ndimage", "io", "sparse")}
+BENCHES = {
+    "daq.bench.bench_file",
+    "daq.runner.session",
+    "stages.stage",
+    "stages.config",
+    "rtpiv.templates.bench_room",
+}
+FITTED = {f"correction.fit.{part}" for part in ("judge.result", "judge.suspects", "seen.measurement")}
 OTHERS = {"cv2", "sim", "hypothesis", "IPython", "pandas"}
 SMALL = """
 camera: {focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0]}
@@ -38,17 +46,24 @@ def test_no_verb_imports_what_it_may_not_need():
     assert (DRAWN | TRACED | SOLVED | OTHERS) & loaded == set()
 
 
+@pytest.mark.parametrize("verb", ["check", "trace"])
+def test_who_looks_at_a_scene_waits_neither_for_benches_nor_for_fits(verb):
+    loaded = _loaded(f"import rtpiv.verbs.{verb}")
+    assert f"rtpiv.verbs.{verb}" in loaded
+    assert (BENCHES | FITTED) & loaded == set()
+
+
 def test_help_waits_for_nothing_that_draws():
     code = "from rtpiv.command_line.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
     loaded = _loaded(code)
-    assert {"multiprocessing", "numpy", "concurrent.futures"} & loaded == set()
+    assert {"multiprocessing", "numpy", "concurrent.futures", "importlib.resources", "tempfile"} & loaded == set()
 
 
 @pytest.mark.parametrize(
     ("words", "not_needed"),
     [
         (["check", "bare.yaml"], DRAWN | TRACED | SOLVED | OTHERS),
-        (["check", "scene.yaml"], DRAWN | SOLVED | OTHERS),
+        (["check", "scene.yaml"], DRAWN | SOLVED | OTHERS | BENCHES | FITTED),
         (["correct", "frame.tif", "--scene", "scene.yaml", "--no-pictures"], DRAWN | SOLVED | OTHERS),
     ],
 )

@@ -1,0 +1,13 @@
+"""Names within run folders and beside them: what is found without reading anything."""
+
+import os
+from pathlib import Path
+
+FILE = "run.json"  # the record of a run; no other folder has one
+CAMERAS = "cameras"  # within a run: one more run for each further camera
+MAPS = "maps"  # beside runs: maps by the hash of their scene
+
+
+def is_run(path: Path) -> bool:
+    """Whether a folder is a run, if only by the name of a record that can no longer be read."""
+    return os.path.lexists(path / FILE)

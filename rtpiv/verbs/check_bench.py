@@ -1,0 +1,79 @@
+"""What `check` says of benches, and of plans on them; who checks a scene does not wait for what moves."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from daq.bench.bench_file import load_bench
+from daq.bench.bench_table import Bench
+from daq.bench.guards import idle_stage
+from daq.bench.opened import check_devices, check_simulation
+from daq.bench.unusual import bench_questions
+from daq.errors import PlanError
+from daq.plans.forecast import forecast_from_home
+from daq.plans.plan import Plan, load_plan, plan_questions, read_plan
+from daq.plans.plan_table import px_per_mm
+from ground.plain_words import counted
+from rtpiv.verbs.check import WRONG
+
+Said = tuple[str, list[str]]  # what a file says in one sentence, and questions about it
+
+
+class Benches:
+    """Benches on which plans are tried; each file is read once, however many plans there are."""
+
+    def __init__(self) -> None:
+        self._read: dict[Path, Bench] = {}
+
+    def bench(self, path: Path) -> Bench:
+        """Return a bench."""
+        if path not in self._read:
+            self._read[path] = load_bench(path)
+        return self._read[path]
+
+    def said(self, path: Path) -> Said:
+        """What a bench says."""
+        bench = self.bench(path)
+        return _bench_said(bench), bench_questions(bench)
+
+    def plan_said(self, path: Path, benches: Iterable[Path]) -> Said:
+        """What a plan says on those of the benches on which it can be carried out; it must be one at least."""
+        fitting, reasons, questions = [], [], []
+        for named in benches:
+            try:
+                bench = self.bench(named)
+                plan = load_plan(path, bench)
+                fitting.append(f"{_plan_said(path, plan, bench)} on {named.name}")
+                questions += plan_questions(plan, bench)
+            except WRONG as error:
+                reasons.append(error)
+        if fitting:
+            return "; ".join(fitting), list(dict.fromkeys(questions))
+        _, table = read_plan(path)  # what is wrong with the plan itself comes first
+        if reasons:
+            raise reasons[0]
+        return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)", []
+
+
+def _bench_said(bench: Bench) -> str:
+    check_devices(bench)
+    stages = bench.table.stages
+    more = ", ".join(name for name in bench.more)
+    simulated = "can be simulated" if check_simulation(bench) else "has no simulation"
+    return (
+        f"{counted(len(stages.axes), 'axis', 'axes')} on {counted(len(stages.controllers), 'controller')},"
+        f" camera by {bench.table.camera.backend}"
+        f"{', ' + more if more else ''}; {px_per_mm(bench):.1f} px/mm; {simulated}"
+    )
+
+
+def _plan_said(path: Path, plan: Plan, bench: Bench) -> str:
+    said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps)
+    if said.violations:
+        lines = [
+            f"{path}: step {v.step + 1} ({v.tag}) is not allowed on {bench.path.name}: {v.text}"
+            for v in said.violations
+        ]
+        raise PlanError("\n".join(lines))
+    size = f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}"
+    steps = f"{plan.table.experiment}, {size}, about {said.duration_s:.0f} s"
+    return f"{steps}; {said.link}" if said.link else steps
