@@ -2,11 +2,18 @@
 
 The fit knows straight and evenly curved edges.  Next to a fold, and behind chains of balls, edges twist as well,
 and what no model of an edge follows draws the corner aside, all corners alike that are seen so.  How far, the fit
-itself says: the view around each corner is traced pixel by pixel, its two edges are drawn as they are bent there,
-blurred as they were measured, and fitted as those of the frame are.
+itself says: the view around each corner is traced pixel by pixel, the board is drawn as it is bent there, blurred
+as edges were measured, and fitted as those of the frame are.
 
-With X(u) the traced point of the board about the corner, an edge is where one part of it is zero, and
-X_k / |grad X_k| how far a point is off edge k.  Between pixels X is a cubic spline: it is smooth within a branch.
+With X(u) the traced point of the board about the corner, in squares, an edge of kind k is where X_k is a whole
+number m, and (X_k - m) / |grad X_k| how far a point is off the nearest one.  Between pixels X is a cubic spline:
+it is smooth within a branch.
+
+All edges are drawn, not the corner's own two alone: where the view bends, the next ones come into the window.  So
+is the light that surfaces let pass, by Fresnel, which falls towards a rim the faster the nearer.  The fit follows
+its slope; what it bends beyond that, times dark and bright squares, draws a corner aside one way where the square
+between +x and +y is bright, and the other way where it is dark.  Left out, both made corners behind two balls seem
+drawn aside by half as much again.
 """
 
 from functools import cache
@@ -23,11 +30,12 @@ from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import trace
 
 FINER = 4  # points a pixel that are drawn
+CONTRAST = 0.85  # of black and white print
 DRAWN_PX = 0.2  # blur of what is drawn, before the rest of it is added
 BESIDE_PX = 3  # what is drawn beyond a window
 AT_ONCE = 64  # corners drawn at a time
 WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
-LEFT = 0.3  # of what is taken off, one standard deviation: renders show 0.7 behind two balls, all behind three
+LEFT = 0.2  # of what is taken off, one standard deviation: renders show 0.8 behind two balls, all behind three
 
 
 def taken_aside(
@@ -82,7 +90,9 @@ def found_bent(
         affine = np.linalg.inv(expected.axes_px[some]) * board.sides_mm[:, None]
         flat = np.einsum("nij,nvuj->nvui", affine, off)
         point = rays.plane_mm - node[some][:, None, None]
-        tiles = drawn(flat + carried_on(point - flat, there), blur_px)
+        squares = (flat + carried_on(point - flat, there)) / board.sides_mm
+        passed = carried_on(rays.rays["transmittance"][..., None], there)[..., 0]
+        tiles = drawn(squares, passed, board.corner_sign(expected.index[some]), blur_px)
         height, width = expected.usable.shape
         inside = ((pixel >= 0) & (pixel < (width, height))).all(axis=-1)
         u, v = np.clip(pixel, 0, (width - 1, height - 1)).transpose(3, 0, 1, 2)
@@ -100,25 +110,40 @@ def found_bent(
 
 
 def carried_on(value: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Values (N, n, n, 2), those that are not `there` (N, n, n) from the nearest one of their tile that is."""
+    """Values (N, n, n, K), those that are not `there` (N, n, n) from the nearest one of their tile that is."""
     apart = (1e6, 1.0, 1.0)
     nearest = scipy.ndimage.distance_transform_edt(~there, apart, return_distances=False, return_indices=True)
     return np.asarray(value[tuple(nearest)])
 
 
-def drawn(point: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
-    """Corners as pixels show them (N, n, n), whose edges are where a part of points (N, n, n, 2) is zero.
+def drawn(
+    squares: NDArray[np.float64], passed: NDArray[np.float64], sign: NDArray[np.int8], blur_px: float
+) -> NDArray[np.float64]:
+    """Corners as pixels show them (N, n, n).
 
-    The blur has the pixel in it.
+    Parameters
+    ----------
+    squares : (N, n, n, 2) float64
+        Points of the board that pixels see, from the corner, in squares: edges are where a part is a whole number.
+    passed : (N, n, n) float64
+        Share of the light that reaches the pixels.
+    sign : (N,) int8
+        +1 if the square to +x, +y of the corner is bright, -1 if dark.
+    blur_px : float
+        Standard deviation, with the pixel in it.
     """
-    size = point.shape[1]
+    size = squares.shape[1]
     between, spread = _between(size), _spread(size, blur_px)
-    fine = np.einsum("av,nvuk,bu->nabk", between, point, between, optimize=True)
+    fine = np.einsum("av,nvuk,bu->nabk", between, squares, between, optimize=True)
     shade = np.ones(fine.shape[:3])
     for edge in range(2):
         slope = np.hypot(*np.gradient(fine[..., edge], 1.0 / FINER, axis=(1, 2)))
-        shade *= scipy.special.erf(fine[..., edge] / np.maximum(slope, 1e-12) / (np.sqrt(2.0) * DRAWN_PX))
-    return np.asarray(spread @ shade @ spread.T)
+        nearest = np.rint(fine[..., edge])
+        off_px = (fine[..., edge] - nearest) / np.maximum(slope, 1e-12)
+        shade *= np.where(nearest % 2.0, -1.0, 1.0) * scipy.special.erf(off_px / (np.sqrt(2.0) * DRAWN_PX))
+    light = np.einsum("av,nvu,bu->nab", between, passed, between, optimize=True)
+    light *= 1.0 + CONTRAST * sign[:, None, None] * shade
+    return np.asarray(spread @ light @ spread.T)
 
 
 @cache

@@ -86,4 +86,5 @@ def test_one_sigma_is_one_sigma(draw):
     rng = np.random.default_rng(5)
     labs = [drawn_lab(FIRST + n, draw=draw, pulled=rng.normal() * (draw is aligned)) for n in range(LABS)]
     for behind in (False, True):
+        print(f"behind glass {behind}: {chi(labs, behind):.3f}")
         assert 0.8 <= chi(labs, behind) <= 1.25
