@@ -28,6 +28,7 @@ from correction.fit.solve.doubted import (
     shape_parts,
     with_shapes,
 )
+from correction.fit.solve.print_errors import OnPrint, print_errors
 from correction.fit.solve.solver import (
     Corners,
     Residuals,
@@ -199,6 +200,8 @@ class Adjustment:
         alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
         alike = [replace(lattice, rate=lattice.rate * unit) for lattice in lattices]
         covariance = with_correlation(alone, alike, verdict.correlation)
+        printed = print_errors([self.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)])
+        covariance = covariance + alone @ printed.spread @ alone
         draws = root_of(covariance)
         if len(at) > free:
             draws = np.column_stack((draws, newton_step(wide, at, slope, normal)))
@@ -224,9 +227,18 @@ class Adjustment:
             pushed,
             scene,
             verdict,
-            (*history, self.step("all together", unknowns, solution.x, measured, kept)),
+            (
+                *history,
+                *([FitStep(str(printed))] if str(printed) else []),
+                self.step("all together", unknowns, solution.x, measured, kept),
+            ),
             shapes=shapes,
         )
+
+    def on_print(self, frame: MeasuredFrame, part: Residuals, unit: NDArray[np.float64]) -> OnPrint:
+        """Corners of a frame as the print moves them, their derivatives in units (P,)."""
+        per_square = np.asarray(self.weighted(frame).whiten) @ frame.axes_px
+        return OnPrint(frame.index, np.nan_to_num(part.value), per_square, np.nan_to_num(part.rate) * unit)
 
     def doubted_part(
         self, unknowns: Unknowns, wide: Unknowns, at: NDArray[np.float64], frame: MeasuredFrame

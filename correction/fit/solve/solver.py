@@ -321,7 +321,7 @@ def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.flo
     depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
     active = depth > 0.0
     out = np.zeros((int(active.sum()), len(unknowns.start)))
-    out[:, unknowns.glass] = rate.reshape(len(depth), -1)[active]
+    out[:, unknowns.glass] = rate.reshape(len(depth), unknowns.glass.stop - unknowns.glass.start)[active]
     out[:, unknowns.all_shapes] = by_shape[active]
     of_rooms, room_rate = room_depths(unknowns, full)
     cut = of_rooms > 0.0

@@ -17,6 +17,7 @@ import numpy as np
 
 from correction.fit.seen.prediction import expect
 from correction.target import Chessboard
+from rtpiv.analysis.prints.pages import whole_dots
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import TargetPose
@@ -113,4 +114,4 @@ def best_square(scene: Scene, size_mm: tuple[float, float], coded: bool = False)
     least_px = LEAST_CODED_PX if coded else LEAST_PX
     sides = [side for side in SIDES_MM if least_px <= side * px_per_mm <= MOST_PX] or [2.0 * least_px / px_per_mm]
     sides = [side for side in sides if min(size_mm) >= 4.0 * side] or sides[:1]
-    return max((corners_of(scene, side, size_mm) for side in sides), key=lambda found: found.worth)
+    return max((corners_of(scene, whole_dots(side), size_mm) for side in sides), key=lambda found: found.worth)

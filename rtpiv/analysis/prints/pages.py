@@ -4,6 +4,10 @@ Printers stretch by some 0.1 to 1 %, differently along and across the feed, and 
 bars stand in the margin, one along each side; their lengths as measured on the paper over those drawn are the
 scale of the print, in x and y (`correction.target.board_file`).
 
+A printer sets whole dots, and moves every edge to the nearest one, by up to half of 1/600 inch: 21 um, alike for
+all corners of a line, which no frame averages out.  So squares are drawn as wide as whole dots (`whole_dots`) and
+the sheet lies on the page so that its lines are edges of dots: what is moved then is moved alike.
+
 Shapes are drawn as vectors.  Particles are grey pictures of a resolution at which their Gaussians are smooth; no
 vector has such an edge.  A sheet larger than the paper takes several pages, whose tiles meet at the corner marks.
 """
@@ -33,6 +37,7 @@ MARGIN_MM = 16.0  # free of the sheet: bars, words, and what printers cannot rea
 EDGE_MM = 6.0  # most printers leave out 4 to 5
 BAR_STEP_MM = 10.0
 MM = 1.0 / 25.4  # in inches
+DOT_MM = 25.4 / 600.0  # of most printers; of finer ones a whole number
 SMOOTH = 2.5  # dots to a standard deviation of a particle
 LEAST_DPI, MOST_DPI = 600.0, 1200.0  # as printers have
 HAIR: Any = {"color": "black", "linewidth": 0.4, "solid_capstyle": "butt"}
@@ -59,6 +64,11 @@ def room_on(paper: Paper) -> tuple[float, float]:
     """Width and height [mm] that a sheet may take on one page."""
     width, height = PAPERS_MM[paper]
     return width - 2.0 * MARGIN_MM, height - 2.0 * MARGIN_MM
+
+
+def whole_dots(length_mm: float) -> float:
+    """Return the nearest length [mm] that a printer draws in whole dots, one at least."""
+    return round(max(1, round(length_mm / DOT_MM)) * DOT_MM, 9)
 
 
 def bars_on(paper: Paper) -> tuple[float, float]:
@@ -110,7 +120,7 @@ def write_pages(path: Path, sheet: Sheet, paper: Paper, words: str) -> Printed:
                 bounds = (x0, y0, x0 + tile[0], y0 + tile[1])
                 figure = Figure(figsize=(width * MM, height * MM))
                 axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-                middle = 0.5 * (bounds[0] + bounds[2]), 0.5 * (bounds[1] + bounds[3])
+                middle = _middle(width, x0, bounds[2]), _middle(height, y0, bounds[3])
                 axes.set_xlim(middle[0] - 0.5 * width, middle[0] + 0.5 * width)
                 axes.set_ylim(middle[1] - 0.5 * height, middle[1] + 0.5 * height)
                 axes.set_axis_off()
@@ -120,6 +130,12 @@ def write_pages(path: Path, sheet: Sheet, paper: Paper, words: str) -> Printed:
     with whole_file(path) as stream:
         stream.write(buffer.getvalue())
     return Printed((columns, rows), bars_on(paper))
+
+
+def _middle(side_mm: float, low_mm: float, high_mm: float) -> float:
+    """What lies in the middle of a page: beside a tile's, so that the origin is whole dots from the edge."""
+    origin_mm = 0.5 * (side_mm - low_mm - high_mm)
+    return 0.5 * side_mm - DOT_MM * round(origin_mm / DOT_MM)
 
 
 def _draw(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:

@@ -78,7 +78,9 @@ def test_squares_on_paper_are_where_the_page_says(tmp_path):
     printed = pages.write_pages(tmp_path / "a.pdf", sheet, "A4", "words")
     (page,) = streams(tmp_path / "a.pdf")
     found = vertices_mm(page)
-    on_page = sheet.polygons[7] + np.array([105.0, 148.5])
+    moved = np.array([pages._middle(side, -half, half) for side, half in ((210.0, 50.0), (297.0, 60.0))])
+    assert np.abs(moved).max() <= 0.5 * pages.DOT_MM
+    on_page = sheet.polygons[7] + np.array([105.0, 148.5]) - moved
     for corner in on_page:
         assert np.min(np.linalg.norm(found - corner, axis=1)) < 2e-3
     across, up = printed.bars_mm
@@ -89,6 +91,22 @@ def test_squares_on_paper_are_where_the_page_says(tmp_path):
     again = pages.write_pages(tmp_path / "b.pdf", sheet, "A4", "words")
     assert again == printed
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+
+
+def test_every_line_of_a_board_lies_between_two_dots_of_a_printer(tmp_path):
+    """Measured in the file from the corner of the page: a printer moves none of them, or all alike."""
+    assert main(["target", "--square-mm", "5", "-o", str(tmp_path)]) == 0
+    board = read_board(tmp_path / "board.yaml")
+    assert board.square_mm == pytest.approx(118 * 25.4 / 600, abs=1e-6)
+    (page,) = streams(tmp_path / "target.pdf")
+    found, squares = vertices_mm(page), np.array(board.squares)
+    for axis in range(2):
+        edges = found[:, axis][np.abs(found[:, axis] - 0.5 * (210.0, 297.0)[axis]) < 60.0]
+        places, counts = np.unique(np.round(edges / (25.4 / 600.0), 1), return_counts=True)
+        lines = places[counts >= squares[1 - axis]]  # squares end on each and begin; discs have rounder numbers
+        assert len(lines) > 15
+        assert np.abs(lines - np.rint(lines)).max() < 0.05
+        assert set(np.diff(lines)) == {118.0}
 
 
 def test_what_a_page_does_not_hold_goes_on_several_that_meet(tmp_path):

@@ -1,0 +1,61 @@
+"""What a fit to corners is worth whose lines on paper lie off, in every frame alike."""
+
+import numpy as np
+import pytest
+
+from correction.fit.solve.print_errors import OnPrint, print_errors
+
+FRAMES, SIDE, LINE, DRAWS = 4, 20, 0.01, 40
+PER_SQUARE = np.array([[60.0, 8.0], [-5.0, 55.0]])  # sigmas a square: edges of 20 px, found to a third of a pixel
+
+
+def corners():
+    index = np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), -1).reshape(-1, 2)
+    return index - SIDE // 2
+
+
+def fitted(rng, line, point):
+    """Draw frames of one print, fit them; how far the numbers are off in sigmas that know nothing, and in ours."""
+    index = corners()
+    x, y = rng.normal(0.0, line, (2, SIDE))
+    off = np.column_stack((x[index[:, 0]], y[index[:, 1]])) + rng.normal(0.0, point, index.shape)
+    frames = []
+    for height in range(FRAMES):
+        i, j = index.T / SIDE
+        rate = np.zeros((len(index), 2, 4))  # moved along both, nearer, turned
+        rate[:, 0, 0] = rate[:, 1, 1] = 1.0
+        rate[:, :, 2] = (1.0 + 0.1 * height) * np.column_stack((i, j))
+        rate[:, :, 3] = np.column_stack((-j, i))
+        value = off @ PER_SQUARE.T + rng.normal(0.0, 1.0, index.shape)
+        frames.append((value, rate))
+    rates, values = (np.concatenate([f[k].reshape(len(index) * 2, -1) for f in frames]) for k in (1, 0))
+    covariance = np.linalg.inv(rates.T @ rates)
+    found = covariance @ rates.T @ values[:, 0]
+    left = [value - rate @ found for value, rate in frames]
+    per_square = np.broadcast_to(PER_SQUARE, (len(index), 2, 2))
+    printed = print_errors(
+        [OnPrint(index, rest, per_square, rate) for rest, (_, rate) in zip(left, frames, strict=True)]
+    )
+    ours = covariance + covariance @ printed.spread @ covariance
+    return found / np.sqrt(np.diag(covariance)), found / np.sqrt(np.diag(ours)), printed
+
+
+@pytest.mark.parametrize(
+    ("line", "point", "too_small"), [(0.0, 0.0, 0.9), (LINE, 0.0, 2.0), (0.0, LINE, 1.2), (LINE, 0.5 * LINE, 2.0)]
+)
+def test_sigma_knows_what_the_lines_and_points_of_a_print_do(line, point, too_small):
+    rng = np.random.default_rng(8)
+    drawn = [fitted(rng, line, point) for _ in range(DRAWS)]
+    before, now = (np.sqrt(np.mean(np.square([one[k] for one in drawn]))) for k in (0, 1))
+    assert 0.85 < now < 1.2
+    assert before > too_small * now
+    lines = np.sqrt(np.mean([np.square(one[2].lines) for one in drawn]))
+    points = np.sqrt(np.mean([np.square(one[2].points) for one in drawn]))
+    assert lines == pytest.approx(line, rel=0.15, abs=0.05 * LINE)
+    assert points == pytest.approx(point, rel=0.3, abs=0.05 * LINE)
+
+
+def test_what_stands_out_is_said_and_what_does_not_is_not():
+    rng = np.random.default_rng(2)
+    assert str(fitted(rng, 0.0, 0.0)[2]) == ""
+    assert "lines of the print lie off by" in str(fitted(rng, LINE, 0.0)[2])
