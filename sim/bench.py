@@ -13,7 +13,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
+from daq.bench.bench_table import STAGES, Bench, CameraSection, Device
+from daq.bench.elements import CAMERA
 from daq.bench.kinds import kind_of
 from daq.errors import RunUsageError
 from daq.plans.steps import Step

@@ -18,13 +18,12 @@ scenes with the same camera, the corner is measured once.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.fit.judge.result import FittedCorners, SceneFit
 from correction.fit.seen.prediction import expect
 from correction.fitted.prepared import prepare
 from correction.maps.corrector import Corrector
@@ -33,6 +32,9 @@ from correction.target.corners import WINDOW, CornerSearch, refine_corners
 from ground.short_repr import short_repr
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
+
+if TYPE_CHECKING:  # who corrects a frame does not wait for all that makes a fit
+    from correction.fit.judge.result import FittedCorners, SceneFit
 
 # A magnified view comes out so sharp that an edge along a pixel row leaves no pixel to measure it by; a
 # symmetric blur moves nothing and gives the edge a width again.
@@ -250,13 +252,13 @@ class RegionErrors:
     largest_px: float
 
 
-def aligned(fit: SceneFit) -> Scene:
+def aligned(fit: "SceneFit") -> Scene:
     """Return the nominal glass before the fitted camera."""
     return fit.unknowns.scene.with_camera(fit.scene.camera)
 
 
 def computed_against_acquired(
-    scene: Scene, corners: FittedCorners, frame: int, board: Chessboard
+    scene: Scene, corners: "FittedCorners", frame: int, board: Chessboard
 ) -> tuple[list[RegionErrors], NDArray[np.float64], NDArray[np.float64]]:
     """Sense 1 for one frame at z = 0.
 

@@ -33,15 +33,8 @@ import numpy as np
 
 from correction.errors import BoardError
 from correction.target.board_file import PrintedBoard, read_board
-from daq.bench.bench_table import (
-    CAMERA,
-    GLASS,
-    Bench,
-    BenchTable,
-    CameraSection,
-    Device,
-    NamedCameraSection,
-)
+from daq.bench.bench_table import Bench, BenchTable, CameraSection, Device, NamedCameraSection
+from daq.bench.elements import CAMERA, GLASS
 from daq.bench.kinds import kind_of
 from daq.bench.read_out import image_of
 from daq.errors import RunUsageError, SettingRefused

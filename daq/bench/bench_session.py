@@ -23,7 +23,8 @@ from typing import Self, cast
 
 from daq.bench.bench_edit import Place, Value, changed, difference, replace_file
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
+from daq.bench.bench_table import STAGES, Bench, CameraSection
+from daq.bench.elements import CAMERA
 from daq.bench.guards import guard_of
 from daq.bench.kinds import kind_of
 from daq.bench.opened import check_devices, keep_apart, known_positions, open_bench, require_camera_libraries

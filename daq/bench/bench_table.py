@@ -27,6 +27,7 @@ from pydantic import Field, model_validator
 
 from correction.target import Chessboard
 from correction.target.board_file import PrintedBoard
+from daq.bench.elements import CAMERA, DIRECTIONS, ELEMENTS, GLASS, Vector
 from daq.bench.keep_out import KeepOutTable
 from daq.bench.pairs_section import PairsSection
 from daq.bench.read_out import require_squares
@@ -76,13 +77,9 @@ def settings_of(preset: Preset, line: str | None) -> dict[str, Setting]:
     return {name: line if value == LINE and line else value for name, value in PRESETS[preset].items()}
 
 
-CAMERA, GLASS, TARGET = "camera", "glass", "target"
 STAGES = "stages"  # beside CAMERA a device that every bench has
-ELEMENTS = (CAMERA, GLASS, TARGET)
-DIRECTIONS = "xyz"
 
 ChunkName = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*$", max_length=64)]
-Vector = tuple[float, float, float]
 
 
 class TriggerSection(Table):

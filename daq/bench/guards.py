@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import cast
 
-from daq.bench.bench_table import CAMERA, GLASS, TARGET, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import CAMERA, GLASS, TARGET
 from daq.bench.keep_out import Carrier, Element, KeepOut
 from stages.clock import SYSTEM_CLOCK
 from stages.stage import Guard, Piece, Stage

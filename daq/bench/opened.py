@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol, cast
 
-from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
+from daq.bench.bench_table import STAGES, Bench, CameraSection
+from daq.bench.elements import CAMERA
 from daq.bench.guards import idle_stage
 from daq.bench.kinds import kind_of
 from daq.cameras import BACKENDS, backend_class, require_libraries

@@ -6,7 +6,8 @@ axes that they stand for.
 
 from collections.abc import Iterator, Mapping
 
-from daq.bench.bench_table import GLASS, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import GLASS
 from daq.bench.guards import keep_out_of
 from daq.bench.unusual_scene import bodies_in_picture
 from ground.config import Place

@@ -13,7 +13,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from daq.bench.bench_table import GLASS, TARGET, Bench, trigger_is_software
+from daq.bench.bench_table import Bench, trigger_is_software
+from daq.bench.elements import GLASS, TARGET
 from daq.bench.guards import sheet_clearances_mm
 from daq.bench.opened import simulation_class
 from daq.cameras.camera import Setting

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from daq.bench.bench_table import CAMERA, DIRECTIONS, GLASS, TARGET, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import CAMERA, DIRECTIONS, GLASS, TARGET
 from daq.errors import PlanError
 from daq.plans.plan_table import PlanTable, Pose
 from daq.plans.steps import CLEAR, Step, steps_hash

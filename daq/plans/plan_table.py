@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from daq.bench.bench_table import Bench, Vector
+from daq.bench.bench_table import Bench
+from daq.bench.elements import Vector
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import CLEAR, Step
 from ground.config import Table

@@ -7,7 +7,8 @@ first after a crash.  The list is a value: it can be drawn, checked, timed, hash
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
-from daq.bench.bench_table import GLASS, Bench, digest
+from daq.bench.bench_table import Bench, digest
+from daq.bench.elements import GLASS
 from daq.plans.pulse_order import PulseOrder
 
 CLEAR, BEHIND_GLASS = "clear", "glass"

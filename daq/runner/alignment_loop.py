@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from correction.alignment.moves import DIRECTIONS, STEP_MM, SURE, Look, Wanted, require_followed, wanted
 from correction.alignment.seen import REACH_MM, Expected, find_arrangement, usable
 from correction.alignment.spheres_seen import OWN_MM, SphereSeen
-from daq.bench.bench_table import CAMERA, GLASS, TARGET, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import CAMERA, GLASS, TARGET
 from daq.bench.keep_out import Carrier, Element, KeepOut
 from daq.bench.opened import OpenBench
 from daq.errors import PlanError

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.bench.bench_session import BenchSession
-from daq.bench.bench_table import CAMERA
+from daq.bench.elements import CAMERA
 from daq.cameras.camera import Camera
 from daq.errors import RunUsageError
 from daq.runner.camera_session import CameraSession

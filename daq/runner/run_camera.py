@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import Any
 
 from daq.atomic_write import sync_folder, write_json
-from daq.bench.bench_table import CAMERA
+from daq.bench.elements import CAMERA
 from daq.bench.opened import OpenBench
 from daq.cameras.camera import Setting
 from daq.errors import BadBalance, ResumeRefused

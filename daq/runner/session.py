@@ -24,7 +24,8 @@ from typing import Any
 from correction.target.board_file import board_text
 from daq.atomic_write import write_text
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CAMERA, Bench, digest
+from daq.bench.bench_table import Bench, digest
+from daq.bench.elements import CAMERA
 from daq.bench.opened import OpenBench, Simulation, open_bench
 from daq.bench.rehearsal import with_rehearsal
 from daq.errors import DiskError, ResumeRefused, RunDamaged

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import (
+    TYPE_CHECKING,
     Annotated,
     Any,
     NotRequired,  # that of typing cannot be checked before Python 3.12
@@ -28,15 +29,18 @@ from pydantic import Field, TypeAdapter, with_config
 from typing_extensions import TypedDict
 
 from daq.atomic_write import write_text
-from daq.bench.bench_table import DIRECTIONS, TARGET, Bench, Vector
+from daq.bench.elements import DIRECTIONS, TARGET, Vector
 from daq.errors import RunDamaged, RunUnsuitable
-from daq.plans.steps import Step
 from daq.runs.journal import Entry
 from daq.runs.records import CURE, MOST_BYTES, STRICT, Count, Tag, Way, parsed, read_record
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
 from daq.runs.seal import sealed
 from ground.plain_file import read_plain
+
+if TYPE_CHECKING:  # who reads pairs does not wait for plans
+    from daq.bench.bench_table import Bench
+    from daq.plans.steps import Step
 
 FILE = "displacements.json"
 
@@ -80,7 +84,7 @@ class Displacement:
         return tree
 
 
-def displacements(bench: Bench, steps: Sequence[Step], entries: Sequence[Entry]) -> list[Displacement]:
+def displacements(bench: "Bench", steps: Sequence["Step"], entries: Sequence[Entry]) -> list[Displacement]:
     """Return the displacement of every finished step that has a reference.
 
     Parameters
@@ -112,13 +116,13 @@ def displacements(bench: Bench, steps: Sequence[Step], entries: Sequence[Entry])
     return found
 
 
-def _between(bench: Bench, before_mm: Mapping[str, float], after_mm: Mapping[str, float]) -> Vector:
+def _between(bench: "Bench", before_mm: Mapping[str, float], after_mm: Mapping[str, float]) -> Vector:
     before, after = bench.table.offset_mm(TARGET, before_mm), bench.table.offset_mm(TARGET, after_mm)
     x, y, z = (b - a for a, b in zip(before, after, strict=True))
     return (x, y, z)
 
 
-def _sigma(bench: Bench, before: Entry, after: Entry) -> Sigmas | None:
+def _sigma(bench: "Bench", before: Entry, after: Entry) -> Sigmas | None:
     """What readings leave open of the way along x, y, z; None where no hand moves the target."""
     by_hand = bench.table.stages.by_hand
     carried = bench.table.axes_of(TARGET)

@@ -8,11 +8,12 @@ serves all frames, as for every other run.
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from correction.masked import swept
-from daq.bench.bench_table import GLASS, BenchTable, Vector
+from daq.bench.elements import GLASS, Vector
 from daq.errors import RunDamaged
 from daq.runs.journal import Entry
 from daq.runs.records import CURE
@@ -21,6 +22,9 @@ from daq.runs.run_views import bench_table
 from piv.errors import PairError
 from tracer.bodies import shifted_by
 from tracer.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from daq.bench.bench_table import BenchTable
 
 DIGITS = 6  # of a millimetre
 
@@ -63,7 +67,7 @@ def glass_place_mm(run: Path, frames: Iterable[Path], lines: Mapping[int, Entry]
     return (0.0, 0.0, 0.0) if found is None else found[0]
 
 
-def glass_off_scene_mm(table: BenchTable, positions_mm: Mapping[str, float]) -> Vector:
+def glass_off_scene_mm(table: "BenchTable", positions_mm: Mapping[str, float]) -> Vector:
     """Displacement of the glass from its place in the scene file, to a nanometre: one place is one map."""
     x, y, z = (round(part, DIGITS) + 0.0 for part in table.offset_mm(GLASS, positions_mm))
     return (x, y, z)

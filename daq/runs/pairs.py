@@ -32,7 +32,7 @@ from math import isclose
 from pathlib import Path
 from typing import NoReturn
 
-from daq.bench.bench_table import Vector
+from daq.bench.elements import Vector
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.displacement import read_displacements
 from daq.runs.journal import Entry

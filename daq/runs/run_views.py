@@ -117,7 +117,7 @@ def target_views(path: Path) -> list[TargetView]:
     RunDamaged
         What it says is not what was written.
     """
-    from daq.bench.bench_table import TARGET
+    from daq.bench.elements import TARGET
 
     folder = RunFolder.open(path)
     about, entries = folder.about, frame_entries(folder.entries())
@@ -174,7 +174,7 @@ def bench_table(folder: RunFolder) -> "BenchTable":
 
 def height_sigma_mm(path: Path) -> float:
     """Standard deviation of a height of the target, a difference of two places, as hands read; 0 of motors."""
-    from daq.bench.bench_table import TARGET
+    from daq.bench.elements import TARGET
 
     table = bench_table(RunFolder.open(path))
     axes = table.axes_of(TARGET)

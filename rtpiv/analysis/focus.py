@@ -35,7 +35,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from daq.bench.bench_table import CAMERA, TARGET, BenchTable
+from daq.bench.bench_table import BenchTable
+from daq.bench.elements import CAMERA, TARGET
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.plans.experiments.focus import FocusPlan
 from daq.runs.acquired import read_acquired

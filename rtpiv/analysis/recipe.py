@@ -20,16 +20,14 @@ from correction.maps.dewarp import Dewarp
 from correction.target import Chessboard
 from daq.atomic_write import write_text
 from daq.runs.acquired import read_acquired
-from daq.runs.run_views import FAR_MM, board_of, dewarp_of, tells_a_scale_alone
-from ground.errors import GroundError
+from daq.runs.run_views import FAR_MM, board_of, dewarp_of
 from piv.resampling.sample import Method
+from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.camera import Camera
-from tracer.errors import TracerError
 from tracer.mask_picture import left_out
 from tracer.scene.scene import Scene
 
-SCENE_FILE, FIT_FILE = "scene.yaml", "fit.npz"  # beside each other, of a fit as in the folder of a series
 PLAIN_SCENE = """\
 # Frames without glass, {mm_per_px} mm a pixel: a camera far away, straight before the plane.
 wavelength_nm: 532.0
@@ -151,33 +149,3 @@ class Resampling:
 
     method: Method = "quintic"
     blend: Count = 1
-
-
-def scene_sigma_beside(
-    scene: Path, fitted: Scene, dewarped: bool, *, in_light_sheet: bool = True
-) -> SceneSigma | str:
-    """Uncertainty of the scene from the fit beside its file, or why there is none.
-
-    Parameters
-    ----------
-    scene : Path
-        Scene file.
-    fitted : Scene
-        As loaded from it.
-    dewarped : bool
-        Whether a dewarp stands in for the camera's lens terms, of which the fit knows nothing.
-    in_light_sheet : bool
-        Whether particles are looked at, which lie in the scene's light sheet, and not the target.
-    """
-    if not scene.with_name(FIT_FILE).is_file():
-        if tells_a_scale_alone(fitted):
-            return "a scale was told, and nothing of the camera"
-        return "there is no fit beside the scene; run rtpiv calibrate"
-    if dewarped:
-        return "the fit does not hold for a dewarped camera"
-    try:
-        sigma = SceneSigma.load(scene.with_name(FIT_FILE))
-        sigma.check(fitted)
-    except (GroundError, TracerError) as error:
-        return str(error)
-    return sigma.in_light_sheet(fitted) if in_light_sheet else sigma

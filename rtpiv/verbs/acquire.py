@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import Bench, Vector
+from daq.bench.bench_table import Bench
+from daq.bench.elements import Vector
 from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, require_camera_libraries
 from daq.bench.rehearsal import Rehearsal

@@ -5,7 +5,8 @@ from pathlib import Path
 from rich.console import Console
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CAMERA, GLASS, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import CAMERA, GLASS
 from daq.bench.opened import require_camera_libraries
 from daq.errors import PlanError
 from daq.plans.experiments.align import AlignPlan

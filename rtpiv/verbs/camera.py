@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CAMERA
+from daq.bench.elements import CAMERA
 from daq.bench.opened import open_bench
 from daq.errors import CameraError
 from daq.runner.camera_session import CameraSession

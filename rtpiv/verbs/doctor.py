@@ -9,7 +9,8 @@ from pathlib import Path
 from rich.table import Table
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CAMERA, Bench, CameraSection
+from daq.bench.bench_table import Bench, CameraSection
+from daq.bench.elements import CAMERA
 from daq.bench.surroundings import (
     GENTL_PATH,
     INSTALLED,

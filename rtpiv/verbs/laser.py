@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CAMERA
+from daq.bench.elements import CAMERA
 from daq.bench.known_lasers import KIND, KnownLaser, each_once, lasers_near, lasers_of, open_lasers
 from daq.bench.opened import OpenBench, open_bench
 from daq.errors import RunUsageError

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from correction.maps.corrector import Corrector
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CAMERA, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import CAMERA
 from daq.bench.opened import OpenBench, open_bench
 from daq.cameras.frame import Frame
 from daq.live.live_page import BYTES_PER_PX, LivePage

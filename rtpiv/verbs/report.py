@@ -16,10 +16,11 @@ from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import first_view, scene_file
 from ground.terminal import console
 from piv.errors import PairError
+from rtpiv.analysis.fit_beside import FIT_FILE
 from rtpiv.analysis.pairs.evaluation import Evaluation, PairDetails, Route
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.pictures.before_after import before_after
-from rtpiv.analysis.recipe import FIT_FILE, CorrectionRecipe
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.series_pairs import is_flow
 from rtpiv.options.numbers import DewarpOrder, Positive

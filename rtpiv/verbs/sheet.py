@@ -7,8 +7,8 @@ from correction.light_sheet.self_calibration import SheetFound
 from daq.atomic_write import copy_whole, write_json, write_text
 from ground.plain_words import counted
 from ground.terminal import console
+from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
 from rtpiv.analysis.light_sheet import about_sheet, flow_frames, sheet_of
-from rtpiv.analysis.recipe import FIT_FILE, scene_sigma_beside
 from rtpiv.verbs.paths import Named, file_of, paths_of
 from rtpiv.verbs.results import results_in
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene

@@ -13,6 +13,7 @@ from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING, NodeStatus
 from daq.bench.unusual_scene import scene_questions
 from ground.terminal import console, progress_if_long
+from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.steepness import ShownSlant, Steepness
@@ -168,9 +169,8 @@ def _draw(
 
 def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetForecast | None:
     """What frames of a flow will tell of the sheet, where glass can stand before it at all."""
-    from rtpiv.analysis.recipe import scene_sigma_beside
-
-    sigma = "no file" if path is None else scene_sigma_beside(path, scene, dewarped=False)
+    fitted = path is not None and path.with_name(FIT_FILE).is_file()
+    sigma = scene_sigma_beside(path, scene, dewarped=False) if path is not None and fitted else "no fit"
     try:
         lit = scene.in_light_sheet()
     except SceneError:  # said by whoever corrects frames: the glass may stand elsewhere then

@@ -15,7 +15,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from daq.bench.bench_table import GLASS, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import GLASS
 from daq.errors import PlanError
 from daq.plans.plan_table import PlanTable, Pose
 from daq.plans.steps import BEHIND_GLASS

@@ -27,7 +27,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from daq.bench.bench_table import CAMERA, Bench
+from daq.bench.bench_table import Bench
+from daq.bench.elements import CAMERA
 from daq.plans.plan_table import PlanTable, Pose, View
 from daq.plans.pulse_order import PulseOrder, check_pulses, check_same_trigger
 from ground.config import Name, Table

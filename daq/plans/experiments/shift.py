@@ -18,7 +18,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from daq.bench.bench_table import Bench, Vector
+from daq.bench.bench_table import Bench
+from daq.bench.elements import Vector
 from daq.plans.plan_table import PlanTable, Pose, Question, View, px_per_mm
 from daq.plans.steps import Step
 from ground.config import Table, Triple

@@ -31,8 +31,9 @@ from rtpiv.analysis.campaign.campaign_folder import (
     choice_of,
     read_books,
 )
+from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.piv_file import PivChoice
-from rtpiv.analysis.recipe import SCENE_FILE, CorrectionRecipe
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.clean_frames import light_of
 from rtpiv.analysis.series.run_series import about_series
 from rtpiv.analysis.series.series_folder import SeriesFolder

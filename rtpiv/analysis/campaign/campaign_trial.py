@@ -16,7 +16,7 @@ from daq.errors import RunUnsuitable
 from piv.errors import SeriesError
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import Forecast, forecasts, would_be_lost
-from rtpiv.analysis.recipe import SCENE_FILE
+from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import keep_scene
 from rtpiv.analysis.series.series_pairs import CHECKSUMS

@@ -17,8 +17,8 @@ from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from piv.errors import PairError
 from rtpiv.analysis.digits import two_digits, with_sigma
+from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
 from rtpiv.analysis.light_sheet import FlowFrames, flow_frames, read_pairs
-from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean

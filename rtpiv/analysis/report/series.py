@@ -13,11 +13,11 @@ from correction.grid import PlaneGrid
 from daq.runs.acquired import full_scale
 from piv.correlation.vector_field import VectorField
 from piv.preprocessing.preparation import CORRECTED, RAW, Preparation
+from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.evaluation import correlated
 from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from rtpiv.analysis.pictures.rasters import embedded, grey
-from rtpiv.analysis.recipe import SCENE_FILE
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter

@@ -21,9 +21,10 @@ from daq.runs.run_views import scene_file, shows_light_sheet, where_lit
 from piv.errors import PairError
 from piv.files.frame_file import stem_of
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
+from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE, scene_sigma_beside
 from rtpiv.analysis.pairs.evaluation import Task
 from rtpiv.analysis.pairs.piv_file import PivChoice
-from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE, CorrectionRecipe, scene_sigma_beside
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Light, Method, jobs_of

@@ -12,7 +12,7 @@ from math import isclose
 from pathlib import Path
 
 from daq.atomic_write import write_text
-from daq.bench.bench_table import Vector
+from daq.bench.elements import Vector
 from daq.frames.named_frame import checksum_of
 from daq.frames.source import FrameSource, source_of
 from daq.runs.glass_place import glass_place_mm

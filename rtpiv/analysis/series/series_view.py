@@ -13,7 +13,7 @@ from piv.correlation.settings import PivSettings, settings_of
 from piv.correlation.windows import WindowGrid
 from piv.errors import PairError, SeriesError
 from piv.statistics.out_of_plane import OutOfPlane
-from rtpiv.analysis.recipe import SCENE_FILE, scene_sigma_beside
+from rtpiv.analysis.fit_beside import SCENE_FILE, scene_sigma_beside
 from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import GLASS
+from daq.bench.elements import GLASS
 from daq.bench.guards import guard_of, sheet_clearance_mm
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from ground.errors import ConfigError

@@ -14,13 +14,7 @@ VERBS = sorted(path.stem for path in (ROOT / "rtpiv" / "verbs").glob("[a-z]*.py"
 DRAWN = {"matplotlib"}
 TRACED = {"numba", "llvmlite"}
 SOLVED = {f"scipy.{part}" for part in ("stats", "optimize", "spatial", "interpolate", "ndimage", "io", "sparse")}
-BENCHES = {
-    "daq.bench.bench_file",
-    "daq.runner.session",
-    "stages.stage",
-    "stages.config",
-    "rtpiv.templates.bench_room",
-}
+BENCHES = {"daq.bench.bench_table", "daq.runner.session", "daq.plans.steps", "stages.stage", "stages.config"}
 FITTED = {f"correction.fit.{part}" for part in ("judge.result", "judge.suspects", "seen.measurement")}
 OTHERS = {"cv2", "sim", "hypothesis", "IPython", "pandas"}
 SMALL = """
@@ -46,8 +40,8 @@ def test_no_verb_imports_what_it_may_not_need():
     assert (DRAWN | TRACED | SOLVED | OTHERS) & loaded == set()
 
 
-@pytest.mark.parametrize("verb", ["check", "trace"])
-def test_who_looks_at_a_scene_waits_neither_for_benches_nor_for_fits(verb):
+@pytest.mark.parametrize("verb", ["check", "trace", "correct", "evaluate"])
+def test_who_looks_at_scenes_or_frames_waits_neither_for_benches_nor_for_fits(verb):
     loaded = _loaded(f"import rtpiv.verbs.{verb}")
     assert f"rtpiv.verbs.{verb}" in loaded
     assert (BENCHES | FITTED) & loaded == set()
