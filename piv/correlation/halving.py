@@ -9,8 +9,8 @@ deformed by detail that only the finest have seen, and either match better or no
 C the correlation around a place, is what halving explains. Where detail was there, that is a fifth to four fifths
 (turbulence, short waves); where vectors have only followed their noise it is a twentieth at most. So a place
 
-* takes the finest windows where e exceeds a tenth to a fifth, whatever its noise is said to be: in an unresolved
-  gradient that is mostly the flow itself. They must hold `PIECES` particle images or more: with fewer the frames
+* takes the finest windows where e exceeds `EXPLAINED`, whatever its noise is said to be: in an unresolved gradient
+  that is mostly the flow itself. They must hold `PIECES` particle images or more: with fewer the frames
   match better at the particles, and the vector stands elsewhere;
 * goes on from what the usual windows had found everywhere else, so that no noise of small windows gets into it.
 
@@ -40,7 +40,7 @@ from piv.correlation.sizes import Sizes, matched, variance_px2
 from piv.correlation.windows import WindowGrid
 
 TRIALS = 2  # passes with the finest windows
-EXPLAINED = 0.1, 0.2  # of what does not match: from here on halving counts, and from here on alone
+EXPLAINED = 0.15  # of what does not match: from here on halving counts
 CHANCE = 0.04  # of it that vectors explain by following their noise
 PIECES = 3.0  # particle images that the finest windows must hold
 JUDGED = 3  # side of what is judged together, in finest windows
@@ -77,10 +77,9 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float) -> Found:
         match.append(matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma))
     before, after = match[0], match[-1]
     explained = (after - before) / np.maximum(1.0 - before, 1e-3)
-    fine = np.clip((explained - EXPLAINED[0]) / (EXPLAINED[1] - EXPLAINED[0]), 0.0, 1.0)
-    fine *= pieces_of(course.deformed.a, grid, settings.window_sigma) >= PIECES
-    sizes = Sizes((grid.size_px, usual_px), np.where(fine > 0.5, 0, 1))
-    course.look(grid, fine[..., None] * course.predictor() + (1.0 - fine[..., None]) * usual, sizes)
+    fine = (explained > EXPLAINED) & (pieces_of(course.deformed.a, grid, settings.window_sigma) >= PIECES)
+    sizes = Sizes((grid.size_px, usual_px), np.where(fine, 0, 1))
+    course.look(grid, np.where(fine[..., None], course.predictor(), usual), sizes)
     added = 0
     while added < settings.extra_passes and _changes(course.found):
         course.look(grid, None, sizes)

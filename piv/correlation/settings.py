@@ -39,7 +39,8 @@ class PivSettings:
         Side of the square windows of each pass; the first one must hold about three times the largest
         displacement. It searches whole windows, all others look for what is left within a pixel.
     finest_px : int, optional
-        Side of the smallest windows that a place may find for itself; default: all are the usual ones.
+        Side of the smallest windows that a place may find for itself; default: all are the usual ones. `evaluate`
+        and `mean` say 16 where nobody tells them a last side.
     overlap : float
         Shared part of neighbouring windows, in every pass; of the finest in the result.
     window_sigma : float
@@ -114,6 +115,12 @@ class PivSettings:
     def finest(self) -> int:
         """Side of the smallest windows there are."""
         return self.windows_px[-1] if self.finest_px is None else self.finest_px
+
+    @property
+    def windows_said(self) -> str:
+        """Sides of the last windows in words."""
+        usual = f"{self.windows_px[-1]} px"
+        return f"{usual}, or {self.finest} px where they show more" if self.finds else usual
 
     def own_grid(self, shape: tuple[int, int]) -> tuple[WindowGrid, int]:
         """Finest windows of a frame (H, W), close enough to add up to larger ones; and every how many'th is kept.

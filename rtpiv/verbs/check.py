@@ -151,7 +151,7 @@ def _said(path: Path, kind: str, benches: "Benches | None", named: Sequence[Path
     if kind == "piv":
         from rtpiv.analysis.pairs.piv_file import piv_choice
 
-        return f"last windows of {piv_choice(piv=path).settings.windows_px[-1]} px", []
+        return f"last windows of {piv_choice(piv=path).settings.windows_said}", []
     assert benches is not None
     return benches.said(path) if kind == "bench" else benches.plan_said(path, named)
 

@@ -6,7 +6,8 @@
     prepare: [sliding-minimum, min-max]
 
 Windows are named by the first, the last, and how many passes there are: the side is halved from pass to pass
-until it is the last one's, which then repeats.  `prepare` names what is done to frames, in order (see
+until it is the last one's, which then repeats.  Where no last side is named, each place finds its own
+(`piv.correlation.halving`).  `prepare` names what is done to frames, in order (see
 `piv.preprocessing.preparation`); left out, each kind of run has its own.
 
 `sigma_w_m_s` and `w_over_u` change no vector: they tell what flows through the sheet, which rays that meet it
@@ -39,7 +40,7 @@ from rtpiv.options.numbers import steps
 
 Window = Literal["gaussian", "square"]
 Side = Annotated[int, Interval(ge=SMALLEST_WINDOW_PX, le=1024)]
-FINAL_PX = 32  # side of the last windows, unless it is said
+FINAL_PX, FINEST_PX = 32, 16  # sides of the windows that places find, unless something is said of either
 LARGEST_FIRST = 2  # times the last window at least: a first window as small as that finds next to nothing
 
 
@@ -57,14 +58,15 @@ class PivOptions(TypedDict, total=False):
         Side of the first windows, three times the largest displacement (default 64); doubled by itself where few
         vectors come out.
     final_window_px : int
-        Side of the last windows (default 32): smaller ones show shorter waves and are noisier.
+        Side of the last windows: the same everywhere if it is given alone, and smaller ones show shorter waves and
+        are noisier (default: each place finds its own, 32 or 16).
     finest_window_px : int
-        Side of the smallest windows, such as 16, that a place finds for itself where they show more; vectors stand
-        as dense as those make them (default: all windows are the last ones).
+        Side of the smallest windows, which a place finds for itself where they show more; vectors stand as dense
+        as those make them (default 16, or none where the last side is given).
     passes : int
-        How many (default 4 or more): sides are halved from pass to pass, and the last one repeats.
+        How many (default 4 or more): sides are halved from pass to pass, and the last one repeats; 1 finds none.
     overlap : float
-        Shared part of neighbouring windows (default 0.5).
+        Shared part of neighbouring windows, of the finest if places find theirs (default 0.5).
     window : {"gaussian", "square"}
         Weights of the windows (default gaussian).
     window_sigma : float
@@ -134,16 +136,14 @@ class _Settings(Table):
         """Return them; PairError if they contradict each other."""
         given = self.model_dump(exclude_unset=True)
         prepare, window = given.pop("prepare", None), given.pop("window", "gaussian")
-        sides = (
-            given.pop("first_window_px", None),
-            given.pop("final_window_px", FINAL_PX),
-            given.pop("passes", None),
-        )
-        given["finest_px"] = given.pop("finest_window_px", None)
+        final, finest = given.pop("final_window_px", None), given.pop("finest_window_px", None)
+        sides = windows_of(given.pop("first_window_px", None), final or FINAL_PX, given.pop("passes", None))
+        if final is None and finest is None and len(sides) > 1:
+            finest = FINEST_PX
         if window == "square":
             given["window_sigma"] = 0.0
         through = OutOfPlane(given.pop("sigma_w_m_s", None), given.pop("w_over_u", None))
-        settings = PivSettings(windows_px=windows_of(*sides), **given)
+        settings = PivSettings(windows_px=sides, finest_px=finest, **given)
         return PivChoice(settings, None if prepare is None else Preparation(tuple(prepare)), through)
 
 

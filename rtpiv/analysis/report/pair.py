@@ -210,8 +210,9 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
         page.table(moved_head(evaluation), moved_rows(evaluation), "What moved, y up on the plane")
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
     rule = (
-        f"Windows of {field.window_px} px, {field.step_px} px apart. A window is masked if less than 30 % of its "
-        "pixels are recovered in both frames; replaced vectors are interpolated and count nowhere as measured."
+        f"Windows of {evaluation.settings.windows_said}; {field.step_px} px apart. A window is masked if less "
+        "than 30 % of its pixels are recovered in both frames; replaced vectors are interpolated and count "
+        "nowhere as measured."
     )
     page.text(rule + (f" NaN pixels inside the mask, left out: {field.nan_pixels}." if field.nan_pixels else ""))
 
@@ -253,7 +254,7 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
         )
         page.table(CLAIM_HEAD, claims, caption)
     caption = (
-        f"Share of a wave along one axis that windows of {evaluation.settings.windows_px[-1]} px show, by the "
+        f"Share of a wave along one axis that windows of {evaluation.settings.windows_said} show, by the "
         "linear theory of the passes: smaller windows show more and are noisier (--final-window)"
     )
     page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)

@@ -32,7 +32,9 @@ def test_windows_that_cannot_be(first, final, passes):
 
 
 def test_nothing_given_is_the_default():
-    assert piv_choice().settings == PivSettings()
+    assert piv_choice().settings == PivSettings(finest_px=16)
+    assert piv_choice(passes=1).settings == PivSettings(windows_px=(32,))
+    assert piv_choice(final_window_px=32).settings == PivSettings()
     assert piv_choice().preparation is None
 
 

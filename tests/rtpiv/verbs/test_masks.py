@@ -91,8 +91,8 @@ def test_a_series_keeps_its_mask_where_its_picture_is_gone(day, tmp_path):
         found = mean(day / "wall", out=tmp_path / "s", recipe=recipe, output=files, dt_us=200.0, workers=1)
         (tmp_path / "mask.png").unlink()
         again = mean(tmp_path / "s", output=files)
-    measured = np.isfinite(found.mean_m_s[..., 0])  # y upwards; windows of 32 px, 16 px apart, from 15.5 px on
-    row_px = 15.5 + 16.0 * np.arange(len(measured))[::-1]
+    measured = np.isfinite(found.mean_m_s[..., 0])  # y upwards; 8 px apart, from 7.5 px on
+    row_px = 7.5 + 8.0 * np.arange(len(measured))[::-1]
     assert measured[row_px < WALL_ROW].all()
     assert not measured[row_px > WALL_ROW + WINDOW_PX].any()
     np.testing.assert_array_equal(again.mean_m_s, found.mean_m_s)
