@@ -48,6 +48,7 @@ WAY_OUT = (
 Element = Literal["camera", "glass", "target", "bench"]
 Vector = NDArray[np.float64]
 Length = Annotated[float, Field(ge=0.0, le=1e4)]
+AXES = np.eye(3)
 
 
 class KeepOutTable(Table):
@@ -129,7 +130,9 @@ class KeepOut:
                 for piece in body.pieces
             ]
         walls = {body.name for body in scene.bodies if body.room is not None}
-        self._refuse_cut(walls - {body.name for body in scene.bodies if body.room and _holds(body.room, pinhole)})
+        holding = {body.name for body in scene.bodies if body.room and _holds(body.room, pinhole)}
+        if walls - holding:
+            self._refuse_cut(walls - holding)
 
     def _refuse_cut(self, walls: Set[str]) -> None:
         """Refuse sizes by which camera or target stand in one of some walls."""
@@ -182,7 +185,7 @@ class KeepOut:
     def _approaches(self, piece: Piece, within_mm: float = np.inf) -> list[tuple[_Shape, _Shape, float, float]]:
         """Every pair of which one moves: closest distance on the piece, and distance at its beginning.
 
-        Pairs that cannot come closer than `within_mm` are left out where that is seen without solving for it.
+        Pairs that come no closer than `within_mm` are left out, most without solving for their distance.
         """
         carrier = self._carriers[piece.axis]
         here = {name: np.zeros(3) for name in ("camera", "glass", "target", "bench")}
@@ -195,11 +198,13 @@ class KeepOut:
             for still in (shape for shape in self._shapes if shape.element != carrier.element):
                 gap = moved.start_mm + here[moved.element] - still.start_mm - here[still.element]
                 radii = moved.radius_mm + still.radius_mm
-                if _at_least(gap, moved.edges_mm, still.edges_mm, sweep[None]) - radii >= within_mm:
+                swept = np.vstack([moved.edges_mm, sweep])
+                if _at_least(gap, swept, still.edges_mm) - radii >= within_mm:
                     continue
-                begin_mm = _distance(gap, moved.edges_mm, still.edges_mm) - radii
-                closest_mm = _distance(gap, np.vstack([moved.edges_mm, sweep]), still.edges_mm) - radii
-                found.append((moved, still, closest_mm, begin_mm))
+                closest_mm = _distance(gap, swept, still.edges_mm) - radii
+                if closest_mm < within_mm:
+                    begin_mm = _distance(gap, moved.edges_mm, still.edges_mm) - radii
+                    found.append((moved, still, closest_mm, begin_mm))
         return found
 
 
@@ -212,9 +217,14 @@ def _direction(along: str) -> Vector:
     return np.array([float(name == along) for name in "xyz"])
 
 
-def _at_least(gap: Vector, *edges: Vector) -> float:
-    """No `_distance` is shorter: no edge brings two things closer than by its length."""
-    return float(np.linalg.norm(gap) - sum(np.linalg.norm(each, axis=1).sum() for each in edges))
+def _at_least(gap: Vector, plus: Vector, minus: Vector) -> float:
+    """No `_distance` is shorter: two things are apart by no less than their shadows on any line.
+
+    The lines are the axes, which bench and board follow, and the one between where the two begin.
+    """
+    lines = np.vstack([gap / (np.linalg.norm(gap) or 1.0), AXES, -AXES])
+    edges = np.vstack([plus, -minus])
+    return float((lines @ gap + np.minimum(lines @ edges.T, 0.0).sum(axis=1)).max())
 
 
 def _distance(gap: Vector, plus: Vector, minus: Vector) -> float:

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable
+from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable, _at_least, _distance
 from stages.errors import Obstructed, StageUsageError
 from stages.stage import Piece
 from tests.stages.conftest import bench  # noqa: F401 - a fixture
@@ -105,10 +105,25 @@ def test_what_is_judged_by_lengths_alone_is_judged_as_by_solving(seed, mocker):
     assert list(guard.overlaps()) == found
 
 
+def test_no_distance_is_shorter_than_what_its_shadows_say():
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        gap, plus, minus = rng.normal(0.0, 2.0, 3), rng.normal(size=(3, 3)), rng.normal(size=(2, 3))
+        assert _at_least(gap, plus, minus) <= _distance(gap, plus, minus) + 1e-9
+
+
 def test_what_is_far_apart_is_not_solved_for(mocker):
     guard = keep_out()
     mocker.patch("daq.bench.keep_out._distance", side_effect=AssertionError("solved"))
     guard.check([piece("rail_z", 495.0)])
+    guard.check([piece("glass_z", -12.5)])  # the board is wider than the ball is far from it
+    assert not list(guard.overlaps())
+
+
+def test_who_has_no_walls_solves_for_none(mocker):
+    """Each bench file, and each plan on it, makes such a guard: what it asks, `check` asks a dozen times."""
+    mocker.patch("daq.bench.keep_out._distance", side_effect=AssertionError("solved"))
+    keep_out()
 
 
 def test_distances_one_can_work_out_by_hand():
