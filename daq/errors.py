@@ -148,6 +148,10 @@ class Unfinished(RunError):  # noqa: N818 - says what it is
     """Chunks of a campaign are missing, failed or being made; the same command goes on."""
 
 
+class ReadingMissing(RunError):  # noqa: N818 - says what it is
+    """A reading that the plan needs is silent."""
+
+
 class RunInterrupted(RunError):  # noqa: N818
     """The run was ended on request before its last step; resume it when you like."""
 

@@ -101,6 +101,11 @@ def expand(table: PlanTable, bench: Bench) -> tuple[Step, ...]:
         The bench has no axis for a displacement, the glass cannot be moved out of the way, or laser and camera
         cannot do what is asked of them.
     """
+    for name in table.needed:
+        if name not in bench.more or bench.more[name].kind != "reading":
+            raise PlanError(
+                f"needed: the bench has no reading {name!r}; give it one under devices, or leave that out"
+            )
     steps: list[Step] = []
     first_frame = 0
     for index, pose in enumerate(table.poses(bench)):

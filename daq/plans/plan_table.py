@@ -62,6 +62,9 @@ class PlanTable(Table):
     frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1  # at each stop
     settle_s: Annotated[Annotated[float, Field(ge=0.0, le=600.0)], Usual(0.0, 60.0)] = 0.0
     notes: Annotated[dict[NoteKey, Note], Field(max_length=100)] = Field(default_factory=dict)  # read by people
+    needed: Annotated[list[str], Field(max_length=100)] = Field(
+        default_factory=list
+    )  # readings of the bench without which the run stops
 
     @property
     @abstractmethod

@@ -34,6 +34,10 @@ class Progress:
         When the session began, on `time.monotonic`.
     laser : LaserState or None
         Of the laser that the session uses; None if it has none yet.
+    readings : dict
+        What gauges of the lab showed last, in words.
+    remarks : list of str
+        What is to be said once.
     """
 
     steps: int = 0
@@ -48,6 +52,8 @@ class Progress:
     waiting: tuple[int, int] = (0, 0)
     stats: PipelineStats = field(default_factory=PipelineStats)
     laser: LaserState | None = None
+    readings: dict[str, str] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
 
     @property
     def elapsed_s(self) -> float:
@@ -94,6 +100,8 @@ def panel(progress: Progress) -> Table:
         ("positions", "  ".join(f"{name} {mm:.3f}" for name, mm in progress.positions_mm.items()) or "-"),
         ("books", books(progress)),
     ]
+    if progress.readings:
+        rows.append(("readings", "  ".join(f"{name} {shown}" for name, shown in progress.readings.items())))
     table = Table(show_header=False, box=None)
     for name, value in rows:
         table.add_row(Text(name, "bold"), value)
@@ -111,11 +119,19 @@ def line(progress: Progress) -> str:
 @contextmanager
 def watch(screen: Console) -> Iterator[Watcher]:
     """Yield a watcher that shows the progress on a terminal, or writes a line every `LOG_S` elsewhere."""
-    last_s = time.monotonic()
+    last_s, said = time.monotonic(), 0
+
+    def remark(progress: Progress) -> None:
+        nonlocal said
+        for sentence in progress.remarks[said:]:
+            screen.print(sentence, soft_wrap=True, highlight=False, markup=False)
+        said = len(progress.remarks)
+
     if not screen.is_terminal:
 
         def log(progress: Progress) -> None:
             nonlocal last_s
+            remark(progress)
             if time.monotonic() - last_s >= LOG_S:
                 last_s = time.monotonic()
                 screen.print(line(progress), soft_wrap=True)
@@ -126,6 +142,7 @@ def watch(screen: Console) -> Iterator[Watcher]:
 
         def draw(progress: Progress) -> None:
             nonlocal last_s
+            remark(progress)
             if time.monotonic() - last_s >= DRAW_S:
                 last_s = time.monotonic()
                 live.update(panel(progress))

@@ -22,6 +22,7 @@ from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest
 from daq.runner.flow_step import FlowStep
+from daq.runner.gauges import Gauges
 from daq.runner.interrupts import Interrupts
 from daq.runner.laser_session import LaserSession, NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
@@ -58,6 +59,8 @@ class Runner:
         The person at the bench, whom a laser asks for its confirmation code.
     alignment : AlignmentLoop, optional
         Decides where the next step of an alignment is.
+    needed : collection of str
+        Readings without which no step is taken.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class Runner:
         again: Collection[int] = (),
         operator: Operator | None = None,
         alignment: "AlignmentLoop | None" = None,
+        needed: Collection[str] = (),
     ) -> None:
         self._hardware = hardware
         self._cameras = list(cameras)
@@ -81,6 +85,7 @@ class Runner:
         self.progress = Progress(steps=len(self._steps))
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
         self._alignment = alignment
+        self._gauges = Gauges(hardware.devices, needed)
         if hardware.simulation is None:
             hardware.stage.turned_by(self._turned)
         self._operator = operator or NoOperator()
@@ -185,6 +190,7 @@ class Runner:
         try:
             record = self._arrive(step)
             place = "at"
+            readings = self._gauges.read(self.progress)
             self._tell("exposing")
             if flow is not None and step.pulses is not None:
                 self._see_to_seeding(step, step.pulses)
@@ -205,6 +211,7 @@ class Runner:
                 f"ended on request within step {step.index + 1} ({step.tag}), which keeps its frames"
             )
         record |= {"gaps": gaps} if gaps else {}
+        record |= {"readings": readings} if readings else {}
         by_hand = self._hardware.bench.table.stages.by_hand
         record |= {"reading_um": by_hand} if by_hand else {}
         for camera in self._first_last:

@@ -431,11 +431,12 @@ def run_session(
             for name in (DONE, MOVED):
                 (folder.path / name).unlink(missing_ok=True)
         if not isinstance(plan.table, AlignPlan):
-            return Runner(hardware, cameras, plan.steps, watcher, again, operator).run()
+            runner = Runner(hardware, cameras, plan.steps, watcher, again, operator, needed=plan.table.needed)
+            return runner.run()
         from daq.runner.alignment_loop import AlignmentLoop, end_in_words  # what finds glass loads slowly
 
         alignment = AlignmentLoop(hardware, folder, plan.table, say or (lambda sentence: None))
-        done = Runner(hardware, cameras, plan.steps, watcher, again, operator, alignment).run()
+        done = Runner(hardware, cameras, plan.steps, watcher, again, operator, alignment, plan.table.needed).run()
         if say is not None and alignment.looks:
             for sentence in end_in_words(alignment.wanted(), alignment.looks[-1].seen.spheres):
                 say(sentence)

@@ -71,6 +71,16 @@ class FrameLine(TypedDict):
     chunks: NotRequired[dict[Text, Wide | float]]  # what the camera sent with the frame, by SFNC name
 
 
+@with_config(STRICT)
+class ReadingRecord(TypedDict):
+    """What a gauge of the lab showed, or why it showed nothing."""
+
+    utc: Text
+    unit: Text
+    value: NotRequired[float]
+    missing: NotRequired[Text]
+
+
 Gap = Annotated[list[Count], Field(min_length=2, max_length=2)]  # first and last frame that never came
 
 
@@ -86,6 +96,7 @@ class StepLine(TypedDict):
     measured_mm: Positions
     true_mm: NotRequired[Positions]
     reading_um: NotRequired[Positions]  # of axes that hands move: standard deviation of a reading in measured_mm
+    readings: NotRequired[dict[Text, ReadingRecord]]  # by the name of the device
     gaps: NotRequired[list[Gap]]
 
 

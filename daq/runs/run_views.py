@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from correction.errors import BoardError, CorrectionError
 from correction.grid import grid_of
@@ -187,6 +187,16 @@ def notes_of(folder: RunFolder) -> dict[str, str]:
     tree = load_kept(folder, "plan", load_yaml).tree
     notes = tree.get("notes") if isinstance(tree, dict) else None
     return {str(key): str(value) for key, value in notes.items()} if isinstance(notes, dict) else {}
+
+
+def readings_of(folder: RunFolder) -> dict[str, list[tuple[str, dict[str, Any]]]]:
+    """What gauges of the lab showed, by name: tag of each finished step, and the reading as the journal has it."""
+    found: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+    last = {entry["step"]: entry for entry in folder.entries() if entry["kind"] == "step"}  # taken again: the last
+    for _, entry in sorted(last.items()):
+        for name, reading in entry.get("readings", {}).items():
+            found.setdefault(name, []).append((entry["tag"], dict(reading)))
+    return found
 
 
 def board_of(

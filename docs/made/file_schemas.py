@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from correction.target.board_file import PrintedBoard
+from daq.bench.reading import ReadingSection
 from daq.timing.timing_table import TimingTable
 from made.command_line import escaped
 from rtpiv.analysis.pairs.piv_file import PivTable
@@ -49,6 +50,7 @@ def _files() -> dict[str, dict[str, Schema]]:
         "bench.yaml": {
             "The file": bench_schema(),
             "A timing unit among the devices": TimingTable.model_json_schema(),
+            "A reading among the devices": ReadingSection.model_json_schema(),
             "The simulation": SimulationTable.model_json_schema(),
         },
         "plan.yaml": by_experiment,

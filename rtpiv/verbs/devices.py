@@ -87,9 +87,10 @@ def _drivers() -> Table:
     for backend in BACKENDS:
         missing = missing_for(backend)
         table.add_row("camera", f"backend: {backend}", _word(missing), missing or "")
+    table.add_row("reading", "file or port", "ok", "")
     table.add_row("timing", f"box: {', '.join(TIMING_UNITS)}", "ok", "")
     for kind, dotted in KINDS.items():
-        if kind not in ("stage", "camera", "timing"):
+        if kind not in ("stage", "camera", "timing", "reading"):
             table.add_row(kind, dotted, "", "")
     return table
 

@@ -8,6 +8,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from daq.bench.bench_table import BenchTable
+from daq.bench.reading import ReadingSection
 from daq.plans.plan import EXPERIMENTS, plan_table
 from daq.runs.displacement import Moved
 from daq.runs.done_file import DoneFile
@@ -34,7 +35,7 @@ def keys_of(model: object) -> set[str]:
 @pytest.mark.parametrize(
     "model",
     [
-        *(SceneTable, BenchTable, SimulationTable, TimingTable, RunFile, Line, DoneFile, Moved),
+        *(SceneTable, BenchTable, SimulationTable, TimingTable, ReadingSection, RunFile, Line, DoneFile, Moved),
         *(PivTable, SeriesFile),
         *map(plan_table, EXPERIMENTS),
     ],

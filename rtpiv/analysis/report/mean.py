@@ -24,7 +24,7 @@ from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter, slant_figure, slant_lines
-from rtpiv.analysis.report.run import books_chapter, notes_chapter
+from rtpiv.analysis.report.run import books_chapter, notes_chapter, readings_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
@@ -95,6 +95,7 @@ def write_mean_page(
         if is_run(series[0].run):  # frames of others have no books
             books_chapter(page, RunFolder.open(series[0].run))
             notes_chapter(page, RunFolder.open(series[0].run))
+            readings_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene)
     light_sheet_line(page, view.standing)
     calibration_chapter(page, folder / FIT_FILE, scene)

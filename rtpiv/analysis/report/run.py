@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
 from daq.runs.frame_accounting import FrameAccounting, chunk_sentences
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import notes_of
+from daq.runs.run_views import notes_of, readings_of
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.page import Link, Page
 from rtpiv.analysis.report.tables import DIRECT, GLASS, totals_of
@@ -93,10 +95,44 @@ def notes_chapter(page: Page, folder: RunFolder) -> None:
         page.facts(list(notes.items()))
 
 
+def readings_chapter(page: Page, folder: RunFolder) -> None:
+    """What gauges of the lab showed while the steps were taken; nothing where the bench has none."""
+    found = readings_of(folder)
+    if not found:
+        return
+    page.heading("Readings of the lab")
+    rows: list[tuple[str, ...]] = []
+    for name, shown in found.items():
+        values = np.array([reading.get("value", np.nan) for _, reading in shown])
+        there = values[np.isfinite(values)]
+        unit = next((reading["unit"] for _, reading in shown), "")
+        if len(there):
+            spread = f"{there.std(ddof=1):.4g}" if len(there) > 1 else "-"
+            figures = (f"{there.mean():.6g}", spread, f"{there.min():.6g}", f"{there.max():.6g}")
+        else:
+            figures = ("-",) * 4
+        rows.append((f"{name} [{unit}]", *figures, str(len(there)), str(len(values) - len(there))))
+    page.table(
+        ("reading", "mean", "standard deviation", "least", "most", "steps", "missing"), rows, "One at each step"
+    )
+    steps: dict[str, dict[str, str]] = {}
+    for name, shown in found.items():
+        for tag, reading in shown:
+            steps.setdefault(tag, {})[name] = (
+                f"{reading['value']:.6g}" if "value" in reading else f"missing: {reading['missing']}"
+            )
+    page.table(
+        ("step", *found),
+        [(tag, *(each.get(name, "-") for name in found)) for tag, each in list(steps.items())[:SHOWN_STEPS]],
+        f"The first {SHOWN_STEPS} of {len(steps)} steps" if len(steps) > SHOWN_STEPS else "",
+    )
+
+
 def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: list[tuple[str, str]]) -> None:
     """Which files, scenes and versions made these figures."""
     about = folder.about
     notes_chapter(page, folder)
+    readings_chapter(page, folder)
     page.heading("Provenance")
     hashes = [(f"hash of the {name}", str(value)) for name, value in about["hashes"].items() if value]
     facts = [("run", folder.path.name), ("plan", str(about["name"])), *rows]

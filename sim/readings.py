@@ -1,0 +1,31 @@
+"""A simulated reading: a flow meter answers in its place, in words of its own."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from daq.bench.reading import ReadingSection
+from sim.emulators.device import Clock
+from sim.emulators.flow_meter import FlowMeter
+from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
+from sim.mechanics.clock import VirtualClock
+from sim.world import World
+
+
+@contextmanager
+def simulated_reading(section: ReadingSection, world: World, clock: Clock) -> Iterator[ReadingSection]:
+    """Put a meter up while the block runs; yield the section that asks it."""
+    line = Line(FlowMeter(clock, unit=section.unit), clock)
+    with ExitStack() as stack:
+        if isinstance(clock, VirtualClock):
+            address = f"reading-{id(line):x}"
+            LINES[address] = line
+            stack.callback(LINES.pop, address)
+            port = f"sim://{address}"
+        else:
+            from sim.emulators.pty import PtyPort  # not every system has such terminals
+
+            port = stack.enter_context(PtyPort(line)).path
+        yield ReadingSection(
+            unit=section.unit, port=port, ask="F?\r\n", find=r"F=([-+\d.]+)", wait_s=section.wait_s
+        )
