@@ -26,7 +26,16 @@ TELLING = {  # keys that only one kind of file has
     "scene": ("camera", "bodies", "wavelength_nm", "ambient", "glasses"),
     "bench": ("stages", "scene", "keep_out", "simulation"),
     "plan": ("experiment",),
-    "piv": ("final_window_px", "first_window_px", "passes", "overlap", "prepare", "window", "denoise"),
+    "piv": (
+        "final_window_px",
+        "finest_window_px",
+        "first_window_px",
+        "passes",
+        "overlap",
+        "prepare",
+        "window",
+        "denoise",
+    ),
 }
 
 

@@ -118,6 +118,8 @@ def test_acquire_says_what_is_wrong_with_bench_and_plan_at_once(lab, capsys):
 def test_settings_of_piv(tmp_path):
     (tmp_path / "piv.yaml").write_text("final_window_px: 16\noverlap: 0.75\n")
     assert check(tmp_path / "piv.yaml")[0].said == "last windows of 16 px"
+    (tmp_path / "piv.yaml").write_text("finest_window_px: 12\n")
+    assert check(tmp_path / "piv.yaml")[0].said == "last windows of 32 px, or 12 px where they show more"
     (tmp_path / "piv.yaml").write_text("overlap: 2\n")
     with pytest.raises(RunUsageError, match="overlap: should be less than 1, not 2"):
         check(tmp_path / "piv.yaml")
