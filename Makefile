@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow slow slow-balance docs docs-check coverage dist labs lab-table fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
+.PHONY: demo test test-slow test-without-posix slow slow-balance docs docs-check coverage dist labs lab-table fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -36,6 +36,10 @@ test: $(STAMP)
 
 fast-tests: $(STAMP)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
+# As on a system without POSIX: what Windows lacks is hidden from the packages
+test-without-posix: $(STAMP)
+	$(BIN)/python -m pytest -p tests.no_posix.plugin -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow

@@ -9,6 +9,7 @@ processes write what their witnesses see into a folder that the environment name
 that move by waiting only: on the others the machine's load would be judged.
 """
 
+import gc
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -78,6 +79,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_S))
+
+
+def pytest_collection_finish() -> None:
+    """Let the collector leave alone what stays, and rest longer: it took a twentieth of all time."""
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
 
 
 def _turn(item: pytest.Item) -> int:

@@ -1,0 +1,32 @@
+"""The fast tests as on a system without POSIX: ``make test-without-posix``.
+
+Hidden from our packages, here and in programs that tests start, is what `lacking` lists. A test whose subject
+needs one of those modules (a pseudo-terminal, a GenTL producer) is skipped and says which; one that fails for
+another reason fails.
+"""
+
+import os
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.no_posix import lacking
+
+lacking.hide()
+FOLDERS = (str(Path(__file__).parent), str(Path(__file__).parents[2]))
+os.environ["PYTHONPATH"] = os.pathsep.join((*FOLDERS, *filter(None, [os.environ.get("PYTHONPATH")])))
+LACKS = tuple(f"No module named '{name}'" for name in lacking.MODULES)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Skip, by name of the module, what truly needs one."""
+    report = yield
+    if report.failed:
+        lacks = next((words for words in LACKS if words in report.longreprtext), None)
+        if lacks:
+            report.outcome = "skipped"
+            report.longrepr = (str(item.path), item.location[1] or 0, f"Linux: {lacks}")
+    return report
