@@ -73,10 +73,13 @@ LONG = (
 SLOW_S = 3600.0  # what hangs is ended; what waits for a busy core is not
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Long files first, all else in its order; a slow test is not judged by how long a busy machine takes."""
     items.sort(key=_turn)
+    is_posix = os.name == "posix" and not config.pluginmanager.has_plugin("tests.no_posix.plugin")
     for item in items:
+        if not is_posix and (only := item.get_closest_marker("posix")):
+            item.add_marker(pytest.mark.skip(reason=f"POSIX alone: {only.args[0]}"))
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_S))
 

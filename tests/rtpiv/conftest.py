@@ -1,6 +1,44 @@
-"""What tests of verbs and of the analysis share."""
+"""What tests of verbs and of the analysis share.
+
+**Pictures** took half of the time of every test that writes a page. Where a test looks at them, or is the one that
+draws some, it is marked ``draws``; in all others a figure is made with its data and words, and one pixel stands
+for it. The marked tests together draw every picture of every page.
+"""
+
+import base64
 
 import pytest
+
+from rtpiv.analysis.pictures import saved
+from rtpiv.analysis.report import page
+
+PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg=="
+)
+EMPTY = {"png": PIXEL, "svg": b'<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>'}
+
+
+def _not_drawn(figure, kinds):
+    return {kind: EMPTY[kind] for kind in kinds}
+
+
+def _not_written(figure, stream, dpi):
+    stream.write(PIXEL)
+
+
+DRAWING = {(page, "_drawn"): (page._drawn, _not_drawn), (saved, "write_png"): (saved.write_png, _not_written)}
+
+
+@pytest.hookimpl(tryfirst=True)  # before fixtures, which draw as well
+def pytest_runtest_setup(item):
+    for (module, name), (drawn, not_drawn) in DRAWING.items():
+        setattr(module, name, drawn if item.get_closest_marker("draws") else not_drawn)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item):
+    for (module, name), (drawn, _) in DRAWING.items():
+        setattr(module, name, drawn)
 
 
 @pytest.fixture

@@ -92,6 +92,7 @@ def test_usage_errors_exit_with_2(arguments, capsys):
     assert "usage" in capsys.readouterr().err
 
 
+@pytest.mark.draws
 def test_a_good_frame_is_corrected(bench):
     code, out = run(bench, "good.tif")
     assert code == 0
@@ -178,6 +179,7 @@ def test_several_problems_are_reported_at_once(bench, capsys):
     assert "bad.yaml:3" in said
 
 
+@pytest.mark.draws
 def test_trace_leaves_pictures(bench):
     assert main(["trace", str(bench / "scene.yaml"), "-o", str(bench / "trace")]) == 0
     names = {path.name for path in (bench / "trace").iterdir()}

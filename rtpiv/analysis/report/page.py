@@ -139,12 +139,9 @@ class Page:
         dense : bool
             Embed pixels: thousands of arrows as lines would make the page slow.
         """
-        if self._twice:
-            figure.draw_without_rendering()
-            figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
         kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
-        for each in ("svg", "png") if self._twice else (kind,):
-            self._files[f"{name}.{each}"] = _drawn(figure, each)
+        for each, drawn in _drawn(figure, ("svg", "png") if self._twice else (kind,)).items():
+            self._files[f"{name}.{each}"] = drawn
         data = base64.b64encode(self._files[f"{name}.{kind}"]).decode()
         self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption))
 
@@ -214,18 +211,24 @@ def _framed(inner: str, caption: str) -> str:
     return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
-def _drawn(figure: "Figure", kind: str) -> bytes:
-    """Bytes of a figure as SVG or PNG."""
+def _drawn(figure: "Figure", kinds: Sequence[str]) -> dict[str, bytes]:
+    """Bytes of a figure as SVG, as PNG or as both."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    buffer = io.BytesIO()
-    if kind == "png":
-        write_png(figure, buffer, PNG_DPI)
-    else:
-        FigureCanvasAgg(figure)
-        lay_out(figure, PNG_DPI)
-        figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None})
-    return buffer.getvalue()
+    if len(kinds) > 1:
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
+    found = {}
+    for kind in kinds:
+        buffer = io.BytesIO()
+        if kind == "png":
+            write_png(figure, buffer, PNG_DPI)
+        else:
+            FigureCanvasAgg(figure)
+            lay_out(figure, PNG_DPI)
+            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None})
+        found[kind] = buffer.getvalue()
+    return found
 
 
 def behind_glass(scene: Scene) -> str:

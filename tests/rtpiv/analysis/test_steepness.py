@@ -31,6 +31,7 @@ def test_figures_are_of_their_regions():
     assert Steepness(None, None).sentence == ""
 
 
+@pytest.mark.draws
 def test_two_balls_are_as_steep_as_by_another_tracer(tmp_path, capsys):
     """0.31 in the median behind them, 0.03 beside: found when nothing here said it yet, with other optics."""
     scene = small_scene("two_spheres_500", 252)

@@ -41,6 +41,7 @@ def arguments(folder: Path, out: Path) -> list[str]:
     return ["calibrate", str(folder), "--scene", str(folder / "scene.yaml"), "-o", str(out), *board]
 
 
+@pytest.mark.draws
 def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path, capsys):
     folder = folder_of("two_spheres_500", 6, tmp_path)
     assert main(arguments(folder, tmp_path / "out")) == 0

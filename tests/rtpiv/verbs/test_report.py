@@ -26,6 +26,8 @@ from tests.daq.small_run import about_run, keep_frame, keep_step, planned
 from tests.rtpiv.analysis.report.browser import measured
 from tracer.scene.scene_file import dump_scene
 
+pytestmark = pytest.mark.draws
+
 SIZE_PX = 336
 SHIFT_MM = (0.9, 0.6, 0.0)
 NO_PICTURES = EvaluationOutput(pictures=False)

@@ -21,6 +21,7 @@ def run(tmp_path_factory):
     return flow_run(tmp_path_factory.mktemp("flow"), PAIRS, unseeded=2)
 
 
+@pytest.mark.draws
 def test_mean_takes_a_run_and_then_its_series(run, monkeypatch, capsys):
     """Evaluated once, averaged twice: the same file; mean.nc says mean, stresses and their uncertainty."""
     with monkeypatch.context() as without_page:  # that of the series alone takes its place

@@ -1,6 +1,7 @@
 """`rtpiv trace` of a scene with an aperture: the depth of field of the real scene, in numbers and a picture."""
 
 import matplotlib.image
+import pytest
 
 from rtpiv.verbs.trace import trace
 
@@ -11,6 +12,7 @@ bodies:
 """
 
 
+@pytest.mark.draws
 def test_the_blur_is_said_and_drawn(tmp_path, capsys):
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE, encoding="utf-8")

@@ -3,6 +3,7 @@
 import io
 
 import numpy as np
+import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import AxesImage
 from PIL import Image
@@ -19,6 +20,7 @@ def figure_with_picture():
     return figure
 
 
+@pytest.mark.draws
 def test_the_same_pixels_drawn_once(tmp_path, monkeypatch):
     plain, stream = figure_with_picture(), io.BytesIO()
     FigureCanvasAgg(plain)

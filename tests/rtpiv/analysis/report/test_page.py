@@ -10,6 +10,8 @@ from rtpiv.analysis.pictures.rasters import embedded, grey, tinted
 from rtpiv.analysis.report.page import Link, Page
 from tests.rtpiv.analysis.report.browser import browse, measured
 
+pytestmark = pytest.mark.draws
+
 
 def page(twice=True):
     made = Page("run <script>alert(1)</script> & more", "sub <b>", twice)

@@ -11,6 +11,7 @@ from tracer.light_sheet import LightSheet
 from tracer.pupil import Pupil
 
 
+@pytest.mark.draws
 @pytest.mark.parametrize(
     ("f_number", "bodies", "drawn"), [(None, True, False), (11.0, True, True), (11.0, False, False)]
 )
