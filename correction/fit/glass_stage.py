@@ -20,9 +20,10 @@ from correction.fit.seen.measurement import (
     glass_frame,
 )
 from correction.fit.seen.pairing import Candidates, candidates_of, pair
-from correction.fit.seen.prediction import LEAST_SQUARE_PX, square_behind_px
+from correction.fit.seen.prediction import LEAST_SQUARE_PX, expect, square_behind_px
 from correction.fit.seen.silhouettes import followed, seen_outlines
 from correction.fit.solve.unknowns import Unknowns
+from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import SPHERE
 
@@ -137,16 +138,25 @@ def _measure(work: Progress, only_behind: bool) -> None:
         for frame in work.glass_frames
     ]
     if not any(frame.behind.any() for frame in work.behind):
-        height_number = work.height_number(work.glass_frames[0])
-        width = square_behind_px(scene, work.unknowns.pose(work.full, height_number), work.board)
-        if width < LEAST_SQUARE_PX:
-            raise GlassNotSeen(
-                f"squares look {width:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"
-                f" print them {LEAST_SQUARE_PX / max(width, 0.1):.1f} times as large, or take a longer lens"
-            )
-        raise GlassNotSeen(
-            "no corner behind glass could be measured; check focus, light and scene, or print smaller squares"
+        raise GlassNotSeen(_why_none(work, scene))
+
+
+def _why_none(work: Progress, scene: Scene) -> str:
+    """Why no corner behind glass could be measured, as far as the scene tells, as given and as it is now."""
+    pose = work.unknowns.pose(work.full, work.height_number(work.glass_frames[0]))
+    given, _ = legal_scene(work.unknowns, work.unknowns.start)
+    width = min(square_behind_px(one, pose, work.board) for one in (given, scene))
+    if width < LEAST_SQUARE_PX:
+        return (
+            f"squares look {width:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"
+            f" print them {LEAST_SQUARE_PX / max(width, 0.1):.1f} times as large, or take a longer lens"
         )
+    if not expect(given, pose, work.board).branch.any():
+        return (
+            "the scene shows no corner of the board whole behind glass, with the squares around it; print smaller"
+            " squares, or check the scene"
+        )
+    return "no corner behind glass could be measured; check focus, light and scene, or print smaller squares"
 
 
 def _lost(work: Progress) -> list[int]:

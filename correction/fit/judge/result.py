@@ -19,6 +19,7 @@ from tracer.strategies.branches import text_of
 RMS_TIMES = 20.0  # residuals behind glass over those beside it: right fits 1-5, an ellipsoid of 50 um 5-10
 RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves more than either
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
+FEW_CORNERS = 20  # behind glass, from which a share of them says little
 OVERLAP_LIMIT_MM = 0.02
 
 
@@ -231,6 +232,12 @@ def check(fit: SceneFit) -> None:
         if not rms <= limit:
             raise FitFailed("rms behind glass [px]", rms, limit, cure)
         if fit.share < SHARE_LIMIT:
+            if fit.expected_behind < FEW_CORNERS:
+                cure = (
+                    f"the scene shows only {fit.expected_behind} corners behind glass, of which"
+                    f" {fit.paired_behind} were found; squares of another size or a longer lens would show"
+                    f" more, or {cure}"
+                )
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
     if fit.pushed_mm > OVERLAP_LIMIT_MM:
         raise FitFailed("overlap of bodies [mm]", fit.pushed_mm, OVERLAP_LIMIT_MM, cure)

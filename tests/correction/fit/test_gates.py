@@ -123,3 +123,12 @@ def test_a_lost_ball_is_masked_with_all_around_it() -> None:
     x, y = np.moveaxis(SCENE.camera.project(np.array([[0.0, 10.2, 20.0], [0.0, 11.5, 20.0]])), -1, 0)
     inside = pixels_in(ball.masked[0], (252, 252))[np.rint(y).astype(int), np.rint(x).astype(int)]
     assert inside.tolist() == [True, False]
+
+
+@pytest.mark.parametrize(("expected", "is_few"), [(7, True), (70, False)])
+def test_a_lab_that_shows_few_corners_behind_glass_is_told_so(expected, is_few):
+    fit = fitted(a=(expected * 5 // 7, expected))
+    fit.verdict.unconfirmed = ()
+    with pytest.raises(FitFailed, match="share of visible corners paired") as refusal:
+        check(fit)
+    assert (f"only {expected} corners behind glass, of which" in str(refusal.value)) == is_few

@@ -11,6 +11,7 @@ from correction.fit.seen.measurement import TargetFrame
 from correction.target import Chessboard
 from piv.errors import FrameError
 from tests.correction.fit.benches import BOARD, SIZE_PX, SQUARE_MM, bench, photograph
+from tests.correction.fit.rendered_labs import photographed
 from tracer.media import ConstantMedium
 
 MADE = ("two_spheres_500", 6)
@@ -99,3 +100,16 @@ def test_another_square_than_believed_is_noticed_by_the_distance():
     clear = photograph(truth.with_bodies(()), False, 0.0, 1, square_mm=1.1 * SQUARE_MM)
     with pytest.raises(FitFailed, match="check square_mm"):
         fit_scene(bench(*MADE).nominal.with_bodies(()), [clear], BOARD)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    ("seed", "why"),
+    [(71014, "shows no corner of the board whole behind glass"), (71044, r"squares look 3\.\d px wide through")],
+)
+def test_a_strangers_lab_whose_squares_do_not_suit_its_glass_is_told_so(seed, why):
+    """Squares so wide that no ball shows a whole one, and so narrow that noise pairs them wherever balls stand."""
+    lab = photographed("stranger", seed)
+    with pytest.raises(GlassNotSeen, match=why):
+        fit_scene(lab.nominal, lab.frames, lab.board, lab.priors)
