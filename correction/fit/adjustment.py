@@ -199,8 +199,8 @@ class Adjustment:
         slope, normal = slope * unit, normal * np.outer(unit, unit)
         alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
         alike = [replace(lattice, rate=lattice.rate * unit) for lattice in lattices]
-        covariance = with_correlation(alone, alike, verdict.correlation)
         printed = print_errors([self.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)])
+        covariance = with_correlation(alone, alike, verdict.correlation)
         covariance = covariance + alone @ printed.spread @ alone
         draws = root_of(covariance)
         if len(at) > free:
@@ -238,7 +238,8 @@ class Adjustment:
     def on_print(self, frame: MeasuredFrame, part: Residuals, unit: NDArray[np.float64]) -> OnPrint:
         """Corners of a frame as the print moves them, their derivatives in units (P,)."""
         per_square = np.asarray(self.weighted(frame).whiten) @ frame.axes_px
-        return OnPrint(frame.index, np.nan_to_num(part.value), per_square, np.nan_to_num(part.rate) * unit)
+        rate = np.nan_to_num(part.rate) * unit
+        return OnPrint(frame.index, frame.behind, np.nan_to_num(part.value), per_square, rate)
 
     def doubted_part(
         self, unknowns: Unknowns, wide: Unknowns, at: NDArray[np.float64], frame: MeasuredFrame

@@ -16,6 +16,9 @@ its noise by SIGNIFICANT.  A line that lies off by s pulls the free vector by s 
 covariance of the fit, which takes corners as independent, lacks A^-1 (s^2 sum over lines G G^T) A^-1.  Points of
 the board, each seen in several frames, are counted alike, by the pairs of their views, for what they share beyond
 their lines.
+
+The variances are those of the print, so corners beside the glass tell them, where there are some: a ball has a few
+corners and six numbers of its own, which follow the print and leave little in their residuals, and weigh much.
 """
 
 from collections.abc import Sequence
@@ -36,6 +39,8 @@ class OnPrint:
     ----------
     index : (N, 2) int64
         Corner of the board.
+    behind : (N,) bool
+        Seen through glass.
     value : (N, 2) float64
         Residual in sigmas.
     per_square : (N, 2, 2) float64
@@ -45,6 +50,7 @@ class OnPrint:
     """
 
     index: NDArray[np.int64]
+    behind: NDArray[np.bool_]
     value: NDArray[np.float64]
     per_square: NDArray[np.float64]
     rate: NDArray[np.float64]
@@ -83,6 +89,8 @@ def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
     index = np.concatenate([frame.index for frame in frames])
     value = np.concatenate([frame.value for frame in frames])
     per_square = np.concatenate([frame.per_square for frame in frames])
+    told = ~np.concatenate([frame.behind for frame in frames])
+    told = told if told.any() else ~told
     spread = np.zeros((frames[0].rate.shape[2],) * 2)
     point = np.unique(index, axis=0, return_inverse=True)[1].ravel()
     lines, points = list[float](), list[float]()
@@ -95,7 +103,7 @@ def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
         _, line = np.unique(index[:, axis], return_inverse=True)
         own, variance = np.arange(len(index)), 0.0
         for kind, member, part in ((lines, line, point), (points, point, own)):
-            variance = _variance(member, part, along, np.sum(g * g, axis=1), variance)
+            variance = _variance(member, part, along * told, np.sum(g * g, axis=1) * told, variance)
             kind.append(float(np.sqrt(variance)))
             if variance:
                 together = np.zeros((member.max() + 1, pull.shape[1]))

@@ -34,7 +34,10 @@ def fitted(rng, line, point):
     left = [value - rate @ found for value, rate in frames]
     per_square = np.broadcast_to(PER_SQUARE, (len(index), 2, 2))
     printed = print_errors(
-        [OnPrint(index, rest, per_square, rate) for rest, (_, rate) in zip(left, frames, strict=True)]
+        [
+            OnPrint(index, np.zeros(len(index), bool), rest, per_square, rate)
+            for rest, (_, rate) in zip(left, frames, strict=True)
+        ]
     )
     ours = covariance + covariance @ printed.spread @ covariance
     return found / np.sqrt(np.diag(covariance)), found / np.sqrt(np.diag(ours)), printed
@@ -59,3 +62,19 @@ def test_what_stands_out_is_said_and_what_does_not_is_not():
     rng = np.random.default_rng(2)
     assert str(fitted(rng, 0.0, 0.0)[2]) == ""
     assert "lines of the print lie off by" in str(fitted(rng, LINE, 0.0)[2])
+
+
+def test_a_ball_whose_numbers_follow_the_print_hides_nothing():
+    """Few corners, seen sharply, that a fit has brought onto their places, say nothing of the print."""
+    index, rng = corners(), np.random.default_rng(5)
+    off = LINE * rng.normal(size=(2, SIDE))
+    value = np.column_stack((off[0][index[:, 0]], off[1][index[:, 1]])) @ PER_SQUARE.T + rng.normal(
+        size=index.shape
+    )
+    per_square, rate = np.broadcast_to(PER_SQUARE, (len(index), 2, 2)), np.zeros((len(index), 2, 1))
+    beside = OnPrint(index, np.zeros(len(index), bool), value, per_square, rate)
+    near = (np.abs(index) < 4).all(axis=1)
+    through = OnPrint(index[near], near[near], 0.1 * value[near], -8.0 * per_square[near], rate[near])
+    alone, both = (print_errors(frames).lines for frames in ([beside], [beside, through]))
+    assert alone == pytest.approx(both)
+    assert np.mean(both) == pytest.approx(LINE, rel=0.25)
