@@ -8,6 +8,7 @@ from rtpiv.templates.lab import Lab
 CLEAR_MM = 10.0
 CLEARANCE_MM = 2.0  # of keep_out
 SHEET_MM = 3.5  # what the laser wants free beside its light sheet
+SHEET_OFF_MM = SHEET_MM + 0.5  # where glass and target wait beside it
 RETRACT_MM = 30.0
 LENS_MM = 60.0  # from the pinhole to the front of the lens
 CAMERA_RADIUS_MM = 40.0

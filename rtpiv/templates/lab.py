@@ -74,6 +74,8 @@ class Lab:
         By which the camera looks at the plane from the side, about the y axis.
     square_mm : float
         Square of the board; 0 for the smallest usual one that this camera resolves well.
+    by_hand : bool
+        Whether hands move target and glass, and no motor does.
 
     Raises
     ------
@@ -97,6 +99,7 @@ class Lab:
     glasses: tuple[str, ...] = ()
     turn_deg: float = 0.0
     square_mm: float = 0.0
+    by_hand: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arrangement", ALIASES.get(self.arrangement, self.arrangement))

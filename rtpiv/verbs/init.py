@@ -30,6 +30,7 @@ FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at
 SHOWN = 8  # other arrangements
 SAID = {"behind": ", one behind the other", "beside": " beside each other"}
 FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
+YES, NO = ("yes", "y"), ("no", "n")
 Words = dict[str, Any]
 
 
@@ -48,6 +49,13 @@ def _sensor(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def _yes(text: str) -> bool:
+    word = text.lower()
+    if word not in YES + NO:
+        raise ValueError(text)
+    return word in YES
+
+
 QUESTIONS = (
     Question("sensor_px", "camera: width and height of its frames in px", _sensor),
     Question("pixel_pitch_um", "camera: size of a pixel in um (data sheet)", float),
@@ -61,6 +69,7 @@ QUESTIONS = (
     Question("lens_mm", "lens: focal length in mm", float),
     Question("square_mm", "board: side of its squares in mm, as measured", float, "board_mm"),
     Question("wavelength_nm", "light: wavelength in nm", float),
+    Question("by_hand", "stages: without motors, all moved by hand (yes, no)", _yes),
 )
 
 
@@ -99,6 +108,8 @@ class GivenLab:
         Of the light (default 532).
     turn_deg : float, optional
         By which the camera looks from the side (default 0).
+    by_hand : bool
+        No motors: micrometers and a rule, turned and read by you when a plan asks for a place.
     """
 
     name: str | None = None
@@ -115,6 +126,7 @@ class GivenLab:
     square_mm: Positive | None = None
     wavelength_nm: Positive | None = None
     turn_deg: float | None = None
+    by_hand: bool = False
 
     @property
     def words(self) -> Words:
@@ -123,6 +135,7 @@ class GivenLab:
         sensor, ball_mm, glass = words.pop("sensor_px"), words.pop("ball_mm"), words.pop("glass")
         words |= _each("ball_mm", "sizes_mm", ball_mm, max) | _each("glass", "glasses", glass, _first)
         words["sensor_px"] = None if sensor is None else (sensor[0], sensor[1])
+        words["by_hand"] = self.by_hand or None  # not said, so it may be asked
         return {key: value for key, value in words.items() if value is not None}
 
 
@@ -168,7 +181,7 @@ def init(
     room = room_of(full)
     dt_us = max(20.0, round(1e6 * FLOW_PX / full.px_per_mm / FLOW_MM_S, -1))
     flow = bench_text(full, room, laser=True), flow_plan(full, dt_us)
-    texts = scene_text(full), bench_text(full, room), target_plan(room), shift_plan(), *flow
+    texts = scene_text(full), bench_text(full, room), target_plan(full, room), shift_plan(full), *flow
     with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
         _write(Path(trial), texts)
         _check(Path(trial))
@@ -244,7 +257,7 @@ def _answers(given: Words) -> Words:
         if question.key == "balls" and len(most_balls(known.arrangement)) == 1:
             continue
         usually = getattr(known, question.usual or question.key)
-        shown = " x ".join(map(str, usually)) if isinstance(usually, tuple) else f"{usually}"
+        shown = _shown(usually)
         while question.key not in answers:
             said = _line(f"{question.text} [{shown}]: ")
             try:
@@ -257,6 +270,13 @@ def _answers(given: Words) -> Words:
             else:
                 answers[question.key] = value
     return answers
+
+
+def _shown(usually: Any) -> str:  # noqa: ANN401 - of any question
+    """An answer as a person would type it."""
+    if isinstance(usually, bool):
+        return (YES if usually else NO)[0]
+    return " x ".join(map(str, usually)) if isinstance(usually, tuple) else f"{usually}"
 
 
 def _line(prompt: str) -> str:

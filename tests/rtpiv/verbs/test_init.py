@@ -21,6 +21,7 @@ from rtpiv.templates.arrangement import centres_mm, rods_mm, usual
 from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.bench_text import bench_text
 from rtpiv.templates.lab import LENSES_MM, Lab
+from rtpiv.templates.plan_texts import shift_plan, target_plan
 from rtpiv.templates.scene_text import scene_of
 from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
@@ -44,11 +45,14 @@ LABS = {
     "near": {"balls": 1, "distance_mm": 250.0, "ball_mm": 20.0, "glass": "BK7"},
     "far": {"balls": 2, "distance_mm": 1500.0, "lens_mm": 105.0, "ball_mm": 100.0, "wavelength_nm": 527.0},
     "five megapixels": {"balls": 1, "sensor_px": (2448, 2048), "pixel_pitch_um": 3.45},
+    "by hand": {"balls": 2, "by_hand": True},
+    "by hand, on the plane": {"balls": 3, "gap_mm": 0.0, "by_hand": True},
+    "by hand, body-centred bed": {"arrangement": "bcc", "ball_mm": 20.0, "by_hand": True},
 }
 
 
 # The others differ from these by a number of balls or a distance.
-FAST = ("one ball", "triangle on rods", "body-centred bed")
+FAST = ("one ball", "triangle on rods", "body-centred bed", "by hand, on the plane")
 FEW = [pytest.param(lab, id=name, marks=[pytest.mark.slow] * (name not in FAST)) for name, lab in LABS.items()]
 
 
@@ -180,7 +184,22 @@ def test_by_questions_at_a_terminal(tmp_path):
     command = [sys.executable, "-m", "rtpiv", "init", str(tmp_path / "lab"), "--sensor-px", "640", "480"]
     asked = subprocess.Popen(command, stdin=there, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     os.close(there)
-    lines = ["5.5", "600", "triangel", "triangle", "thirty", "30", "Plexiglas", "", "6", "", "3", ""]
+    lines = [
+        "5.5",
+        "600",
+        "triangel",
+        "triangle",
+        "thirty",
+        "30",
+        "Plexiglas",
+        "",
+        "6",
+        "",
+        "3",
+        "",
+        "perhaps",
+        "yes",
+    ]
     os.write(here, ("\n".join(lines) + "\n").encode())
     said, _ = asked.communicate(timeout=120)
     os.close(here)
@@ -188,7 +207,9 @@ def test_by_questions_at_a_terminal(tmp_path):
     assert "width and height" not in said
     assert "arrangement 'triangel': there are behind, beside, triangle, pyramid, sc, bcc, hcp" in said
     assert "'thirty' cannot be read" in said
+    assert "'perhaps' cannot be read; say something like no" in said
     assert "board: squares of 3 mm" in said
+    assert "driver: by_hand" in (tmp_path / "lab" / "bench.yaml").read_text()
     assert "target: {square_mm: 3, disc_mm: 1.2}" in (tmp_path / "lab" / "bench.yaml").read_text()
     scene = load_scene(tmp_path / "lab" / "scene.yaml")
     assert [ball.radius_mm for ball in scene.spheres] == [15.0] * 3
@@ -218,6 +239,24 @@ def test_the_board_is_the_one_that_the_lab_has():
     assert "target: {square_mm: 3, disc_mm: 1.2}" in bench_text(lab, room_of(lab))
     assert Lab().board_mm == 1.5
     assert GivenLab(square_mm=3.0).words == {"square_mm": 3.0}
+
+
+@pytest.mark.parametrize(("gap_mm", "lifts"), [(30.0, False), (2.0, True)])
+def test_no_axis_of_a_lab_without_motors_has_one_and_its_plans_ask_for_few_places(gap_mm, lifts):
+    """Only glass that stands in the light sheet of a flow needs a screw that lifts it."""
+    lab = Lab(by_hand=True, gap_mm=gap_mm)
+    room = room_of(lab)
+    for laser in (False, True):
+        stages = yaml.safe_load(bench_text(lab, room, laser))["stages"]
+        assert [box["driver"] for box in stages["controllers"].values()] == ["by_hand"]
+        assert all(axis["reading_um"] > 0.0 for axis in stages["axes"].values())
+        assert ("glass_z" in stages["axes"]) == (laser and lifts)
+    target, shift = (yaml.safe_load(text) for text in (target_plan(lab, room), shift_plan(lab)))
+    heights = [*target["clear"]["z_mm"], *target["glass"]["z_mm"]]
+    assert heights[2:4] == [0.0, 0.0]  # the board stays while the glass slides in
+    assert len({*heights}) == len(heights) - 1
+    assert max(heights) <= 0.0
+    assert shift["views"] == ["glass"]
 
 
 def test_row_and_side_are_other_names_of_behind_and_beside():
