@@ -76,7 +76,7 @@ class ReadingRecord(TypedDict):
     """What a gauge of the lab showed, or why it showed nothing."""
 
     utc: Text
-    unit: Text
+    unit: str  # a number by itself has none
     value: NotRequired[float]
     missing: NotRequired[Text]
 

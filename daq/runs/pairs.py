@@ -27,6 +27,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cached_property
 from itertools import pairwise
 from math import isclose
 from pathlib import Path
@@ -36,6 +37,8 @@ from daq.bench.elements import Vector
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.displacement import read_displacements
 from daq.runs.journal import Entry
+from daq.runs.journal_lines import ReadingRecord
+from daq.runs.lab_readings import Shown, shown_over
 from daq.runs.records import CURE
 from daq.runs.run_file import PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
@@ -267,12 +270,26 @@ SWAPPED = 2.0  # times the gap to the next pair, and a pair is none; frames in r
 class RunPairs:
     """Pairs of a run in the order of the plan, the numbers of frames that lost their partner, and all their lines.
 
-    A journal of a million frames is read once: whoever has the pairs has the lines of their frames, by number.
+    A journal of a million frames is read once: whoever has the pairs has the lines of their frames, by number, and
+    what gauges of the lab showed, by step.
     """
 
     pairs: tuple[FramePair, ...]
     alone: tuple[int, ...]
     lines: Mapping[int, Entry] = field(default_factory=dict)
+    readings: Mapping[int, Mapping[str, ReadingRecord]] = field(default_factory=dict)
+
+    def shown_during(self, pairs: Iterable[FramePair]) -> dict[str, Shown]:
+        """What gauges showed over the steps that these pairs are of; nothing where there are none."""
+        if not self.readings:
+            return {}
+        used = {self._step_of[path.name] for pair in pairs for path in pair.frames}
+        return shown_over(self.readings[step] for step in sorted(used) if step in self.readings)
+
+    @cached_property
+    def _step_of(self) -> dict[str, int]:
+        """Step by the name of a frame's file."""
+        return {Path(entry["file"]).name: entry["step"] for entry in self.lines.values()}
 
 
 def pairs_of(path: Path) -> RunPairs:
@@ -305,7 +322,8 @@ def pairs_of(path: Path) -> RunPairs:
         pairs += [replace(pair, time_s=times[one]) for one, pair in timed.items()]
     if not pairs:
         raise RunUnsuitable(f"{path}: no pair is complete; resume the run first")
-    return RunPairs(tuple(pairs), tuple(alone), entries)
+    readings = {line["step"]: line["readings"] for line in lines if line["kind"] == "step" and "readings" in line}
+    return RunPairs(tuple(pairs), tuple(alone), entries, readings)
 
 
 def _moved(folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, Entry]) -> Iterator[FramePair]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from correction.errors import BoardError, CorrectionError
 from correction.grid import grid_of
@@ -22,6 +22,7 @@ from correction.target.board_file import PrintedBoard, read_board
 from daq.atomic_write import write_text
 from daq.errors import RunDamaged
 from daq.runs.acquired import read_acquired, run_of
+from daq.runs.journal_lines import ReadingRecord
 from daq.runs.names import FILE, is_run
 from daq.runs.records import CURE
 from daq.runs.run_file import PlannedStep
@@ -189,13 +190,13 @@ def notes_of(folder: RunFolder) -> dict[str, str]:
     return {str(key): str(value) for key, value in notes.items()} if isinstance(notes, dict) else {}
 
 
-def readings_of(folder: RunFolder) -> dict[str, list[tuple[str, dict[str, Any]]]]:
+def readings_of(folder: RunFolder) -> dict[str, list[tuple[str, ReadingRecord]]]:
     """What gauges of the lab showed, by name: tag of each finished step, and the reading as the journal has it."""
-    found: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+    found: dict[str, list[tuple[str, ReadingRecord]]] = {}
     last = {entry["step"]: entry for entry in folder.entries() if entry["kind"] == "step"}  # taken again: the last
     for _, entry in sorted(last.items()):
         for name, reading in entry.get("readings", {}).items():
-            found.setdefault(name, []).append((entry["tag"], dict(reading)))
+            found.setdefault(name, []).append((entry["tag"], reading))
     return found
 
 

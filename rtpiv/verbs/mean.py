@@ -136,6 +136,7 @@ def mean(
             given = series[0]
             by_ensemble = ensemble_flow(given, found, ensemble, workers)
             said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
+            said |= view.readings
             seen = view.correction.corrector.map
             slope = known_slopes(seen, view.scene, by_ensemble.windows, SUMMED)
             slope = None if slope is None else slope[::-1]

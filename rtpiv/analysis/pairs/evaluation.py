@@ -1,6 +1,7 @@
 """One pair from frames to figures: correct, correlate, carry the map's uncertainty along, compare with truth."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as made_by
 from html import escape
@@ -20,6 +21,7 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid
 from correction.maps.corrector import Corrector
 from daq.runs.acquired import full_scale, read_acquired
+from daq.runs.lab_readings import Shown, said_in_files
 from ground.short_repr import short_repr
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
@@ -61,6 +63,8 @@ class Task:
         Time between the frames, which makes velocities of displacements; None if it is not known.
     note : str
         What a reader must know.
+    readings : mapping of str to Shown
+        What gauges of the lab showed over the steps of its frames, by their names.
     """
 
     name: str
@@ -72,6 +76,7 @@ class Task:
     commanded_mm: tuple[float, float] | None = None
     dt_s: float | None = None
     note: str = ""
+    readings: Mapping[str, Shown] = made_by(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,7 @@ class Evaluation:
         """Where it comes from."""
         frames = ", ".join(path.name for path in self.task.frames)
         said = {"scene_hash": self.task.scene.content_hash(), "frames": frames, "rtpiv_version": version("rtpiv")}
+        said |= said_in_files(self.task.readings)
         return said if self.slant is None else {**said, "out_of_plane": self.slant.said}
 
     @property

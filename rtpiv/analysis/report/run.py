@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
 from daq.runs.frame_accounting import FrameAccounting, chunk_sentences
+from daq.runs.lab_readings import shown_over
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import notes_of, readings_of
 from rtpiv.analysis.pairs.evaluation import Evaluation
@@ -101,17 +100,16 @@ def readings_chapter(page: Page, folder: RunFolder) -> None:
     if not found:
         return
     page.heading("Readings of the lab")
+    over = shown_over({name: reading} for name, shown in found.items() for _, reading in shown)
     rows: list[tuple[str, ...]] = []
     for name, shown in found.items():
-        values = np.array([reading.get("value", np.nan) for _, reading in shown])
-        there = values[np.isfinite(values)]
-        unit = next((reading["unit"] for _, reading in shown), "")
-        if len(there):
-            spread = f"{there.std(ddof=1):.4g}" if len(there) > 1 else "-"
-            figures = (f"{there.mean():.6g}", spread, f"{there.min():.6g}", f"{there.max():.6g}")
-        else:
-            figures = ("-",) * 4
-        rows.append((f"{name} [{unit}]", *figures, str(len(there)), str(len(values) - len(there))))
+        of_it = over[name]
+        values = [reading["value"] for _, reading in shown if "value" in reading]
+        figures = ("-",) * 4
+        if "mean" in of_it:
+            spread = f"{of_it['std']:.4g}" if "std" in of_it else "-"
+            figures = (f"{of_it['mean']:.6g}", spread, f"{min(values):.6g}", f"{max(values):.6g}")
+        rows.append((f"{name} [{of_it['unit']}]", *figures, str(of_it["steps"]), str(of_it["missing"])))
     page.table(
         ("reading", "mean", "standard deviation", "least", "most", "steps", "missing"), rows, "One at each step"
     )

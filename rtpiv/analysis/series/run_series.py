@@ -128,7 +128,7 @@ def run_series(
 
             def take(found: list[tuple[str, Detailed]]) -> None:
                 for tag, one in found:
-                    on_pair(tag, one)
+                    on_pair(tag, _with_readings(given, tag, one))
 
             _carry_out(partial(evaluate_chunk_closely, how=asked), jobs, workers, executor, take)
         reasons = _failures(folder, jobs)
@@ -136,6 +136,13 @@ def run_series(
         raise PairError(f"no pair gave a vector; the first: {next(iter(reasons.values()))}")
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
     return Evaluated(len(given.pairs), reasons, series=folder, kept=kept)
+
+
+def _with_readings(given: PairsOfSeries, tag: str, found: Detailed) -> Detailed:
+    """The same with what gauges showed meanwhile, which no worker knows."""
+    if not isinstance(found, Evaluation) or tag not in given.readings_of:
+        return found
+    return replace(found, task=replace(found.task, readings=given.readings_of[tag]))
 
 
 def _carry_out(
@@ -188,7 +195,7 @@ def about_series(
     name: str, given: PairsOfSeries, method: Method, jobs: Sequence[ChunkJob], chunk: int
 ) -> SeriesFile:
     """What series.json says of the series of a run, cut into chunks of `chunk` pairs."""
-    return {
+    said: SeriesFile = {
         "run": name,
         "pairs": len(given.pairs),
         "alone": given.alone,
@@ -200,3 +207,6 @@ def about_series(
         "content": method.content,
         "shown": given.pairs[len(given.pairs) // 2].tag,
     }
+    if given.readings:
+        said["readings"] = dict(given.readings)
+    return said

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NotRequired
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from pydantic.dataclasses import dataclass as checked
@@ -26,6 +26,7 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 
 from daq.atomic_write import why, write_json
 from daq.errors import DiskError, RunUnsuitable
+from daq.runs.lab_readings import Shown
 from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
 from ground.file_lock import hold
 from ground.plain_file import read_plain
@@ -116,6 +117,7 @@ class SeriesFile(TypedDict):
     keys: list[Sha]
     content: dict[str, Any]  # settings, preparation, correction, versions
     shown: Tag  # a pair for pictures
+    readings: NotRequired[dict[Text, Shown]]  # of gauges of the lab, over the steps of the pairs
 
 
 _SERIES: TypeAdapter[SeriesFile] = TypeAdapter(SeriesFile)

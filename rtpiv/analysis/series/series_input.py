@@ -97,9 +97,8 @@ def tasks_of(
     if run is not None and recipe.mm_per_px is not None:
         raise PairError(SCALE_KNOWN, place=run)
     given = pairs_of(run) if run is not None else RunPairs((), ())
-    given = RunPairs(
-        tuple(_timed(run, pair, dt_us) for pair in given.pairs if not pair.is_background), given.alone
-    )
+    kept = tuple(_timed(run, pair, dt_us) for pair in given.pairs if not pair.is_background)
+    given = replace(given, pairs=kept)
     if scene is None:
         scene = scene_file(paths[0], out)
     fitted = recipe.masked(load_scene(scene))
@@ -107,7 +106,9 @@ def tasks_of(
     frames = [path for pair in given.pairs for path in pair.frames] or paths
     lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
     seen = fitted.in_light_sheet() if lit else fitted
-    tasks = [_task(pair, seen, out) for pair in given.pairs] or [_two_frames(paths, seen, out, shift_mm, dt_us)]
+    tasks = [replace(_task(pair, seen, out), readings=given.shown_during([pair])) for pair in given.pairs] or [
+        _two_frames(paths, seen, out, shift_mm, dt_us)
+    ]
     if lit:
         tasks = [replace(task, note=where_lit(fitted)) for task in tasks]
     for path in frames:

@@ -100,6 +100,7 @@ def write_mean(view: SeriesView, mean: MeanFlow) -> None:
         "run": view.about["run"],
         "scene_hash": view.scene.content_hash(),
         "rtpiv_version": version("rtpiv"),
+        **view.readings,
     }
     write_statistics(view.folder / MEAN, mean_vectors(mean, said))
 

@@ -7,7 +7,8 @@ as size and time of a file stay.
 """
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from math import isclose
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from daq.frames.named_frame import checksum_of
 from daq.frames.source import FrameSource, source_of
 from daq.runs.glass_place import glass_place_mm
 from daq.runs.journal import Entry
+from daq.runs.lab_readings import Shown
 from daq.runs.pairs import FramePair, RunPairs
 from daq.runs.run_folder import RunFolder
 from ground.plain_file import read_plain
@@ -49,6 +51,10 @@ class PairsOfSeries:
         By how much that stood off its place in the scene file.
     usual_background : bool
         Whether a background is taken off unless the person says otherwise.
+    readings : mapping of str to Shown
+        What gauges of the lab showed over the steps of the pairs, by their names.
+    readings_of : mapping of str to mapping
+        The same over the steps of one pair, by its tag; empty where there are no gauges.
     """
 
     pairs: tuple[SeriesPair, ...]
@@ -57,6 +63,8 @@ class PairsOfSeries:
     glass: bool
     glass_place_mm: Vector = (0.0, 0.0, 0.0)
     usual_background: bool = True
+    readings: Mapping[str, Shown] = field(default_factory=dict)
+    readings_of: Mapping[str, Mapping[str, Shown]] = field(default_factory=dict)
 
     @property
     def timed(self) -> bool:
@@ -117,7 +125,9 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None, time
     lit_by_pulses = any("dt_us" in step for step in RunFolder(run).about["steps"])
     background = len(pairs) > (1 if lit_by_pulses else FEW_PAIRS)
     place_mm = glass_place_mm(run, frames, found.lines)
-    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, place_mm, background)
+    apart = {pair.tag: found.shown_during([pair]) for pair in seeded} if found.readings else {}
+    shown = found.shown_during(seeded)
+    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, place_mm, background, shown, apart)
 
 
 def folder_name(entry: Entry) -> str:

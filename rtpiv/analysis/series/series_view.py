@@ -9,6 +9,7 @@ from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
+from daq.runs.lab_readings import said_in_files
 from piv.correlation.settings import PivSettings, settings_of
 from piv.correlation.windows import WindowGrid
 from piv.errors import PairError, SeriesError
@@ -47,6 +48,11 @@ class SeriesView:
     def about(self) -> SeriesFile:
         """Contents of series.json."""
         return SeriesFolder(self.folder).about
+
+    @cached_property
+    def readings(self) -> dict[str, Any]:
+        """What gauges of the lab showed over the steps of its pairs, as an attribute of its mean."""
+        return said_in_files(self.about.get("readings", {}))
 
     @cached_property
     def fitted(self) -> Scene:
