@@ -43,6 +43,7 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "camera list": "camera list --simulate",
     "camera snap -o snap.tif": "camera snap -o snap.tif --simulate",
     "camera test": "camera test --simulate",
+    "init lab --by-hand": "init hands --yes --by-hand",
     "target scene.yaml": "target scene.yaml",
     "correct ... --scene scene.yaml --square-mm 4 --target-clear target_clear.tif":
         "correct frames/target_glass.tif --scene scene.yaml --square-mm 4 --target-clear frames/target_clear.tif",
