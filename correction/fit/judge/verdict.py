@@ -4,6 +4,8 @@ The test of every way (`model_test`) says whether and where the model is wrong, 
 likely is, and the correlation of neighbours (`correlation`) says what the covariance must count.  What the test
 finds is an error of the map of its own, `systematic_px`, on every way whose residuals bend more than noise would,
 even where that is too little for an alarm: corners or model may be to blame, and the map is not taken for better.
+Behind glass it may be worse than residuals show, for balls follow what is wrong with the camera: so the suspects
+are asked as soon as residuals bend more than noise would, and their changes of the scene are counted.
 """
 
 from collections.abc import Sequence
@@ -40,7 +42,7 @@ class Verdict:
     correlation : dict
         Behind glass or not -> how neighbours err alike.
     suspects : tuple of Suspect
-        What would explain an alarm, the most likely first; empty without one.
+        What would explain what bends more than noise would, alarm or not, the most likely first.
     smooth_px : (N, 2) float64
         Smooth part of the residual of every corner, raw px.
     hidden : tuple of Hidden
@@ -92,10 +94,10 @@ class Verdict:
 
         What the cause explains is counted as its change of the scene (`SceneFit.root`).
         """
-        unlike_noise = COUNTED / max(len(self.ways), 1)
         known = self.cause.share if self.cause is not None and self.cause.change is not None else 0.0
         left = float(np.sqrt(1.0 - known))
-        return {way.way: left * way.smooth_px if way.chance_of_noise < unlike_noise else 0.0 for way in self.ways}
+        bent = unlike_noise(self.ways)
+        return {way.way: left * way.smooth_px if way in bent else 0.0 for way in self.ways}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -132,11 +134,15 @@ class Verdict:
         if not self.alarms:
             worst = max((way.smooth_px for way in self.ways), default=0.0)
             where = "outside what is masked, " if self.masked else "apart from that, "
-            return (
+            said = (
                 f"{'the model is right as far as the corners tell: ' if self.is_right else where}residuals bend"
                 f" smoothly by no more than {max(worst, 0.001):.3f} px (chance of a false alarm"
-                f" {100 * FALSE_ALARMS:.0f} %)",
+                f" {100 * FALSE_ALARMS:.0f} %)"
             )
+            if self.cause is None:
+                return (said,)
+            or_else = self.cause.sentence
+            return said, f"that is too little for an alarm: corners err so, or {or_else}; the map's sigma holds it"
         worst_way = self.alarms[0]
         best = self.cause
         where = _where(worst_way.way)
@@ -181,6 +187,11 @@ class Verdict:
                 for behind, one in self.correlation.items()
             },
         }
+
+
+def unlike_noise(ways: Sequence[WayTest]) -> list[WayTest]:
+    """Ways whose residuals bend more than those of corners without any smooth error of their own would."""
+    return [way for way in ways if way.chance_of_noise < COUNTED / len(ways)]
 
 
 def judge_model(
@@ -234,7 +245,7 @@ def judge_model(
     correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
     found: list[Suspect] = []
     pulled = float(np.abs(x[:free]).max(initial=0.0)) > PRIOR_LIMIT  # what is free may hide what is wrong
-    if pulled or any(way.alarm for way in ways):
+    if pulled or any(way.alarm for way in ways) or unlike_noise(ways):
         values, rates = [one.value for one in lattices], [one.rate[:, :, :free] for one in lattices]
         seen = Evidence(sighted, values, rates, x[:free])
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways) + float(x @ x) * pulled)
