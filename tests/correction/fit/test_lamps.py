@@ -182,9 +182,7 @@ def test_a_lamp_of_one_colour_told_10_nm_off_is_in_the_sigma(told, most_nm):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(
-    ("board_nm", "flow_nm"), [(5.0, -5.0), (-7.0, 6.0), (15.0, 5.0), (30.0, -5.0), (-12.0, -25.0)]
-)
+@pytest.mark.parametrize(("board_nm", "flow_nm"), LAMPS_OFF_NM)
 def test_two_lamps_through_two_glasses(board_nm, flow_nm):
     """A red LED lights the board, a green one the flow; how far each is off is known to nobody."""
     told = {"mean_nm": 620.0, "source": "lamp"}

@@ -18,8 +18,9 @@ from ground.errors import ConfigError
 from sim.emulators.device import Emulator
 from sim.emulators.flow_meter import FlowMeter
 from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
-from sim.mechanics.clock import ScaledClock
+from sim.mechanics.clock import ScaledClock, VirtualClock
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.small_bench import write_bench
 
@@ -103,6 +104,22 @@ def test_a_stream_gives_what_flows_now_and_not_what_lay_in_the_buffer(meter):
         time.sleep(0.35)
         emulator.flow = 8.0
         assert gauge.reading().value == pytest.approx(8.0, rel=0.011)
+    finally:
+        gauge.close()
+
+
+def test_a_stream_without_a_pause_is_read_at_once(monkeypatch):
+    """Lines every 5 ms: to wait until nothing comes would be to wait for ever."""
+    monkeypatch.setattr("sim.emulators.flow_meter.EVERY_S", 0.005)
+    clock = VirtualClock()
+    monkeypatch.setitem(LINES, "stream", Line(FlowMeter(clock), clock))
+    gauge = PortGauge(ReadingSection(unit="l/min", port="sim://stream", find=FOUND), clock)
+    try:
+        gauge._opened().write(b"S1\r\n")
+        clock.sleep_s(1.0)
+        begun_s = clock.now_s()
+        assert gauge.reading().value == pytest.approx(5.2, rel=0.011)
+        assert clock.now_s() - begun_s < 0.1
     finally:
         gauge.close()
 
