@@ -8,8 +8,7 @@ from rtpiv.templates.stage_text import StageText
 EDIT = """\
 #   controllers  driver (zaber_ascii, isel_dnc, pi_gcs2, grbl, thorlabs_apt) and port, best /dev/serial/by-id/...
 #   axes         which motor (channel) carries what along which direction; steps_per_mm; limits well inside the
-#                switches. An axis that you do not have: take it out here, in home_order, glass and simulation.axes
-"""
+#                switches. An axis that you do not have: take it out here, in home_order, glass and simulation.axes"""
 CONTROLLERS = """\
     rail: {driver: isel_dnc, port: /dev/ttyUSB0}
     portal: {driver: grbl, port: /dev/ttyUSB1}
@@ -99,7 +98,7 @@ def motor_stages(room: Room) -> StageText:
     target_y: {{lead_mm: 1.0, steps_per_rev: 10000, travel_mm: 100.0}}
     target_z: {{lead_mm: 1.0, steps_per_rev: 10000, travel_mm: 105.0}}"""
     return StageText(
-        edit=EDIT.rstrip(),
+        edit=EDIT,
         controllers=CONTROLLERS,
         axes="\n".join(axis.text(name) for name, axis in axes.items()),
         home_order=HOME_ORDER,
