@@ -34,7 +34,9 @@ sys.exit(main(["trace", "scene.yaml", "-o", sys.argv[1]]))
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.posix("SIGHUP"))]
+)
 def test_a_verb_that_is_told_to_end_leaves_nothing_half_written(tmp_path, number):
     command = [sys.executable, "-c", CHILD, str(tmp_path / "out")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -47,6 +49,7 @@ def test_a_verb_that_is_told_to_end_leaves_nothing_half_written(tmp_path, number
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.posix("SIGHUP")
 def test_a_window_that_is_closed_ends_a_verb(tmp_path):
     """The terminal goes, then every word to it fails: no traceback anywhere, no temporary file left."""
     errors = tmp_path / "errors"

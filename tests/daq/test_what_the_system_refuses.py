@@ -199,6 +199,7 @@ def test_memory_is_asked_for_in_all_places():
             require_memory(2.0 * free, "the world")
 
 
+@pytest.mark.posix("limits of a process")
 def test_a_limit_of_the_process_counts():
     code = (
         "import resource; from ground.memory import free_bytes\n"

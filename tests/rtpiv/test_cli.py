@@ -72,6 +72,7 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"rtpiv {version('rtpiv')}\n"
 
 
+@pytest.mark.posix("a simulated camera that needs an extra")
 @pytest.mark.parametrize("verb", ["demo", "acquire"])
 def test_a_missing_extra_is_named_before_anything_is_done(verb, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(cameras, "find_spec", lambda name: None)

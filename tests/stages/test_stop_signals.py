@@ -264,6 +264,7 @@ def state(pid):
         return stream.read().rpartition(")")[2].split()[0]
 
 
+@pytest.mark.posix("SIGHUP")
 def test_handlers_are_put_back_and_others_stay():
     from stages.stop_signals import StopSignals
 

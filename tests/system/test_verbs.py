@@ -86,6 +86,7 @@ def test_a_run_whose_axes_are_not_homed_leaves_no_folder(tmp_path, capsys):
     assert not list((tmp_path / "runs").iterdir())
 
 
+@pytest.mark.posix("ports that are files")
 def test_doctor_looks_and_opens_nothing(tmp_path, capsys):
     write_bench(tmp_path)
     assert main(["doctor", "--bench", str(tmp_path / "bench.yaml")]) == DEVICE

@@ -124,6 +124,7 @@ def test_a_script_needs_no_guard_and_may_stand_beside_any_file(tmp_path, ending)
     assert done.stderr == ""
 
 
+@pytest.mark.posix("a GenTL producer")
 @pytest.mark.parametrize("lost_at", [None, 1])
 def test_the_process_ends_without_a_word_with_a_caller_that_is_killed(tmp_path, lost_at):
     """Also with a camera that went before, as a simulated one goes with its world."""

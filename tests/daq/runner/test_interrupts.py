@@ -30,7 +30,9 @@ def wait_for(what):
         time.sleep(0.002)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.posix("SIGHUP"))]
+)
 def test_once_finishes_the_step_twice_stops_from_another_thread(interrupts, said, number):
     signal.raise_signal(number)
     assert interrupts.wanted
@@ -60,6 +62,7 @@ def test_every_further_press_stops_again(interrupts, said):
         assert len(said) >= 4 * (presses - 1)
 
 
+@pytest.mark.posix("SIGQUIT")
 def test_quit_stops_at_once(interrupts, said):
     signal.raise_signal(signal.SIGQUIT)
     assert interrupts.stopped
@@ -72,6 +75,7 @@ def test_leaving_waits_until_everything_has_been_said(said):
     assert len(said) == 4
 
 
+@pytest.mark.posix("SIGTSTP")
 def test_a_pause_ends_by_a_press_and_by_a_second_ctrl_z(interrupts):
     signal.raise_signal(signal.SIGTSTP)
     assert interrupts.paused
@@ -82,6 +86,7 @@ def test_a_pause_ends_by_a_press_and_by_a_second_ctrl_z(interrupts):
     interrupts.wait()
 
 
+@pytest.mark.posix("SIGTSTP")
 def test_signals_in_the_middle_of_a_pause_never_lock_up(interrupts):
     """Handlers run between any two instructions of the main thread; none of them may wait for it."""
     ended = threading.Event()
@@ -113,6 +118,7 @@ with Interrupts(lambda: None) as it:
 """
 
 
+@pytest.mark.posix("SIGHUP")
 def test_a_terminal_that_has_gone_does_not_end_the_run():
     """After a hangup every write to the terminal fails; the step is to be finished all the same."""
     main, terminal = os.openpty()
@@ -124,6 +130,7 @@ def test_a_terminal_that_has_gone_does_not_end_the_run():
     assert child.wait(60) == 10
 
 
+@pytest.mark.posix("SIGHUP")
 def test_handlers_are_put_back_and_nohup_is_respected(said):
     numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP]
     before_hangup = signal.signal(signal.SIGHUP, signal.SIG_IGN)
