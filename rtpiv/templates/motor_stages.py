@@ -8,7 +8,7 @@ from rtpiv.templates.stage_text import StageText
 EDIT = """\
 #   controllers  driver (zaber_ascii, isel_dnc, pi_gcs2, grbl, thorlabs_apt) and port, best /dev/serial/by-id/...
 #   axes         which motor (channel) carries what along which direction; steps_per_mm; limits well inside the
-#                switches. An axis that you do not have: take it out here, in home_order, glass and simulation.axes"""
+#                switches. An axis that you do not have: take it out here, in home_order, glass, simulation.axes"""
 CONTROLLERS = """\
     rail: {driver: isel_dnc, port: /dev/ttyUSB0}
     portal: {driver: grbl, port: /dev/ttyUSB1}
