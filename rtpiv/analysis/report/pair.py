@@ -88,7 +88,9 @@ def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, 
                 f"68 % claimed: sigma is {found.claim}",
             )
         )
-        tiles.append(("{:.2f}, {:.2f}".format(*found.ratio), "scatter u, v over sigma", "1 if sigma is right"))
+        tiles.append(
+            ("{:.2f}, {:.2f}".format(*found.ratio), "rms of error u, v over sigma", "1 if sigma is right")
+        )
     return tiles
 
 
@@ -249,7 +251,7 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     if claims := claim_rows(evaluation):
         caption = (
             "How the errors keep to it, the common error of the stage taken off; sigma claims 68 % within 1 sigma "
-            "and 95 % within 2. As claimed: what chance does in 95 of 100 cases to the scatter of vectors whose "
+            "and 95 % within 2. As claimed: what chance does in 95 of 100 cases to errors of vectors whose "
             "windows do not overlap, or within 10 %"
         )
         page.table(CLAIM_HEAD, claims, caption)

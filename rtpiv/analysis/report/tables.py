@@ -86,7 +86,7 @@ class Total:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How errors compare with their sigma, along u and v: `inside` 1 and 2 sigma as shares, scatter over sigma."""
+    """How errors compare with their sigma, along u and v: shares within 1 and 2 sigma, rms of error over sigma."""
 
     within_1: Pair
     within_2: Pair
@@ -141,16 +141,15 @@ def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | 
     known = where & np.isfinite(errors).all(axis=-1) & np.isfinite(sigma).all(axis=-1) & (sigma > 0.0).all(axis=-1)
     if not known.any():
         return None
-    ratio = np.abs(errors[known]) / sigma[known]
-    scatter, claimed = _rms_uv(errors[known]), _rms_uv(sigma[known])
+    in_sigmas = np.abs(errors[known]) / sigma[known]
+    ratio = _rms_uv(in_sigmas)
     share = independent_share(field.step_px, field.window_px)
-    normal = float(np.sqrt(np.mean(np.square(errors[known] / sigma[known]))))
-    within_1, within_2 = np.mean(ratio < 1.0, axis=0), np.mean(ratio < 2.0, axis=0)
+    within_1, within_2 = np.mean(in_sigmas < 1.0, axis=0), np.mean(in_sigmas < 2.0, axis=0)
     return Coverage(
         (float(within_1[0]), float(within_1[1])),
         (float(within_2[0]), float(within_2[1])),
-        (scatter[0] / claimed[0], scatter[1] / claimed[1]),
-        claim_of(normal, 1.0, int(known.sum()), share),
+        ratio,
+        claim_of(float(np.hypot(*ratio) / np.sqrt(2.0)), 1.0, int(known.sum()), share),
     )
 
 
@@ -193,7 +192,7 @@ CLAIM_HEAD = (
     "vectors",
     "within 1 sigma u, v",
     "within 2 sigma u, v",
-    "scatter / sigma u, v",
+    "rms of error / sigma u, v",
     "sigma is",
 )
 ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
