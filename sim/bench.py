@@ -16,6 +16,7 @@ from typing import Any, cast
 from daq.bench.bench_table import STAGES, Bench, CameraSection, Device
 from daq.bench.elements import CAMERA
 from daq.bench.kinds import kind_of
+from daq.bench.reading import ReadingSection
 from daq.errors import RunUsageError
 from daq.plans.steps import Step
 from daq.timing.timing_table import TimingTable
@@ -31,9 +32,12 @@ from sim.camera.gige.process import device_process
 from sim.camera.in_process import DEVICES
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
+from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
 from sim.fault_strikes import Struck
 from sim.happened import Happened
 from sim.mechanics.clock import PacedClock, ScaledClock
+from sim.readings import recorded_reading
 from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
 from sim.timing_wiring import connect
@@ -87,6 +91,7 @@ class SimulatedBench:
         self._further_worlds: dict[str, World] = {}
         self._cameras: dict[str, SimCamera] = {}  # that have power in this process, by serial number
         self._units: dict[str, SimulatedTiming] = {}
+        self._gauges: dict[str, Line | None] = {}  # readings in this process
         self._watched: WatchedWorld | None = None
         try:
             options: dict[str, dict[str, Any]] = {
@@ -95,7 +100,10 @@ class SimulatedBench:
             for name, controller in bench.table.stages.controllers.items():
                 if isinstance(controller, HandTable):
                     options[name] = {**table.hand.model_dump(), "seed": table.seed}
-            self._stages = stages = SimulatedStages(bench.table.stages, self.clock, table.axes, options)
+            recorded = {name: Path(path) for name, path in table.recorded.items()}
+            self._stages = stages = SimulatedStages(
+                bench.table.stages, self.clock, table.axes, options, recorded=recorded
+            )
             self.lines, self.witness = stages.lines, stages.witness
             if bench.table.keep_out is not None:
                 home = put_up(bench, table.glass_off_mm)
@@ -114,7 +122,10 @@ class SimulatedBench:
                 if isinstance(device.section, CameraSection):
                     self.sections[name] = self._further(bench, name, table, stages, exposures_before, folder)
                 else:
-                    self.sections[name] = self._stack.enter_context(self._more(bench, name, device))
+                    put_up_one = self._more(bench, name, device, recorded.get(name))
+                    self.sections[name] = opened = self._stack.enter_context(put_up_one)
+                    if isinstance(opened, ReadingSection) and opened.port is not None:
+                        self._gauges[name] = LINES.get(opened.port.removeprefix("sim://"))
                     self._wire(name, device)
             if table.keeps:
                 self._watched = self._watch(table, stages)
@@ -173,8 +184,12 @@ class SimulatedBench:
         self.witness.judge()
         self._stack.close()
 
-    def _more(self, bench: Bench, name: str, device: Device) -> AbstractContextManager[Table]:
-        """Put a device of another kind up by what that kind names as its simulator."""
+    def _more(
+        self, bench: Bench, name: str, device: Device, recording: Path | None
+    ) -> AbstractContextManager[Table]:
+        """Put a device of another kind up by a recording, or by what that kind names as its simulator."""
+        if recording is not None and isinstance(device.section, ReadingSection):
+            return recorded_reading(device.section, recording, self.clock)
         module, _, function = (kind_of(device.kind).simulator or "").partition(":")
         if not function:
             line = bench.document.line(("devices", name))
@@ -198,7 +213,8 @@ class SimulatedBench:
             )
         worlds = {CAMERA: self.world, **self._further_worlds}
         cameras = {name: self._cameras[_serial_of(name)] for name in worlds if _serial_of(name) in self._cameras}
-        lines = {**self.lines, **{name: unit.line for name, unit in self._units.items()}}
+        gauges = {name: line for name, line in self._gauges.items() if line is not None}
+        lines = {**self.lines, **{name: unit.line for name, unit in self._units.items()}, **gauges}
         return WatchedWorld(Struck(lines, stages, cameras, worlds), self._units, self.clock, table.schedule)
 
     def _further(

@@ -11,6 +11,7 @@ exposed    a camera                   `number` of the exposure, `crc32` of its p
 light      a timing unit              `pulse` 0 or 1 of a pair; the time is when the light fell
 fault      what it is of              `what` has happened to it, and `due` when
 waiting    the same                   a fault whose moment has not come
+differs    a box of a recording       what it was told otherwise than recorded, or not at all by the end
 violation  an axis or two things      a limit passed, too close, moved on after a stop, a false position told
 =========  =========================  =====================================================================
 
@@ -27,7 +28,7 @@ from typing import Any, Literal, NamedTuple
 from daq.errors import RunUsageError
 
 FILE = "world.jsonl"
-What = Literal["step", "told", "exposed", "light", "fault", "waiting", "violation"]
+What = Literal["step", "told", "exposed", "light", "fault", "waiting", "differs", "violation"]
 
 
 class Event(NamedTuple):
@@ -91,6 +92,11 @@ class Happened:
     def waiting(self) -> list[str]:
         """Faults whose moment has not come, in the same words."""
         return [_of_fault(event) for event in self.of_kind("waiting")]
+
+    @property
+    def differs(self) -> list[str]:
+        """What boxes of recordings were told otherwise than recorded, or have not been told."""
+        return [f"{event.of}: {event.said}" for event in self.of_kind("differs")]
 
     @property
     def violations(self) -> list[str]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from daq.bench.fault_table import Fault
 from daq.timing.pulses import Q_SWITCHES
 from sim.emulators.line import Line
+from sim.emulators.recorded import RecordedBox
 from sim.fault_strikes import FaultStrikes, Struck
 from sim.happened import Event, Happened, Kept
 from sim.mechanics.clock import VirtualClock
@@ -42,6 +43,9 @@ class WatchedWorld:
         faults: Sequence[Fault],
     ) -> None:
         self._clock, self._kept = clock, Kept()
+        self._recorded = {
+            name: line.emulator for name, line in bench.lines.items() if isinstance(line.emulator, RecordedBox)
+        }
         self._strikes = FaultStrikes(faults, bench, clock, self._kept)
         for name, line in bench.lines.items():
             line.on_told = partial(self._told, name, line)
@@ -57,14 +61,17 @@ class WatchedWorld:
         self._strikes.step_begins(number)
 
     def happened(self, violations: Sequence[Violation]) -> Happened:
-        """Everything so far, with what the witness has seen and the faults that wait."""
+        """Everything so far, with what the witness has seen, faults that wait, and what recordings miss."""
         now_s = self._clock.now_s()
         seen = [Event(each.time_s, "violation", each.what, str(each)) for each in violations]
         waiting = [
             Event(now_s, "waiting", fault.of, {"what": fault.what, "due": fault.moment})
             for fault in self._strikes.waiting
         ]
-        return Happened((*self._kept.events(), *seen, *waiting))
+        differs = [
+            Event(now_s, "differs", name, box.differs) for name, box in self._recorded.items() if box.differs
+        ]
+        return Happened((*self._kept.events(), *seen, *waiting, *differs))
 
     def _told(self, box: str, line: Line, data: bytes) -> None:
         self._strikes.told(box, data)

@@ -11,7 +11,8 @@ Three things go wrong with serial ports in ways that hurt a long run, and all th
   included: a second opener is refused instead of stealing replies.
 
 `write` may be called from any thread and is atomic, so a stop gets through while another thread waits in
-`read`. The last `TRACE_LENGTH` chunks in both directions are kept for the error report.
+`read`. The last `TRACE_LENGTH` chunks in both directions are kept for the error report; all of them go to a file
+if somebody records (`stages.dialogue`).
 
 URLs are pyserial's: a device name, ``socket://``, ``loop://``; ``sim://`` is the simulated bench, found by the
 name of its package only when such a port is opened.
@@ -27,6 +28,7 @@ from typing import NamedTuple
 import serial
 
 from stages.clock import SYSTEM_CLOCK, Clock
+from stages.dialogue import Dialogue, RecordedFile, recorded_file
 from stages.errors import DeviceLost, NoReply, PortUnavailable
 
 try:
@@ -85,6 +87,8 @@ class Port:
         self.url, self.baud = url, baud
         self.clock = clock
         self.trace: deque[Chunk] = deque(maxlen=TRACE_LENGTH)
+        self._file: RecordedFile | None = None
+        self._said: Dialogue | None = None
         self._lost = False
         self._write_lock = threading.Lock()
         if url.startswith("sim://") and SIMULATED not in serial.protocol_handler_packages:
@@ -106,6 +110,7 @@ class Port:
                 self._purge()
         except (*_FAILURES, ValueError) as error:
             raise PortUnavailable(_why_not(url, error)) from error
+        self._record()
 
     @property
     def lost(self) -> bool:
@@ -121,6 +126,8 @@ class Port:
             The port is dead or takes no bytes.
         """
         with self._write_lock, self._cable():
+            if self._said is not None:
+                self._said.sent(data)  # first, so that no answer is recorded before its question
             self._serial.write(data)
         self.trace.append(Chunk(self.clock.now_s(), True, data))
 
@@ -143,7 +150,7 @@ class Port:
             with self._cable():
                 data: bytes = self._serial.read(max(1, self._serial.in_waiting))
             if data:
-                self.trace.append(Chunk(self.clock.now_s(), False, data))
+                self._came(data)
                 return data
             if self.clock.now_s() >= deadline_s:
                 raise NoReply(f"{self.url} at {self.baud} baud: no answer in time")
@@ -154,7 +161,7 @@ class Port:
             waiting = self._serial.in_waiting
             data: bytes = self._serial.read(waiting) if waiting else b""
         if data:
-            self.trace.append(Chunk(self.clock.now_s(), False, data))
+            self._came(data)
         return data
 
     def drain(self, quiet_s: float, limit_s: float = 5.0) -> bytes:
@@ -178,6 +185,25 @@ class Port:
             self._serial.close()
         except _FAILURES:
             self._lost = True
+        if self._file is not None:
+            self._file.close()
+
+    def _record(self) -> None:
+        """Keep what is said from now on, if somebody wants that."""
+        try:
+            self._file = recorded_file(self.url)
+        except PortUnavailable:
+            self.close()
+            raise
+        if self._file is not None:
+            self._said = Dialogue(self._file.line, self.clock)
+            self._said.opened(self.baud)
+
+    def _came(self, data: bytes) -> None:
+        """Note what has come."""
+        self.trace.append(Chunk(self.clock.now_s(), False, data))
+        if self._said is not None:
+            self._said.came(data)
 
     def _purge(self) -> None:
         """Set RTS, and empty what the adapter holds of an earlier program."""

@@ -24,16 +24,23 @@ axis    knock                its carriage slips by `by_mm`, which no controller 
 lamp    dim                  the target has this `share` of its light from then on
 ======  ===================  ==============================================================================
 
-A box is a controller of the stages or a timing unit.  `nth` waits until a word has been said so often.
+A box is a controller of the stages, a timing unit or a reading.  `nth` waits until a word has been said so often.
+
+A box may answer from a recording of a real one (`stages.dialogue`), a file beside this one:
+
+recorded: {target: said/target.txt}
 """
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from daq.bench.bench_table import STAGES, Bench, CameraSection
-from ground.config import Table
+from daq.bench.reading import ReadingSection
+from daq.timing.timing_table import TimingTable
+from ground.config import Name, Table
+from stages.controller_tables import ControllerTable
 
 What = Literal[
     "unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled", "knock", "stall", "dim"
@@ -76,9 +83,16 @@ class Fault(Table):
 
 
 class FaultFile(Table):
-    """A file of faults."""
+    """A file of faults, and of the recordings that boxes answer from."""
 
-    faults: Annotated[list[Fault], Field(min_length=1, max_length=1000)]
+    faults: Annotated[list[Fault], Field(max_length=1000)] = Field(default_factory=list)
+    recorded: dict[Name, Text] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _says_something(self) -> "FaultFile":
+        if not self.faults and not self.recorded:
+            raise ValueError("nothing goes wrong here and nothing is recorded; say faults or recorded")
+        return self
 
 
 def things_of(bench: Bench) -> dict[str, str]:
@@ -88,6 +102,21 @@ def things_of(bench: Bench) -> dict[str, str]:
         if name != STAGES:
             things[name] = "camera" if isinstance(device.section, CameraSection) else "box"
     return things | {LAMP: "lamp"}
+
+
+def not_recorded(name: str, bench: Bench) -> str:
+    """Why a thing of a bench cannot answer from a recording; "" if it can."""
+    controller = bench.table.stages.controllers.get(name)
+    if isinstance(controller, ControllerTable):
+        return ""
+    device = bench.more.get(name)
+    if device is not None and isinstance(device.section, ReadingSection) and device.section.port is not None:
+        return ""
+    if device is not None and isinstance(device.section, TimingTable):
+        return "a timing unit is asked by the wall's clock, so its words have no order; leave it out"
+    if name not in things_of(bench):
+        return f"there is no {name!r} on this bench; there are {', '.join(things_of(bench))}"
+    return "only what is told words by a serial port can be recorded: a controller or a reading; leave it out"
 
 
 def wrong_with(fault: Fault, bench: Bench) -> Iterator[str]:

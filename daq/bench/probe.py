@@ -7,7 +7,7 @@ up with is all there is, and a test holds that no emulated box changes by any of
 for some boards: a Grbl board may restart when the system raises DTR, and has to be homed then.
 
 Every byte is kept with its time and rate (`dialogue`), as a text that a lab can send and a test can replay
-(`sim.emulators.recorded`).
+(`stages.dialogue`).
 """
 
 import re
@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from daq.timing.protocols import pivlab_synchroniser as pivlab
 from daq.timing.protocols import quantum_composers as qc
 from stages.clock import SYSTEM_CLOCK, Clock
+from stages.dialogue import Dialogue
 from stages.errors import NoReply, ProtocolViolation
 from stages.port import Port
 from stages.protocols import apt_words, grbl, isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
@@ -68,12 +69,15 @@ class Probe:
     heard: bytes = b""  # everything, for what can be said of a box that nobody knows
     port: Port | None = None
 
+    def __post_init__(self) -> None:
+        self._said = Dialogue(self.dialogue.append, self.clock)
+
     def look(self) -> Found | None:
         """Ask at every rate; None if nothing answers as it should."""
         deaf_s = WAKES_S
         for baud in RATES:
             self.port = Port(self.url, baud, clock=self.clock, hold_dtr=True)
-            self.dialogue.append(f"@ {baud}")
+            self._said.opened(baud)
             with closing(self.port):
                 self._listen(deaf_s)
                 deaf_s = 0.0
@@ -85,8 +89,8 @@ class Probe:
     def ask(self, data: bytes, limit_s: float = LONGEST_S) -> bytes:
         """Send a question; return all that comes until it is quiet."""
         assert self.port is not None
+        self._said.sent(data)
         self.port.write(data)
-        self.dialogue.append(f"> {data.hex(' ')}")
         return self._listen(QUIET_S, limit_s)
 
     def _listen(self, first_s: float, limit_s: float = LONGEST_S) -> bytes:
@@ -95,10 +99,9 @@ class Probe:
         patience_s = max(first_s, QUIET_S)
         with suppress(NoReply):
             while self.clock.now_s() < end_s:
-                said += self.port.read(self.clock.now_s() + patience_s)
-                patience_s = QUIET_S
-        if said:
-            self.dialogue.append(f"< {said.hex(' ')}")
+                came = self.port.read(self.clock.now_s() + patience_s)
+                self._said.came(came)
+                said, patience_s = said + came, QUIET_S
         self.heard += said
         return said
 

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from daq.bench.bench_table import Bench
-from daq.bench.fault_table import Fault, FaultFile, wrong_with
+from daq.bench.fault_table import Fault, FaultFile, not_recorded, wrong_with
 from daq.bench.opened import simulation_class
 from daq.errors import RunUsageError
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError, Problem
+from stages.dialogue import read_dialogue
 
 SEEDS = 2**31
 
@@ -27,7 +28,7 @@ class Rehearsal:
     Parameters
     ----------
     faults : path or sequence of mapping, optional
-        What goes wrong on the simulated bench, and when: a YAML file, or its entries.
+        What goes wrong on the simulated bench, and when: a YAML file, which may name recordings, or its entries.
     seed : int, optional
         Of misalignment, prints and noise of the simulated bench, in place of the bench file's.
     """
@@ -35,7 +36,9 @@ class Rehearsal:
     faults: Path | str | Sequence[Mapping[str, Any]] | None = None
     seed: int | None = None
 
-    def of(self, bench: Bench, steps: int | None = None) -> Bench:
+    def of(
+        self, bench: Bench, steps: int | None = None, recorded: Mapping[str, Path | str] | None = None
+    ) -> Bench:
         """Return a bench whose simulation is this rehearsal.
 
         Parameters
@@ -44,6 +47,8 @@ class Rehearsal:
             With a `simulation` section.
         steps : int, optional
             How many steps the run has; None where nothing is done step by step.
+        recorded : mapping of str to path, optional
+            Files of what was said at real hardware, which answer in place of an emulator, by the name of the box.
 
         Raises
         ------
@@ -52,26 +57,38 @@ class Rehearsal:
         """
         if self.seed is not None and not 0 <= self.seed <= SEEDS:
             raise RunUsageError(f"seed {self.seed}: say a whole number from 0 to {SEEDS}")
-        return with_rehearsal(bench, self.seed, self._schedule(bench, steps))
-
-    def _schedule(self, bench: Bench, steps: int | None) -> list[Fault]:
-        if self.faults is None:
-            return []
-        if isinstance(self.faults, Path | str):
-            document = open_document(self.faults)
-        else:
-            document = Document(Path("faults"), {"faults": [dict(each) for each in self.faults]}, {})
-            if not document.tree["faults"]:
-                return []
-        found = validate(document, FaultFile).faults
+        document, file = self._said()
+        found = file.faults
         problems = [
             Problem(document.line(("faults", index)) if document.lines else 0, f"faults[{index}]: {text}")
             for index, fault in enumerate(found)
             for text in (*wrong_with(fault, bench), *_wrong_step(fault, steps))
         ]
+        beside = document.path.parent
+        files = {name: Path(path) for name, path in (recorded or {}).items()}
+        files |= {name: beside / path for name, path in file.recorded.items()}
+        problems += [
+            Problem(document.line(("recorded", name)) if document.lines else 0, f"recorded.{name}: {why}")
+            for name in files
+            if (why := not_recorded(name, bench))
+        ]
         if problems:
             raise ConfigError(document.path, problems)
-        return found
+        for path in files.values():
+            read_dialogue(path)
+        return with_rehearsal(bench, self.seed, found, files)
+
+    def _said(self) -> tuple[Document, FaultFile]:
+        """What goes wrong and what is recorded, with where it stands."""
+        if self.faults is None:
+            return Document(Path("recorded"), {}, {}), FaultFile.model_construct(faults=[], recorded={})
+        if isinstance(self.faults, Path | str):
+            document = open_document(self.faults)
+            return document, validate(document, FaultFile)
+        document = Document(Path("faults"), {"faults": [dict(each) for each in self.faults]}, {})
+        if not self.faults:
+            return document, FaultFile.model_construct(faults=[], recorded={})
+        return document, validate(document, FaultFile)
 
 
 def _wrong_step(fault: Fault, steps: int | None) -> list[str]:
@@ -83,7 +100,9 @@ def _wrong_step(fault: Fault, steps: int | None) -> list[str]:
     return [f"step: the plan has {steps} steps, so step {fault.step} never begins"] if fault.step > steps else []
 
 
-def with_rehearsal(bench: Bench, seed: int | None, schedule: Sequence[Fault] = ()) -> Bench:
+def with_rehearsal(
+    bench: Bench, seed: int | None, schedule: Sequence[Fault] = (), recorded: Mapping[str, Path] | None = None
+) -> Bench:
     """Return a bench with its simulation in memory, its happenings kept.
 
     Raises
@@ -100,5 +119,6 @@ def with_rehearsal(bench: Bench, seed: int | None, schedule: Sequence[Fault] = (
     own: dict[str, Any] = {"transport": "memory", "camera_transport": "memory", "keeps": True}
     own |= {} if seed is None else {"seed": seed}
     own |= {"schedule": [fault.model_dump(exclude_unset=True) for fault in schedule]} if schedule else {}
+    own |= {"recorded": {name: str(path) for name, path in recorded.items()}} if recorded else {}
     simulation = {**(bench.table.simulation or {}), **own}
     return replace(bench, table=bench.table.model_copy(update={"simulation": simulation}))

@@ -408,6 +408,7 @@ def run_session(
         each.prepare(step.view for step in left if step.on_plane)
     tell("opening the devices")
     with ExitStack() as stack:
+        behind = stack.enter_context(ExitStack())  # left when the devices have been told their last words
         hardware = stack.enter_context(
             open_bench(bench, request.simulate, plan.table.shows, _exposures_before(run, left))
         )
@@ -416,7 +417,7 @@ def run_session(
         if hardware.simulation is not None:
             for name, text in hardware.simulation.secrets().items():
                 write_text(folder.path / name, text)
-            stack.callback(_keep_what_happened, hardware.simulation, folder)
+            behind.callback(_keep_what_happened, hardware.simulation, folder)
         if before is not None:
             before(hardware)
         if hardware.simulation is None:
@@ -454,10 +455,14 @@ def _exposures_before(run: Run, left: Sequence[Step]) -> int:
 
 
 def _keep_what_happened(simulation: Simulation, folder: RunFolder) -> None:
-    """Write what has happened in a rehearsal behind what is there of its earlier sessions."""
+    """Write what has happened in a rehearsal behind what is there of its earlier sessions, all or nothing."""
     if text := simulation.happened().text():
-        with (folder.path / HAPPENED).open("a", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        path = folder.path / HAPPENED
+        try:
+            before = path.read_text(encoding="utf-8") if path.exists() else ""
+        except (OSError, ValueError) as error:
+            raise DiskError(f"{path} cannot be read, so it is left as it is: {error}") from error
+        write_text(path, before + text)
 
 
 def _home(hardware: OpenBench, operator: Operator, tell: Callable[[str], None]) -> None:

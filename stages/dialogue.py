@@ -1,0 +1,164 @@
+"""What is said on a serial port, as a text: written while it is said, read by whoever answers in its place.
+
+    # anything              for people
+    @ 115200                the host has opened the port at this rate
+    > 2f 0a                 the host has sent this
+    < 40 30 31 +0.013       this came, so many seconds after what the host had sent last
+
+`rtpiv probe` writes one.  With the environment variable RTPIV_RECORD every port that is opened writes one as well,
+a file of its own in the folder that the variable names, line by line: what was said before a power cut is there.
+A disk that fails meanwhile ends the recording, never the motion.
+"""
+
+import os
+import re
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TextIO
+
+from ground.errors import ConfigError, Problem
+from stages.clock import Clock
+from stages.errors import PortUnavailable
+
+VARIABLE = "RTPIV_RECORD"
+LONGEST = 50_000_000  # bytes of a recording that is read
+WORD = re.compile(r"([<>])((?: [0-9a-fA-F]{2})+)(?: \+(\d{1,6}(?:\.\d{1,9})?))?", re.ASCII)
+RATE = re.compile(r"@ \d{1,8}", re.ASCII)
+
+
+class Dialogue:
+    """Writes what is said on a port, line by line; from any thread.
+
+    Parameters
+    ----------
+    write : callable
+        Takes a line, without its end.
+    clock : Clock
+        Of the port.
+    """
+
+    def __init__(self, write: Callable[[str], object], clock: Clock) -> None:
+        self._write, self._clock = write, clock
+        self._lock = threading.Lock()
+        self._sent_s = clock.now_s()
+
+    def opened(self, baud: int) -> None:
+        """The port has been opened."""
+        with self._lock:
+            self._write(f"@ {baud}")
+
+    def sent(self, data: bytes) -> None:
+        """The host sends bytes."""
+        with self._lock:
+            self._sent_s = self._clock.now_s()
+            self._write(f"> {data.hex(' ')}")
+
+    def came(self, data: bytes) -> None:
+        """Bytes have come."""
+        with self._lock:
+            self._write(f"< {data.hex(' ')} +{max(0.0, self._clock.now_s() - self._sent_s):.6f}")
+
+
+class RecordedFile:
+    """A new file of a recording: a line is with the system as soon as it is written."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: TextIO | None = path.open("x", encoding="utf-8", buffering=1, newline="\n")
+
+    def line(self, text: str) -> None:
+        """Add a line; a disk that takes no more ends the recording."""
+        if self._file is not None:
+            try:
+                self._file.write(f"{text}\n")
+            except OSError:
+                self.close()
+
+    def close(self) -> None:
+        """End it."""
+        file, self._file = self._file, None
+        if file is not None:
+            with suppress(OSError):
+                os.fsync(file.fileno())
+            with suppress(OSError):
+                file.close()
+
+
+def recorded_file(url: str) -> RecordedFile | None:
+    """The file that keeps what is said on a port from now on; None if nobody wants that.
+
+    Raises
+    ------
+    PortUnavailable
+        It is wanted, and cannot be written.
+    """
+    folder = os.environ.get(VARIABLE)
+    if not folder:
+        return None
+    name = re.sub(r"[^A-Za-z0-9]+", "-", url).strip("-")
+    number = 1
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        while (path := Path(folder) / f"{name}-{number}.txt").exists():
+            number += 1
+        file = RecordedFile(path)
+    except OSError as error:
+        raise PortUnavailable(
+            f"{VARIABLE} names {folder}, where nothing can be written ({error.strerror}); name another folder"
+        ) from error
+    file.line(f"# {url}")
+    return file
+
+
+@dataclass(frozen=True)
+class Word:
+    """A line of a recording that says something.
+
+    Parameters
+    ----------
+    line : int
+        Its number, 1 first.
+    by : {">", "<"}
+        The host, or the box.
+    data : bytes
+        What.
+    after_s : float
+        Of the box: how long after what the host had sent last [s].
+    """
+
+    line: int
+    by: Literal[">", "<"]
+    data: bytes
+    after_s: float
+
+
+def read_dialogue(path: Path) -> tuple[Word, ...]:
+    """Read a recording.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, or a line is none of a recording; with the line.
+    """
+    try:
+        if path.stat().st_size > LONGEST:
+            raise ConfigError(path, [Problem(0, f"more than {LONGEST} bytes are no recording; cut it in parts")])
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "it is no text"
+        raise ConfigError(path, [Problem(0, f"the recording cannot be read: {why}")]) from error
+    words, wrong = [], []
+    for number, line in enumerate(text.splitlines(), 1):
+        if (said := WORD.fullmatch(line.rstrip())) is not None:
+            by: Literal[">", "<"] = ">" if said[1] == ">" else "<"
+            words.append(Word(number, by, bytes.fromhex(said[2]), float(said[3] or 0.0)))
+        elif line.strip() and not line.startswith("#") and RATE.fullmatch(line.rstrip()) is None:
+            wrong.append(number)
+    if wrong:
+        text = f"this is no line of a recording; it begins with >, <, @ or # ({len(wrong)} such lines)"
+        raise ConfigError(path, [Problem(wrong[0], text)])
+    if not any(word.by == ">" for word in words):
+        raise ConfigError(path, [Problem(0, "nothing is said to the box in this recording; record it again")])
+    return tuple(words)

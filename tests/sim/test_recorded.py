@@ -1,0 +1,256 @@
+"""A dialogue that was recorded answers as a box of the simulated bench, and what is said otherwise is named.
+
+What stands for hardware while it is recorded is a simulated bench behind real ports; the recording is then changed
+by hand where a test needs a box that no emulator is.
+"""
+
+import shutil
+
+import pytest
+import yaml
+
+from daq.bench.bench_file import load_bench
+from daq.bench.rehearsal import Rehearsal
+from ground.errors import ConfigError
+from sim.rehearsed import Rehearsed
+from stages.dialogue import VARIABLE, read_dialogue
+from stages.errors import PortUnavailable, StageError
+from tests.daq.small_bench import write_bench
+
+pytest_plugins = ("pytester",)
+FLOW = (
+    'devices:\n  flow: {kind: reading, unit: l/min, port: /dev/ttyFLOW, ask: "RATE?\\n", find: "rate ([0-9.]+)"}\n'
+)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A bench on which an axis may be moved before the others are homed."""
+    file = write_bench(tmp_path_factory.mktemp("bench"), side_px=96)
+    tree = yaml.safe_load(file.read_text())
+    del tree["keep_out"]
+    file.write_text(yaml.safe_dump(tree, sort_keys=False))
+    return file
+
+
+def use(bench, x_mm=2.0):
+    bench.home("target_x")
+    bench.move(target_x=x_mm)
+    return bench.where(), bench.stage.controllers["target"].identity
+
+
+@pytest.fixture(scope="module")
+def said(path, tmp_path_factory):
+    """What was said to the controller of the target while the script ran at the bench, and what the script saw."""
+    folder = tmp_path_factory.mktemp("said")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, str(folder))
+        with Rehearsed(path, seed=3) as bench:
+            seen = use(bench)
+    files = sorted(folder.iterdir())
+    assert len(files) == len(load_bench(path).table.stages.controllers)
+    return next(file for file in files if file.name.startswith("sim-target")), seen
+
+
+def replay(path, recording, script=use, **more):
+    """Run a script against a recording: what it has seen, what has differed, and the error if it came to one."""
+    bench = Rehearsed(path, recorded={"target": recording}, seed=3, **more)
+    seen = error = None
+    with bench:
+        try:
+            seen = script(bench)
+        except StageError as caught:
+            error = caught
+    return seen, bench.happened().differs, error
+
+
+def changed(recording, folder, edit):
+    """A copy of a recording, edited: `edit` gets the list of its lines."""
+    copy = folder / "target.txt"
+    lines = recording.read_text().splitlines()
+    edit(lines)
+    copy.write_text("\n".join(lines) + "\n")
+    return copy
+
+
+def place_of(recording, words):
+    """Number of the line, 0 first, in which the host says this first."""
+    said = [word for word in read_dialogue(recording) if word.by == ">" and words in word.data]
+    return said[0].line - 1
+
+
+def test_the_same_script_hears_the_same_again(path, said):
+    recording, seen = said
+    again, differs, error = replay(path, recording)
+    assert (again, differs, error) == (seen, [], None)
+
+
+def test_answers_are_those_of_the_recording_and_not_of_the_emulator(path, said, tmp_path):
+    """A box that no emulator is: its identity is another."""
+    recording, (_, identity) = said
+    old, new = b"C-663".hex(" "), b"C-LAB".hex(" ")
+    assert old in recording.read_text()
+
+    def other(lines):
+        lines[:] = [line.replace(old, new) if line.startswith("<") else line for line in lines]
+
+    (_, told), differs, error = replay(path, changed(recording, tmp_path, other))
+    assert told == identity.replace("C-663", "C-LAB") != identity
+    assert (differs, error) == ([], None)
+
+
+def test_the_world_moves_by_the_same_words(path, said):
+    true_mm = []
+
+    def script(bench):
+        use(bench)
+        true_mm.append(bench.true_mm()["target_x"])
+
+    replay(path, said[0], script)
+    assert true_mm == [pytest.approx(2.0, abs=0.1)]
+
+
+def test_what_is_said_otherwise_is_named_with_both_and_the_line(path, said):
+    recording, _ = said
+    seen, differs, error = replay(path, recording, lambda bench: use(bench, x_mm=2.5))
+    move = next(word for word in read_dialogue(recording) if b"MOV" in word.data and b"52.0" in word.data)
+    assert seen is None
+    assert f"{recording}:{move.line}: 'MOV 1 52.5" in str(error)
+    assert "was said, 'MOV 1 52.0" in str(error)
+    assert len(differs) == 1
+    assert differs[0].startswith(f"target: {recording}:")
+    assert len(str(error).splitlines()) == 1
+
+
+def test_what_is_not_said_any_more_is_named(path, said):
+    recording, _ = said
+    _, differs, error = replay(path, recording, lambda bench: bench.home("target_x"))
+    assert error is None
+    assert len(differs) == 1
+    assert differs[0].endswith("and has not been said")
+
+
+def test_what_is_said_behind_the_end_is_named(path, said):
+    def script(bench):
+        use(bench)
+        bench.move(target_x=0.0)
+
+    _, differs, error = replay(path, said[0], script)
+    assert error is not None
+    assert len(differs) == 1
+
+
+def test_a_box_that_says_less_is_silent_as_it_was(path, said, tmp_path):
+    """The answer to the motion is cut out of the recording: the driver says that nothing came."""
+
+    def mute(lines):
+        at = place_of(said[0], b"MOV")
+        del lines[at + 1 :]
+
+    _, _, error = replay(path, changed(said[0], tmp_path, mute))
+    assert error is not None
+
+
+def test_late_answers_come_as_late_as_they_were(path, said, tmp_path):
+    def slow(lines):
+        at = place_of(said[0], b"*IDN?")
+        lines[at + 1] = lines[at + 1].split(" +")[0] + " +0.400000"
+
+    took_s = []
+
+    def script(bench):
+        took_s.append(bench.happened().of_kind("told")[-1].time_s)
+        return use(bench)
+
+    for recording in (said[0], changed(said[0], tmp_path, slow)):
+        assert replay(path, recording, script)[1] == []
+    assert took_s[1] - took_s[0] == pytest.approx(0.4, abs=0.05)
+
+
+# ---- readings --------------------------------------------------------------------------------------
+
+
+def test_a_reading_answers_in_its_own_words(path, tmp_path):
+    folder = tmp_path / "bench"
+    shutil.copytree(path.parent, folder)
+    bench_file = folder / "bench.yaml"
+    text = bench_file.read_text()
+    assert "\ndevices:" not in text
+    bench_file.write_text(text + FLOW)
+    recording = tmp_path / "flow.txt"
+    ask, answer = b"RATE?\n".hex(" "), b"rate 4.25\r\n".hex(" ")
+    recording.write_text(f"@ 9600\n> {ask}\n< {answer} +0.02\n> {ask}\n")
+    with Rehearsed(bench_file, recorded={"flow": str(recording)}) as bench:
+        gauge = bench.device("flow")
+        assert gauge.reading().value == 4.25
+        assert "no answer in time" in gauge.reading().missing
+        assert bench.happened().differs == []
+        assert "behind the end of the recording" in gauge.reading().missing
+    assert "behind the end" in bench.happened().differs[0]
+
+
+def test_a_fault_of_a_reading_strikes_the_reading(path, tmp_path):
+    folder = tmp_path / "bench"
+    shutil.copytree(path.parent, folder)
+    with (folder / "bench.yaml").open("a") as file:
+        file.write(FLOW)
+    with Rehearsed(folder / "bench.yaml", [{"what": "unplug", "of": "flow", "at_s": 0.1}]) as bench:
+        bench.home("target_x")
+        assert bench.happened().faults == ["unplug of flow at 0.1 s"]
+        assert bench.device("flow").reading().missing
+
+
+# ---- what is refused -------------------------------------------------------------------------------
+
+GOOD = "@ 9600\n> 3f\n< 31\n"
+WRONG = [
+    ("target", None, "cannot be read"),
+    ("target", "@ 9600\n> 3f\n< 3g\n", ":3: this is no line of a recording"),
+    ("target", "@ 9600\n< 31\n", "nothing is said to the box in this recording"),
+    ("target", "\x00\x01\n", ":1: this is no line of a recording"),
+    ("targt", GOOD, "there is no 'targt' on this bench; there are rail, portal"),
+    ("camera", GOOD, "only what is told words by a serial port can be recorded"),
+    ("target_x", GOOD, "only what is told words by a serial port can be recorded"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "words"), WRONG, ids=[words for _, _, words in WRONG])
+def test_what_cannot_be_replayed_is_one_sentence(path, tmp_path, name, text, words):
+    if text is not None:
+        (tmp_path / "said.txt").write_text(text)
+    (tmp_path / "faults.yaml").write_text(f"recorded:\n  {name}: said.txt\n")
+    for rehearsal, recorded in (
+        (Rehearsal(), {name: tmp_path / "said.txt"}),
+        (Rehearsal(faults=tmp_path / "faults.yaml"), None),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            rehearsal.of(load_bench(path), recorded=recorded)
+        assert words in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
+    if name != "target":
+        assert str(caught.value).startswith(f"{tmp_path / 'faults.yaml'}:2: recorded.{name}: ")
+
+
+def test_a_file_that_says_nothing_is_refused(path, tmp_path):
+    (tmp_path / "faults.yaml").write_text("faults: []\n")
+    with pytest.raises(ConfigError, match="say faults or recorded"):
+        Rehearsal(faults=tmp_path / "faults.yaml").of(load_bench(path))
+
+
+def test_a_folder_that_cannot_be_written_is_one_sentence(path, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "file"))
+    with pytest.raises(PortUnavailable, match=r"RTPIV_RECORD names .* nothing can be written"), Rehearsed(path):
+        pass
+
+
+def test_the_fixture_fails_a_test_that_says_something_else(path, said, pytester):
+    """Though the test itself catches the error."""
+    pytester.makepyfile(
+        f"def test_it(rehearse):\n    bench = rehearse({str(path)!r}, recorded={{'target': {str(said[0])!r}}})\n"
+        "    try:\n        bench.home('target_x')\n        bench.move(target_x=1.0)\n    except OSError:\n"
+        "        pass\n"
+    )
+    ran = pytester.runpytest_inprocess("-q", "-p", "rtpiv_pytest")
+    ran.stdout.fnmatch_lines([f"*not as recorded: target: {said[0]}:*"])
+    ran.assert_outcomes(passed=1, errors=1)
