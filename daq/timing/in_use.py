@@ -15,7 +15,7 @@ from typing import IO
 from pydantic import ValidationError
 
 from daq.timing.timing_table import TimingTable
-from ground.file_lock import HAS_LOCKS, hold
+from ground.file_lock import hold
 from ground.plain_file import read_plain
 from stages.watchdog import needs_watchdog
 
@@ -30,9 +30,9 @@ def noted(table: TimingTable) -> Iterator[None]:
         yield
     finally:
         if held is not None:
+            held.close()  # first: Windows takes no open file away
             with suppress(OSError):
                 Path(held.name).unlink()
-            held.close()
 
 
 def lasers_in_use() -> list[tuple[int, TimingTable]]:
@@ -73,13 +73,12 @@ def _written(table: TimingTable) -> IO[str] | None:
 
 def _is_held(path: Path) -> bool:
     """Whether the process that wrote it still lives; what nobody holds is taken away."""
-    if not HAS_LOCKS:
-        return True
     with path.open("rb") as file:
         try:
             hold(file)
         except OSError:
             return True
-        if file.seek(0, os.SEEK_END):  # an empty one is being written
-            path.unlink()
-        return False
+        is_left = file.seek(0, os.SEEK_END) > 0  # an empty one is being written
+    if is_left:
+        path.unlink()
+    return False

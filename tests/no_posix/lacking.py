@@ -2,13 +2,16 @@
 
 Everybody else, tests and libraries, sees the system as it is: they have code of their own for Windows. Its
 names are other than any that exist, so code that asks for Windows does not run; paths, ports and processes stay
-those of this computer.
+those of this computer. Of what Windows has instead, locks of bytes are there, as its manual has `_locking`.
 """
 
 import builtins
+import errno
+import fcntl
 import os
 import signal
 import socket
+import struct
 import sys
 from types import ModuleType
 from typing import Any
@@ -48,14 +51,30 @@ class Lacking(ModuleType):
         delattr(self.__dict__["_real"], name)
 
 
+def locking(descriptor: int, mode: int, count: int) -> None:
+    """Lock so many bytes from where a file stands, for this very opening of it, or say EACCES at once."""
+    assert mode == MSVCRT.LK_NBLCK
+    is_read_only = fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY
+    kind = fcntl.F_RDLCK if is_read_only else fcntl.F_WRLCK
+    asked = struct.pack("hhqqi", kind, os.SEEK_CUR, 0, count, 0)
+    try:
+        fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, asked)
+    except BlockingIOError as error:
+        raise PermissionError(errno.EACCES, "Permission denied") from error
+
+
+MSVCRT = ModuleType("msvcrt")
+MSVCRT.LK_NBLCK, MSVCRT.locking = 2, locking  # type: ignore[attr-defined]
 LACKING = {module.__name__: Lacking(module) for module in (os, signal, socket, sys)}
 before = builtins.__import__
 
 
 def imported(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
     """Import as Python does, but for a module of ours that asks for what is hidden."""
-    whole = before(name, globals, locals, fromlist, level)
     asks = str((globals or {}).get("__name__", "")).partition(".")[0]
+    if asks in PACKAGES and name == MSVCRT.__name__:
+        return MSVCRT
+    whole = before(name, globals, locals, fromlist, level)
     if level or asks not in PACKAGES:
         return whole
     if name.partition(".")[0] in MODULES:

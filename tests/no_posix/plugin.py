@@ -21,12 +21,26 @@ LACKS = (*(f"No module named '{name}'" for name in lacking.MODULES), "'socket' h
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, Any, Any]:
+    """The same of a file whose tests all need one."""
+    report = yield
+    if report.failed and (lacks := lacking_in(report)):
+        report.outcome = "skipped"
+        report.longrepr = (report.fspath, 0, lacks)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
     """Skip, by name of the module, what truly needs one."""
     report = yield
-    if report.failed:
-        lacks = next((words for words in LACKS if words in report.longreprtext), None)
-        if lacks:
-            report.outcome = "skipped"
-            report.longrepr = (str(item.path), item.location[1] or 0, f"Linux: {lacks}")
+    if report.failed and (lacks := lacking_in(report)):
+        report.outcome = "skipped"
+        report.longrepr = (str(item.path), item.location[1] or 0, lacks)
     return report
+
+
+def lacking_in(report: Any) -> str | None:
+    """What a failure says that the system lacks."""
+    lacks = next((words for words in LACKS if words in report.longreprtext), None)
+    return f"Linux: {lacks}" if lacks else None

@@ -203,7 +203,7 @@ def test_it_imports_nothing_heavy_and_nothing_of_ours():
     assert not set(json.loads(names)) & {"numpy", "scipy", "numba", "pydantic", "yaml", "stages", "daq", "tracer"}
 
 
-@pytest.mark.posix("locks of files")
+@pytest.mark.posix("locks of ports")
 def test_another_box_under_the_name_of_a_pulled_one_is_left_alone():
     """A pseudo-terminal's number is given out again at once, as a converter's name is."""
     for _ in range(50):

@@ -52,7 +52,6 @@ def test_a_line_of_which_a_full_disk_took_a_part_never_stands_before_another(tmp
     assert [entry["frames"] for entry in read_journal(tmp_path / "steps.jsonl")] == [[0], [2]]
 
 
-@pytest.mark.posix("locks of files")
 def test_two_processes_never_work_on_one_run(tmp_path):
     journal = Journal(tmp_path / "steps.jsonl")
     with pytest.raises(RunUnsuitable, match="another process works on this run"):

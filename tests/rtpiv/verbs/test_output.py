@@ -98,6 +98,7 @@ def test_a_folder_that_is_taken_away_while_it_is_opened_is_not_held(tmp_path, mo
     monkeypatch.setattr(file_lock, "hold", removed)
     with pytest.raises(BlockingIOError), folder_held(tmp_path / "out"):
         pass
+    monkeypatch.undo()
     with pytest.raises(BlockingIOError), folder_held(tmp_path / "out"):
         pass
 
