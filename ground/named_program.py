@@ -19,7 +19,7 @@ VARIABLE = "RTPIV_TRUST"  # names with commas between
 SHIPPED = frozenset({  # what rtpiv itself names, and the core that a bench file need not name
     "sim.bench:SimulatedBench", "sim.camera.core:SimCore", "sim.camera.in_process:InProcessCamera",
     "sim.emulators.micromanager:SimulatedCore",
-    "sim.emulators.positioners:SimulatedPositioner", "sim.switches:SimulatedSwitch", "pymmcore:CMMCore",
+    "sim.emulators.positioners:SimulatedPositioner", "sim.timing:SimulatedSwitch", "pymmcore:CMMCore",
 })  # fmt: skip
 
 

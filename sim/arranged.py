@@ -53,7 +53,7 @@ def arranged(
     return moved, Pose().moved(*(float(c) for c in offsets["target"]))
 
 
-def put_up(bench: Bench, glass_off_mm: Sequence[float]) -> dict[str, float]:
+def where_scene_holds(bench: Bench, glass_off_mm: Sequence[float]) -> dict[str, float]:
     """Position of every axis at which the scene file truly holds, as far as axes can bring the glass there."""
     return {
         name: at_mm - glass_off_mm["xyz".index(axis.along)] if axis.carries == "glass" else at_mm

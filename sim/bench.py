@@ -22,7 +22,7 @@ from daq.plans.steps import Step
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
-from sim.arranged import check_views, put_up
+from sim.arranged import check_views, where_scene_holds
 from sim.bench_table import FurtherCameraTable, SimulationTable, fault_plan, settings_by_number, simulation_of
 from sim.camera.config import CameraConfig
 from sim.camera.core import CONFIG, SimCore
@@ -32,16 +32,14 @@ from sim.camera.gige.process import device_process
 from sim.camera.in_process import DEVICES
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
+from sim.devices import connect, recorded_reading
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
-from sim.fault_strikes import Struck
 from sim.happened import Happened
 from sim.mechanics.clock import PacedClock, ScaledClock
-from sim.readings import recorded_reading
 from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
-from sim.timing_wiring import connect
-from sim.watched_world import WatchedWorld
+from sim.watched_world import Struck, WatchedWorld
 from sim.world import FLOW, World
 from stages.config import StagesTable
 from stages.controller_tables import HandTable
@@ -106,9 +104,9 @@ class SimulatedBench:
             )
             self.lines, self.witness = stages.lines, stages.witness
             if bench.table.keep_out is not None:
-                home = put_up(bench, table.glass_off_mm)
+                home = where_scene_holds(bench, table.glass_off_mm)
                 stages.witness.look_at(bench.scene, bench.table.keep_out, bench.table.stages, home)
-            served = self._stack.enter_context(stages.serve() if pty else stages.put_up())
+            served = self._stack.enter_context(stages.serve() if pty else stages.in_process())
             self.world = World(bench, table, stages, shows, exposures_before)
             if isinstance(self.clock, PacedClock) and shows == FLOW:
                 self.clock.is_paced = lambda: any(unit.triggers_camera for unit in self.world.timing)
@@ -195,8 +193,8 @@ class SimulatedBench:
             line = bench.document.line(("devices", name))
             text = f"devices.{name}: the simulated bench has no more devices of kind {device.kind!r}"
             raise ConfigError(bench.path, [Problem(line, text)])
-        put_up = getattr(import_module(module), function)
-        return cast("AbstractContextManager[Table]", put_up(device.section, self.world, self.clock))
+        simulator = getattr(import_module(module), function)
+        return cast("AbstractContextManager[Table]", simulator(device.section, self.world, self.clock))
 
     def _wire(self, name: str, device: Device) -> None:
         """Hang camera and light on the unit that was put up last, if the device is one."""

@@ -6,7 +6,7 @@ believes.  Where an axis really is, in the coordinate of the bench file, is
     true = sign (carriage - carriage where the controller reads zero) + offset.
 
 It comes from the carriage, never from a step counter.  Ports are either ``sim://`` lines of this process
-(`put_up`) or pseudo-terminals for any program (`serve`).
+(`in_process`) or pseudo-terminals for any program (`serve`).
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -195,7 +195,7 @@ class SimulatedStages:
         )
 
     @contextmanager
-    def put_up(self) -> Iterator[StagesTable]:
+    def in_process(self) -> Iterator[StagesTable]:
         """Offer every line under a ``sim://`` address of this process; yield the file with these ports."""
         with ExitStack() as stack:
             yield self._with_ports({name: stack.enter_context(self._named(name)) for name in self.lines})

@@ -8,23 +8,57 @@ Whoever simulates what hangs on it finds it in `world.timing` and listens:
 
 A listener is called when the pulse rises, in a thread that holds the line, in the order of rising edges: it puts
 what it hears into a queue and returns, or the box hears its own next command late.
+
+Its switches of door, shutter and key are closed until a test, or a person at the simulated bench, opens one:
+
+    CLOSED[unit.switches["door"]] = False
 """
 
 import threading
 import time
 from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 from daq.timing.pulses import Role
 from daq.timing.timing_table import TimingTable
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
-from sim.switches import put_up
-from sim.timing_boxes.outputs import Outputs, Pulse
+from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
+from sim.timing_boxes.pulsing import Outputs, Pulse
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
-from sim.timing_boxes.timing_units import emulator_of
 
 TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
+CLOSED: dict[str, bool] = {}  # whether a switch is closed, by its address
+Firmware = QuantumComposersEmulator | OltSyncEmulator
+SYNCHRONISERS = {"pivlab_oltsync": OltSyncEmulator, "pivlab_xmsync": XmSyncEmulator}
+_numbers = count()
+
+
+def emulator_of(box: str) -> type[Firmware]:
+    """Firmware of the box that a bench file names; all others are of one family."""
+    return SYNCHRONISERS.get(box, QuantumComposersEmulator)
+
+
+def new_switch(name: str) -> str:
+    """Put a closed switch up; return its address."""
+    address = f"{name}-{next(_numbers)}"
+    CLOSED[address] = True
+    return address
+
+
+class SimulatedSwitch:
+    """A switch, as a bench file's `by` names it."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+
+    def is_closed(self) -> bool:
+        """Whether nobody has opened it."""
+        return CLOSED[self._address]
+
+    def close(self) -> None:
+        """Nothing to give back."""
 
 
 class SimulatedTiming:
@@ -47,7 +81,7 @@ class SimulatedTiming:
             options = made.individual(table.port) | made.model_of(table.box)
         self._emulator = emulator = made({}, clock, **options)
         self.line = Line(emulator, clock)
-        self.switches = {name: put_up(name) for name in table.switches}  # addresses
+        self.switches = {name: new_switch(name) for name in table.switches}  # addresses
         self.outputs: Outputs = emulator.outputs
         self._clock = clock
         self._hears_time: list[Callable[[float], object]] = []

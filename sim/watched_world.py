@@ -1,7 +1,12 @@
-"""A simulated world that is listened to: every wire, every shutter, every light; faults wait there."""
+"""A simulated world that is listened to: every wire, every shutter, every light; faults of a rehearsal wait there.
+
+They are carried out when their moments come.  A step begins because the run says so; a second because the clock
+calls; a word because the wire is listened to.  What a word brings about happens before the box hears it.
+"""
 
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -10,14 +15,116 @@ from numpy.typing import NDArray
 
 from daq.bench.fault_table import Fault
 from daq.timing.pulses import Q_SWITCHES
+from sim.camera.device import SimCamera
+from sim.emulators.faults import Fault as WireFault
 from sim.emulators.line import Line
 from sim.emulators.recorded import RecordedBox
-from sim.fault_strikes import FaultStrikes, Struck
 from sim.happened import Event, Happened, Kept
 from sim.mechanics.clock import VirtualClock
+from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
-from sim.timing_boxes.outputs import Pulse
+from sim.timing_boxes.pulsing import Pulse
 from sim.witness.witness import Violation
+from sim.world import World
+
+ON_THE_WIRE = ("late", "split", "lost", "cut", "doubled", "garbled")
+
+
+@dataclass(frozen=True)
+class Struck:
+    """What faults can be of.
+
+    Parameters
+    ----------
+    lines : mapping of str to Line
+        Of every box.
+    stages : SimulatedStages
+        Of every axis.
+    cameras : mapping of str to SimCamera
+        Every camera.
+    worlds : mapping of str to World
+        What each camera sees; who dims the light dims it for all.
+    """
+
+    lines: Mapping[str, Line]
+    stages: SimulatedStages
+    cameras: Mapping[str, SimCamera]
+    worlds: Mapping[str, World]
+
+
+class FaultStrikes:
+    """Waits for the moments of some faults.
+
+    Parameters
+    ----------
+    faults : sequence of Fault
+        What is to go wrong.
+    struck : Struck
+        The bench.
+    clock : VirtualClock
+        Time of the world.
+    kept : Kept
+        Where it is taken down.
+    """
+
+    def __init__(self, faults: Sequence[Fault], struck: Struck, clock: VirtualClock, kept: Kept) -> None:
+        self._struck, self._clock, self._kept = struck, clock, kept
+        self._waiting = list(faults)
+        self._said: dict[int, int] = {}  # how often the word of a fault, by its identity
+        for fault in faults:
+            if fault.at_s is not None:
+                clock.at(fault.at_s, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
+        """Faults whose moment has not come."""
+        return tuple(self._waiting)
+
+    def step_begins(self, number: int) -> None:
+        """Strike what is due with a step, 1 first."""
+        for fault in [each for each in self._waiting if each.step == number]:
+            self._strike(fault)
+
+    def told(self, box: str, data: bytes) -> None:
+        """Strike what is due with a word that is on its way to a box."""
+        for fault in [each for each in self._waiting if each.word is not None and self._wire_of(each) == box]:
+            assert fault.word is not None
+            times = self._said[id(fault)] = self._said.get(id(fault), 0) + data.count(fault.word.encode("latin-1"))
+            if times >= fault.nth:
+                self._strike(fault)
+
+    def _wire_of(self, fault: Fault) -> str:
+        """The box whose words a fault waits for: of an axis its controller."""
+        axis = self._struck.stages.config.axes.get(fault.of)
+        return fault.of if axis is None else axis.controller
+
+    def _strike(self, fault: Fault) -> None:
+        self._waiting.remove(fault)
+        said = {"what": fault.what, "due": fault.moment}
+        self._kept.note(self._clock.now_s(), "fault", fault.of, said)
+        if fault.of in self._struck.lines:
+            self._strike_line(fault, self._struck.lines[fault.of])
+        elif fault.of in self._struck.cameras:
+            self._struck.cameras[fault.of].strike(fault.what, fault.delay_s or 0.0)
+        elif fault.what == "knock":
+            self._struck.stages.slip(fault.of, fault.by_mm or 0.0)
+        elif fault.what == "stall":
+            self._struck.stages.jam(fault.of)
+        else:
+            for world in self._struck.worlds.values():
+                world.dim(1.0 if fault.share is None else fault.share)
+
+    @staticmethod
+    def _strike_line(fault: Fault, line: Line) -> None:
+        if fault.what == "unplug":
+            line.unplug()
+        elif fault.what == "mute":
+            line.faults.mute()
+        elif fault.what == "restart":
+            line.power_cycle(fault.off_s or 0.0)
+        else:
+            assert fault.what in ON_THE_WIRE
+            line.faults.strike(WireFault(fault.what, delay_s=fault.delay_s or 0.0))  # type: ignore[arg-type]
 
 
 class WatchedWorld:

@@ -127,7 +127,7 @@ class TimingKind:
     """A device of kind `timing`."""
 
     section = TimingTable
-    simulator = "sim.timing_wiring:simulated_timing"
+    simulator = "sim.devices:simulated_timing"
 
     def open(self, section: TimingTable, bench: Bench, clock: Clock) -> AbstractContextManager[Laser]:
         """Switch everything off and read it back; leaving does the same."""

@@ -120,7 +120,7 @@ class ReadingKind:
     """A device of kind `reading`."""
 
     section = ReadingSection
-    simulator = "sim.readings:simulated_reading"
+    simulator = "sim.devices:simulated_reading"
 
     @contextmanager
     def open(self, section: ReadingSection, bench: "Bench", clock: "Clock") -> Iterator[Gauge]:

@@ -164,11 +164,6 @@ class SimCamera:
         with self._wake:
             self.registers.write(address, data)
 
-    def line_edge(self) -> None:
-        """Rising edge on Line1, from a simulated synchroniser."""
-        now_ns = time.monotonic_ns()
-        self.line_pulse(1, now_ns, now_ns)
-
     def line_pulse(self, line: int, rise_ns: int, fall_ns: int) -> None:
         """Take a pulse on an input line, with its edges on the host's monotonic clock."""
         with self._wake:

@@ -20,7 +20,6 @@ FORMATS = {
     "Mono14p": (0x010E0104, 14, 14),
     "Mono16": (0x01100007, 16, 16),
 }
-NAME_OF_CODE = {code: name for name, (code, _, _) in FORMATS.items()}
 
 
 def payload_bytes(name: str, width: int, height: int) -> int:

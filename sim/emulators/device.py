@@ -31,7 +31,7 @@ class Clock(Protocol):
 Purpose = Literal["move", "reference", "hand"]  # where it was sent; looking for its reference; turned by a person
 
 
-class Said(NamedTuple):
+class TimedReply(NamedTuple):
     """Bytes an emulator gives, and when."""
 
     time_s: float
@@ -56,7 +56,7 @@ class Emulator(ABC):
         self._all_motors = tuple(self.motors.values())
         self._up_to_s = -math.inf
         self._clock = clock
-        self._said: list[Said] = []
+        self._said: list[TimedReply] = []
         self._due_s: list[float] = []  # moments at which firmware wants to act by itself, sorted
         self._is_on = True
         self._on_again_s: float | None = None
@@ -142,7 +142,7 @@ class Emulator(ABC):
         """Whether there is something to fetch with `said`."""
         return bool(self._said)
 
-    def said(self) -> list[Said]:
+    def said(self) -> list[TimedReply]:
         """Return what has been answered since the last call."""
         self.advance()
         said, self._said = self._said, []
@@ -150,11 +150,11 @@ class Emulator(ABC):
 
     def say(self, data: bytes, time_s: float | None = None) -> None:
         """Answer, now or at the moment of an event."""
-        self._said.append(Said(self.event_s if time_s is None else time_s, data))
+        self._said.append(TimedReply(self.event_s if time_s is None else time_s, data))
 
-    def hear(self, channel: str) -> "Ear":
+    def hear(self, channel: str) -> "MotorListener":
         """Return the listener of one motor for firmware that judges all motors in one place."""
-        return Ear(self, channel)
+        return MotorListener(self, channel)
 
     def edge(self, channel: str, name: str, upwards: bool) -> None:  # noqa: B027 - for firmware that hears
         """A motor's carriage crosses an edge."""
@@ -177,7 +177,7 @@ class Emulator(ABC):
         """Do what is due without having been asked."""
 
 
-class Ear:
+class MotorListener:
     """Tells firmware which of its motors an event belongs to, and when it was."""
 
     def __init__(self, emulator: Emulator, channel: str) -> None:

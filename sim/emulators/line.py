@@ -21,7 +21,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Literal
 
-from sim.emulators.device import Clock, Emulator, Said
+from sim.emulators.device import Clock, Emulator, TimedReply
 from sim.emulators.faults import FaultSchedule
 
 Counted = Literal["write", "byte", "answer", "answer byte"]
@@ -102,7 +102,7 @@ class Line:
         self.on_cut: Callable[[], None] | None = None
         self.after_traffic: Callable[[], None] | None = None  # called without the lock
         self.on_told: Callable[[bytes], None] | None = None  # called before the box hears it
-        self._coming: deque[Said] = deque()
+        self._coming: deque[TimedReply] = deque()
 
     @property
     def dead(self) -> bool:
@@ -182,7 +182,7 @@ class Line:
             while self._coming and self._coming[0].time_s <= now_s:
                 data, rest = self.hooks.cut("answer byte", self._coming.popleft().data)
                 if rest:
-                    self._coming.appendleft(Said(now_s + BYTE_S, rest))
+                    self._coming.appendleft(TimedReply(now_s + BYTE_S, rest))
                 arrived += data
                 self.hooks.count("answer byte", len(data))
             return arrived
@@ -203,4 +203,4 @@ class Line:
             self.hooks.count("answer")
             for time_s, data in self.faults.pass_on(said.time_s + LATENCY_S, said.data):
                 if data:
-                    self._coming.append(Said(time_s, data))
+                    self._coming.append(TimedReply(time_s, data))

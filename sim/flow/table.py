@@ -3,7 +3,7 @@
 simulation:
   flow:
     field: jet                          # uniform shear vortex jet channel turbulent_channel
-    parameters: {exit_mm_s: 1940.0}     # of the field, by the names in sim/flow/fields.py, jet.py, channel.py
+    parameters: {exit_mm_s: 1940.0}     # of the field, by the names in sim/flow/fields.py and jet.py
     turbulence: {length_mm: 8.0, memory_s: 0.02}     # none: a steady flow
     sheet: {thickness_mm: 1.0, offset_mm: 0.0, energies: [1.0, 1.0], apart_mm: 0.0}
     seeding: {per_px: 0.03, spread: 0.35}
@@ -19,8 +19,7 @@ import yaml
 from pydantic import Field, TypeAdapter, model_validator
 
 from ground.config import Table
-from sim.flow.channel import LaminarChannel, TurbulentChannel
-from sim.flow.fields import Flow, Shear, Uniform, Vortex
+from sim.flow.fields import Flow, LaminarChannel, Shear, TurbulentChannel, Uniform, Vortex
 from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes

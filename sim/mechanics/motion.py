@@ -143,11 +143,6 @@ class Motor:
         return bool(self._plan)
 
     @property
-    def rest_s(self) -> float:
-        """When the commanded motion will end if nothing comes between."""
-        return self.time_s + sum(piece.duration_s for piece in self._plan)
-
-    @property
     def target(self) -> float:
         """Count of pulses at which the present motion will end; infinite if a switch has to end it."""
         return self._target if self._plan else self._pulses

@@ -7,7 +7,6 @@ Each pixel is the mean of n x n rays.  Where glass compresses the view, so that 
 silhouettes), it is traced again with 2n x 2n.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,13 +15,11 @@ from numpy.typing import NDArray
 
 from ground.memory import require_memory
 from ground.rows import run_rows
+from sim.renderer.bodies import WALLS, as_rows, ball_around, ball_rows, wall_rows
 from sim.renderer.kernels.rays import trace_pixels, weighted_mean
-from sim.renderer.kernels.surfaces import SOLID
 from sim.renderer.kernels.walls import NUMBERS
 from sim.renderer.patterns import Pattern, Pose
 from sim.renderer.sensor import Sensor
-from sim.renderer.uneven import uneven_numbers
-from sim.renderer.walls import WALLS, n_at, wall_rows
 from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
@@ -210,35 +207,15 @@ def tables_of(
     lens_and_place = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
     return SceneTables(
         camera=np.array([*lens_and_place, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
-        spheres=_balls(scene, spheres),
-        rods=_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
-        walls=_rows(wall_rows(scene, walls), NUMBERS),
-        bounds=_rows([[*s.centre_mm, s.radius_mm + s.uneven_mm] for s in spheres] + [_ball(r) for r in rods], 4),
+        spheres=ball_rows(scene, spheres),
+        rods=as_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
+        walls=as_rows(wall_rows(scene, walls), NUMBERS),
+        bounds=as_rows(
+            [[*s.centre_mm, s.radius_mm + s.uneven_mm] for s in spheres] + [ball_around(r) for r in rods], 4
+        ),
         plane=plane,
         px_mm=float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3])) / camera.focal_px,
     )
-
-
-def _balls(scene: Scene, spheres: Sequence[Sphere]) -> NDArray[np.float64]:
-    """Rows of the spheres, filled up with zeros to the longest, with the most cores or the finest shape."""
-    rows = []
-    for s in spheres:
-        around, nm = n_at(scene, np.array(s.centre_mm)), scene.wavelength_nm
-        glass = [1.0, 1.0] if s.medium is None else [s.medium.n(nm) / around, 0.0]  # opaque, or not
-        cores = [number for core in s.cores for number in (core.radius_mm, core.medium.n(nm) / around)]
-        rows.append([*s.centre_mm, s.radius_mm, *glass, *(uneven_numbers(s) if s.shape_um else cores)])
-    width = max(map(len, rows), default=SOLID)
-    return _rows([row + [0.0] * (width - len(row)) for row in rows], width)
-
-
-def _rows(values: list[list[float]], width: int) -> NDArray[np.float64]:
-    return np.array(values, dtype=np.float64).reshape(-1, width)
-
-
-def _ball(rod: Rod) -> list[float]:
-    """Centre and radius of the ball around a rod."""
-    start, end = np.array(rod.start_mm), np.array(rod.end_mm)
-    return [*(0.5 * (start + end)).tolist(), 0.5 * float(np.linalg.norm(end - start)) + rod.radius_mm]
 
 
 def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, float] | None) -> bool:

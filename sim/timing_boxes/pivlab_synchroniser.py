@@ -22,8 +22,7 @@ from daq.timing.protocols.pivlab_synchroniser import (
 )
 from sim.emulators.device import Clock, serial_number
 from sim.mechanics.motion import Motor
-from sim.timing_boxes.outputs import Pulse
-from sim.timing_boxes.pulsing import PulsingEmulator
+from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
 
 FIRMWARE = "1.4"

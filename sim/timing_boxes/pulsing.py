@@ -1,16 +1,60 @@
-"""What boxes are made of that give pulses by themselves: periods that begin, and pulses on their way out.
+"""What boxes are made of that give pulses by themselves: periods that begin, pulses on their way, and the outputs.
 
 A period begins at its moment on the world's clock, whoever listens and whether or not the host still lives; what
-falls into it is put on its way then, and leaves at its own moment, in order.
+falls into it is put on its way then, and leaves at its own moment, in order.  Who hangs on an output hears each:
+
+    outputs = line.emulator.outputs
+    outputs.listen(lambda pulse: ...)        # a Pulse(output, rises_s, falls_s), in the order in which they rise
+    outputs.count["C"], outputs.is_high("D", time_s)
+
+A listener is called in the thread in which the box lives, with no lock of ours but that of the line.
 """
 
 import heapq
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from sim.emulators.device import Clock, Emulator
 from sim.mechanics.motion import Motor
-from sim.timing_boxes.outputs import Outputs, Pulse
+
+KEPT = 10_000  # pulses that can be looked back at
+
+
+class Pulse(NamedTuple):
+    """One pulse of one output, on the clock of the world."""
+
+    output: str
+    rises_s: float
+    falls_s: float
+
+
+class Outputs:
+    """Every output of a box."""
+
+    def __init__(self) -> None:
+        self.count: Counter[str] = Counter()
+        self.recent: deque[Pulse] = deque(maxlen=KEPT)
+        self._listeners: list[Callable[[Pulse], object]] = []
+
+    def listen(self, hear: Callable[[Pulse], object]) -> None:
+        """Hang somebody on; called with every pulse from now on, when it rises."""
+        self._listeners.append(hear)
+
+    def emit(self, pulse: Pulse) -> None:
+        """Give a pulse."""
+        self.count[pulse.output] += 1
+        self.recent.append(pulse)
+        for hear in self._listeners:
+            hear(pulse)
+
+    def is_high(self, output: str, time_s: float) -> bool:
+        """Whether an output was high at a moment that is not too long ago."""
+        for pulse in reversed(self.recent):
+            if pulse.output == output and pulse.rises_s <= time_s:
+                return time_s < pulse.falls_s
+        return False
 
 
 class PulsingEmulator(Emulator):

@@ -39,8 +39,7 @@ from typing import Any, Literal
 from daq.timing.protocols.quantum_composers import Command, CommandStream, shortened
 from sim.emulators.device import Clock, serial_number
 from sim.mechanics.motion import Motor
-from sim.timing_boxes.outputs import Pulse
-from sim.timing_boxes.pulsing import PulsingEmulator
+from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
 
 LETTERS = "ABCDEFGH"

@@ -26,7 +26,7 @@ assert world.witness.judge()
 def made():
     table, clock = stages_table("zaber_ascii"), VirtualClock()
     world = SimulatedStages(table, clock, screws(table))
-    with world.put_up() as offered:
+    with world.in_process() as offered:
         yield world, clock, offered
 
 

@@ -67,7 +67,7 @@ def bench():
         built = screws(table, backlash_um=backlash_um, **(sim or {}))
         schedule = faults if isinstance(faults, FaultSchedule) else FaultSchedule(faults, seed)
         world = SimulatedStages(table, clock, built, {"box": firmware or {}}, {"box": schedule})
-        table = up.enter_context(world.put_up())
+        table = up.enter_context(world.in_process())
         stage = Stage(table, clock)
         result = Bench(stage, world, clock, world.lines["box"], table, [stage])
         made.append(result)

@@ -41,7 +41,7 @@ def box(request):
     def put_up(sort_of_box, baud=None):
         clock, table = VirtualClock(), stages_table(sort_of_box)
         world = SimulatedStages(table, clock, screws(table))
-        table = request.getfixturevalue("stack").enter_context(world.put_up())
+        table = request.getfixturevalue("stack").enter_context(world.in_process())
         url = table.controllers["box"].port
         line = LINES[url.removeprefix("sim://")]
         line.baud = baud

@@ -156,7 +156,7 @@ def test_the_others_are_told_to_stop(bench, mocker):
     }
     clock, config = VirtualClock(), StagesTable.model_validate(table)
     world = SimulatedStages(config, clock, screws(config))
-    with world.put_up() as offered, Stage.open(offered, clock) as stage:
+    with world.in_process() as offered, Stage.open(offered, clock) as stage:
         stage.home()
         stop = mocker.spy(stage.controllers["rail"], "stop")
         until = world.lines["box"].emulator.hangs["send"] = threading.Event()

@@ -34,7 +34,7 @@ def worlds(driver):
     """Yield the world of two boxes, and how to open a stage on it with some identities, cables swapped or not."""
     clock, plain = VirtualClock(), twins(driver)
     world = SimulatedStages(plain, clock, screws(plain))
-    with world.put_up() as offered:
+    with world.in_process() as offered:
 
         def opened(swapped=False, **identities):
             table = twins(driver, **identities)

@@ -30,7 +30,7 @@ def paper():
     clock = VirtualClock()
     table = StagesTable.model_validate(paper_bench())
     world = SimulatedStages(table, clock, screws(table))
-    with world.put_up() as offered, Stage.open(offered, clock) as stage:
+    with world.in_process() as offered, Stage.open(offered, clock) as stage:
         yield stage, world, clock
 
 
@@ -143,7 +143,7 @@ def test_ports_are_closed_whatever_happens(mocker):
     table = StagesTable.model_validate(paper_bench())
     clock = VirtualClock()
     world = SimulatedStages(table, clock, screws(table))
-    with world.put_up() as offered:
+    with world.in_process() as offered:
         world.lines["target"].unplug()
         with pytest.raises(PortUnavailable):
             Stage.open(offered, clock)

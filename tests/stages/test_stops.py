@@ -129,7 +129,7 @@ def paper():
     clock = VirtualClock()
     table = StagesTable.model_validate(paper_bench())
     world = SimulatedStages(table, clock, screws(table))
-    with world.put_up() as offered, Stage.open(offered, clock) as stage:
+    with world.in_process() as offered, Stage.open(offered, clock) as stage:
         yield stage, world
 
 

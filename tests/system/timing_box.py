@@ -11,7 +11,7 @@ from pathlib import Path
 from sim.emulators.line import Line
 from sim.emulators.pty import PtyPort
 from sim.mechanics.clock import ScaledClock
-from sim.timing_boxes.timing_units import emulator_of
+from sim.timing import emulator_of
 
 
 def main():

@@ -20,8 +20,6 @@ from sim.camera.gentl.abi import (
     Status,
 )
 
-KILL_BUFFER = -1
-
 
 @dataclass(slots=True)
 class Buffer:

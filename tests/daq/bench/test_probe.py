@@ -52,7 +52,7 @@ def on_a_line(emulator, clock, baud):
 def stage_box(kind, clock, baud):
     table = stages_table(kind)
     world = SimulatedStages(table, clock, screws(table))
-    with world.put_up() as table:
+    with world.in_process() as table:
         line = LINES[table.controllers["box"].port.removeprefix("sim://")]
         before = [world.true_mm(name) for name in "ab"]
         line.baud = baud

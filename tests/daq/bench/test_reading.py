@@ -5,6 +5,7 @@ import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from daq.runner.step_readings import Gauges
 
 from daq.bench.bench_file import load_bench
 from daq.bench.kinds import kind_of
@@ -12,7 +13,6 @@ from daq.bench.reading import ReadingSection
 from daq.bench.reading_file import FileGauge
 from daq.bench.reading_port import PortGauge
 from daq.errors import ReadingMissing
-from daq.runner.gauges import Gauges
 from daq.runner.progress import Progress
 from ground.errors import ConfigError
 from sim.emulators.device import Emulator

@@ -10,7 +10,7 @@ from daq.bench.guards import idle_stage
 from daq.plans.plan import load_plan
 from daq.plans.steps import route
 from daq.runner.alignment_loop import free_before_target_mm, guard_where_seen, next_targets
-from sim.arranged import put_up
+from sim.arranged import where_scene_holds
 from sim.witness.clearances import Carried, Clearances
 from stages.errors import StageUsageError
 from tests.daq.small_bench import write_bench
@@ -35,7 +35,7 @@ def ways(bench, plan, rng):
     """Align once; return what the witness saw come too close, and where the glass ended if not refused."""
     off = rng.uniform(-1.5, 1.5, 3)
     bias = np.clip(rng.normal(), -2.5, 2.5) * SIGMA_MM * (0.5, 0.5, 1.0)
-    stages, home = bench.table.stages, put_up(bench, off.tolist())
+    stages, home = bench.table.stages, where_scene_holds(bench, off.tolist())
     carried = {n: Carried(a.carries, "xyz".index(a.along), home[n]) for n, a in stages.axes.items()}
     witness = Clearances(bench.scene, carried, bench.table.keep_out, dict.fromkeys(carried, PLAY_MM))
     stage, here, looks, close = idle_stage(bench), dict(bench.home_mm) | bench.table.glass.retract_mm, [], []

@@ -23,7 +23,7 @@ from rtpiv.verbs.operator import TerminalOperator
 from sim.emulators.line import Line
 from sim.emulators.pty import PtyPort
 from sim.mechanics.clock import ScaledClock
-from sim.switches import CLOSED
+from sim.timing import CLOSED
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import PortUnavailable, StageUsageError

@@ -135,7 +135,7 @@ def fuzz_bench(is_guarded: bool = True, clock: TrapClock | None = None) -> Itera
     clock = clock or TrapClock()
     world = SimulatedStages(TABLE, clock, SCREWS, FIRMWARE)
     world.witness.look_at(SCENE, KEEP_OUT, TABLE, HOME_MM)
-    with world.put_up() as offered:
+    with world.in_process() as offered:
         bench = FuzzBench(world, clock, offered, is_guarded)
         bench.start_program()
         bench.stage.home()

@@ -67,9 +67,9 @@ def test_line_trigger_counts_only_when_it_is_the_source(client):
     one.set("TriggerMode", 1)
     one.set("TriggerSource", 0)
     one.set("AcquisitionStart", 1)
-    one.camera.line_edge()
+    one.camera.line_pulse(1, time.monotonic_ns(), time.monotonic_ns())
     one.set("TriggerSource", 1)
-    one.camera.line_edge()
+    one.camera.line_pulse(1, time.monotonic_ns(), time.monotonic_ns())
     assert one.wait(1)[0].trigger_index == 0
     time.sleep(0.05)
     assert len(one.frames) == 1

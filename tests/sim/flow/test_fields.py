@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.flow.channel import LaminarChannel, TurbulentChannel
-from sim.flow.fields import Flow, Shear, Uniform, Vortex, cholesky_of
+from sim.flow.fields import Flow, LaminarChannel, Shear, TurbulentChannel, Uniform, Vortex, cholesky_of
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
 from tracer.errors import SceneError

@@ -7,8 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from sim.demo.scenes import at_size, named_scene
-from sim.flow.channel import LaminarChannel
-from sim.flow.fields import Flow, Shear, Uniform, Vortex
+from sim.flow.fields import Flow, LaminarChannel, Shear, Uniform, Vortex
 from sim.flow.images import FlowCamera, rendered_pairs
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes

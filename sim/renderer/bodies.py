@@ -1,15 +1,40 @@
-"""Rows of windows, tubes and domes for the renderer, as `sim.renderer.kernels.walls` reads them."""
+"""Bodies as the renderer's kernels read them: one row of numbers a body, indices relative to what is around it."""
 
 from collections.abc import Callable, Sequence
+from math import factorial, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.renderer.kernels.surfaces import SOLID
+from sim.renderer.kernels.uneven import LOWEST, UNEVEN
 from sim.renderer.kernels.walls import DOME, TUBE, WINDOW
-from tracer.bodies import Body, Dome, Tube, Window
+from tracer.bodies import Body, Dome, Rod, Sphere, Tube, Window
+from tracer.harmonics import HIGHEST, TERMS
 from tracer.media import Medium
 from tracer.scene.scene import Scene
+
+
+def uneven_numbers(ball: Sphere) -> list[float]:
+    """What follows in the row of a ball out of round, as `sim.renderer.kernels.uneven` reads it."""
+    heights = {
+        (degree, order): 1e-3 * um
+        for (_, degree, order), um in zip(TERMS, ball.shape_um, strict=True)
+        if um != 0.0
+    }
+    highest = max(degree for degree, _ in heights)
+    numbers = [UNEVEN, float(highest)]
+    for order in range(highest + 1):
+        for degree in range(max(order, LOWEST), highest + 1):
+            ratio = factorial(degree - order) / factorial(degree + order)
+            norm = sqrt((1 if order == 0 else 2) * (2 * degree + 1) * ratio)
+            numbers += [
+                norm * heights.get((degree, order), 0.0),
+                norm * heights.get((degree, -order), 0.0) * (order > 0),
+            ]
+    assert highest <= HIGHEST
+    return numbers
 
 
 class Wall(NamedTuple):
@@ -94,7 +119,7 @@ def n_at(scene: Scene, point_mm: NDArray[np.float64], but: Body | None = None) -
 
 
 def wall_rows(scene: Scene, walls: Sequence[Body]) -> list[list[float]]:
-    """Rows of windows, tubes and domes, with indices / n_ambient."""
+    """Rows of windows, tubes and domes as `sim.renderer.kernels.walls` reads them, with indices / n_ambient."""
     air, nm = scene.ambient.n(scene.wavelength_nm), scene.wavelength_nm
     rows = []
     for wall in walls:
@@ -105,3 +130,26 @@ def wall_rows(scene: Scene, walls: Sequence[Body]) -> list[list[float]]:
         place, inside_at = kind.place(wall)
         rows.append([*place, around / air, glass.n(nm) / air, beyond / air, *inside_at])
     return rows
+
+
+def ball_rows(scene: Scene, spheres: Sequence[Sphere]) -> NDArray[np.float64]:
+    """Rows of the spheres, filled up with zeros to the longest, with the most cores or the finest shape."""
+    rows = []
+    for s in spheres:
+        around, nm = n_at(scene, np.array(s.centre_mm)), scene.wavelength_nm
+        glass = [1.0, 1.0] if s.medium is None else [s.medium.n(nm) / around, 0.0]  # opaque, or not
+        cores = [number for core in s.cores for number in (core.radius_mm, core.medium.n(nm) / around)]
+        rows.append([*s.centre_mm, s.radius_mm, *glass, *(uneven_numbers(s) if s.shape_um else cores)])
+    width = max(map(len, rows), default=SOLID)
+    return as_rows([row + [0.0] * (width - len(row)) for row in rows], width)
+
+
+def as_rows(values: list[list[float]], width: int) -> NDArray[np.float64]:
+    """Rows as an array (N, width), also of none."""
+    return np.array(values, dtype=np.float64).reshape(-1, width)
+
+
+def ball_around(rod: Rod) -> list[float]:
+    """Centre and radius of the ball around a rod."""
+    start, end = np.array(rod.start_mm), np.array(rod.end_mm)
+    return [*(0.5 * (start + end)).tolist(), 0.5 * float(np.linalg.norm(end - start)) + rod.radius_mm]

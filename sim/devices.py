@@ -1,4 +1,6 @@
-"""A simulated timing unit on its bench: its port, and what hangs on it, camera and light.
+"""Devices of the simulated bench beside stages and cameras, each behind a port of its own: timing units, readings.
+
+What hangs on a timing unit is camera and light:
 
     camera, camera_b -> Line1 (a trigger)     marker -> Line2 (high over exposure A; resets the exposure counter)
     Q-switches -> flashes, the laser's own delay later
@@ -11,17 +13,22 @@ first: a frame that its trigger has made is judged by it.
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
+from daq.bench.reading import ReadingSection
 from daq.timing.pulses import Q_SWITCHES, Role
 from daq.timing.switches import SwitchTable
 from daq.timing.timing_table import TimingTable
 from sim.camera.wires import Wires
 from sim.emulators.device import Clock
+from sim.emulators.flow_meter import FlowMeter
+from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
+from sim.emulators.recorded import RecordedBox
 from sim.lit_flow import LitFlow
 from sim.mechanics.clock import PacedClock, ScaledClock, VirtualClock
 from sim.timing import SimulatedTiming
-from sim.timing_boxes.outputs import Pulse
+from sim.timing_boxes.pulsing import Pulse
 from sim.world import World
 
 TRIGGER_LINE, MARKER_LINE = 1, 2
@@ -29,25 +36,41 @@ LAG_S = 0.03  # more than an exposure lasts
 
 
 @contextmanager
+def _here(line: Line) -> Iterator[str]:
+    """Yield a port of this process for a line."""
+    address = f"device-{id(line):x}"
+    LINES[address] = line
+    try:
+        yield f"sim://{address}"
+    finally:
+        LINES.pop(address)
+
+
+@contextmanager
+def _port(line: Line, clock: Clock) -> Iterator[str]:
+    """Yield the port of a line: in this process, or a terminal where the time of the world runs by itself."""
+    if isinstance(clock, VirtualClock):
+        with _here(line) as port:
+            yield port
+    else:
+        from sim.emulators.pty import PtyPort  # not every system has such terminals
+
+        with PtyPort(line) as served:
+            yield served.path
+
+
+@contextmanager
 def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterator[TimingTable]:
     """Give a timing unit power while the block runs; yield the section with its simulated port."""
     unit = SimulatedTiming(section, clock)
     with ExitStack() as stack:
-        if isinstance(clock, VirtualClock):
-            address = f"timing-{id(unit):x}"
-            LINES[address] = unit.line
-            stack.callback(LINES.pop, address)
-            port = f"sim://{address}"
-        else:
-            from sim.emulators.pty import PtyPort  # not every system has such terminals
-
-            port = stack.enter_context(PtyPort(unit.line)).path
+        port = stack.enter_context(_port(unit.line, clock))
         world.timing.append(unit)
         stack.callback(world.timing.remove, unit)
         unit.start()
         stack.callback(unit.close)
         switches = {
-            name: SwitchTable(by="sim.switches:SimulatedSwitch", options={"address": address})
+            name: SwitchTable(by="sim.timing:SimulatedSwitch", options={"address": address})
             for name, address in unit.switches.items()
         }
         yield section.model_copy(update={"port": port, "identity": None, "switches": switches})
@@ -93,3 +116,20 @@ def connect(unit: SimulatedTiming, clock: PacedClock | ScaledClock, wires: Wires
             lit.flash(number, clock.wall_ns(pulse.rises_s + delay_s))
 
         unit.listen(role, flash)
+
+
+@contextmanager
+def simulated_reading(section: ReadingSection, world: World, clock: Clock) -> Iterator[ReadingSection]:
+    """Put a meter up while the block runs; yield the section that asks it."""
+    line = Line(FlowMeter(clock, unit=section.unit), clock)
+    with _port(line, clock) as port:
+        yield ReadingSection(
+            unit=section.unit, port=port, ask="F?\r\n", find=r"F=([-+\d.]+)", wait_s=section.wait_s
+        )
+
+
+@contextmanager
+def recorded_reading(section: ReadingSection, path: Path, clock: Clock) -> Iterator[ReadingSection]:
+    """Put up what answers from a recording while the block runs; yield the section with its port."""
+    with _here(Line(RecordedBox(path, clock), clock)) as port:
+        yield section.model_copy(update={"port": port})
