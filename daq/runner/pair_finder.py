@@ -22,12 +22,20 @@ What gives it away is that a chunk ends: the timing unit triggers A, B, A, B ...
 frame of all is a B.  A marker that calls it an A is wired wrongly, or the very last frame was lost.  Frames are
 lost one by one and chunks are many, so a majority decides; where there is none in the end, nobody knows, and the
 run is in doubt.  First frames tell less: cameras skip them.
+
+**A marker that changes its mind half way** (`BrightnessSign`).  A and B differ a little in their mean brightness,
+by the other cavity or a longer exposure.  The sign of that difference is decided over `BLOCK` pairs and must never
+change.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from daq.bench.pairs_section import UNEVEN, PairsSection
 from daq.cameras.frame import FrameMeta
@@ -37,6 +45,11 @@ Exposure = Literal["A", "B"]
 OTHER_PULSE = 0.9  # of a period: what is farther apart than that shows another pulse
 STRADDLING = 0.6  # evenly spaced frames are half a period apart
 GAP_OFF_NS, GAP_OFF = 100_000, 0.01  # by which the gap of a pair may differ from the settings, and a share of it
+ENOUGH = 3  # chunks that end with an A, more than those that end with a B, before a run is ended because of it
+BLOCK = 20  # pairs
+SURE = 8.0  # standard errors from which on a difference has a sign
+EVERY = 8  # row and column of a frame that its mean is taken of
+QUIET_COUNTS = 0.03  # by which means of dark frames differ
 
 LATE, DOUBLED, UNMARKED = "came late", "came twice", "not marked"
 ALONE, UNSURE, NO_CLOCK = "without its partner", "in doubt", "without a time stamp"
@@ -209,9 +222,6 @@ def longest_gap(section: PairsSection) -> float:
     return STRADDLING if section.shape == "straddling" and section.told_by != "spacing" else 1 / (1 + UNEVEN)
 
 
-ENOUGH = 3  # chunks that end with an A, more than those that end with a B, before a run is ended because of it
-
-
 class MarkerPolarity:
     """Counts how the chunks of a step ended.
 
@@ -248,3 +258,29 @@ class MarkerPolarity:
             "and a chunk ends with exposure B: the marker is wired to B, its input is inverted, or the camera "
             "keeps the last frame back"
         )
+
+
+def mean_counts(pixels: NDArray[np.uint16]) -> float:
+    """Mean of a frame (H, W), of some of its pixels."""
+    return float(pixels[::EVERY, ::EVERY].mean())
+
+
+class BrightnessSign:
+    """Watches which of A and B is brighter."""
+
+    def __init__(self) -> None:
+        self._differences: list[float] = []
+        self.sign = 0  # 1: A is brighter; 0: not decided yet
+
+    def is_flipped(self, first_counts: float, second_counts: float) -> bool:
+        """Take a pair; True if A and B have changed places since the sign was decided."""
+        self._differences.append(first_counts - second_counts)
+        if len(self._differences) < BLOCK:
+            return False
+        differences, self._differences = np.array(self._differences), []
+        mean, error = float(differences.mean()), float(differences.std(ddof=1)) / math.sqrt(BLOCK)
+        if abs(mean) <= SURE * max(error, QUIET_COUNTS / math.sqrt(BLOCK)):
+            return False
+        sign, before = (1 if mean > 0 else -1), self.sign
+        self.sign = sign
+        return before not in (0, sign)

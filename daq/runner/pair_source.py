@@ -12,11 +12,10 @@ from daq.bench.pairs_section import PairsSection
 from daq.cameras.frame import Frame
 from daq.errors import BadFrame, CameraTimeout, OtherFormat, RunUsageError
 from daq.plans.pulse_order import PulseOrder
-from daq.runner.brightness import BrightnessSign, mean_counts
 from daq.runner.camera_session import CameraSession
-from daq.runner.camera_watch import ask_clock
 from daq.runner.clock_calibration import Shot
-from daq.runner.pair_finder import MarkerPolarity, PairFinder
+from daq.runner.pair_finder import BrightnessSign, MarkerPolarity, PairFinder, mean_counts
+from daq.runner.step_readings import ask_clock
 from daq.runs.frame_accounting import LEFT
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures

@@ -28,9 +28,9 @@ from daq.plans.link_budget import require_link
 from daq.plans.pulse_order import pairs_section
 from daq.plans.steps import Step
 from daq.runner.camera_session import CameraSession
-from daq.runner.camera_watch import camera_facts
 from daq.runner.pair_source import PairSource
 from daq.runner.pair_writer import PairWriter
+from daq.runner.step_readings import camera_facts
 from daq.runs.displacement import displacements, write_displacements
 from daq.runs.done_file import run_hash
 from daq.runs.frame_accounting import FrameAccounting, doubts, total_accounting

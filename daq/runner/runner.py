@@ -22,12 +22,12 @@ from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest
 from daq.runner.flow_step import FlowStep
-from daq.runner.gauges import Gauges
 from daq.runner.interrupts import Interrupts
 from daq.runner.laser_session import LaserSession, NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
 from daq.runner.run_camera import RunCamera
 from daq.runner.step_frames import StepFrames
+from daq.runner.step_readings import Gauges
 from daq.runs.frame_accounting import FrameAccounting
 from daq.runs.gaps import Gaps
 from daq.runs.journal import utc_now

@@ -13,7 +13,7 @@ import pytest
 from daq.cameras import make_camera
 from daq.cameras.harvesters import HarvestersCamera
 from daq.errors import CameraLost, CameraSetupError
-from daq.runner.camera_watch import camera_facts
+from daq.runner.step_readings import camera_facts
 from sim.camera.config import CameraConfig, FaultPlan
 from sim.camera.gentl import write_producer
 from tests.daq.cameras.rigs import need_harvesters

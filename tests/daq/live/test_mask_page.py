@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 
 from daq.live.mask_page import MOST_POINTS, MaskPage, outlines_of
 from rtpiv.command_line.cli import USAGE, main
-from tracer.mask_picture import left_out
+from tracer.masked import left_out
 
 H, W = 60, 80
 FRAME = np.random.default_rng(0).integers(0, 4096, (H, W)).astype(np.uint16)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.runner.brightness import BLOCK, BrightnessSign, mean_counts
+from daq.runner.pair_finder import BLOCK, BrightnessSign, mean_counts
 
 FLOOR = 35.0
 

@@ -9,10 +9,10 @@ from daq.cameras.files import FilesCamera
 from daq.cameras.frame import Frame
 from daq.errors import CameraLost
 from daq.runner.camera_session import CameraSession
-from daq.runner.camera_watch import camera_facts
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
+from daq.runner.step_readings import camera_facts
 from daq.runs.clock_map import clock_maps
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import frame_entries

@@ -11,8 +11,8 @@ import tifffile
 
 from daq.errors import FrameDoubt, FramesLost, PlanError, ResumeRefused, RunUsageError
 from daq.runner import flow_step, pair_writer
-from daq.runner.brightness import BrightnessSign
 from daq.runner.laser_session import LaserSession, exposure_of, require_rate
+from daq.runner.pair_finder import BrightnessSign
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries
