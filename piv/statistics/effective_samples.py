@@ -34,8 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piv.errors import SeriesError
-from piv.statistics.arrays import checked
-from piv.statistics.moments import Moments
+from piv.statistics.moments import Moments, checked
 
 LEAST_BLOCKS = 31  # of a level: sigma is then known to 13 %
 ENOUGH_PAIRS = 2 * LEAST_BLOCKS  # of which the means of pairs of pairs can be compared with the pairs themselves

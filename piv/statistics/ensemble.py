@@ -55,8 +55,8 @@ with particle images of 2.4 to 6 px.
 **Walls that nobody told.** A bright wall stands still, and nothing is left across the frames of a pair when
 that is taken off, while its grain, which flickers, is left in R_AA: windows that hold some of it had stresses
 0.05 to 0.15 px^2 too small, and in the wall itself half of them a mean. So cells are solid in which a part of
-the light stands still and what does not has no partner (`piv.statistics.solid`); they belong to no window, and
-the next sweep masks them.
+the light stands still and what does not has no partner (`piv.statistics.ensemble_field`); they belong to no
+window, and the next sweep masks them.
 
 **Single dead pixels** stay as they were filled. A linear guess from the neighbours has their covariances, so that
 the peak stays where it is and its foot keeps its width; only its tip is lower by what was not guessed, which with

@@ -34,8 +34,7 @@ from numpy.typing import NDArray
 from piv.correlation.planes import filled
 from piv.correlation.resolution import second_differences
 from piv.errors import SeriesError
-from piv.statistics.arrays import shaped
-from piv.statistics.moments import Moments
+from piv.statistics.moments import Moments, shaped
 
 LEAST_SHARE = 0.5
 Floats = NDArray[np.float64]

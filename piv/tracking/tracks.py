@@ -9,27 +9,20 @@ less than one particle's own displacement, which has no window at all: 0.018 px 
    and all is matched anew within `FINE_PX`, twice: the windows' errors are gone from the prediction.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.planes import filled
-from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
 from piv.errors import PairError
-from piv.tracking.particles import Particles, find_particles
+from piv.tracking.particles import Particles
 
-WIDE = PivSettings(windows_px=(128, 64, 64, 64))
 REACH_PX, FINE_PX = 3.0, 1.5
 CLEARER = 2.0  # times as far the second candidate must be
-NEIGHBOURS, USUAL_PX, LARGEST = (
-    8,
-    0.15,
-    3.0,
-)  # whom a track is held against, usual noise, largest normalised residual
+NEIGHBOURS, USUAL_PX, LARGEST = 8, 0.15, 3.0  # held against so many; usual noise, largest normalised residual
 FIT, FEWEST = 12, 6  # tracks of a local plane, and how many lie within its weights' reach
 NARROWEST_PX = 16.0
 FAR_PX = 1e6  # between particles that are seen in different ways
@@ -48,32 +41,6 @@ class Tracks(NamedTuple):
     sigma_px: Floats
     first: NDArray[np.intp]
     last: NDArray[np.intp]
-
-
-def track_pair(
-    frame_a: NDArray[Any],
-    frame_b: NDArray[Any],
-    valid: NDArray[np.bool_] | None = None,
-    settings: PivSettings = WIDE,
-) -> Tracks:
-    """Displacement of every particle that is alone in both frames.
-
-    Parameters
-    ----------
-    frame_a, frame_b : ndarray, shape (H, W)
-        Frames, resampled by nobody.
-    valid : ndarray of bool, shape (H, W), optional
-        True where they show the flow.
-    settings : PivSettings
-        Of the correlation that guides.
-
-    Raises
-    ------
-    PairError
-        The frames are no pair, or hold fewer than nine particles that match.
-    """
-    guide = evaluate_pair(frame_a, frame_b, valid, settings)
-    return track_particles(find_particles(frame_a, valid), find_particles(frame_b, valid), guide)
 
 
 def track_particles(

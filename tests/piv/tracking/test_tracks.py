@@ -4,15 +4,22 @@ import numpy as np
 import pytest
 
 from piv.correlation.pair import evaluate_pair
+from piv.correlation.settings import PivSettings
 from piv.errors import PairError
 from piv.tracking.particles import find_particles
-from piv.tracking.tracks import Tracks, local_plane, match, track_pair
+from piv.tracking.tracks import Tracks, local_plane, match, track_particles
 from tests.piv.conftest import draw
 from tests.piv.correlation.flows import mix, vortex, wave
 
 
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def tracks_of(a, b):
+    """Tracks of a pair, guided by windows twice as large as usual."""
+    guide = evaluate_pair(a, b, None, PivSettings(windows_px=(128, 64, 64, 64)))
+    return track_particles(find_particles(a), find_particles(b), guide)
 
 
 def off_of(tracks, truth):
@@ -51,7 +58,7 @@ def test_images_that_overlap_and_those_at_a_mask_are_given_up():
 def test_tracks_know_more_than_windows_where_seeding_is_thin(particle_pair, truth):
     """0.002 particles per px: two in a window of 32 px."""
     pair = particle_pair(truth, seed=7, ppp=0.002)
-    tracks = track_pair(*pair)
+    tracks = tracks_of(*pair)
     off = off_of(tracks, truth)
     assert len(off) > 0.75 * 0.002 * 512**2
     assert rms(off) < 0.03
@@ -64,14 +71,14 @@ def test_tracks_know_more_than_windows_where_seeding_is_thin(particle_pair, trut
 
 
 def test_lost_particles_make_hardly_a_wrong_track(particle_pair):
-    off = off_of(track_pair(*particle_pair(vortex(), seed=8, ppp=0.001, loss=0.2)), vortex())
+    off = off_of(tracks_of(*particle_pair(vortex(), seed=8, ppp=0.001, loss=0.2)), vortex())
     assert np.mean(np.linalg.norm(off, axis=-1) > 0.2) < 0.02
 
 
 def test_strangers_and_empty_frames_are_refused(particle_pair):
     empty = np.random.default_rng(0).normal(100, 5, (256, 256))
     with pytest.raises(PairError):
-        track_pair(empty, empty + np.random.default_rng(1).normal(0, 5, empty.shape))
+        tracks_of(empty, empty + np.random.default_rng(1).normal(0, 5, empty.shape))
 
 
 def test_two_candidates_at_about_the_same_distance_are_no_track():
