@@ -14,8 +14,7 @@ from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.errors import SceneError
 from tracer.light_sheet import STEEPEST_DEG, UNMEASURED_DEG, UNMEASURED_MM, LightSheet
-from tracer.mask_picture import left_out
-from tracer.masked import LEFT_OUT, MaskedPart
+from tracer.masked import LEFT_OUT, MaskedPart, left_out
 from tracer.medium_table import MediumTable, Positive
 from tracer.pupil import Pupil
 from tracer.scene.fit_section import FitTable, Sigma
