@@ -36,10 +36,10 @@ NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}  # it would look through al
 PICTURES = "rtpiv.analysis.pictures"
 DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are called by whoever draws rays
     "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", "ground.jit.compiler"),
-    "compare": (f"{PICTURES}.views",),
-    "correct": (f"{PICTURES}.overview", "cv2"),
+    "compare": (f"{PICTURES}.results",),
+    "correct": (f"{PICTURES}.results", "cv2"),
     "evaluate": ("rtpiv.analysis.report.pair", "rtpiv.analysis.report.page", "ground.jit.compiler"),
-    "calibrate": (f"{PICTURES}.calibration", f"{PICTURES}.smooth", "rtpiv.analysis.report.calibration"),
+    "calibrate": (f"{PICTURES}.calibration", "rtpiv.analysis.report.calibration"),
 }
 
 
@@ -94,9 +94,9 @@ def _drawn_apart(modules: Sequence[str]) -> AbstractContextManager[None]:
     """Let pictures be drawn by a process of their own; who draws none does not wait for it either."""
     if not modules:
         return nullcontext()
-    from rtpiv.analysis.pictures.apart import begun
+    from rtpiv.analysis.pictures.drawing_process import started
 
-    return begun(modules)
+    return started(modules)
 
 
 def _first_use(verb: str) -> compile_news.Helper:

@@ -20,7 +20,7 @@ from ground.plain_words import counted
 from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS
 from rtpiv.analysis.calibration import Calibration, calibration_of
-from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.options.numbers import Positive
 from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.results import results_in
@@ -118,7 +118,7 @@ def _draw(out: Path, found: Calibration, shape: tuple[int, int], name: str) -> N
             f"{PICTURES}.calibration:draw_map_sigma", out / "map_sigma.png", found.sigma, found.fit.measured_scene
         )
         draw(f"{PICTURES}.calibration:draw_convergence", out / "convergence.png", found.fit.history)
-        draw(f"{PICTURES}.smooth:draw_smooth", out / "smooth_residuals.png", found.fit)
+        draw(f"{PICTURES}.calibration:draw_smooth", out / "smooth_residuals.png", found.fit)
         if found.panels:
             draw(f"{PICTURES}.calibration:draw_residuals", out / "residuals.png", found.panels, shape)
         draw("rtpiv.analysis.report.calibration:write_calibration_page", out / "calibration.html", found, name)

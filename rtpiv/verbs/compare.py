@@ -12,7 +12,7 @@ from rich.table import Table
 from daq.atomic_write import write_text
 from daq.errors import RunUsageError
 from ground.terminal import console
-from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of
 from rtpiv.analysis.views.figures import ViewFigures
 from rtpiv.options.numbers import Positive

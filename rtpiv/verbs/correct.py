@@ -30,7 +30,7 @@ from ground.terminal import console, progress
 from piv.errors import FrameError
 from piv.files.frame_file import stem_of, write_frame
 from rtpiv.analysis.fit_beside import scene_sigma_beside
-from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.recipe import CorrectionRecipe, Resampling
 from rtpiv.analysis.through_glass import through_glass
 from rtpiv.analysis.views.arranged import little

@@ -19,7 +19,7 @@ from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
 from rtpiv.analysis.pairs.evaluation import Evaluation, PairDetails, PairMethod, Task, evaluate_task
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
-from rtpiv.analysis.pictures.apart import Draw, drawing
+from rtpiv.analysis.pictures.drawing_process import Draw, drawing
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.report.pair_folder import write_pair
 from rtpiv.analysis.series.chunk import Detailed

@@ -14,7 +14,7 @@ from correction.node_status import MEANING, NodeStatus
 from daq.bench.unusual_scene import scene_questions
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
-from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share

@@ -40,7 +40,7 @@ def test_ctrl_c_before_the_command_is_loaded_is_one_word(tmp_path):
         "rtpiv.command_line.cli",
         "rtpiv.command_line.cli rtpiv.command_line.exit_codes",
         "rtpiv.options",
-        "rtpiv.analysis.pictures.apart",
+        "rtpiv.analysis.pictures.drawing_process",
         "rtpiv.verbs.trace",
     ],
 )

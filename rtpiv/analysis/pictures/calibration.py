@@ -1,19 +1,28 @@
-"""Pictures of a calibration: residuals as arrows, and the sigma of the map."""
+"""Pictures of a calibration: residuals as arrows, the sigma of the map, and what the test of the model looks at.
+
+That is the smooth part of the residuals, path by path through the glass.  Corners scatter; a model that is wrong
+bends.  Every panel shows one path, a ball or a chain of them, its arrows scaled by themselves and as many as can
+be seen apart: a field that turns or points outwards is a ball that is not the sphere of the file, or a board that
+is not flat; arrows that point anywhere are noise.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LogNorm
-from matplotlib.ticker import LogLocator
+from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.ticker import LogLocator, MaxNLocator
+from numpy.typing import NDArray
 
-from correction.fit.judge.result import FitStep
+from correction.fit.judge.result import FitStep, SceneFit
 from correction.fitted.map_sigma import MapSigma
+from correction.fitted.scene_sigma import StoredVerdict
 from rtpiv.analysis.calibration import Panel
 from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, colour_bar, draw_outlines, plane_panels
-from rtpiv.analysis.pictures.saved import save_picture
+from rtpiv.analysis.pictures.saved import save_picture, short
 from tracer.scene.scene import Scene
 
 SIGMAS = colormaps["viridis"].with_extremes(bad=NOTHING)
@@ -100,3 +109,84 @@ def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:
     axes.invert_yaxis()
     axes.grid(alpha=0.3)
     save_picture(figure, path, 100)
+
+
+Floats = NDArray[np.float64]
+
+SIZES = ListedColormap(colormaps["viridis_r"](np.linspace(0.15, 1.0, 64)))  # the palest is paper
+MOST_WAYS = 6  # with the most corners
+FEWEST = 12  # corners of a way that is drawn
+LEAST_PX = 1e-4  # that is drawn at its own scale: nothing smaller matters
+ACROSS = 18  # arrows along a side of a panel, at most: each is the mean of its cell
+ARROW = 1.5 / ACROSS  # length of an arrow of typical size, of the panel
+
+
+def draw_smooth(path: Path, fit: SceneFit) -> None:
+    """Draw it for a fit, as PNG; nothing where no way shows enough corners."""
+    figure = smooth_figure(StoredVerdict.of(fit))
+    if figure is not None:
+        FigureCanvasAgg(figure)
+        save_picture(figure, path, 100)
+
+
+def smooth_figure(found: StoredVerdict, which: Literal["all", "first", "others"] = "all") -> Figure | None:
+    """Draw the smooth part of the residuals, a panel for each path with many corners; None if there is none.
+
+    Parameters
+    ----------
+    found : StoredVerdict
+        Of a fit.
+    which : {"all", "first", "others"}
+        Panels: the first is the path behind glass with the most corners, or beside it where there is none.
+    """
+    count = np.bincount(found.way, minlength=len(found.ways))
+    order = np.argsort(-count, kind="stable")
+    drawn = [int(way) for way in order[:MOST_WAYS] if count[way] >= FEWEST]
+    first = next((way for way in drawn if found.ways[way]), drawn[0] if drawn else -1)
+    if which != "all":
+        drawn = [way for way in drawn if (way == first) == (which == "first")]
+    if not drawn:
+        return None
+    drawn.sort(key=lambda way: (len(found.ways[way]), found.ways[way]))
+    columns = min(len(drawn), 2)
+    figure, panels = plane_panels(1.0, len(drawn), columns)
+    for axes, way in zip(panels, drawn, strict=True):
+        here = found.way == way
+        rms = float(np.sqrt(np.mean(found.smooth_px[here] ** 2)))
+        pixel, smooth = _thinned(found.pixel[here], found.smooth_px[here])
+        length = np.hypot(*smooth.T)
+        typical = max(float(np.percentile(length, 95)), LEAST_PX)
+        low, high = pixel.min(axis=0), pixel.max(axis=0)
+        middle, reach = 0.5 * (low + high), 0.55 * max(float((high - low).max()), 1.0)
+        shown = axes.quiver(
+            *pixel.T,
+            *(smooth * np.minimum(1.0, typical / np.maximum(length, 1e-300))[:, None]).T,
+            length,
+            angles="xy",
+            scale_units="xy",
+            scale=typical / (2.0 * ARROW * reach),
+            width=0.006,
+            cmap=SIZES,
+            clim=(0.0, typical),
+        )
+        bar = colour_bar(shown, axes, "smooth part [px]", "max")
+        bar.ax.yaxis.set_major_locator(MaxNLocator(4))
+        u, v = middle.tolist()
+        axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach), xlabel="u [px]", ylabel="v [px]")
+        name = short(found.ways[way], 30) or "beside the glass"
+        size = f"{rms:.2g}" if rms >= LEAST_PX else f"less than {LEAST_PX:g}"
+        axes.set_title(f"{name}: {size} px rms", fontsize=10, parse_math=False)
+    return figure
+
+
+def _thinned(pixel: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Means of places (N, 2) and values (N, 2) over cells, `ACROSS` of them along the longer side."""
+    low = pixel.min(axis=0)
+    cell = max(float((pixel.max(axis=0) - low).max()), 1.0) / ACROSS
+    numbers = np.minimum(((pixel - low) / cell).astype(np.int64), ACROSS - 1) @ np.array([1, ACROSS])
+    _, which, count = np.unique(numbers, return_inverse=True, return_counts=True)
+
+    def means(each: Floats) -> Floats:
+        return np.stack([np.bincount(which, part, len(count)) / count for part in each.T], axis=-1)
+
+    return means(pixel), means(values)

@@ -1,7 +1,7 @@
 """Pictures drawn by a process of their own, which gets ready while the verb computes.
 
 Importing matplotlib takes longer than tracing ten maps, on one core, while a verb that imports what it runs and
-loads its kernels leaves the other idle.  So the command forks before it imports anything (`begun`), the child
+loads its kernels leaves the other idle.  So the command forks before it imports anything (`started`), the child
 imports what the verb draws with, and waits.  What is then to be drawn is sent to it: the name of a function, as
 "module:name", and arguments, which are data.  Errors come back and are raised where the verb waits.
 
@@ -33,7 +33,7 @@ class Draw(Protocol):
         """Call a function, "module:name", that draws."""
 
 
-class Apart:
+class DrawingProcess:
     """A process that draws.
 
     Parameters
@@ -84,17 +84,17 @@ class Apart:
         self._process.join()
 
 
-_process: Apart | None = None
+_process: DrawingProcess | None = None
 
 
 @contextmanager
-def begun(modules: Sequence[str]) -> Iterator[None]:
+def started(modules: Sequence[str]) -> Iterator[None]:
     """Within the block pictures are drawn apart, where that can be."""
     global _process
     if not modules or _process is not None or not _worth_it():
         yield
         return
-    _process = Apart(modules)
+    _process = DrawingProcess(modules)
     try:
         yield
     finally:

@@ -4,20 +4,22 @@ import os
 import signal
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-from rtpiv.analysis.pictures import apart
+from rtpiv.analysis.pictures import drawing_process
+from rtpiv.command_line.cli import DRAWS
 
 ROOT = Path(__file__).resolve().parents[4]
-HERE = "tests.rtpiv.analysis.pictures.test_apart"
+HERE = "tests.rtpiv.analysis.pictures.test_drawing_process"
 RUN = """
 import sys
 from pathlib import Path
-from rtpiv.analysis.pictures import apart
+from rtpiv.analysis.pictures import drawing_process
 def go(out):
-    with apart.begun(("json",)):
+    with drawing_process.started(("json",)):
         {}
 go(Path(sys.argv[1]))
 """
@@ -45,15 +47,21 @@ def ended(folder, body):
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere pictures are drawn by who asks")
 
 
+def test_what_is_imported_ahead_is_there():
+    """A name that is no more ends the child's imports, and then the verb waits for what it draws with."""
+    for verb, modules in DRAWS.items():
+        assert all(find_spec(module) for module in modules), verb
+
+
 def test_who_asks_draws_where_nobody_else_does(tmp_path):
-    with apart.drawing() as draw:
+    with drawing_process.drawing() as draw:
         draw(f"{HERE}:draw_pid", tmp_path / "a")
     assert (tmp_path / "a").read_text() == str(os.getpid())
 
 
 def test_another_process_draws_and_is_gone_afterwards(tmp_path, monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "2")
-    body = f"with apart.drawing() as draw:\n    [draw('{HERE}:draw_pid', out / name) for name in 'abc']"
+    body = f"with drawing_process.drawing() as draw:\n    [draw('{HERE}:draw_pid', out / name) for name in 'abc']"
     run, _, err = ended(tmp_path, body)
     assert run.returncode == 0, err
     pids = {(tmp_path / name).read_text() for name in "abc"}
@@ -64,7 +72,8 @@ def test_another_process_draws_and_is_gone_afterwards(tmp_path, monkeypatch):
 
 def test_errors_come_back(tmp_path, monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "2")
-    body = f"with apart.drawing() as draw:\n    draw('{HERE}:fail', out)\n    draw('{HERE}:draw_pid', out / 'a')"
+    body = f"with drawing_process.drawing() as draw:\n    draw('{HERE}:fail', out)\n"
+    body += f"    draw('{HERE}:draw_pid', out / 'a')"
     run, _, err = ended(tmp_path, body)
     assert run.returncode == 1
     assert err.rstrip().endswith(f"OSError: [Errno 28] no space left on device: '{tmp_path}'")
@@ -73,13 +82,12 @@ def test_errors_come_back(tmp_path, monkeypatch):
 @pytest.mark.parametrize("when", ["before", "after"])
 def test_what_a_killed_child_leaves_undone_is_drawn_here(tmp_path, monkeypatch, when):
     monkeypatch.setenv("RTPIV_THREADS", "2")
-    kill = (
-        f"import os; os.kill(apart._process._process.pid, {int(signal.SIGKILL)}); apart._process._process.join()"
-    )
+    child = "drawing_process._process._process"
+    kill = f"import os; os.kill({child}.pid, {int(signal.SIGKILL)}); {child}.join()"
     drawn = f"    [draw('{HERE}:draw_pid', out / name) for name in 'ab']"
     first = [kill] if when == "before" else []
     last = [f"    {kill}"] if when == "after" else []
-    body = "\n".join([*first, "with apart.drawing() as draw:", drawn, *last])
+    body = "\n".join([*first, "with drawing_process.drawing() as draw:", drawn, *last])
     run, _, err = ended(tmp_path, body)
     assert run.returncode == 0, err
     if when == "before":
@@ -89,13 +97,15 @@ def test_what_a_killed_child_leaves_undone_is_drawn_here(tmp_path, monkeypatch, 
 
 def test_one_core_draws_itself(tmp_path, monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "1")
-    run, _, err = ended(tmp_path, f"with apart.drawing() as draw:\n    draw('{HERE}:draw_pid', out / 'a')")
+    run, _, err = ended(
+        tmp_path, f"with drawing_process.drawing() as draw:\n    draw('{HERE}:draw_pid', out / 'a')"
+    )
     assert (tmp_path / "a").read_text() == str(run.pid), err
 
 
 def test_a_killed_command_leaves_no_child(tmp_path, monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "2")
-    body = "print(apart._process._process.pid, flush=True)\nimport os; os.kill(os.getpid(), 9)"
+    body = "print(drawing_process._process._process.pid, flush=True)\nimport os; os.kill(os.getpid(), 9)"
     run, out, _ = ended(tmp_path, body)
     assert run.returncode == -9
     for _ in range(200):
