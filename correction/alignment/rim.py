@@ -20,7 +20,7 @@ of squares, particles or bubbles in the strip vote for places that do not agree 
 size finds no c that is allowed. Slopes keep their sign: all of a rim is darker inside than outside, or (bright
 rings on dark ground) the other way round, and edges that are not a rim's come with either sign and cancel. Where
 it is known what would be seen without glass, such as a board, the profiles vote for places where that is seen
-outside and something else inside (`strangeness`).
+outside and something else inside (`texture_anomaly`).
 """
 
 from dataclasses import dataclass
@@ -120,7 +120,7 @@ def slopes(strip: Strip) -> NDArray[np.float32]:
     return np.where(known, np.clip(strip.slope / max(cap, 1e-12), -1.0, 1.0), 0.0).astype(np.float32)
 
 
-def strangeness(strip: Strip, expected: NDArray[np.float64], unit: float) -> NDArray[np.float32]:
+def texture_anomaly(strip: Strip, expected: NDArray[np.float64], unit: float) -> NDArray[np.float32]:
     """Votes (N, M) of profiles by how much stranger they are inside than outside.
 
     Strange is what differs from what would be seen without glass, `expected` (N, M), in units of `unit`; its mean

@@ -35,8 +35,8 @@ from correction.alignment.rim import (
     rim_of,
     slopes,
     smoothed,
-    strangeness,
     strip_of,
+    texture_anomaly,
     voted,
 )
 from correction.errors import RimNotFound, RimUnclear
@@ -300,7 +300,7 @@ def _ballot(ball: Sphere, rim: Rim, look: _Look, reach_mm: float) -> _Ballot:
     vote = slopes(strip)
     if behind is not None:
         dark, bright = behind.levels
-        vote = strangeness(strip, _expected(strip.place, behind), bright - dark)
+        vote = texture_anomaly(strip, _expected(strip.place, behind), bright - dark)
     return _Ballot(vote, float(strip.offset_px[0]), rate, larger)
 
 

@@ -25,7 +25,7 @@ from piv.resampling.sample import Method
 from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.camera import Camera
-from tracer.mask_picture import left_out
+from tracer.masked import left_out
 from tracer.scene.scene import Scene
 
 PLAIN_SCENE = """\

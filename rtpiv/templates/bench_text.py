@@ -2,11 +2,17 @@
 
 import textwrap
 
-from rtpiv.templates.bench_room import BOARD_MM, CAMERA_RADIUS_MM, CLEARANCE_MM, SHEET_MM, Room
-from rtpiv.templates.hand_stages import hand_stages
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.motor_stages import motor_stages
 from rtpiv.templates.scene_text import ball_names
+from rtpiv.templates.stage_text import (
+    BOARD_MM,
+    CAMERA_RADIUS_MM,
+    CLEARANCE_MM,
+    SHEET_MM,
+    Room,
+    hand_stages,
+    motor_stages,
+)
 
 HARDWARE = """\
 # To use hardware, edit from top to bottom; look with `rtpiv doctor --bench {file}` and `rtpiv check {file}`:

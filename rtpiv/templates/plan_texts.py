@@ -1,7 +1,7 @@
 """The texts of the plans that a lab begins with."""
 
-from rtpiv.templates.bench_room import SHEET_OFF_MM, Room
 from rtpiv.templates.lab import Lab
+from rtpiv.templates.stage_text import SHEET_OFF_MM, Room
 
 GLASS_HEIGHTS_MM = (0.0, -10.0, -20.0)  # of the board behind the glass; above 0 the glass would be in the way
 

@@ -16,11 +16,11 @@ from ground.plain_words import counted
 from ground.terminal import console
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.templates.arrangement import ARRANGEMENTS, Arrangement, most_balls, usual
-from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.bench_text import bench_text
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.plan_texts import flow_plan, shift_plan, target_plan
 from rtpiv.templates.scene_text import scene_text
+from rtpiv.templates.stage_text import room_of
 from rtpiv.verbs.check import check_files
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in

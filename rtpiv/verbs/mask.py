@@ -9,7 +9,7 @@ from daq.runs.acquired import read_acquired
 from ground.terminal import console
 from rtpiv.options.numbers import Port
 from rtpiv.verbs.paths import Named
-from tracer.mask_picture import left_out
+from tracer.masked import left_out
 
 
 def mask(frame: Named, /, out: Named = "mask.png", port: Port = 0) -> Path:

@@ -10,8 +10,7 @@ from correction.node_status import NodeStatus
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.errors import SceneError
-from tracer.mask_picture import left_out
-from tracer.masked import LEFT_OUT
+from tracer.masked import LEFT_OUT, left_out
 from tracer.scene.scene_file import dump_scene, load_scene
 
 H, W = 120, 160

@@ -13,8 +13,7 @@ from ground.errors import MapFileError
 from ground.plain_words import counted
 from rtpiv.analysis.calibration import Calibration
 from rtpiv.analysis.digits import places
-from rtpiv.analysis.pictures.calibration import map_sigma_figure
-from rtpiv.analysis.pictures.smooth import smooth_figure
+from rtpiv.analysis.pictures.calibration import map_sigma_figure, smooth_figure
 from rtpiv.analysis.report.page import Page, through_lead
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import text_of

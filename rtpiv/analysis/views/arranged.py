@@ -74,7 +74,7 @@ def best_gap(lab: Lab, lens: bool) -> Arranged | None:
 
 def arranged(lab: Lab) -> Arranged | None:
     """The lab with the share that it shows; None if it cannot be."""
-    from rtpiv.templates.bench_room import room_of  # of a bench: who has a scene does not wait
+    from rtpiv.templates.stage_text import room_of  # of a bench: who has a scene does not wait
 
     try:
         room_of(lab)

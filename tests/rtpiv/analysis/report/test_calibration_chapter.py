@@ -12,7 +12,7 @@ from correction.fitted.scene_sigma import KIND, StoredVerdict, load_verdict, sav
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from rtpiv.analysis.calibration import Calibration
-from rtpiv.analysis.pictures.smooth import smooth_figure
+from rtpiv.analysis.pictures.calibration import smooth_figure
 from rtpiv.analysis.report.calibration import _numbers, calibration_chapter, masked_table
 from rtpiv.analysis.report.page import Page
 from tests.correction.fit.drawn_labs import drawn_lab
