@@ -32,7 +32,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.series import written_run
 from correction.fitted.prepared import prepare
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, read_books
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, read_progress
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
 from rtpiv.analysis.campaign.engines import DaskWorkers, Engine, LocalProcesses, SlurmArrays
 from rtpiv.analysis.campaign.run_campaign import run_campaign
@@ -95,7 +95,7 @@ def _once(folder: Path, words: str, chunk: int) -> None:
     wall_s = time.perf_counter() - wall_s
     assert not books.failed, books
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    chunks_s = sum(line["seconds"] for line in read_books(campaign.books))
+    chunks_s = sum(line["seconds"] for line in read_progress(campaign.books))
     found = {
         "engine": words,
         "chunk": chunk,

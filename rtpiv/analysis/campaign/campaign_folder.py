@@ -5,7 +5,7 @@ runs/NAME/       the series of each run, as `rtpiv evaluate` makes it (`rtpiv.an
 leases/          who works on which chunk (`chunk_task`)
 books.jsonl      what was done when, by whom, in how many seconds, a line for each try of a chunk: not the same
                  whoever works; nothing is computed from it, and a line that a crash has torn is passed over
-kernels.zip      compiled code for workers elsewhere (`kernels_at_hand`); of this kind of computer
+kernels.zip      compiled code for workers elsewhere (`worker_setup`); of this kind of computer
 slurm/           scripts, logs, tasks and answers of Slurm jobs
 index.csv        every chunk with its key and hash, and campaign.nc, the statistics of all runs, by `merge`
 
@@ -142,7 +142,7 @@ def choice_of(how: HowAsked) -> PivChoice:
 
 
 @with_config(STRICT)
-class BookLine(TypedDict):
+class ProgressLine(TypedDict):
     """One try of one chunk."""
 
     utc: str
@@ -157,10 +157,10 @@ class BookLine(TypedDict):
     reason: str
 
 
-_LINE: TypeAdapter[BookLine] = TypeAdapter(BookLine)
+_LINE: TypeAdapter[ProgressLine] = TypeAdapter(ProgressLine)
 
 
-def read_books(path: Path) -> Iterator[BookLine]:
+def read_progress(path: Path) -> Iterator[ProgressLine]:
     """Lines that can be read, in the order in which they were written."""
     try:
         with open_plain(path) as stream:
@@ -173,7 +173,7 @@ def read_books(path: Path) -> Iterator[BookLine]:
         return
 
 
-def write_book(path: Path, line: BookLine) -> None:
+def write_progress(path: Path, line: ProgressLine) -> None:
     """Append a line; DiskError if it cannot be written."""
     try:
         with path.open("ab+") as stream:
@@ -243,7 +243,7 @@ def campaign_status(folder: CampaignFolder) -> list[RunStatus]:
     """
     names = [asked["name"] for asked in folder.about["runs"]]
     failed: dict[str, dict[int, str]] = {name: {} for name in names}
-    for line in read_books(folder.books):
+    for line in read_progress(folder.books):
         of_run = failed.get(line["run"], {})
         of_run.pop(line["chunk"], None)
         if line["what"] == "failed":

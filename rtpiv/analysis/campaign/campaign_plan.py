@@ -29,7 +29,7 @@ from rtpiv.analysis.campaign.campaign_folder import (
     CampaignFolder,
     HowAsked,
     choice_of,
-    read_books,
+    read_progress,
 )
 from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.piv_file import PivChoice
@@ -297,7 +297,7 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
     left = [job for job in planned.jobs if finished.get(job.number) != job.key]
     pairs = sum(len(job.pairs) for job in left)
     reads = sum(len(job.pairs) + len(job.before) + len(job.after) for job in left)
-    known = [line["seconds"] / line["pairs"] for line in read_books(folder.books) if line["what"] == "made"]
+    known = [line["seconds"] / line["pairs"] for line in read_progress(folder.books) if line["what"] == "made"]
     each_s = float(np.median(known)) if known else S_PER_MPX * 1e-6 * pixels
     return Forecast(
         planned.name,

@@ -30,11 +30,11 @@ from statistics import median
 from daq.atomic_write import why
 from daq.errors import DiskError, RunInterrupted
 from ground.terminal import progress
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, write_book
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, write_progress
 from rtpiv.analysis.campaign.campaign_plan import PlannedRun, planned_runs
 from rtpiv.analysis.campaign.chunk_task import ChunkTask, Outcome, Work, carry_out
 from rtpiv.analysis.campaign.engines import Engine
-from rtpiv.analysis.campaign.kernels_at_hand import elsewhere, pack_kernels
+from rtpiv.analysis.campaign.worker_setup import carry_out_elsewhere, pack_kernels
 from rtpiv.analysis.series.chunk import correction_of, results_of
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of
 from rtpiv.analysis.series.series_plan import ChunkJob
@@ -59,7 +59,7 @@ class _Given:
 
 
 @dataclass
-class HandOut:
+class Scheduler:
     """Hands out the tasks of a campaign.
 
     Parameters
@@ -237,7 +237,7 @@ KERNELS = "kernels.zip"
 
 
 @dataclass(frozen=True)
-class CampaignBooks:
+class CampaignProgress:
     """What became of the chunks of a campaign in one call.
 
     Parameters
@@ -256,7 +256,7 @@ class CampaignBooks:
     stopped: str
 
 
-def run_campaign(folder: CampaignFolder, engine: Engine, patience_s: float = PATIENCE_S) -> CampaignBooks:
+def run_campaign(folder: CampaignFolder, engine: Engine, patience_s: float = PATIENCE_S) -> CampaignProgress:
     """Make what is missing of a campaign.
 
     Parameters
@@ -282,15 +282,15 @@ def run_campaign(folder: CampaignFolder, engine: Engine, patience_s: float = PAT
     with SeriesFolder(folder.path).alone():
         kept, made, failed = 0, 0, dict[tuple[str, int], str]()
         kernels = folder.path / KERNELS
-        work = partial(elsewhere, kernels) if engine.is_elsewhere else carry_out
-        hand_out = HandOut(engine, work, patience_s)
+        work = partial(carry_out_elsewhere, kernels) if engine.is_elsewhere else carry_out
+        scheduler = Scheduler(engine, work, patience_s)
         pairs = sum(folder.series(asked["name"]).about["pairs"] for asked in folder.about["runs"])
-        results = _recorded(folder, hand_out.results(_tasks(folder, kernels if engine.is_elsewhere else None)))
+        results = _recorded(folder, scheduler.results(_tasks(folder, kernels if engine.is_elsewhere else None)))
         for task, outcome in _pair_by_pair(results, pairs):
             kept, made = kept + (outcome.what == "kept"), made + (outcome.what == "made")
             if outcome.what == "failed":
                 failed[task.name] = outcome.reason
-        return CampaignBooks(kept, made, failed, hand_out.stopped)
+        return CampaignProgress(kept, made, failed, scheduler.stopped)
 
 
 def _tasks(folder: CampaignFolder, kernels: Path | None) -> Iterator[ChunkTask]:
@@ -331,7 +331,7 @@ def _recorded(
 ) -> Iterator[tuple[ChunkTask, Outcome]]:
     for task, outcome in results:
         if outcome.what == "made" or outcome.what == "failed":
-            write_book(
+            write_progress(
                 folder.books,
                 {
                     "utc": datetime.now(UTC).isoformat(timespec="seconds"),

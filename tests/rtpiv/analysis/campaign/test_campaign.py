@@ -18,7 +18,7 @@ from piv.correlation.settings import PivSettings
 from piv.errors import SeriesError
 from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.campaign import campaign_plan
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, choice_of, read_books
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, choice_of, read_progress
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, forecast, forecasts, planned_runs
 from rtpiv.analysis.campaign.chunk_task import take
 from rtpiv.analysis.campaign.engines import LocalProcesses
@@ -220,7 +220,7 @@ def test_the_forecast_counts_what_is_left(copy):
     marker_path(chunk_path(folder.series("one").path, 0)).unlink()
     one, two = (forecast(folder, each) for each in planned_runs(folder))
     assert (one.pairs, one.chunks, one.done, two.done, two.left_s) == (6, 3, 2, 3, 0.0)
-    known = [line["seconds"] / line["pairs"] for line in read_books(folder.books)]
+    known = [line["seconds"] / line["pairs"] for line in read_progress(folder.books)]
     assert one.left_s == pytest.approx(2 * np.median(known))
     assert one.read_bytes == 2 * 2 * 96 * 96 * (2 + 4)  # two pairs, and the four behind them
     size = chunk_path(folder.series("one").path, 0).stat().st_size

@@ -13,9 +13,9 @@ import pytest
 
 from daq.errors import RunUsageError
 from rtpiv.analysis.campaign.engines import DaskWorkers, SlurmArrays
-from rtpiv.analysis.campaign.kernels_at_hand import _made_ready, pack_kernels
 from rtpiv.analysis.campaign.merge import merge_campaign
 from rtpiv.analysis.campaign.run_campaign import run_campaign
+from rtpiv.analysis.campaign.worker_setup import _made_ready, pack_kernels
 from tests.rtpiv.analysis.campaign.small_campaign import Threads, content_of, planned, two_runs
 
 needs_dask = pytest.mark.skipif(
@@ -106,10 +106,10 @@ from pathlib import Path
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import planned_runs
 from rtpiv.analysis.campaign.chunk_task import ChunkTask
-from rtpiv.analysis.campaign.kernels_at_hand import elsewhere
+from rtpiv.analysis.campaign.worker_setup import carry_out_elsewhere
 folder, kernels = Path(sys.argv[1]), Path(sys.argv[2])
 job = next(planned_runs(CampaignFolder(folder))).jobs[0]
-found = elsewhere(kernels, ChunkTask("one", job, folder / "lease.json"))
+found = carry_out_elsewhere(kernels, ChunkTask("one", job, folder / "lease.json"))
 place = Path(os.environ["RTPIV_CACHE"])
 print(found.what, place, sum(1 for file in place.rglob("*.nb*")), os.environ["OMP_NUM_THREADS"])
 """

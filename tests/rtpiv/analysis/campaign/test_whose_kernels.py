@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rtpiv.analysis.campaign.kernels_at_hand import is_only_mine, pack_kernels
+from rtpiv.analysis.campaign.worker_setup import is_only_mine, pack_kernels
 
 
 def test_what_is_packed_is_mine_whatever_the_umask(tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ def _base_of(file: Path) -> Path:
     return next(folder.parent for folder in file.parents if folder.name == "rtpiv")
 
 
-def elsewhere(kernels: Path, task: ChunkTask) -> Outcome:
+def carry_out_elsewhere(kernels: Path, task: ChunkTask) -> Outcome:
     """Carry a task out in a process that is not a child of the client: threads and kernels are seen to first."""
     _made_ready(kernels)
     return carry_out(task)

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import pytest
 
 from daq.errors import RunInterrupted
-from rtpiv.analysis.campaign import run_campaign as hand_out
+from rtpiv.analysis.campaign import run_campaign
 from rtpiv.analysis.campaign.chunk_task import ChunkTask, Held, Outcome
-from rtpiv.analysis.campaign.run_campaign import HandOut
+from rtpiv.analysis.campaign.run_campaign import Scheduler
 
 
 def tasks(count):
@@ -57,9 +57,9 @@ class Script:
 
 
 def carried(monkeypatch, script, count, **given):
-    monkeypatch.setattr(hand_out, "ASK_S", 0.01)
+    monkeypatch.setattr(run_campaign, "ASK_S", 0.01)
     pool = given.pop("pool", Pool())
-    hands = HandOut(pool, script, **given)
+    hands = Scheduler(pool, script, **given)
     results = list(hands.results(iter(tasks(count))))
     names = [task.name for task, _ in results]
     assert len(set(names)) == len(names)
@@ -77,7 +77,7 @@ def test_every_task_is_answered_once(monkeypatch):
 
 def test_what_fails_is_tried_three_times_and_then_named(monkeypatch):
     script = Script({1: (FAILED,), 2: (FAILED, FAILED, FAILED), 5: (ValueError("lost on the way"),)})
-    monkeypatch.setattr(hand_out, "IN_A_ROW", 100)
+    monkeypatch.setattr(run_campaign, "IN_A_ROW", 100)
     hands, found = carried(monkeypatch, script, 9)
     assert {number for number, outcome in found.items() if outcome.what == "failed"} == {2}
     assert sum(task.job.number == 2 for task in script.asked) == 3
@@ -149,10 +149,10 @@ def test_what_dawdles_at_the_end_is_begun_a_second_time(monkeypatch):
     """The first worker hangs for as long as the test: nobody waits for it."""
     ends = threading.Event()
     script = Script({3: (lambda: ends.wait(60.0) and Outcome("made"),)})
-    monkeypatch.setattr(hand_out, "SLOW_S", 0.1)
-    monkeypatch.setattr(hand_out, "ASK_S", 0.01)
+    monkeypatch.setattr(run_campaign, "SLOW_S", 0.1)
+    monkeypatch.setattr(run_campaign, "ASK_S", 0.01)
     found = {}
-    for task, outcome in HandOut(Pool(), script).results(iter(tasks(4))):
+    for task, outcome in Scheduler(Pool(), script).results(iter(tasks(4))):
         found[task.job.number] = outcome.what
         if len(found) == 4:
             ends.set()  # the threads of a test must end
