@@ -5,7 +5,6 @@ import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from daq.runner.step_readings import Gauges
 
 from daq.bench.bench_file import load_bench
 from daq.bench.kinds import kind_of
@@ -14,6 +13,7 @@ from daq.bench.reading_file import FileGauge
 from daq.bench.reading_port import PortGauge
 from daq.errors import ReadingMissing
 from daq.runner.progress import Progress
+from daq.runner.step_readings import Gauges
 from ground.errors import ConfigError
 from sim.emulators.device import Emulator
 from sim.emulators.flow_meter import FlowMeter
