@@ -4,7 +4,9 @@ A result says it of the steps that its frames are of, each step once; see `daq.b
 """
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping
+from math import fsum, sqrt
 from statistics import fmean, stdev
 from typing import Any, NotRequired
 
@@ -51,6 +53,43 @@ def _shown(records: list[ReadingRecord]) -> Shown:
     return found
 
 
-def said_in_files(shown: Mapping[str, Shown]) -> dict[str, Any]:
-    """Return the attribute of a file of vectors, JSON in plain letters; nothing where no gauge was read."""
-    return {ATTRIBUTE: json.dumps(shown)} if shown else {}
+def said_in_files(shown: Mapping[str, Shown], about: str = "") -> dict[str, Any]:
+    """Return the attribute of a file of vectors, JSON in plain letters; nothing where no gauge was read.
+
+    Parameters
+    ----------
+    shown : mapping of str to Shown
+        By the name of each gauge.
+    about : str
+        Of which run, where a file holds several, such as "behind".
+    """
+    return {f"{about}_{ATTRIBUTE}" if about else ATTRIBUTE: json.dumps(shown)} if shown else {}
+
+
+def shown_together(runs: Iterable[Mapping[str, Shown]]) -> dict[str, Shown]:
+    """What gauges of several runs showed over all their steps, exactly as if the steps were those of one.
+
+    Gauges are the same if name and unit are; where one name has several units, the unit stands behind it.
+    """
+    found: dict[tuple[str, str], list[Shown]] = {}
+    for run in runs:
+        for name, shown in run.items():
+            found.setdefault((name, shown["unit"]), []).append(shown)
+    names = Counter(name for name, _ in found)
+    return {
+        name if names[name] == 1 else f"{name} [{unit}]": _together(unit, parts)
+        for (name, unit), parts in found.items()
+    }
+
+
+def _together(unit: str, parts: list[Shown]) -> Shown:
+    steps = sum(part["steps"] for part in parts)
+    found: Shown = {"unit": unit, "steps": steps, "missing": sum(part["missing"] for part in parts)}
+    known = [part for part in parts if part["steps"]]
+    if known:
+        found["mean"] = mean = fsum(part["steps"] * part["mean"] for part in known) / steps
+    if steps > 1:
+        within = fsum((part["steps"] - 1) * part["std"] ** 2 for part in known if "std" in part)
+        between = fsum(part["steps"] * (part["mean"] - mean) ** 2 for part in known)
+        found["std"] = sqrt((within + between) / (steps - 1))
+    return found

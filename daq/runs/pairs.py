@@ -283,8 +283,15 @@ class RunPairs:
         """What gauges showed over the steps that these pairs are of; nothing where there are none."""
         if not self.readings:
             return {}
-        used = {self._step_of[path.name] for pair in pairs for path in pair.frames}
-        return shown_over(self.readings[step] for step in sorted(used) if step in self.readings)
+        used = {step: records for pair in pairs for step, records in self.readings_during(pair).items()}
+        return shown_over(used[step] for step in sorted(used))
+
+    def readings_during(self, pair: FramePair) -> dict[int, Mapping[str, ReadingRecord]]:
+        """What gauges showed at each step that a pair is of."""
+        if not self.readings:
+            return {}
+        used = {self._step_of[path.name] for path in pair.frames}
+        return {step: self.readings[step] for step in sorted(used) if step in self.readings}
 
     @cached_property
     def _step_of(self) -> dict[str, int]:

@@ -12,6 +12,7 @@ differences of their means from that of all, over their sigma, are 1 in rms if o
 
 import csv
 import io
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from daq.atomic_write import write_text
 from daq.errors import Unfinished
+from daq.runs.lab_readings import said_in_files, shown_together
 from ground.plain_words import counted
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
@@ -85,6 +87,12 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     scenes = [view.about["content"]["correction"] for view in views]
     about = {"runs": " ".join(names), "corrections": " ".join(scenes), "rtpiv_version": version("rtpiv")}
     about["runs_apart_in_sigma"] = " ".join(f"{merged.apart[name]:.3f}" for name in names)
+    apart = {
+        name: view.about["readings"] for name, view in zip(names, views, strict=True) if "readings" in view.about
+    }
+    about |= said_in_files(shown_together(apart.values()))
+    if apart:
+        about["readings_of_runs"] = json.dumps(apart)
     write_statistics(folder.path / STATISTICS, mean_vectors(merged.mean, about))
     return merged
 

@@ -24,7 +24,8 @@ from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter, slant_figure, slant_lines
-from rtpiv.analysis.report.run import books_chapter, notes_chapter, readings_chapter
+from rtpiv.analysis.report.readings import readings_chapter
+from rtpiv.analysis.report.run import books_chapter, notes_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field

@@ -6,11 +6,11 @@ from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
 from daq.runs.frame_accounting import FrameAccounting, chunk_sentences
-from daq.runs.lab_readings import shown_over
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import notes_of, readings_of
+from daq.runs.run_views import notes_of
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.page import Link, Page
+from rtpiv.analysis.report.readings import readings_chapter
 from rtpiv.analysis.report.tables import DIRECT, GLASS, totals_of
 
 PAIRS_HEAD = (
@@ -92,38 +92,6 @@ def notes_chapter(page: Page, folder: RunFolder) -> None:
     if notes := notes_of(folder):
         page.heading("What was going on")
         page.facts(list(notes.items()))
-
-
-def readings_chapter(page: Page, folder: RunFolder) -> None:
-    """What gauges of the lab showed while the steps were taken; nothing where the bench has none."""
-    found = readings_of(folder)
-    if not found:
-        return
-    page.heading("Readings of the lab")
-    over = shown_over({name: reading} for name, shown in found.items() for _, reading in shown)
-    rows: list[tuple[str, ...]] = []
-    for name, shown in found.items():
-        of_it = over[name]
-        values = [reading["value"] for _, reading in shown if "value" in reading]
-        figures = ("-",) * 4
-        if "mean" in of_it:
-            spread = f"{of_it['std']:.4g}" if "std" in of_it else "-"
-            figures = (f"{of_it['mean']:.6g}", spread, f"{min(values):.6g}", f"{max(values):.6g}")
-        rows.append((f"{name} [{of_it['unit']}]", *figures, str(of_it["steps"]), str(of_it["missing"])))
-    page.table(
-        ("reading", "mean", "standard deviation", "least", "most", "steps", "missing"), rows, "One at each step"
-    )
-    steps: dict[str, dict[str, str]] = {}
-    for name, shown in found.items():
-        for tag, reading in shown:
-            steps.setdefault(tag, {})[name] = (
-                f"{reading['value']:.6g}" if "value" in reading else f"missing: {reading['missing']}"
-            )
-    page.table(
-        ("step", *found),
-        [(tag, *(each.get(name, "-") for name in found)) for tag, each in list(steps.items())[:SHOWN_STEPS]],
-        f"The first {SHOWN_STEPS} of {len(steps)} steps" if len(steps) > SHOWN_STEPS else "",
-    )
 
 
 def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: list[tuple[str, str]]) -> None:

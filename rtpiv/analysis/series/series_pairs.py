@@ -8,7 +8,7 @@ as size and time of a file stay.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isclose
 from pathlib import Path
 
@@ -117,7 +117,10 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None, time
             f"{run}: has pairs through the glass and without it; a series is of one view, take two runs"
         )
     _same_exposure(run, found.pairs, entries)
-    made = {pair.tag: _series_pair(run, pair, entries, dt_us, timed) for pair in found.pairs}
+    made = {
+        pair.tag: replace(_series_pair(run, pair, entries, dt_us, timed), gauges=found.readings_during(pair))
+        for pair in found.pairs
+    }
     pairs = tuple(made[pair.tag] for pair in seeded)
     unseeded = tuple(made[pair.tag] for pair in found.pairs if pair.is_background)
     glass = views.pop()

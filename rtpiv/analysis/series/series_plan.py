@@ -10,8 +10,8 @@ Chunks hold 2^m pairs: statistics are merged by a tree over pairs whose upper pa
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -21,6 +21,8 @@ from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.prepared import content_key
 from correction.grid import PlaneGrid
 from correction.maps.dewarp import Dewarp
+from daq.runs.journal_lines import ReadingRecord
+from daq.runs.lab_readings import Shown, shown_over
 from piv.correlation.settings import PivSettings
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from piv.preprocessing.sliding_minimum import REACH_STEPS
@@ -51,6 +53,8 @@ class SeriesPair:
         Its standard deviation, if somebody measured it.
     time_s : float or None
         Since the first pair of the run; None if the camera has no clock.
+    gauges : mapping of int to mapping
+        What gauges of the lab showed at each step that its frames are of; empty where there are none.
     """
 
     tag: str
@@ -59,6 +63,7 @@ class SeriesPair:
     dt_s: float | None
     dt_sigma_s: float | None = None
     time_s: float | None = None
+    gauges: Mapping[int, Mapping[str, ReadingRecord]] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True)
@@ -157,6 +162,12 @@ class ChunkJob:
         return self.folder / "maps"
 
     @cached_property
+    def readings(self) -> dict[str, Shown]:
+        """What gauges of the lab showed over the steps of its pairs, each step once."""
+        steps = {number: records for pair in self.pairs for number, records in pair.gauges.items()}
+        return shown_over(steps[number] for number in sorted(steps))
+
+    @cached_property
     def key(self) -> str:
         """SHA-256 of all that the chunk's file is a function of."""
         tree = {
@@ -165,6 +176,7 @@ class ChunkJob:
             "first": self.number,
             "pairs": [[p.tag, p.crc32, p.dt_s, p.dt_sigma_s, p.time_s] for p in self.pairs],
             "near": [[p.crc32 for p in side] for side in (self.before, self.after)],
+            **({"readings": self.readings} if self.readings else {}),
         }
         return digest(tree)
 

@@ -15,6 +15,7 @@ from piv.statistics.moments import Moments
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, joined_mean
 from rtpiv.command_line.cli import DONE, USAGE, main
+from tests.rtpiv.analysis.series.gauged_run import gauged, showed
 from tests.rtpiv.analysis.series.small_series import flow_run
 
 SHAPE = (3, 4)
@@ -79,7 +80,8 @@ def test_other_grids_are_refused():
 def test_the_verb_writes_one_mean_with_its_sources(tmp_path, capsys):
     windows = ("--first-window", "32", "--final-window", "16", "--workers", "1")
     runs = [flow_run(tmp_path / name, pairs) for name, pairs in (("one", 4), ("two", 5))]
-    for run in runs:
+    for run, value in zip(runs, (4.0, 6.0), strict=True):
+        gauged(run, (0, {"flow": showed(value)}))
         assert main(["mean", str(run), *windows]) == DONE
     series, out = [str(run / "series") for run in runs], tmp_path / "joined"
     capsys.readouterr()
@@ -93,5 +95,8 @@ def test_the_verb_writes_one_mean_with_its_sources(tmp_path, capsys):
     with netcdf_file(out / "mean.nc", mmap=False) as file:
         source, n = (np.array(file.variables[name][0]) for name in ("source", "n"))
         assert json.loads(file.left_out) == {}
+        assert json.loads(file.readings)["flow"]["mean"] == 5.0
+        each = (file.beside_readings, file.behind_readings)
+        assert [json.loads(said)["flow"]["mean"] for said in each] == [4.0, 6.0]
     assert set(np.unique(source)) <= {0, BESIDE, BEHIND}
     np.testing.assert_array_equal(source > 0, n > 1)
