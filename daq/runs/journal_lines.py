@@ -11,7 +11,7 @@ the line was.
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, NotRequired
 
-from pydantic import Field, TypeAdapter, with_config
+from pydantic import ConfigDict, Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from daq.runs.records import STRICT, Count, Crc, Positions, Tag, Text, Way, Wide
@@ -254,7 +254,9 @@ Line = (
     | EndLine
     | DoubtLine
 )
-LINE: TypeAdapter[Any] = TypeAdapter(Annotated[Line, Field(discriminator="kind")])
+LINE: TypeAdapter[Any] = TypeAdapter(
+    Annotated[Line, Field(discriminator="kind")], config=ConfigDict(defer_build=True)
+)
 
 
 _PLAIN = (
