@@ -6,6 +6,7 @@ for it. The marked tests together draw every picture of every page.
 """
 
 import base64
+from contextlib import contextmanager
 
 import pytest
 
@@ -29,16 +30,29 @@ def _not_written(figure, stream, dpi):
 DRAWING = {(page, "_drawn"): (page._drawn, _not_drawn), (saved, "write_png"): (saved.write_png, _not_written)}
 
 
+def _draw(here):
+    for (module, name), (drawn, not_drawn) in DRAWING.items():
+        setattr(module, name, drawn if here else not_drawn)
+
+
 @pytest.hookimpl(tryfirst=True)  # before fixtures, which draw as well
 def pytest_runtest_setup(item):
-    for (module, name), (drawn, not_drawn) in DRAWING.items():
-        setattr(module, name, drawn if item.get_closest_marker("draws") else not_drawn)
+    _draw(item.get_closest_marker("draws") is not None)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item):
-    for (module, name), (drawn, _) in DRAWING.items():
-        setattr(module, name, drawn)
+    _draw(True)
+
+
+@contextmanager
+def undrawn():
+    """Draw no picture within a test that draws, where the same kinds of pictures are drawn once more."""
+    _draw(False)
+    try:
+        yield
+    finally:
+        _draw(True)
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """A bench file of somebody else that names programs: asked about once, by name, before any of it has run."""
 
+import shutil
 import sys
 
 import pytest
@@ -7,7 +8,7 @@ import yaml
 
 from ground.named_program import trust_file
 from rtpiv.command_line.cli import DONE, USAGE, main
-from rtpiv.verbs.init import init
+from rtpiv.verbs.init import GivenLab, init
 
 NAME = "strange_axes:Axis"
 PROGRAM = """\
@@ -20,10 +21,17 @@ class Axis:
 """
 
 
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lab")
+    init(folder, GivenLab(balls=1))
+    return folder
+
+
 @pytest.fixture
-def bench(tmp_path, monkeypatch):
+def bench(lab, tmp_path, monkeypatch):
     """A bench whose target is moved by objects of a module that leaves a trace when it is imported."""
-    init(tmp_path / "lab")
+    shutil.copytree(lab, tmp_path / "lab")
     (tmp_path / "strange_axes.py").write_text(PROGRAM)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "strange_axes", raising=False)

@@ -100,6 +100,12 @@ def scene_with(tmp_path, old, new, text=SCENE):
     return path
 
 
+@pytest.fixture
+def untraced(monkeypatch):
+    """Files are read and asked about; what is seen through the glass, which asks nothing, is not computed."""
+    monkeypatch.setattr("rtpiv.verbs.check._through", lambda scene: "")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -135,6 +141,7 @@ def test_what_no_lab_can_be_is_refused_with_the_slip(tmp_path, capsys, old, new,
         ("sensor_px: [2016, 2016]", "sensor_px: [2016, 20160]", "is a sensor of 2016 x 20160 px right"),
     ],
 )  # fmt: skip
+@pytest.mark.usefixtures("untraced")
 def test_what_few_labs_are_is_asked_about_by_name(tmp_path, capsys, old, new, words):
     path = scene_with(tmp_path, old, new)
     assert main(["check", str(path)]) == DONE
@@ -182,9 +189,9 @@ def lab(tmp_path_factory):
     return folder
 
 
-def test_slips_of_every_number_of_a_scene_are_seen(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("untraced")
+def test_slips_of_every_number_of_a_scene_are_seen(tmp_path):
     """Of all numbers and four factors; silent may be only what some lab is."""
-    monkeypatch.setattr("rtpiv.verbs.check._through", lambda scene: "")  # traces, and asks nothing
     tree = yaml.safe_load(SCENE)
     silent = []
     path = tmp_path / "scene.yaml"
