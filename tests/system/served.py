@@ -65,7 +65,7 @@ class Served:
 @contextmanager
 def served_bench(folder, change=lambda text: text, camera=FILES_CAMERA):
     """Serve the example bench; `change` may edit its file first."""
-    path = write_bench(folder, camera=camera)
+    path = write_bench(folder, camera=camera, is_brisk=False)
     path.write_text(change(path.read_text()))
     bench = load_bench(path)
     simulation = SimulationTable.model_validate(bench.table.simulation)

@@ -30,7 +30,7 @@ repeats: {repeats}
 
 
 def prepare(folder, repeats):
-    write_bench(folder, side_px=64, simulation="ring: ring")
+    write_bench(folder, side_px=64, simulation="ring: ring", is_brisk=False)
     (folder / "ring").mkdir()
     for number in range(RING):
         image = np.random.default_rng(number).integers(0, 4095, (64, 64)).astype(np.uint16)

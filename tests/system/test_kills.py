@@ -53,7 +53,11 @@ class Campaign:
         camera = f"camera:\n  backend: harvesters\n  options: {{cti: {folder}/links/camera.cti}}\n"
         camera += f"  settings: {{{settings}}}\n  timeout_s: 60.0\n  back_within_s: 8.0\n"
         path = write_bench(
-            folder, side_px=64, simulation="samples: 1\nprints_truth: true\nis_misaligned: false", camera=camera
+            folder,
+            side_px=64,
+            simulation="samples: 1\nprints_truth: true\nis_misaligned: false",
+            camera=camera,
+            is_brisk=False,
         )
         if victim == "bench":
             text = path.read_text()

@@ -152,7 +152,7 @@ def test_other_programs_can_use_the_simulated_bench(tmp_path):
 def test_ctrl_c_on_terminals(tmp_path, presses):
     """Once: the step is finished.  Twice: the axis that moves is stopped now.  Both can be resumed."""
     pytest.importorskip("harvesters")
-    bench = write_bench(tmp_path, side_px=64, simulation="transport: pty\nspeed: 20.0\nring: ring")
+    bench = write_bench(tmp_path, side_px=64, simulation="transport: pty\nspeed: 20.0\nring: ring", is_brisk=False)
     fast, slow = (f"limits_mm: [-45.0, 45.0], speed_mm_s: {speed}" for speed in ("10.0", "1.0"))
     bench.write_text(bench.read_text().replace(fast, slow))  # a second of ours for every step's way of 20 mm
     import numpy as np

@@ -13,14 +13,16 @@ from tests.daq.small_bench import SHIFT, write_bench
 from tracer.scene.scene_file import load_scene
 
 STEP_MM = 0.01
-PLAY = re.compile(r"(glass_[xyz]: \{lead_mm: 4.0, steps_per_rev: 12800, travel_mm: [\d.]+)\}")
+PLAY = re.compile(r"(glass_[xyz]: \{lead_mm: 4.0, steps_per_rev: 12800, travel_mm: [^}]+)\}")
 LIGHT = "samples: 2\nblur_px: 2.0\nuneven_light: 0.03\n"
 
 
 def bench_of(folder, side_px, seed, off_mm):
     """A bench whose glass was put up beside its place, with 5 um of play, a soft view and uneven light."""
     path = write_bench(folder, side_px, LIGHT + f"glass_off_mm: {off_mm}")
-    text = PLAY.sub(r"\1, backlash_um: 5.0}", path.read_text()).replace("seed: 7", f"seed: {seed}")
+    text, played = PLAY.subn(r"\1, backlash_um: 5.0}", path.read_text())
+    assert played == 3
+    text = text.replace("seed: 7", f"seed: {seed}")
     path.write_text(text)
     (folder / "plan.yaml").write_text("experiment: align\n")
     return path
