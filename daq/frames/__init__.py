@@ -1,1 +1,1 @@
-"""Frames that other programs have recorded: numbered files, pages of a stack, videos, HDF5 and NeXus data sets."""
+"""Frames that other programs have recorded: numbered files, pages, videos, DaVis, HDF5 and NeXus data sets."""

@@ -6,6 +6,7 @@ A name is a path that can be read by itself, in any process (`named_frame`):
     stack.tif@25             a page of a TIFF, 1 first
     data.nxs@/entry/data@24  an image of a data set, 0 first
     run.mp4@25               a frame of a video, 1 first
+    run.set@25               a frame of a set of DaVis, 1 first, through all of its images
 
 Frames that follow each other are in pairs as is said behind the name, or 1 and 2, 3 and 4 (`daq.frames.pairing`).
 A kind of source is one class that has what `FrameSource` asks for, and one line in `KINDS`.
@@ -25,6 +26,7 @@ KINDS = (  # the first that takes a name
     "daq.frames.tiff_pages:TiffPages",
     "daq.frames.hdf5_stack:Hdf5Stack",
     "daq.frames.video:Video",
+    "daq.frames.davis:DavisImages",
 )
 
 

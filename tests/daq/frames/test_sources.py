@@ -1,6 +1,7 @@
 """Every kind of source keeps one contract: the same pairs, by names that can be read one by one anywhere."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from daq.frames.numbered_files import pattern_in
 from daq.frames.source import KINDS, is_source, source_of
 from piv.errors import FrameDamaged, FrameError, PairError
 from piv.files.frame_file import checksum
+from tests.daq.frames.davis_files import StandIn
 from tests.daq.frames.videos import write_video
 
 h5py = pytest.importorskip("h5py")
@@ -70,7 +72,18 @@ def video(folder, stack):
     return write_video(folder / "run.mkv", stack.reshape(-1, *SHAPE), pixels="gray16le")
 
 
-ALL = [letters, numbers, pages, in_pairs, nexus, by_name, folder]
+def davis(folder, stack):
+    sys.modules["lvpyio"].write_set([list(pair) for pair in stack], folder / "run.set")
+    return folder / "run.set"
+
+
+@pytest.fixture(autouse=True)
+def stand_in(monkeypatch):
+    """For lvpyio, which is not among what the tests install (`davis_files`)."""
+    monkeypatch.setitem(sys.modules, "lvpyio", StandIn())
+
+
+ALL = [letters, numbers, pages, in_pairs, nexus, by_name, folder, davis]
 
 
 def test_every_kind_is_under_contract(tmp_path):
