@@ -127,7 +127,7 @@ def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:
 def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
     """Write the file of a chunk from what became of its pairs, then its marker."""
     prepared = correction_of(job.maps, job.method)
-    about = {"key": job.key, "scene_hash": job.method.scene.content_hash(), **said_in_files(job.readings)}
+    about = {"key": job.key, "scene_hash": job.method.scene.content_hash()} | said_in_files(job.readings)
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
     slope = known_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
     content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about, slope=slope))

@@ -163,7 +163,7 @@ class ChunkJob:
 
     @cached_property
     def readings(self) -> dict[str, Shown]:
-        """What gauges of the lab showed over the steps of its pairs, each step once."""
+        """What gauges of the lab showed over the steps of its pairs, each step counted once."""
         steps = {number: records for pair in self.pairs for number, records in pair.gauges.items()}
         return shown_over(steps[number] for number in sorted(steps))
 
