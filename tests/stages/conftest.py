@@ -13,7 +13,7 @@ from stages.config import StagesTable
 from stages.controller import Controller
 from stages.drivers_by_name import DRIVERS, FOREIGN
 from stages.stage import Stage
-from tests.stages.benches import screws, stages_table
+from tests.stages.benches import beside_marks, screws, stages_table
 
 
 @dataclass
@@ -65,6 +65,8 @@ def bench():
         clock = VirtualClock()
         table = stages_table(driver, box, **changes)
         built = screws(table, backlash_um=backlash_um, **(sim or {}))
+        if "power_up_mm" not in (sim or {}):
+            built = beside_marks(built, driver)
         schedule = faults if isinstance(faults, FaultSchedule) else FaultSchedule(faults, seed)
         world = SimulatedStages(table, clock, built, {"box": firmware or {}}, {"box": schedule})
         table = up.enter_context(world.in_process())

@@ -73,7 +73,7 @@ def test_in_motion(bench, kind, after_s):
 
 
 def test_while_homing(bench, kind):
-    made = bench(kind)
+    made = bench(kind, sim={"power_up_mm": 39.0})
     made.clock.at(made.clock.now_s() + 0.5, lambda: made.line.power_cycle(0.3))
     with pytest.raises(StageError):
         made.stage.home()
