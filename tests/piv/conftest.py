@@ -8,7 +8,6 @@ from scipy.special import erf
 def draw(shape, u, v, diameter_px, peak):
     """Sum of Gaussians I0 exp(-8 r^2/d^2), integrated over square pixels by differences of erf."""
     sigma = diameter_px / 4
-    image = np.zeros(shape)
     reach = int(np.ceil(5 * sigma + 1))
     around = np.arange(-reach, reach + 1)
     column, row = np.rint(u).astype(int), np.rint(v).astype(int)
@@ -18,11 +17,14 @@ def draw(shape, u, v, diameter_px, peak):
         return np.diff(erf(edge), axis=1) * np.sqrt(np.pi / 2) * sigma
 
     spots = peak[:, None, None] * integrated(v, row)[:, :, None] * integrated(u, column)[:, None, :]
-    rows = np.broadcast_to(row[:, None, None] + around[None, :, None], spots.shape)
-    columns = np.broadcast_to(column[:, None, None] + around[None, None, :], spots.shape)
-    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
-    np.add.at(image, (rows[inside], columns[inside]), spots[inside])
-    return image
+    height, width = shape
+    near = (row >= -reach) & (row < height + reach) & (column >= -reach) & (column < width + reach)
+    rim = 2 * reach  # for spots that lie half beside the picture
+    rows, columns = (place[near, None] + around + rim for place in (row, column))
+    stride = width + 2 * rim
+    places = rows[:, :, None] * stride + columns[:, None, :]
+    sums = np.bincount(places.ravel(), spots[near].ravel(), (height + 2 * rim) * stride)
+    return sums.reshape(-1, stride)[rim:-rim, rim:-rim]
 
 
 def make_pair(displacement, shape=(512, 512), seed=0, ppp=0.02, diameter_px=3.0, noise=0.01, loss=0.0):
