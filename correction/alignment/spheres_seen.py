@@ -219,6 +219,7 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
 
     The glass is carried as a whole: all rims vote together for one move, then each for its own near to it.
     """
+    # Steps that move no rim by more than a pixel in the picture, or than `WIDE_PX`.
     finest = max(float(np.abs(rim.rate[:, :2]).max()) for _, rim in shown)
     step_mm = (1.0 if look.behind is None else WIDE_PX) / finest
     places = _around(reach_mm, step_mm)
@@ -229,6 +230,7 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
     def said(vote: NDArray[np.float64]) -> NDArray[np.float64]:
         return in_deviations(vote) if look.behind is None else vote
 
+    # Bright outside or dark outside: one sign for all, whichever they agree on better.
     alike = {sign: said(np.mean([v.at_best_size(sign) for v in votes], axis=0)) for sign in signs}
     sign = max(alike, key=lambda s: float(alike[s].max()))
     together = alike[sign]
@@ -239,6 +241,7 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
             f"no rim of {names} is seen within {reach_mm:g} mm of its place; is the glass there, is it lit and in"
             " focus, does the scene name these balls and their sizes?"
         )
+    # A second place that is nearly as good, and not beside the first, leaves it open which one it is.
     apart = np.hypot(*(places - places[best]).T) * finest
     rival = int(np.where(apart > APART_PX, together, -np.inf).argmax())
     if apart[rival] > APART_PX and together[rival] > SECOND * together[best]:
@@ -256,6 +259,7 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
                 f"the other rims are seen, and not that of {ball.name}: does this ball stand there, and is it as"
                 " large as in the scene?"
             )
+        # Around its own best place once more, a pixel a step.
         near = places[at] + _around(step_mm, 1.0 / finest)
         moves.append(near[int(ballot.votes(near).at_best_size(sign).argmax())])
     return np.array(moves), sign

@@ -135,6 +135,7 @@ class Sheets:
         scratch = np.empty(LANES, np.int64), np.empty(MEASURES), np.empty(NEWTON_NUMBERS)
         tiles: list[Starts] = []
         edges: list[Starts] = []
+        # The kernel fills what memory it is given and says by `cursor` where to go on.
         while cursor[0] < DONE:
             starts, nodes = self.spare.pop() if self.spare else self.room_for_starts()
             tiled, found = scatter_sheet(
@@ -159,6 +160,7 @@ class Sheets:
             elif cursor[0] == TILING:
                 yield starts[:found], nodes[:found]
             else:
+                # At the edge several pixels offer a node a start: once all are known the nearest is taken.
                 tiles.append((starts[:tiled], nodes[:tiled]))
                 edges.append((starts[tiled:found], nodes[tiled:found]))
         if tiles:

@@ -230,6 +230,7 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
         raise SheetError(f"{count} pairs of frames do not tell where the sheet is; give {BLOCKS} or more, best 50")
     now, cells, fit, rounds = known, None, None, 0
     for rounds in range(1, ROUNDS + 1):
+        # Views are traced anew for the sheet as it is known by now.
         seen = replace(scene, sheet=now).in_light_sheet()
         views = double_views(seen, most=MOST_PLACES)
         sigma_mm = known.sigma_mm if rounds == 1 else now.sigma_mm
@@ -240,12 +241,15 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
         cells = disparities(seen, views, cell, pairs, light, count, reach, reach_mm) if len(cell) else None
         if cells is None or not len(cells.kind):
             return _nothing(known, views, count, rounds)
+        # What the fit is unsure of moves all views of a kind together: an unknown that their cells share.
         if sigma is not None:
             doubt = scene_doubt(seen, views, cell, sigma.in_light_sheet(replace(scene, sheet=now)))
             cells = replace(cells, common_mm=np.column_stack((cells.common_mm, doubt[cells.number])))
+        # What was known before counts as a measurement, wherever the rounds have come to.
         fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
         before, now = now, _moved(now, fit, known)
         step = np.abs(_numbers(now) - _numbers(before))
+        # Settled: no number moves by more than a part of its own sigma.
         near = step < np.maximum(SETTLED * np.sqrt(np.diag(fit.covariance)), AT_REST)
         if near.all() and rounds >= LEAST_ROUNDS:
             break

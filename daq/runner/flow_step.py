@@ -104,6 +104,7 @@ class FlowStep:
         for side in self._sides[1:]:
             exposures = side.source.exposures
             require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
+        # As many pairs more are fired as the worst chunk so far has lost.
         spare, barren, fired, lost = 0, 0, 0, 0
         while place < step.frames:
             if self._interrupts.wanted:
@@ -120,6 +121,7 @@ class FlowStep:
             finally:
                 for side, chunk in zip(self._sides, chunks, strict=True):
                     side.close(step, chunk, number, utc)
+            # The last frame of a chunk is a B: a marker that calls it an A is found here.
             for side in self._sides:
                 side.source.trust_marker(is_final=False)
             number, chunk = number + 1, chunks[0]

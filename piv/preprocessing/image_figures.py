@@ -92,6 +92,7 @@ def image_figures(frame: NDArray[Any], full_scale: float, valid: NDArray[np.bool
         raise FrameError(f"the frame is constant ({values[0]:g}) over its valid pixels; it shows no particles")
     background = float(np.median(values))
     level = np.where(usable, frame.astype(np.float64) - values.mean(), 0.0)
+    # Noise differs from pixel to pixel, so it adds to the autocorrelation at no shift alone.
     zero = float((level**2).sum() / usable.sum())
     along_u, along_v = _gaussian_fit(level, usable, 1), _gaussian_fit(level, usable, 0)
     signal = float(np.mean([along_u[1], along_v[1]]))

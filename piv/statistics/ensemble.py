@@ -231,6 +231,7 @@ class EnsembleSums:
         pair = prepared(frame_a, frame_b, valid, LEVEL_PX)
         cells = self.sweep.cells
         field = self.sweep.field_px if field_px is None else field_px
+        # What is left of the displacement is small, so products are needed up to a few pixels only.
         deformed = deform_pair(pair.coefficients(threads), pair.valid, field, cells, pair.floor, threads)
         ny, nx = cells.shape
         told = np.empty((TEMPLATES, ny, nx), np.float32)
@@ -248,6 +249,7 @@ class EnsembleSums:
                 at = cells.row[j], cells.column[0], CELL_PX
                 cell_products(*frames, self.lags, *at, line, plane)
                 self.across[j] += plane
+                # A few numbers a pair tell the scatter of what is fitted; no plane has to be kept.
                 template_sums(plane, self.lags, self.sweep.variance_px2[j], weight, sums)
                 told[:, j] = sums
                 for frame in frames:

@@ -92,28 +92,36 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     grid = WindowGrid(row, column, window_px, step * CELL_PX)
     planes = sums.planes(threads)
     fluid = ~solid_cells(sums, planes)
+    # Cells become windows; solid ones belong to none.
     across, own, raw, seen = (
         windows_of(np.moveaxis(part * fluid[:, None], 1, 0), window_px) for part in planes[:4]
     )
     middle = len(sums.lags) // 2
     seen_there = seen[middle].astype(np.float64)
     variance = windows_of(sums.sweep.variance_px2, window_px).astype(np.float64) / many**2
+    # What sampled noise adds to the frames with themselves: its shape K times its variance n.
     noise = windows_of(np.moveaxis(sums.noise * fluid[:, None], 1, 0), window_px)
     noise = np.asarray(noise / (sums.pairs * np.maximum(windows_of(fluid.astype(np.float32), window_px), 1.0)))
     noise *= _noise_of(raw, seen[_places(sums.raw_lags, sums.sweep.reach_px)], sums, grid, variance, threads)
+    # Sums become means of products: windows at masks and edges hold fewer pixels.
     across /= np.maximum(seen, np.float32(1.0))
     own /= np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], np.float32(1.0))
     del seen
+    # The peak across the frames is the distribution of displacements, widened by a particle image: that of
+    # frames with themselves, which is taken off below.
     peak, slopes = _fits(across, sums.lags, variance, threads)
     itself = _own_peak(own - noise, sums, variance, threads)
     covariance, own_covariance = _covariance(peak), _covariance(itself)
+    # How the fit answers to each product tells its random error, from what single pairs scattered.
     back = _by_templates(slopes, sums.pairs * seen_there)
     spread = _parameter_covariance(sums, window_px, back)
+    # What is fitted is left over from the field that has deformed the frames.
     fields = middles_of(np.moveaxis(sums.sweep.field_px, -1, 0) + sums.cells["fields"] / sums.pairs, window_px)
     mean = np.moveaxis(fields, 0, -1) + peak[..., 1:3]
     sigma = np.sqrt(np.stack((spread[..., 1, 1], spread[..., 2, 2]), axis=-1))
     with np.errstate(invalid="ignore", divide="ignore"):
         volume = peak[..., 0] * _area(covariance) / (itself[..., 0] * _area(own_covariance))
+    # A peak counts that lies within reach, holds enough particles that stay, and fits its neighbours.
     near = 0.8 * sums.sweep.reach_px
     inside = (np.abs(peak[..., 1:3]) < near).all(axis=-1) & (covariance[..., :2] < near**2).all(axis=-1)
     stays = volume >= LEAST_ALIKE * np.nanmedian(volume[inside]) if inside.any() else inside

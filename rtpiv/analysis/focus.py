@@ -305,6 +305,7 @@ def focus_scan(run: Path) -> FocusScan:
         shown = [read_acquired(folder.inside(entries[n]["file"]), scene.camera.shape) for n in numbers[:2]]
         parts = parts_of(stood)
         places.append(camera_mm[2] if plan.moves == "camera" else target_mm[2])
+        # Spots look larger from nearer: their widths are those seen from the place of the scene.
         further = (z - target_mm[2]) / scene.camera.position_mm[2]
         found.append(
             {
@@ -319,6 +320,7 @@ def focus_scan(run: Path) -> FocusScan:
         )
     order = np.argsort(places)
     z_mm = np.array(places)[order]
+    # Beside the glass first, then ball by ball.
     names = sorted({name for each in found for name in each}, key=lambda name: (name != "beside", name))
     variance = {name: trusted_px2([found[k].get(name, NO_SPOTS) for k in order]) for name in names}
     best = tuple(best_focus(name, z_mm, variance[name]) for name in names)

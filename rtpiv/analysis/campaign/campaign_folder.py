@@ -225,11 +225,6 @@ class RunStatus:
     failed: dict[int, str]
     without_vectors: dict[str, int]
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether nothing is missing."""
-        return self.done == self.chunks
-
 
 def campaign_status(folder: CampaignFolder) -> list[RunStatus]:
     """How each run of a campaign stands.

@@ -138,10 +138,12 @@ def merged_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMea
             )
     if len(means) == 1:
         return CampaignMean(first, {names[0]: float("nan")})
+    # Sums of moments are exact; what only bounds an error is averaged by squares, with the pairs of each place.
     moments = merged_in_order(enumerate(mean.moments for mean in means))
     weights = np.stack([mean.count for mean in means]).astype(np.float64)
     samples = np.nansum([mean.effective.samples for mean in means], axis=0)
     ways = " and ".join(dict.fromkeys(mean.effective.way for mean in means))
+    # Runs are independent of each other, so their effective samples add.
     several = moments.count[..., None] > 1
     effective = EffectiveSamples(
         np.where(several, np.maximum(samples, 1.0), np.nan), ways, all(m.effective.converged for m in means)

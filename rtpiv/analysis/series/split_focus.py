@@ -114,6 +114,7 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
         )
     has_first, has_second = first.count > 1, second.count > 1
     unsure = [np.nan_to_num(np.square(each.sigma_m_s).sum(axis=-1), nan=np.inf) for each in (first, second)]
+    # On a rim both are blurred: the less unsure run counts there.
     behind = (region == Region.GLASS) | ((region == Region.RIM) & (unsure[1] < unsure[0]))
     source = np.where(behind & has_second, BEHIND, np.where(~behind & has_first, BESIDE, 0)).astype(np.uint8)
     arrays = {

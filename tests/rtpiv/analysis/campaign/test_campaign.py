@@ -260,7 +260,7 @@ def test_status_names_who_works_on_what(copy):
     assert state.running[1].silent_s == pytest.approx(3600.0, abs=60.0)
     assert sum(other.without_vectors.values()) == 1
     assert "does not agree with its checksum" in next(iter(other.without_vectors))
-    assert (state.done, state.is_whole, other.is_whole) == (0, False, True)
+    assert (state.done, other.done) == (0, other.chunks)
 
 
 def test_the_lease_of_a_worker_that_died_after_its_chunk_is_whole_goes(copy):
