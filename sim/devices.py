@@ -25,7 +25,7 @@ from sim.emulators.flow_meter import FlowMeter
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.recorded import RecordedBox
-from sim.lit_flow import LitFlow
+from sim.light import LitFlow
 from sim.mechanics.clock import PacedClock, ScaledClock, VirtualClock
 from sim.timing import SimulatedTiming
 from sim.timing_boxes.pulsing import Pulse

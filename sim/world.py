@@ -4,7 +4,7 @@ The world knows three elements: camera, glass, target.  Motors carry them, with 
 so an element stands where its screw has really brought it, not where a controller says.  Pictures are rendered at
 these TRUE places, with a camera, glass and aim that are all a little off the scene file (`misaligned`, by the
 seed): what a bench does to an experimenter.  The target's plane is z = 0 of the scene; a chessboard hangs there in
-the light that the scene file tells of target frames (`sim.target_light`).
+the light that the scene file tells of target frames (`sim.light`).
 """
 
 import secrets
@@ -19,13 +19,12 @@ from sim.arranged import arranged, sheet_mm, true_scene
 from sim.bench_table import SimulationTable
 from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
-from sim.lit_flow import LitFlow
+from sim.light import Colours, LitFlow, colours_of, in_each_colour, target_light
 from sim.prepared_pairs import PreparedPairs
 from sim.renderer.patterns import Chessboard, CodedBoard, ParticleSheet, placed, printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
-from sim.target_light import Colours, colours_of, in_each_colour, target_light
 from sim.timing import SimulatedTiming
 from tracer.board import Board
 from tracer.scene.fit_section import FitTable

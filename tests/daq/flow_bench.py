@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 
-from sim import lit_flow as lit
+from sim import light as lit
 from tests.daq.small_bench import write_bench
 
 FLOOR, LIGHT = 35, 20

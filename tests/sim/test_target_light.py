@@ -8,7 +8,7 @@ import yaml
 
 from daq.bench.bench_file import load_bench
 from sim.bench_table import simulation_of
-from sim.target_light import COLOURS, colours_of
+from sim.light import COLOURS, colours_of
 from sim.world import World
 from tests.daq.small_bench import write_bench
 from tracer.light import band, light_of, line, white_led

@@ -11,7 +11,7 @@ from ground.errors import ConfigError
 from sim.flow.fields import Flow, Uniform
 from sim.flow.images import FlowCamera
 from sim.flow.table import FlowTable
-from sim.lit_flow import LitFlow
+from sim.light import LitFlow
 from sim.prepared_pairs import PreparedPairs, prepare
 from tests.sim.flow.test_view import flow_scene
 from tracer.errors import SceneError
