@@ -4,6 +4,7 @@ from pathlib import Path
 
 import yaml
 
+from tests.daq.flow_bench import DIODES, PLAN, write_flow
 from tests.daq.small_bench import SCENE, SIDE_PX, write_frames
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -20,6 +21,19 @@ def write_hand_bench(folder, side_px=SIDE_PX, plan=SHIFT, **simulation):
     (folder / "bench.yaml").write_text(yaml.safe_dump(tree, sort_keys=False))
     (folder / "plan.yaml").write_text(plan)
     return folder / "bench.yaml", folder / "plan.yaml"
+
+
+def write_hand_flow(folder, pairs, more=""):
+    """The bench with a laser and a double-frame camera, and the plan of a flow; return both."""
+    bench, plan = write_hand_bench(folder)
+    beside, _ = write_flow(folder / "motors", channels=DIODES)
+    motors, tree = (yaml.safe_load(path.read_text()) for path in (beside, bench))
+    tree.update(camera=motors["camera"], devices=motors["devices"])
+    tree["simulation"]["row_time_us"] = 2.0
+    bench.write_text(yaml.safe_dump(tree, sort_keys=False))
+    flow = PLAN.replace("target_z_mm: -30.0", "target_z_mm: -20.0")
+    plan.write_text(f"{flow}pairs: {pairs}\nchunk: {pairs}\ndt_us: 100.0\n{more}")
+    return bench, plan
 
 
 def write_real_hand_bench(folder):
