@@ -118,7 +118,7 @@ class CameraSession:
     # ---- the account ---------------------------------------------------------------------------
 
     def accounting(self, written: int) -> FrameAccounting:
-        """Books of the arms that have ended.
+        """Account of the arms that have ended.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class CameraSession:
         )
 
     def accounting_so_far(self, written: int) -> FrameAccounting:
-        """Books in the middle of an arm, without asking the camera; frames under way are not counted yet."""
+        """Account in the middle of an arm, without asking the camera; frames under way are not counted yet."""
         counts, ended = self.counts, self._ended
         handed, rejected = counts.handed - self._handed_before, counts.rejected - self._rejected_before
         accounting = ended + FrameAccounting(triggered=handed + rejected, written=handed, rejected=rejected)

@@ -25,7 +25,7 @@ from ground.plain_words import counted
 
 @dataclass
 class Chunk:
-    """Books of one chunk; frames are dropped by reason, pairs are kept."""
+    """Counts of one chunk; frames are dropped by reason, pairs are kept."""
 
     fired: int
     kept: int = 0

@@ -94,7 +94,7 @@ class PairWriter:
             self.pipeline.submit(Job(step, step.first_frame + place + half, placed, facts))
 
     def close(self, step: Step, chunk: Chunk, number: int, utc: str) -> None:
-        """Books of a chunk, once its pairs are on the disk."""
+        """Write the counts of a chunk, once its pairs are on the disk."""
         self.pipeline.flush()
         self.journal.append(
             "chunk",

@@ -54,7 +54,7 @@ _SAID: TypeAdapter[_Said] = TypeAdapter(_Said)
 
 
 @dataclass(frozen=True)
-class Held:
+class LeaseInfo:
     """A lease that somebody has.
 
     Parameters
@@ -107,7 +107,7 @@ class Lease:
                 self._path.unlink()
 
 
-def take(path: Path, over: str | None = None) -> Lease | Held:
+def take(path: Path, over: str | None = None) -> Lease | LeaseInfo:
     """Take a lease, or say who has it.
 
     Parameters
@@ -152,7 +152,7 @@ def clear(path: Path) -> None:
         path.unlink()
 
 
-def read_lease(path: Path) -> Held | None:
+def read_lease(path: Path) -> LeaseInfo | None:
     """Who has a lease; None if it is free."""
     beat_ns = 0
     try:
@@ -161,8 +161,8 @@ def read_lease(path: Path) -> Held | None:
     except FileNotFoundError:
         return None
     except (OSError, ValidationError):
-        return Held("", beat_ns)
-    return Held(said["token"], beat_ns, said["host"], said["pid"])
+        return LeaseInfo("", beat_ns)
+    return LeaseInfo(said["token"], beat_ns, said["host"], said["pid"])
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class Outcome:
         It was sound; it was made; somebody else is at it; it could not be made.
     reason : str
         Why it failed.
-    held : Held, optional
+    held : LeaseInfo, optional
         Whose it is, of one that is busy.
     seconds : float
         What it took.
@@ -215,7 +215,7 @@ class Outcome:
 
     what: Literal["kept", "made", "busy", "failed"]
     reason: str = ""
-    held: Held | None = None
+    held: LeaseInfo | None = None
     seconds: float = 0.0
     host: str = ""
     pid: int = 0
@@ -237,7 +237,7 @@ def _made(task: ChunkTask) -> Outcome:
             clear(task.lease)
             return Outcome("kept")
         lease = None if task.beside else take(task.lease, task.over)
-        if isinstance(lease, Held):
+        if isinstance(lease, LeaseInfo):
             return Outcome("busy", held=lease)
         try:
             evaluate_chunk(task.job, each_pair=None if lease is None else lease.beat)

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from rtpiv.analysis.campaign.chunk_task import Held, Lease, read_lease, take
+from rtpiv.analysis.campaign.chunk_task import Lease, LeaseInfo, read_lease, take
 
 HOUR_NS = 3600 * 10**9
 
@@ -24,7 +24,7 @@ def test_one_takes_it_and_the_next_is_told_who(path):
     lease = take(path)
     assert isinstance(lease, Lease)
     held = take(path)
-    assert isinstance(held, Held)
+    assert isinstance(held, LeaseInfo)
     assert (held.pid, held.is_gone) == (os.getpid(), False)
     lease.give_back()
     assert read_lease(path) is None
@@ -36,7 +36,7 @@ def test_a_beat_is_seen_whatever_the_clocks_say(path):
     for off_ns in (-HOUR_NS, HOUR_NS):  # the disk's clock is an hour off
         os.utime(path, ns=(10**18, 10**18 + off_ns))
         before = take(path)
-        assert isinstance(before, Held)
+        assert isinstance(before, LeaseInfo)
         Lease(path, "a" * 32).beat()
         assert take(path).beat_ns != before.beat_ns
 
@@ -47,14 +47,14 @@ def test_a_process_that_is_gone_is_known_to_be_gone_on_its_own_computer_alone(pa
     of_another(path, host=said["host"], pid=2**22 + 1)
     assert isinstance(take(path), Lease)
     of_another(path, pid=2**22 + 1)
-    assert isinstance(take(path), Held)
+    assert isinstance(take(path), LeaseInfo)
     lease.give_back()
     assert read_lease(path) is not None  # it is no longer ours
 
 
 def test_a_void_lease_is_taken_over_by_its_token_alone(path):
     of_another(path)
-    assert isinstance(take(path, over="b" * 32), Held)
+    assert isinstance(take(path, over="b" * 32), LeaseInfo)
     assert isinstance(take(path, over="a" * 32), Lease)
     assert read_lease(path).pid == os.getpid()
 
@@ -65,7 +65,7 @@ def test_a_file_that_says_nothing_is_held_by_nobody_known(path, content):
     path.parent.mkdir()
     path.write_text(content)
     held = take(path)
-    assert isinstance(held, Held)
+    assert isinstance(held, LeaseInfo)
     assert (held.token, held.is_gone) == ("", False)
     assert isinstance(take(path, over=""), Lease)
 

@@ -12,7 +12,7 @@ import pytest
 
 from daq.errors import RunInterrupted
 from rtpiv.analysis.campaign import run_campaign
-from rtpiv.analysis.campaign.chunk_task import ChunkTask, Held, Outcome
+from rtpiv.analysis.campaign.chunk_task import ChunkTask, LeaseInfo, Outcome
 from rtpiv.analysis.campaign.run_campaign import Scheduler
 
 
@@ -125,7 +125,7 @@ def test_a_pool_that_breaks_again_and_again_is_one_sentence(monkeypatch):
 
 def test_a_lease_that_is_alive_is_waited_for(monkeypatch):
     """It beats, so it is never void, however long it takes; then its chunk is there."""
-    beats = [Outcome("busy", held=Held("t", number)) for number in range(10)]
+    beats = [Outcome("busy", held=LeaseInfo("t", number)) for number in range(10)]
     script = Script({0: (*beats, Outcome("kept"))})
     _, found = carried(monkeypatch, script, 2, patience_s=0.03)
     assert found[0].what == "kept"
@@ -137,7 +137,7 @@ def test_a_lease_that_is_silent_is_void_after_a_while_by_our_own_clock(monkeypat
 
     def answer(task):
         asked_s.append((time.monotonic(), task.over))
-        return Outcome("made") if task.over == "t" else Outcome("busy", held=Held("t", 7))
+        return Outcome("made") if task.over == "t" else Outcome("busy", held=LeaseInfo("t", 7))
 
     _, found = carried(monkeypatch, answer, 1, patience_s=0.2)
     assert found[0].what == "made"
