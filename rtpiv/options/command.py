@@ -12,7 +12,7 @@ from rtpiv.options.signature import REQUIRED, Option, signature, summary, title
 VERBS = (  # in the order in which they are listed
     "init", "examples", "schema", "warm", "completion", "benchmark", "demo",
     "compare", "trace", "target", "calibrate", "mask", "correct", "evaluate", "focus", "sheet", "join", "mean",
-    "campaign", "report", "export",
+    "timeseries", "campaign", "report", "export",
     "acquire", "resume", "align", "check", "stage", "laser", "camera", "live", "devices", "probe", "doctor",
     "emulate",
 )  # fmt: skip

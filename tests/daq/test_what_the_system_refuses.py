@@ -31,7 +31,7 @@ WORDS = {
     "compare": ["--lenses-mm", "50", "--distances-mm", "500", "--balls-mm", "40"],
     "export": ["a.nc", "--to", "matlab"], "align": ["plan"], "live": [],
     "schema": [], "target": ["--paper", "A4"], "emulate": ["bench"], "benchmark": ["scene"], "demo": [],
-    "mask": ["a.tif"],
+    "mask": ["a.tif"], "timeseries": ["series", "--at", "0", "0"],
 }  # fmt: skip
 
 

@@ -60,6 +60,7 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "report runs/<run> --scene fit/scene.yaml": NAMED,
     "sheet runs/...flow --scene fit/scene.yaml -o sheet": NAMED,
     "sheet RUN --scene fit/scene.yaml -o sheet": NAMED,
+    "timeseries FOLDER --at X Y -o OUT": NAMED,
     "report RUN": NAMED,
     "mean RUN": NAMED,
     "check RUN": NAMED,

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
@@ -143,7 +144,7 @@ def radius_figure(
         axes.grid(True, which="both", color=NOTHING, linewidth=0.5)
     panels[0].set_ylabel("error [px]")
     for axes in panels:
-        plain_decades(axes)
+        plain_decades(axes.yaxis)
     _legend_below(figure, panels[0])
     return figure
 
@@ -187,17 +188,17 @@ def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
         axes.stairs(values, edges, label=name, color=colour)
     filled = [float(edges[np.nonzero(values)[0][-1] + 1]) for edges, values in counts.values() if values.any()]
     axes.set(yscale="log", xlabel="grey level", ylabel="pixels", xlim=(0.0, max(filled, default=None)))
-    plain_decades(axes)
+    plain_decades(axes.yaxis)
     axes.legend(frameon=False, fontsize=8)
     return figure
 
 
-def plain_decades(axes: Axes) -> None:
+def plain_decades(axis: Axis) -> None:
     """Label decades, and 2 and 5 between few, as plain numbers: formulas would take longer than the curves."""
-    axes.yaxis.set_major_formatter("{x:g}")
-    low, high = axes.get_ylim()
+    axis.set_major_formatter("{x:g}")
+    low, high = axis.get_view_interval()
     between = "25" if high < FEW_DECADES * low else ""
-    axes.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in between else "")
+    axis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in between else "")
 
 
 def _axes_mm(field: VectorField, grid: PlaneGrid) -> tuple[Floats, Floats]:

@@ -137,7 +137,7 @@ def convergence_figure(found: History) -> Figure:
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.grid(True, which="major", color=NOTHING, linewidth=0.5)
-    plain_decades(axes)
+    plain_decades(axes.yaxis)
     axes.legend(frameon=False, fontsize=8)
     return figure
 

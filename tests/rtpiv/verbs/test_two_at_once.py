@@ -31,6 +31,7 @@ ALONE = {  # what the second is refused before it reads anything, or has nothing
     "sheet": ["frame.tif", "frame2.tif", "--scene", "one.yaml"],
     "report": ["report_of"],
     "join": ["a", "b"],
+    "timeseries": ["series", "--at", "0", "0"],
     "focus": ["run"],
     "examples": [],
     "demo": [],

@@ -1,0 +1,64 @@
+"""`rtpiv timeseries`: velocity over time at places of a series, along a line, and its spectrum."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq.errors import RunUsageError
+from ground.plain_words import counted
+from ground.terminal import console
+from rtpiv.analysis.series.time_series import FILE, TimeSeries, time_series
+from rtpiv.verbs.paths import Named
+from rtpiv.verbs.results import results_in
+
+PAGE = "time_series.html"
+
+
+def timeseries(
+    series: Named,
+    /,
+    at: Sequence[float] = (),
+    line: tuple[float, float, float, float] | None = None,
+    out: Named | None = None,
+) -> TimeSeries:
+    """Say what moved at places of the plane, pair by pair.
+
+    Parameters
+    ----------
+    series : path
+        Folder of a series (see `evaluate`).
+    at : sequence of float
+        x and y of each place [mm], one after the other: ``--at 0 10 -5 20`` are two.
+    line : (float, float, float, float), optional
+        x and y of both ends of a line [mm].
+    out : path, optional
+        Folder, default ``timeseries`` (or ``timeseries-2`` ... where that has results), for ``time_series.nc`` and
+        the page ``time_series.html``.
+
+    Returns
+    -------
+    TimeSeries
+        Velocities, their uncertainty, and the spectrum if the pairs are evenly timed.
+
+    Raises
+    ------
+    RunUsageError
+        No place is named, half of one, or one beyond the vectors.
+    RunUnsuitable, SeriesError
+        The folder is no series, or is damaged.
+    DiskError
+        The folder cannot hold the results.
+    """
+    if len(at) % 2 or not (len(at) or line is not None):
+        raise RunUsageError("say x and y of each place in mm, as in --at 0 10 -5 20, or both ends of a --line")
+    places = list(zip(at[::2], at[1::2], strict=True))
+    with results_in(out, "timeseries") as out:
+        found = time_series(Path(series), places, None if line is None else (line[:2], line[2:]))
+        found.write(out / FILE)
+        from rtpiv.analysis.report.time_series import time_series_page  # draws
+
+        time_series_page(found, found.run).write(out / PAGE)
+        screen = console()
+        said = f"{counted(len(found.time), 'pair')} at {counted(len(found.place_mm), 'place')}"
+        screen.print(said if found.spectrum is not None else f"{said}; no spectrum: {found.why_none}")
+        screen.print(f"look at {out / PAGE}", soft_wrap=True)
+        return found
