@@ -12,6 +12,8 @@ import yaml
 from daq.bench.bench_file import load_bench
 from daq.bench.rehearsal import Rehearsal
 from ground.errors import ConfigError
+from rtpiv.verbs.acquire import LiveFrames, acquire
+from sim.happened import read_happened
 from sim.rehearsed import Rehearsed
 from stages.dialogue import VARIABLE, read_dialogue
 from stages.errors import PortUnavailable, StageError
@@ -254,3 +256,43 @@ def test_the_fixture_fails_a_test_that_says_something_else(path, said, pytester)
     ran = pytester.runpytest_inprocess("-q", "-p", "rtpiv_pytest")
     ran.stdout.fnmatch_lines([f"*not as recorded: target: {said[0]}:*"])
     ran.assert_outcomes(passed=1, errors=1)
+
+
+# ---- a run of a plan ---------------------------------------------------------------------------------
+
+PLAN = "experiment: target\nclear: {z_mm: [0.0, -10.0]}\nglass: {z_mm: [0.0]}\n"
+
+
+def run_of(folder, bench, plan, **words):
+    (folder / "plan.yaml").write_text(plan)
+    place = folder / "runs"
+    try:
+        acquire(folder / "plan.yaml", bench, place, home=True, frames=LiveFrames(correct=False),
+                simulate=Rehearsal(seed=3, **words))  # fmt: skip
+        error = ""
+    except StageError as caught:
+        error = str(caught)
+    return read_happened(next(place.iterdir())), error
+
+
+@pytest.mark.slow
+def test_a_run_of_a_plan_says_what_was_recorded_or_is_told_what_not(tmp_path, monkeypatch):
+    """Its last words too, which are those of closing; and by the file of faults, with paths from that file on."""
+    bench = write_bench(tmp_path / "bench", side_px=96)
+    for name in ("recorded", "again", "other"):
+        (tmp_path / name).mkdir()
+    with monkeypatch.context() as patch:
+        patch.setenv(VARIABLE, str(tmp_path / "said"))
+        run_of(tmp_path / "recorded", bench, PLAN)
+    (said,) = (tmp_path / "said").glob("sim-target-*.txt")
+    said.rename(tmp_path / "said" / "target.txt")
+    (tmp_path / "faults.yaml").write_text("recorded: {target: said/target.txt}\n")
+    happened, error = run_of(tmp_path / "again", bench, PLAN, faults=tmp_path / "faults.yaml")
+    assert (happened.differs, happened.violations, error) == ([], [], "")
+    happened, error = run_of(
+        tmp_path / "other", bench, PLAN.replace("-10.0", "-12.0"), faults=tmp_path / "faults.yaml"
+    )
+    (differs,) = happened.differs
+    assert differs.startswith(f"target: {tmp_path / 'said' / 'target.txt'}:")
+    assert "was said, 'MOV 3 " in differs
+    assert "target.txt" in error
