@@ -59,7 +59,6 @@ LABS = {
     "f = 35 mm, 8 mm squares": Lab("one_sphere_250", 7, 8.0),
     "f = 105 mm": Lab("one_sphere_1000", 7, 5.0),
 }
-FAST = "board turned by 20 deg, glass off the axis"
 
 
 def scenes(lab: Lab) -> tuple[Scene, Scene]:
@@ -96,9 +95,8 @@ def photographs(lab: Lab, truth: Scene) -> list[TargetFrame]:
     return frames
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == FAST else pytest.param(name, marks=pytest.mark.slow) for name in LABS]
-)
+@pytest.mark.slow  # the fast suite has the lab at home in test_rendered.py, and turned scenes in test_supports.py
+@pytest.mark.parametrize("name", LABS)
 def test_the_map_is_true_and_its_sigma_honest(name):
     lab = LABS[name]
     nominal, bench = scenes(lab)

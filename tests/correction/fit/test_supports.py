@@ -70,3 +70,23 @@ def test_a_turned_bench_keeps_its_supports_clear():
     angle = np.deg2rad(2.0)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     assert {body.name for body in turned(scene, turn).bodies} == {"left", "right", "under"}
+
+
+def test_a_turned_bench_looks_the_same_to_its_camera():
+    """Balls, rods and camera turn together, as a board that hangs askew makes all of them turn before it."""
+    scene = scene_of(HOLDS_RIGHT)
+    scene = scene.with_bodies(
+        [body.moved(lambda at: (*at[:2], at[2] + 40.0)) for body in scene.bodies]
+    )  # clear of it
+    about_z, about_y = np.deg2rad((20.0, 2.0))
+    turn = np.array([[np.cos(about_z), -np.sin(about_z), 0], [np.sin(about_z), np.cos(about_z), 0], [0, 0, 1]])
+    turn = turn @ [[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]]
+
+    def seen_mm(scene):
+        balls = [body.centre_mm for body in scene.spheres]
+        ends = [at for body in scene.bodies if isinstance(body, Rod) for at in (body.start_mm, body.end_mm)]
+        return (np.array([*balls, *ends]) - scene.camera.position_mm) @ scene.camera.rotation_matrix.T
+
+    after = turned(scene, turn)
+    np.testing.assert_allclose(after.spheres[0].centre_mm, turn @ (-25.0, 0.0, 66.0), atol=1e-9)
+    np.testing.assert_allclose(seen_mm(after), seen_mm(scene), atol=1e-9)
