@@ -21,7 +21,7 @@ from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.light import Colours, LitFlow, colours_of, in_each_colour, target_light
 from sim.prepared_pairs import PreparedPairs
-from sim.renderer.patterns import Chessboard, CodedBoard, ParticleSheet, placed, printed_particles
+from sim.renderer.patterns import Chessboard, CodedBoard, DotGrid, ParticleSheet, placed, printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
@@ -38,7 +38,7 @@ KEPT_FLOW_VIEWS = 2  # the glass in and out
 LATER_S = 1.0  # in the flow for each exposure that was made before this process began
 BOARD = "chessboard"  # what a target run shows
 FLOW = "flow"  # what a flow run shows: no print, but light on particles
-Print = Chessboard | CodedBoard | ParticleSheet
+Print = Chessboard | CodedBoard | DotGrid | ParticleSheet
 
 
 class World:
@@ -182,7 +182,7 @@ class World:
         return scene, placed(self.print, pose)
 
 
-def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard:
+def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid:
     """The board on paper, as large as its printer has made it: what was measured of it is not quite that.
 
     A plain board hangs either way round: which of its squares are bright nobody has said.
@@ -191,8 +191,11 @@ def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard:
     x, y = (s + sigma * rng.standard_normal() for s, sigma in zip(told.scale, told.scale_sigma, strict=True))
     on_paper = Board(
         told.square_mm, told.disc_mm, discs=told.discs, squares=told.squares, origin_corner=told.origin_corner,
-        codes=told.codes, scale=(x, y), odd_bright=bool(rng.integers(2)) if told.is_plain else True,
+        codes=told.codes, dots=told.dots, scale=(x, y),
+        odd_bright=bool(rng.integers(2)) if told.is_plain else True,
     )  # fmt: skip
+    if told.dots is not None:
+        return DotGrid(**vars(on_paper))
     return (Chessboard if told.codes is None else CodedBoard)(**vars(on_paper))
 
 

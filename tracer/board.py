@@ -5,6 +5,9 @@ of the other shade sits in the middle of a few squares: their pattern tells the 
 Without discs a board is plain, and its origin is counted from its edges.  Who finds the board and who prints it
 share this description and compute with it apart.
 
+A grid of dots has a dot at every corner (i a, j a) instead, a its pitch, and larger ones, its discs, at a few
+corners.
+
 A printer stretches, along the feed by another factor than across it: on paper a square is `sides_mm` wide and
 high.
 """
@@ -15,6 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Square = tuple[int, int]
+LARGE_DOTS: tuple[Square, ...] = (
+    (0, 0),
+    (1, 0),
+    (0, 2),
+)  # of a grid; turned by any quarter they are another figure
 
 
 @dataclass(frozen=True)
@@ -34,17 +42,34 @@ class Codes:
 
 
 @dataclass(frozen=True)
+class Dots:
+    """What a grid of dots has in place of squares.
+
+    Parameters
+    ----------
+    dot_mm : float
+        Diameter of the usual dots.
+    bright : bool
+        Whether dots are bright on dark; otherwise dark on bright.
+    """
+
+    dot_mm: float
+    bright: bool = False
+
+
+@dataclass(frozen=True)
 class Board:
-    """A printed chessboard.
+    """A printed chessboard, or a grid of dots.
 
     Parameters
     ----------
     square_mm : float
-        Side of a square.
+        Side of a square; from dot to dot.
     disc_mm : float
-        Diameter of the discs.
+        Diameter of the discs, of a grid its large dots.
     discs : tuple of (int, int)
-        Squares (column to +x, row to +y) that carry a disc; none on a plain board.
+        Squares (column to +x, row to +y) that carry a disc, of a grid corners with a large dot; none on a plain
+        board.
     squares : (int, int), optional
         Columns and rows that there are; without, it goes on for ever.
     origin_corner : (int, int), optional
@@ -53,6 +78,8 @@ class Board:
         Whether squares with i + j odd are bright, as said; otherwise the others are.
     codes : Codes, optional
         Markers in its bright squares.
+    dots : Dots, optional
+        Of a grid of dots.
     scale : (float, float)
         How much larger than that it is on paper, in x and in y.
     """
@@ -64,6 +91,7 @@ class Board:
     origin_corner: tuple[int, int] | None = field(default=None, kw_only=True)
     odd_bright: bool = field(default=True, kw_only=True)
     codes: Codes | None = field(default=None, kw_only=True)
+    dots: Dots | None = field(default=None, kw_only=True)
     scale: tuple[float, float] = field(default=(1.0, 1.0), kw_only=True)
 
     @property

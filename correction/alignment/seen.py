@@ -39,8 +39,9 @@ from correction.target import Chessboard
 from correction.target.board_count import place_by_count
 from correction.target.board_origin import place_by_prediction
 from correction.target.board_search import SATURATED, corners_in_view
-from correction.target.corners import CornerSearch, refine_corners, saturated_fraction
-from correction.target.lattice_growth import Patch, coarse_saddles, grow_patches
+from correction.target.corners import CornerSearch, saturated_fraction
+from correction.target.lattice_growth import Patch, grow_patches
+from correction.target.marks import find_marks, refine_marks
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 from tracer.bodies import shifted_by
@@ -151,7 +152,7 @@ def find_camera(
         Too little of the board is seen beside the glass, or it lies elsewhere than expected.
     """
     nominal, beside = scene.camera, _beside(scene, reach_mm)
-    patches = grow_patches(coarse_saddles(frame, square_px(nominal, board, board_mm), beside))
+    patches = grow_patches(find_marks(frame, board, beside, square_px(nominal, board, board_mm)))
 
     def predict(plane_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         return nominal.project(_world(plane_mm, board_mm))
@@ -177,12 +178,13 @@ def find_camera(
         )
     index = np.concatenate(indices)
     some = np.unique(np.linspace(0, count - 1, min(count, ENOUGH)).round().astype(np.intp))
-    found = refine_corners(
+    found = refine_marks(
         frame,
+        board,
+        index[some],
         np.concatenate(pixels)[some],
         np.concatenate(axes)[some],
-        sign=board.corner_sign(index[some]),
-        mask=beside,
+        beside,
         search=CornerSearch(ARM, start_error_px=0.5, max_shift=0.3),
     )
     if np.count_nonzero(found.valid) < LEAST_CORNERS:
@@ -210,12 +212,13 @@ def square_px(camera: Camera, board: Chessboard, board_mm: NDArray[np.float64]) 
 def _levels(
     frame: NDArray[Any], camera: Camera, index: NDArray[np.int64], board: Chessboard, board_mm: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Intensity of dark and bright squares, in the middle of those beside some corners."""
-    middle = camera.project(_world(board.corner_mm(index + 0.5), board_mm))
+    """Intensity of dark and bright parts: the middles of squares beside some corners, or of dots and between."""
+    asked = index + 0.5 if board.dots is None else np.concatenate((index, index + 0.5))
+    middle = camera.project(_world(board.corner_mm(asked), board_mm))
     at = np.rint(middle).astype(np.intp)
     inside = (at >= 0).all(axis=1) & (at < np.array(camera.sensor_px)).all(axis=1)
     value = frame[at[inside, 1], at[inside, 0]]
-    bright = board.shade(board.corner_mm(index[inside] + 0.5)) > 0.5
+    bright = board.shade(board.corner_mm(asked[inside])) > 0.5
     return float(np.median(value[~bright])), float(np.median(value[bright]))
 
 
@@ -468,7 +471,7 @@ def _unnamed(
     index, pixel = index[known], pixel[known]
     if not len(index):
         return ()
-    away, _ = scipy.spatial.cKDTree(coarse_saddles(frame, side_px).position_px).query(pixel)
+    away, _ = scipy.spatial.cKDTree(find_marks(frame, view.board, None, side_px).position_px).query(pixel)
     lost = away > AT_CORNER * side_px
     lattice, cell = np.zeros(high - low + 1, dtype=np.bool_), index - low
     lattice[cell[lost, 0], cell[lost, 1]] = True

@@ -28,7 +28,8 @@ from correction.fit.seen.prediction import expect
 from correction.fitted.prepared import prepare
 from correction.maps.corrector import Corrector
 from correction.target import Chessboard
-from correction.target.corners import WINDOW, CornerSearch, refine_corners
+from correction.target.corners import WINDOW, CornerSearch
+from correction.target.marks import refine_marks
 from ground.short_repr import short_repr
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
@@ -176,12 +177,13 @@ def _error_of(
     if before is not None:
         for n in np.flatnonzero(known):
             position[n], valid[n] = before.corners[nodes[n]]
-    fit = refine_corners(
+    fit = refine_marks(
         soft,
+        board,
+        index[seen][~known],
         expected[~known],
         np.array([[across, 0.0], [0.0, -up]]),
-        sign=board.corner_sign(index[seen][~known]),
-        mask=usable,
+        usable,
         search=CornerSearch(board.arm, max_shift=MAX_SHIFT),
     )
     position[~known], valid[~known] = fit.position_px, fit.valid

@@ -1,7 +1,7 @@
 """The camera, from the bare target.
 
 It is fitted to all heights; the target at z = 0 defines the world.  With walls that stand there, corners are then
-measured where the scene shows them, twice.
+measured where the scene shows them, twice; middles of dots are taken back to their centres.
 
 A board may hang turned or leaning before a bench that is as described.  The board at z = 0 is the world
 (docs/adr/0005), so a board put in 17 degrees askew looks like a camera that rolled, and one that leans like a
@@ -33,6 +33,7 @@ from correction.fit.seen.measurement import (
     TargetFrame,
     bare_frame,
     bare_frame_through_walls,
+    centred,
 )
 from correction.fit.solve.contact import clear_of, pushed_apart
 from correction.fit.solve.solver import Solution
@@ -58,6 +59,8 @@ def find_camera(work: Progress) -> None:
         unknowns, solution = _fit_camera(work, work.bare_frames[1:])
     for _ in range(THROUGH_WALLS if work.walls else 0):
         solution = _measure_through_walls(work, unknowns)
+    if work.board.dots is not None:
+        solution = _centre_dots(work, unknowns)
     _check(work, _bare_rms_px(work, unknowns, solution.x), unknowns, solution)
 
 
@@ -99,6 +102,19 @@ def _measure_through_walls(work: Progress, unknowns: Unknowns) -> Solution:
     solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
     work.full = unknowns.full(solution.x)
     work.note(work.fits.step("camera through walls", unknowns, solution.x, work.bare))
+    return solution
+
+
+def _centre_dots(work: Progress, unknowns: Unknowns) -> Solution:
+    """Take the middles of pictures of dots back to their centres, as the scene shows them, and fit again."""
+    scene = legal_scene(work.unknowns, work.full)[0].bare()
+    work.bare = [
+        centred(one, work.board, scene, work.unknowns.pose(work.full, one.corners.height_number))
+        for one in work.bare
+    ]
+    solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
+    work.full = unknowns.full(solution.x)
+    work.note(work.fits.step("camera by centres of dots", unknowns, solution.x, work.bare))
     return solution
 
 

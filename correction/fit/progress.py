@@ -18,7 +18,8 @@ from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.target import Chessboard
 from correction.target.board_search import SATURATED
 from correction.target.corners import saturated_fraction
-from correction.target.lattice_growth import Saddles, find_saddles, lattice_saddles
+from correction.target.lattice_growth import Saddles, lattice_saddles
+from correction.target.marks import find_marks
 from piv.errors import FrameError
 from tracer.camera import Vector3
 from tracer.scene.fit_section import FitTable
@@ -78,9 +79,9 @@ class Progress:
         return int(np.argmin(np.abs(np.array(self.unknowns.heights_mm) - frame.height_mm)))
 
     def saddles(self, frame: TargetFrame) -> Saddles:
-        """Saddles of a frame, looked for once."""
+        """Saddles of a frame, or dots, looked for once."""
         if frame.name not in self.found_saddles:
-            self.found_saddles[frame.name] = find_saddles(frame.image)
+            self.found_saddles[frame.name] = find_marks(frame.image, self.board)
         return self.found_saddles[frame.name]
 
     def corner_saddles(self, frame: TargetFrame) -> Saddles:

@@ -6,6 +6,11 @@
     bars_mm: [190.0, 280.0]      # the bars in the margin as drawn, along x and y
     measured_mm: [189.7, 279.9]  # the same on paper, with a steel rule
 
+    kind: dots
+    pitch_mm: 3.5                # from dot to dot
+    dot_mm: 1.4
+    large_dot_mm: 2.3            # of three: the origin, the next one to the right, and the second above
+
 A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured, it
 is 1 to half a per cent: what printers differ by.  A bench names the file (`target: {board: board.yaml}`), a run
 keeps it.
@@ -23,7 +28,7 @@ from correction.target.chessboard import Chessboard
 from correction.target.codes import with_codes
 from ground.config import Pair, Table, read
 from ground.whole_file import whole_file
-from tracer.board import Board, Codes
+from tracer.board import LARGE_DOTS, Board, Codes, Dots
 
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
@@ -55,7 +60,9 @@ class PrintedBoard(Table):
     marker_mm, dictionary : optional
         Of a charuco board: its markers, and OpenCV's name of the set.
     pitch_mm, dot_mm, large_dot_mm : float, optional
-        Of dots.
+        Of dots: from one to the next, and diameters of the usual and of the large ones.
+    large_dots, bright_dots : optional
+        Which are large, columns and rows from the origin, and whether dots are bright on dark.
     particles, particle_mm, seed, size_mm : optional
         Of particles: how many, how wide, drawn from which seed on which area.
     """
@@ -70,6 +77,8 @@ class PrintedBoard(Table):
     pitch_mm: Positive | None = None
     dot_mm: Positive | None = None
     large_dot_mm: Positive | None = None
+    large_dots: list[Annotated[list[int], Field(min_length=2, max_length=2)]] | None = None
+    bright_dots: bool | None = None
     particles: int | None = None
     particle_mm: Positive | None = None
     seed: int | None = None
@@ -97,14 +106,20 @@ class PrintedBoard(Table):
         BoardError
             Nothing of this kind can be, or nobody can print it.
         """
-        if self.kind not in ("chessboard", "charuco"):
+        if self.kind == "particles":
             raise BoardError(
-                f"a board of kind {self.kind} is printed, but not found in frames yet; calibrate with a chessboard"
-                " or charuco"
+                "a board of kind particles has no corners to calibrate by; take a chessboard, charuco or dots"
             )
-        assert self.square_mm is not None
-        board = Chessboard(self.square_mm, discs=(), scale=self.scale, scale_sigma=self.scale_sigma)
-        if self.disc_mm is not None:
+        side = self.pitch_mm if self.kind == "dots" else self.square_mm
+        assert side is not None
+        board = Chessboard(side, discs=(), scale=self.scale, scale_sigma=self.scale_sigma)
+        if self.kind == "dots":
+            assert self.dot_mm is not None
+            assert self.large_dot_mm is not None
+            large = tuple((i, j) for i, j in self.large_dots) if self.large_dots is not None else LARGE_DOTS
+            dots = Dots(self.dot_mm, bright=bool(self.bright_dots))
+            board = replace(board, disc_mm=self.large_dot_mm, discs=large, dots=dots)
+        elif self.disc_mm is not None:
             board = replace(board, disc_mm=self.disc_mm, discs=Board().discs)
         if self.squares is not None:
             columns, rows = self.squares
@@ -112,6 +127,7 @@ class PrintedBoard(Table):
             board = replace(board, squares=(columns, rows), origin_corner=(x, y))
         if self.kind == "charuco":
             assert self.marker_mm is not None
+            assert self.square_mm is not None
             assert self.dictionary is not None
             board = with_codes(board, Codes(self.dictionary, self.marker_mm / self.square_mm))
         return board

@@ -5,6 +5,9 @@ bright in the middle as towards its corners; a disc square is not.  The pattern 
 exactly one of four turns and one shift, or the frame does not show this board.  The mean of the profile
 from the middle to the edge gives the disc's diameter: another ratio of disc to square is another board.
 
+Of a grid of dots the large ones do the same: every dot is sampled in the frame of its neighbours, and those that
+are wider than halfway between both kinds count.
+
 Prediction: every corner votes for the turn and shift that put it on the nearest predicted corner of its
 kind; right votes agree, wrong ones scatter.
 """
@@ -50,16 +53,19 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
     TargetNotFound
         The discs are there, but of another size or with the shades exchanged, or they fit more than once.
     """
-    cells, bright, diameter = _disc_squares(frame, patch)
+    cells, bright, diameter = (
+        _disc_squares(frame, patch) if board.dots is None else _large_dots(frame, patch, board)
+    )
     wanted = np.array(board.discs)
-    fits = _matches(cells, bright, board, wanted, board.is_bright(wanted))
+    shades = board.is_bright(wanted) if board.dots is None else np.zeros(len(wanted), bool)
+    fits = _matches(cells, bright, board, wanted, shades)
     if len(fits) > 1:
         raise TargetNotFound(
-            f"the pattern of {len(wanted)} discs fits the frame {len(fits)} times; clean the board or mask the"
-            " spots that look like discs"
+            f"the pattern of {len(wanted)} {board.origin_marks} fits the frame {len(fits)} times; clean the board"
+            f" or mask the spots that look like {board.origin_marks}"
         )
     if not fits:
-        if _matches(cells, bright, board, wanted, ~board.is_bright(wanted)):
+        if board.dots is None and _matches(cells, bright, board, wanted, ~board.is_bright(wanted)):
             raise TargetNotFound(
                 "bright and dark squares are exchanged compared to the board described; describe the board that"
                 " is in the frame"
@@ -69,8 +75,8 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
     ratio, expected = float(np.mean(diameter[members])), board.disc_mm / board.square_mm
     if abs(ratio - expected) > RATIO_TOLERANCE * expected:
         raise TargetNotFound(
-            f"the discs measure {ratio:.2f} squares across, those of the board described {expected:.2f}; put the"
-            " described board into the frame, or describe this one"
+            f"the {board.origin_marks} measure {ratio:.2f} squares across, those of the board described"
+            f" {expected:.2f}; put the described board into the frame, or describe this one"
         )
     return placing
 
@@ -99,8 +105,8 @@ def place_by_prediction(
     votes: Counter[Placing] = Counter()
     trees = {turn: scipy.spatial.cKDTree(predicted_px[kinds == turn]) for turn in (1, -1) if np.any(kinds == turn)}
     for turn in QUARTER_TURNS:
-        # A quarter turn exchanges the kinds of corners; half turns keep them.
-        swap = -1 if turn[0][0] == 0 else 1
+        # A quarter turn exchanges the kinds of corners; half turns keep them, and dots are all alike.
+        swap = -1 if turn[0][0] == 0 and board.dots is None else 1
         for kind, tree in trees.items():
             mine = patch.sign == kind * swap
             if not mine.any():
@@ -157,12 +163,13 @@ def _matches(
 ) -> list[tuple[Placing, list[int]]]:
     """All turns and shifts in which every disc of the board meets a disc square of its shade."""
     place = {(int(i), int(j), bool(b)): n for n, ((i, j), b) in enumerate(zip(cells, bright, strict=True))}
+    middle = 0.5 if board.dots is None else 0.0  # of what carries a disc, from its index
     fits = []
     for turn in QUARTER_TURNS:
-        centres = (wanted + 0.5) @ np.array(turn).T  # a square's middle turns, its corner does not
+        centres = (wanted + middle) @ np.array(turn).T  # a square's middle turns, its corner does not
         for cell in cells[bright == shades[0]]:
-            shift = np.rint(cell + 0.5 - centres[0]).astype(np.int64)
-            squares: Sequence[Sequence[float]] = (centres + shift - 0.5).tolist()
+            shift = np.rint(cell + middle - centres[0]).astype(np.int64)
+            squares: Sequence[Sequence[float]] = (centres + shift - middle).tolist()
             keys = [(round(i), round(j), bool(b)) for (i, j), b in zip(squares, shades, strict=True)]
             if all(key in place for key in keys):
                 fits.append((Placing(turn, (int(shift[0]), int(shift[1]))), [place[key] for key in keys]))
@@ -179,21 +186,55 @@ def _disc_squares(
         return np.empty((0, 2), np.int64), np.empty(0, bool), np.empty(0)
     corners = np.array([[place[i + a, j + b] for a, b in ((0, 0), (1, 0), (0, 1), (1, 1))] for i, j in cells])
     bright = patch.sign[corners[:, 0]] > 0
-    radii = np.linspace(0.02, 0.42, 21)
-    angles = np.arange(16) * (np.pi / 8.0) + 0.1
-    offset = radii[:, None, None] * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
-    a, b = 0.5 + offset[..., 0], 0.5 + offset[..., 1]
+    a, b = np.moveaxis(0.5 + _AROUND, -1, 0)
     weights = np.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), axis=-1)
     points = np.einsum("rak,nkc->nrac", weights, patch.position_px[corners])
+    middle, rim, diameter = _profile(frame, points)
+    dark_level, bright_level = np.median(rim[~bright]), np.median(rim[bright])
+    inner = np.where(bright, rim - middle, middle - rim)
+    disc = inner > 0.5 * (bright_level - dark_level)
+    return np.array(cells)[disc], bright[disc], diameter[disc]
+
+
+def _large_dots(
+    frame: NDArray[Any], patch: Patch, board: Chessboard
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Large dots (N, 2) of a patch, their shade (N,), which is one, diameter in pitches (N,).
+
+    Raises
+    ------
+    TargetNotFound
+        The usual dots are of another size than described.
+    """
+    assert board.dots is not None
+    points = patch.position_px[:, None, None] + np.einsum("rak,nck->nrac", _AROUND, patch.axes_px)
+    diameter = _profile(frame, points)[2]
+    usual, large = board.dots.dot_mm / board.square_mm, board.disc_mm / board.square_mm
+    seen = float(np.median(diameter))
+    if abs(seen - usual) > RATIO_TOLERANCE * usual:
+        raise TargetNotFound(
+            f"the dots measure {seen:.2f} of the way from one to the next, those of the board described"
+            f" {usual:.2f}; put the described board into the frame, or describe this one"
+        )
+    chosen = diameter > 0.5 * (usual + large)
+    return patch.index[chosen], np.zeros(np.count_nonzero(chosen), bool), diameter[chosen]
+
+
+_RADII = np.linspace(0.02, 0.42, 21)  # squares
+_ANGLES = np.arange(16) * (np.pi / 8.0) + 0.1
+_AROUND = _RADII[:, None, None] * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)
+
+
+def _profile(
+    frame: NDArray[Any], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Level in the middle and at the border (N,) of points (N, radii, angles, 2), and diameter in squares (N,)."""
     values = scipy.ndimage.map_coordinates(
         frame.astype(np.float32), [points[..., 1], points[..., 0]], order=1, mode="nearest"
     ).mean(axis=2)
     middle, rim = values[:, :3].mean(axis=1), values[:, -2:].mean(axis=1)
-    dark_level, bright_level = np.median(rim[~bright]), np.median(rim[bright])
-    inner = np.where(bright, rim - middle, middle - rim)
-    disc = inner > 0.5 * (bright_level - dark_level)
     with np.errstate(divide="ignore", invalid="ignore"):
         inside = (values - rim[:, None]) / (middle - rim)[:, None]
     # Radius of the disc: the profile from 1 to 0, integrated.
-    diameter = 2.0 * (radii[0] + np.clip(inside, 0.0, 1.0).sum(axis=1) * (radii[1] - radii[0]))
-    return np.array(cells)[disc], bright[disc], diameter[disc]
+    diameter = 2.0 * (_RADII[0] + np.clip(inside, 0.0, 1.0).sum(axis=1) * (_RADII[1] - _RADII[0]))
+    return middle, rim, diameter

@@ -19,7 +19,7 @@ indices that look right.  They do not lie on the smooth map of the others, and t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,15 +31,14 @@ from correction.target.board_count import place_by_count
 from correction.target.board_origin import Placing, place_by_discs, place_by_prediction
 from correction.target.chessboard import Chessboard
 from correction.target.codes import Marker, place_by_codes, read_markers, square_px
-from correction.target.corners import CornerSearch, refine_corners, saturated_fraction
+from correction.target.corners import CornerSearch, saturated_fraction
 from correction.target.lattice_growth import (
     STEPS,
     Patch,
-    coarse_saddles,
-    find_saddles,
     grow_patches,
     lattice_axes,
 )
+from correction.target.marks import find_marks, refine_marks
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
@@ -214,12 +213,13 @@ def measure_lattice(
     tried: set[tuple[int, int]] = set()
     refused: dict[str, int] | None = None
     for extension in range(1 + EXTENSIONS):
-        fit = refine_corners(
+        fit = refine_marks(
             frame,
+            board,
+            index,
             start,
             axes,
-            sign=board.corner_sign(index),
-            mask=mask,
+            mask,
             search=CornerSearch(board.arm, 5.0 if extension else 0.5, max_shift=0.3),
         )
         refused = fit.counts() if refused is None else refused
@@ -250,9 +250,9 @@ def measure_lattice(
 
 
 def _holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:
-    """True if all four corners of every disc square are among the corners (N, 2)."""
-    have = {(int(i), int(j)) for i, j in index}
-    return all((i + a, j + b) in have for i, j in board.discs for a in (0, 1) for b in (0, 1))
+    """True if all four corners of every disc square, or all large dots, are among the corners (N, 2)."""
+    have, size = {(int(i), int(j)) for i, j in index}, (0, 1) if board.dots is None else (0,)
+    return all((i + a, j + b) in have for i, j in board.discs for a in size for b in size)
 
 
 def _claims(
@@ -322,8 +322,8 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     if marked is not None:
         return measure_lattice(frame, board, [marked], mask, discs_count=True)
     raise TargetNotFound(
-        f"a lattice of {len(patches[0].index)} corners is in the frame, but not the {len(board.discs)} discs that"
-        " mark the origin; bring them into view, or give a prediction of the view"
+        f"a lattice of {len(patches[0].index)} corners is in the frame, but not the {len(board.discs)}"
+        f" {board.origin_marks} that mark the origin; bring them into view, or give a prediction of the view"
     )
 
 
@@ -367,6 +367,12 @@ def track_board(
         marked = None
     if board.codes is not None and not placed and reach is not None:
         raise TargetNotFound(_why_no_codes(markers))
+    if board.dots is not None and marked is None and reach is not None:
+        raise TargetNotFound(
+            f"a grid of {len(patches[0].index)} dots is in the frame, but not the {len(board.discs)} large"
+            " dots that mark the origin, whole and as large as the camera should see them; bring them into view,"
+            " or correct pitch and camera"
+        )
     if marked is None and not placed and (reach is not None or board.is_plain):
         board, place = place_by_count(frame, patches[0], board, (index, predicted), reach)
         marked = patches[0], place
@@ -428,15 +434,33 @@ def _patches(
             " expose shorter or close the aperture"
         )
     markers = [] if board.codes is None else read_markers(frame, board)
-    saddles = coarse_saddles(frame, square_px(board, markers), mask) if markers else find_saddles(frame, mask)
-    patches = grow_patches(saddles)
+    patches = grow_patches(find_marks(frame, board, mask, square_px(board, markers) if markers else None))
     if not patches or len(patches[0].index) < LEAST_BOARD:
         seen = len(patches[0].index) if patches else 0
-        raise TargetNotFound(
+        raise TargetNotFound(_why_no_lattice(frame, board, seen))
+    return frame, patches, markers
+
+
+def _why_no_lattice(frame: NDArray[Any], board: Chessboard, seen: int) -> str:
+    """Say why no lattice of `seen` corners is enough, and which other board it may be."""
+    if board.dots is None:
+        return (
             f"no chessboard in the frame (largest lattice: {seen} corners, {LEAST_BOARD} are needed); check light,"
             " focus and that squares are at least 8 px wide"
         )
-    return frame, patches, markers
+    other = replace(board, dots=replace(board.dots, bright=not board.dots.bright))
+    squares = Chessboard(board.square_mm, discs=())
+    for kind, words in (
+        (other, "dots of the other shade: change bright_dots"),
+        (squares, "a chessboard: change kind"),
+    ):
+        patches = grow_patches(find_marks(frame, kind))
+        if patches and len(patches[0].index) > max(seen, LEAST_BOARD):
+            return f"the frame shows {words} in the board file, or show the board that it describes"
+    return (
+        f"no grid of dots in the frame (largest: {seen} dots, {LEAST_BOARD} are needed); check light, focus"
+        " and that dots are at least 4 px wide and 8 px apart"
+    )
 
 
 def _why_no_codes(markers: list[Marker]) -> str:
@@ -494,8 +518,8 @@ def _why_not_placed(
             f" {board.square_mm * seen / expected:.2g}), or correct focal length and distance of the camera"
         )
     return (
-        "the lattice in the frame lies more than half a square from its prediction and no disc is seen; give a"
-        " better start, or bring the discs into view"
+        f"the lattice in the frame lies more than half a square from its prediction and no"
+        f" {board.origin_marks[:-1]} is seen; give a better start, or bring the {board.origin_marks} into view"
     )
 
 

@@ -5,21 +5,26 @@ Corner (i, j) is the point (i a, j b), a and b the sides of a square on paper: t
 The pattern of the discs looks different after every quarter turn, so it fixes both the origin and the orientation;
 it cannot tell a mirror image, which no camera shows of a board in air.
 
+A grid of dots is the same with a dot at each corner; its discs are the dots that are larger.
+
 Around a corner two edges cross.  What a fit may look at is a cross of arms along them: the arms end before
 the next corner (1 square away) and are thinner than the distance from an edge to a disc.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from correction.errors import BoardError
-from tracer.board import Board, Square
+from tracer.board import Board, Dots, Square
 
 LEAST_SQUARES = 4
 ARM = 0.15  # squares: clear of discs of up to 0.6 of one, and of their blur
 WIDEST_MARKER = 0.8  # squares
+SMALLEST_DOT, WIDEST_DOT = 0.15, 0.75  # pitches: smaller ones are lost behind glass, wider ones touch the next
+LARGER = 1.3  # times that large dots are wider than the others: blur must not make one of the other
 CLEAR_ARM = 0.7  # of the room between an edge and what is printed in the square: blur takes the rest
 QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
     ((1, 0), (0, 1)),
@@ -61,9 +66,11 @@ class Chessboard(Board):
                 f"markers of {self.codes.marker_share * self.square_mm:g} mm leave no clear edge in squares of"
                 f" {self.square_mm:g} mm; use {WIDEST_MARKER * self.square_mm:g} mm or less"
             )
+        if self.dots is not None:
+            self._check_dots(self.dots)
         if not self.discs:
             return
-        if not self.disc_mm <= 0.6 * self.square_mm:
+        if self.dots is None and not self.disc_mm <= 0.6 * self.square_mm:
             raise BoardError(
                 f"discs of {self.disc_mm:g} mm leave no clear edge in squares of {self.square_mm:g} mm;"
                 f" use {0.6 * self.square_mm:g} mm or less"
@@ -76,11 +83,27 @@ class Chessboard(Board):
                 "the discs look the same after a turn of the board; place them so that no turn repeats"
             )
 
+    def _check_dots(self, dots: Dots) -> None:
+        """Refuse dots that cannot be found, or do not say where the origin is."""
+        if self.codes is not None or not self.discs:
+            raise BoardError("a grid of dots has large dots at its origin, and no markers")
+        least, most = SMALLEST_DOT * self.square_mm, WIDEST_DOT * self.square_mm / LARGER
+        if not least <= dots.dot_mm <= most:
+            raise BoardError(
+                f"dots of {dots.dot_mm:g} mm every {self.square_mm:g} mm are too small, or leave no room for"
+                f" larger ones; use {least:.3g} to {most:.3g} mm"
+            )
+        if not LARGER * dots.dot_mm <= self.disc_mm <= WIDEST_DOT * self.square_mm:
+            raise BoardError(
+                f"large dots of {self.disc_mm:g} mm cannot be told from those of {dots.dot_mm:g} mm, or touch the"
+                f" next; use {LARGER * dots.dot_mm:.3g} to {WIDEST_DOT * self.square_mm:.3g} mm"
+            )
+
     def _shape(self, turn: tuple[Square, Square]) -> frozenset[tuple[int, int, bool]]:
         """Disc squares after a turn, relative to their lowest column and row, with their shade."""
         cells = np.array(self.discs) @ np.array(turn).T
         cells -= cells.min(axis=0)
-        bright = self.is_bright(np.array(self.discs))
+        bright = self.is_bright(np.array(self.discs)) & (self.dots is None)
         return frozenset((int(i), int(j), bool(b)) for (i, j), b in zip(cells, bright, strict=True))
 
     def is_bright(self, squares: ArrayLike) -> NDArray[np.bool_]:
@@ -109,7 +132,9 @@ class Chessboard(Board):
         return ARM if self.codes is None else min(ARM, CLEAR_ARM * 0.5 * (1.0 - self.codes.marker_share))
 
     def corner_sign(self, index: ArrayLike) -> NDArray[np.int8]:
-        """Return +1 for corners (..., 2) int whose square to +x, +y is bright, else -1 (...)."""
+        """Return +1 for corners (..., 2) int whose square to +x, +y is bright, and for dots, else -1 (...)."""
+        if self.dots is not None:
+            return np.ones(np.shape(index)[:-1], np.int8)
         return np.where(self.is_bright(index), np.int8(1), np.int8(-1))
 
     def corners_within(self, outline_mm: ArrayLike) -> NDArray[np.int64]:
@@ -141,9 +166,41 @@ class Chessboard(Board):
         index = np.stack((columns.ravel(), rows.ravel()), axis=-1)
         return index[_inside(self.corner_mm(index), outline) & self.has_corner(index)]
 
+    def dot_share(self, index: ArrayLike) -> NDArray[np.float64]:
+        """Diameters (...) in pitches of the dots with index (..., 2) int."""
+        assert self.dots is not None
+        index = np.asarray(index)
+        large = np.zeros(index.shape[:-1], bool)
+        for disc in self.discs:
+            large |= (index == np.array(disc)).all(axis=-1)
+        return np.where(large, self.disc_mm, self.dots.dot_mm) / self.square_mm
+
+    def _beside_dots(self, drawn_mm: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Index (..., 2) of the nearest dot of points (..., 2), and how far (...) [mm] they are from its rim."""
+        node = np.rint(drawn_mm / self.square_mm).astype(np.int64)
+        away = np.linalg.norm(drawn_mm - node * self.square_mm, axis=-1)
+        return node, away - 0.5 * self.square_mm * self.dot_share(node)
+
+    def from_edges_mm(self, points_mm: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """How far (N, 2) points (N, 2) of the board [mm] are from its nearest edges along x and y."""
+        if self.dots is not None:
+            beside = self._beside_dots(np.asarray(points_mm, np.float64) / self.scale)[1]
+            return np.asarray(np.abs(beside)[:, None] * np.array(self.scale))
+        place = points_mm / self.sides_mm
+        return np.asarray(np.abs(place - np.rint(place)) * self.sides_mm)
+
+    @property
+    def origin_marks(self) -> str:
+        """What marks the origin, in words."""
+        return "large dots" if self.dots is not None else "discs"
+
     def shade(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Reflectance (...) of board points (..., 2) [mm]: 0 dark, 1 bright."""
         points = np.asarray(points_mm, dtype=np.float64) / self.scale  # as drawn
+        if self.dots is not None:
+            node, beside = self._beside_dots(points)
+            inside = (beside < 0.0) & self.has_corner(node)
+            return np.where(inside, float(self.dots.bright), float(not self.dots.bright))
         squares = np.floor(points / self.square_mm).astype(np.int64)
         bright = self.is_bright(squares)
         for disc in self.discs:

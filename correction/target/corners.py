@@ -161,16 +161,11 @@ def refine_corners(
     FrameError
         Not a frame, NaN in it, or shapes that do not belong together.
     """
-    pixels = checked_frame(image).astype(np.float32, copy=False)
+    pixels, usable = checked_pixels(image, mask)
     start = np.ascontiguousarray(start_px, dtype=np.float64).reshape(-1, 2)
     count = len(start)
     axes = np.ascontiguousarray(np.broadcast_to(np.asarray(axes_px, dtype=np.float64), (count, 2, 2)))
     reaches = np.ascontiguousarray(np.broadcast_to(np.asarray(window, dtype=np.float64), (count,)))
-    usable = np.ones((1, 1), np.uint8) if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
-    if mask is not None and usable.shape != pixels.shape:
-        raise FrameError(f"the mask has shape {usable.shape}, the frame {pixels.shape}; they must agree")
-    if not np.isfinite(pixels.sum(dtype=np.float64)):
-        raise FrameError("the frame holds NaN or infinity; fill those pixels and mask them")
     out, verdict = np.full((count, 11), np.nan), np.zeros(count, np.uint8)
 
     def fit(some: NDArray[np.intp], error_px: float) -> None:
@@ -191,6 +186,19 @@ def refine_corners(
     again = np.flatnonzero((verdict == CornerReason.LOST) | (verdict == CornerReason.MOVED))
     fit(again, 2.0 * search.start_error_px)
     return _judge(out, verdict, sign)
+
+
+def checked_pixels(
+    image: NDArray[Any], mask: NDArray[np.bool_] | None
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Pixels (H, W) of a frame, and which of them may be used, (1, 1) if all; FrameError as `refine_corners`."""
+    pixels = checked_frame(image).astype(np.float32, copy=False)
+    usable = np.ones((1, 1), np.uint8) if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
+    if mask is not None and usable.shape != pixels.shape:
+        raise FrameError(f"the mask has shape {usable.shape}, the frame {pixels.shape}; they must agree")
+    if not np.isfinite(pixels.sum(dtype=np.float64)):
+        raise FrameError("the frame holds NaN or infinity; fill those pixels and mask them")
+    return pixels, usable
 
 
 def found_smeared(

@@ -5,6 +5,8 @@ l1 > 0 > l2, and l1 up the bright squares.  -det H is large there, zero along a 
 a blob; it does not depend on rotation, and little on perspective.  The edges themselves are the directions
 in which the quadratic form vanishes: at angles +-atan(sqrt(-l1 / l2)) from the eigenvector of l1.
 
+Dots of a grid grow alike (`dots_seen`): theirs are no saddles, and all of one kind, which no step can check.
+
 Next to a corner the lattice has corners of the opposite kind (bright and dark exchanged), so every step
 along an edge can be checked.
 
@@ -40,7 +42,7 @@ Index = tuple[int, int]
 
 @dataclass(frozen=True)
 class Saddles:
-    """Saddle points of a frame, N of them.
+    """Saddle points of a frame, or the dots in it, N of them.
 
     Attributes
     ----------
@@ -50,12 +52,15 @@ class Saddles:
         ``edges[n, k]`` is the unit vector of edge k; the squares around ``edges[n, 0] + edges[n, 1]`` and
         opposite to it are bright.
     strength : (N,) float64
-        -det H.
+        -det H; of dots how much darker than the paper they are.
+    alike : bool
+        Whether all are of one kind, as dots are.
     """
 
     position_px: NDArray[np.float64]
     edges: NDArray[np.float64]
     strength: NDArray[np.float64]
+    alike: bool = False
 
     def __len__(self) -> int:
         return len(self.strength)
@@ -141,7 +146,7 @@ class Patch:
     axes_px : (N, 2, 2) float64
         Columns: displacement by one square along i and along j.
     sign : (N,) int8
-        +1 if the square to +i, +j is bright.
+        +1 if the square to +i, +j is bright, and of dots.
     """
 
     index: NDArray[np.int64]
@@ -191,8 +196,10 @@ def lattice_saddles(frame: NDArray[Any], saddles: Saddles, square_px: float) -> 
         found.append(Saddles(some.position_px[at], some.edges[at], some.strength[at]))
     if not found:
         return saddles
-    parts = [(one.position_px, one.edges, one.strength) for one in found]
-    return Saddles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    position, edges, strength = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("position_px", "edges", "strength")
+    )
+    return Saddles(position, edges, strength)
 
 
 def lattice_axes(index: NDArray[np.int64], position: NDArray[np.float64], axes: NDArray[np.float64]) -> None:
@@ -224,6 +231,12 @@ def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.
     return np.where(straight | crossed, np.where(along > across, 1, -1), 0).astype(np.int8)
 
 
+def _kinds(saddles: Saddles, which: NDArray[np.intp], axes: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Kinds of some saddles (N,) in axes (N, 2, 2): columns; 0 where the edges disagree with these."""
+    signs = _signs(saddles.edges[which], axes)
+    return np.abs(signs) if saddles.alike else signs
+
+
 def _seeds(saddles: Saddles, tree: "scipy.spatial.cKDTree") -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Axes (N, 2, 2) of every saddle from its nearest neighbours along its edges, and whether all four exist."""
     position, edges = saddles.position_px, saddles.edges
@@ -253,7 +266,8 @@ def _grow(
     saddles: Saddles, tree: "scipy.spatial.cKDTree", seed: int, axes: NDArray[np.float64], free: NDArray[np.bool_]
 ) -> Patch:
     """Grow one patch from a seed; corners taken are no longer free."""
-    sign = int(_signs(saddles.edges[seed][None], axes[None])[0])
+    next_to = 1 if saddles.alike else -1  # the kind of a neighbour, times one's own
+    sign = int(_kinds(saddles, np.array([seed]), axes[None])[0])
     found: dict[Index, tuple[int, NDArray[np.float64], int]] = {}
     if sign:
         found[0, 0] = (seed, axes, sign)
@@ -276,15 +290,15 @@ def _grow(
         for row, n in enumerate(near):
             di, dj = steps[n][1]
             own[row, :, 0 if di else 1] = (saddles.position_px[nearest[n]] - start[n]) * (di + dj)
-        signs = _signs(saddles.edges[nearest[near]], own)
+        signs = _kinds(saddles, nearest[near], own)
         for row, n in enumerate(near):
             (i, j), (di, dj) = steps[n]
             saddle, key = int(nearest[n]), (i + di, j + dj)
             if not free[saddle] or key in found:
                 continue
             parent_sign = found[i, j][2]
-            if signs[row] == -parent_sign:
-                found[key] = (saddle, own[row], -parent_sign)
+            if signs[row] == next_to * parent_sign:
+                found[key] = (saddle, own[row], next_to * parent_sign)
                 free[saddle] = False
                 frontier.append(key)
     index = np.array(list(found), dtype=np.int64).reshape(-1, 2)

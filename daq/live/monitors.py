@@ -24,7 +24,7 @@ from daq.pipeline.live_slot import SlotReader, Snapshot
 from ground.config import Document, validate
 from ground.errors import GroundError
 from piv.errors import PivError
-from tracer.board import Codes
+from tracer.board import Codes, Dots
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import scene_from
@@ -134,7 +134,8 @@ def board_told(told: dict[str, Any]) -> Chessboard:
         return tuple(map(of_tuples, value)) if isinstance(value, list) else value
 
     words = {name: of_tuples(value) for name, value in told.items()}
-    return Chessboard(**words | {"codes": told["codes"] and Codes(**told["codes"])})
+    parts = {name: told[name] and kind(**told[name]) for name, kind in (("codes", Codes), ("dots", Dots))}
+    return Chessboard(**words | parts)
 
 
 def begin(slot: SlotReader, scene: Scene, board: Chessboard) -> tuple[Monitor, ...]:

@@ -17,7 +17,13 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.renderer.kernels.reflectance import chessboard, particles, printed_image, sharp_image
+from sim.renderer.kernels.reflectance import (
+    chessboard,
+    dot_grid,
+    particles,
+    printed_image,
+    sharp_image,
+)
 from tracer.board import Board
 from tracer.camera import Vector3
 from tracer.errors import SceneError
@@ -65,7 +71,7 @@ class Pattern(Protocol):
         """Reflectance (N,), 0 to 1, at points (N, 2) of the sheet [mm]."""
 
 
-AnyPattern = TypeVar("AnyPattern", bound="Chessboard | CodedBoard | ParticleSheet | Image")
+AnyPattern = TypeVar("AnyPattern", bound="Chessboard | CodedBoard | DotGrid | ParticleSheet | Image")
 
 
 def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
@@ -93,6 +99,13 @@ class PrintedBoard(Board):
         if not 0.0 <= self.dark <= self.bright <= 1.0:
             raise SceneError("the board's shades must be 0 <= dark <= bright <= 1")
 
+    def ends(self) -> Points:
+        """Lines (2, 2) of the lattice on which the board begins and ends."""
+        if self.squares is None:
+            return np.array([(-np.inf, -np.inf), (np.inf, np.inf)])
+        middle = np.array(self.origin_corner or (self.squares[0] // 2, self.squares[1] // 2))
+        return np.array((-middle, np.array(self.squares) - middle), np.float64)
+
 
 @dataclass(frozen=True)
 class Chessboard(PrintedBoard):
@@ -108,12 +121,29 @@ class Chessboard(PrintedBoard):
         out = np.empty(len(points_mm), np.float32)
         discs = np.array(self.discs, np.float64).reshape(-1, 2)
         drawn_mm = points_mm / np.array(self.scale)
-        lines = np.array([(-np.inf, -np.inf), (np.inf, np.inf)])
-        if self.squares is not None:
-            middle = np.array(self.origin_corner or (self.squares[0] // 2, self.squares[1] // 2))
-            lines = np.array((-middle, np.array(self.squares) - middle), np.float64)
         shades = np.array([self.dark, self.bright], np.float32)
-        chessboard(drawn_mm, self.square_mm, 0.5 * self.disc_mm, discs, lines, self.odd_bright, shades, out)
+        chessboard(drawn_mm, self.square_mm, 0.5 * self.disc_mm, discs, self.ends(), self.odd_bright, shades, out)
+        return out
+
+
+@dataclass(frozen=True)
+class DotGrid(PrintedBoard):
+    """A grid of dots in print."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.dots is None or not 0.0 < self.dots.dot_mm < self.disc_mm < self.square_mm:
+            raise SceneError("a grid of dots has dots, smaller than the large ones, and these than the pitch")
+
+    def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,) at points (N, 2) of the grid [mm]."""
+        assert self.dots is not None
+        out = np.empty(len(points_mm), np.float32)
+        large = np.array(self.discs, np.float64).reshape(-1, 2)
+        radii = 0.5 * np.array((self.dots.dot_mm, self.disc_mm))
+        shades = (self.bright, self.dark) if self.dots.bright else (self.dark, self.bright)
+        drawn_mm = points_mm / np.array(self.scale)
+        dot_grid(drawn_mm, self.square_mm, radii, large, self.ends(), np.array(shades, np.float32), out)
         return out
 
 

@@ -14,6 +14,9 @@ is the light that surfaces let pass, by Fresnel, which falls towards a rim the f
 its slope; what it bends beyond that, times dark and bright squares, draws a corner aside one way where the square
 between +x and +y is bright, and the other way where it is dark.  Left out, both made corners behind two balls seem
 drawn aside by half as much again.
+
+The middle of the picture of a dot is never quite where its centre is seen.  Where its rim says it lies off by
+little (`dot_rims`), that is taken off; where it is more, dots are drawn and fitted like corners.
 """
 
 from functools import cache
@@ -24,7 +27,8 @@ from numpy.typing import NDArray
 
 from correction.fit.seen.prediction import Expected, in_target_frame
 from correction.target import Chessboard
-from correction.target.corners import ASIDE_PX, refine_corners
+from correction.target.corners import ASIDE_PX
+from correction.target.marks import refine_marks
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import trace
@@ -35,6 +39,8 @@ DRAWN_PX = 0.2  # blur of what is drawn, before the rest of it is added
 BESIDE_PX = 3  # what is drawn beyond a window
 AT_ONCE = 64  # corners drawn at a time
 WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
+WORTH_OF_DOTS_PX = 0.01  # of what the rim of a dot says, the same
+LEFT_BY_RIM, LEFT_OF_DOTS = 0.03, 0.02  # of what is taken off dots, by their rims and as drawn
 LEFT = 0.2  # of what is taken off, one standard deviation: renders show 0.8 behind two balls, all behind three
 
 
@@ -56,14 +62,18 @@ def taken_aside(
     blur_px : (N,) float64
         Of their edges as measured, pixel included; NaN where a corner was not found.
     """
-    aside, doubt = np.zeros((len(expected), 2)), expected.bent_px.copy()
-    asked = (np.linalg.norm(expected.bent_px, axis=1) > WORTH_PX) & np.isfinite(blur_px)
+    if board.dots is None:
+        aside, doubt, worth = np.zeros((len(expected), 2)), expected.bent_px.copy(), WORTH_PX
+    else:
+        aside, doubt, worth = expected.bent_px.copy(), LEFT_BY_RIM * expected.bent_px, WORTH_OF_DOTS_PX
+    asked = (np.linalg.norm(expected.bent_px, axis=1) > worth) & np.isfinite(blur_px)
     if not asked.any():
         return aside, doubt
     found = found_bent(scene, pose, board, expected.take(asked), float(np.median(blur_px[asked])))
     known = np.isfinite(found[:, 0])
     here = np.flatnonzero(asked)[known]
-    aside[here], doubt[here] = found[known], LEFT * found[known]
+    left = LEFT if board.dots is None else LEFT_OF_DOTS
+    aside[here], doubt[here] = found[known], left * found[known]
     return aside, doubt
 
 
@@ -92,14 +102,16 @@ def found_bent(
         point = rays.plane_mm - node[some][:, None, None]
         squares = (flat + carried_on(point - flat, there)) / board.sides_mm
         passed = carried_on(rays.rays["transmittance"][..., None], there)[..., 0]
-        tiles = drawn(squares, passed, board.corner_sign(expected.index[some]), blur_px)
+        tiles = drawn(squares, passed, board, expected.index[some], blur_px)
         height, width = expected.usable.shape
         inside = ((pixel >= 0) & (pixel < (width, height))).all(axis=-1)
         u, v = np.clip(pixel, 0, (width - 1, height - 1)).transpose(3, 0, 1, 2)
         place = expected.pixel[some] - middle + half
         place[:, 1] += tiles.shape[1] * np.arange(len(some))
-        fit = refine_corners(
+        fit = refine_marks(
             tiles.reshape(-1, tiles.shape[2]),
+            board,
+            expected.index[some],
             place + ASIDE_PX,
             expected.axes_px[some],
             mask=(expected.usable[v, u] & inside & there).reshape(-1, tiles.shape[2]),
@@ -117,33 +129,49 @@ def carried_on(value: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[
 
 
 def drawn(
-    squares: NDArray[np.float64], passed: NDArray[np.float64], sign: NDArray[np.int8], blur_px: float
+    squares: NDArray[np.float64],
+    passed: NDArray[np.float64],
+    board: Chessboard,
+    index: NDArray[np.int64],
+    blur_px: float,
 ) -> NDArray[np.float64]:
-    """Corners as pixels show them (N, n, n).
+    """Corners, or dots, as pixels show them (N, n, n).
 
     Parameters
     ----------
     squares : (N, n, n, 2) float64
-        Points of the board that pixels see, from the corner, in squares: edges are where a part is a whole number.
+        Points of the board that pixels see, from the corner, in squares: edges are where a part is a whole number,
+        dots around where both are.
     passed : (N, n, n) float64
         Share of the light that reaches the pixels.
-    sign : (N,) int8
-        +1 if the square to +x, +y of the corner is bright, -1 if dark.
+    board : Chessboard
+    index : (N, 2) int64
+        Corners of the board.
     blur_px : float
         Standard deviation, with the pixel in it.
     """
     size = squares.shape[1]
     between, spread = _between(size), _spread(size, blur_px)
     fine = np.einsum("av,nvuk,bu->nabk", between, squares, between, optimize=True)
-    shade = np.ones(fine.shape[:3])
-    for edge in range(2):
-        slope = np.hypot(*np.gradient(fine[..., edge], 1.0 / FINER, axis=(1, 2)))
-        nearest = np.rint(fine[..., edge])
-        off_px = (fine[..., edge] - nearest) / np.maximum(slope, 1e-12)
-        shade *= np.where(nearest % 2.0, -1.0, 1.0) * scipy.special.erf(off_px / (np.sqrt(2.0) * DRAWN_PX))
+    if board.dots is None:
+        shade = np.broadcast_to(board.corner_sign(index)[:, None, None], fine.shape[:3]).astype(np.float64)
+        for edge in range(2):
+            nearest = np.rint(fine[..., edge])
+            shade *= np.where(nearest % 2.0, -1.0, 1.0) * _edge(fine[..., edge], nearest)
+    else:
+        node = np.rint(fine).astype(np.int64)
+        beyond = np.linalg.norm(fine - node, axis=-1) - 0.5 * board.dot_share(node + index[:, None, None])
+        shade = (-1.0 if board.dots.bright else 1.0) * _edge(beyond)
     light = np.einsum("av,nvu,bu->nab", between, passed, between, optimize=True)
-    light *= 1.0 + CONTRAST * sign[:, None, None] * shade
+    light *= 1.0 + CONTRAST * shade
     return np.asarray(spread @ light @ spread.T)
+
+
+def _edge(field: NDArray[np.float64], level: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+    """Shade (N, M, M), -1 to 1, around where a field that is drawn FINER goes through a level."""
+    slope = np.hypot(*np.gradient(field, 1.0 / FINER, axis=(1, 2)))
+    off_px = (field - level) / np.maximum(slope, 1e-12)
+    return np.asarray(scipy.special.erf(off_px / (np.sqrt(2.0) * DRAWN_PX)))
 
 
 @cache

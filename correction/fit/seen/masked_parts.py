@@ -211,8 +211,7 @@ def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float]) -> str:
 def _unsure(part: Pixels, rays: RayMap, board: Chessboard, view: View) -> NDArray[np.bool_]:
     """Which pixels (N,) of a part may as well show the next square."""
     assert view.sigma_mm is not None
-    place = rays.plane_mm[part[:, 0], part[:, 1]] / board.sides_mm
-    apart = np.abs(place - np.rint(place)) * board.sides_mm
+    apart = board.from_edges_mm(rays.plane_mm[part[:, 0], part[:, 1]])
     sigma = view.sigma_mm(part[:, ::-1].astype(np.float64))
     return np.asarray(~(UNSURE * sigma < apart).all(axis=1))
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
-from correction.fit.seen.bent_view import taken_aside
-from correction.fit.seen.prediction import Expected, expect, measure
+from correction.fit.seen.bent_view import LEFT_BY_RIM, taken_aside
+from correction.fit.seen.dot_rims import off_centre
+from correction.fit.seen.prediction import Expected, expect, in_target_frame, measure
 from correction.fit.seen.smear import (
     UNEVEN,
     UNEVEN_COLOURS,
@@ -20,6 +21,7 @@ from correction.fit.seen.smear import (
     Dispersion,
     colour_steps,
     pupil_smear,
+    smeared,
     smeared_by_colour,
     uneven_blur,
 )
@@ -229,6 +231,15 @@ def bare_frame_through_walls(
     return replace(found, corners=corners, branch_name=nothing_behind, expected={}, lost=LostCorners())
 
 
+def centred(frame: MeasuredFrame, board: Chessboard, scene: Scene, pose: TargetPose) -> MeasuredFrame:
+    """Take the middles of pictures of dots of the bare target back to their centres, by a scene without balls."""
+    off = off_centre(in_target_frame(scene, pose), board, frame.index, frame.corners.pixel, frame.axes_px)
+    whole = np.isfinite(off[:, 0])
+    frame, off = frame.taken(whole), off[whole]
+    corners = replace(frame.corners, pixel=frame.corners.pixel - off)
+    return replace(frame, corners=corners, bent_px=LEFT_BY_RIM * off)
+
+
 def glass_frame(
     frame: TargetFrame,
     board: Chessboard,
@@ -249,7 +260,10 @@ def glass_frame(
     doubt, alike = np.zeros(len(expected.pixel)), np.zeros((len(expected.pixel), 2, 2))
     if dispersion is not None:
         parts = colour_steps(scene, pose, dispersion, expected.pixel)
-        smear = smeared_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
+        if board.dots is None:
+            smear = smeared_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
+        else:
+            smear = smeared(*parts, expected.axes_px, fit.blur_px)
         alike[:, 0], doubt = UNEVEN_COLOURS * smear.shift_px, UNSURE * smear.width_px
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, spread.by_pupil_px2, smear.edges_px2)
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)

@@ -9,7 +9,8 @@ behind are spheres that show few corners (`lost_sphere`).
 Candidates are the saddles of a frame that may be seen through glass.  Each is traced to the target with the
 present scene and paired with the nearest lattice corner OF ITS OWN KIND: seen through the local derivative of the
 trace, the saddle tells whether the square towards +x, +y is bright.  Corners of one kind lie sqrt(2) squares
-apart, on a lattice turned by 45 degrees, so the pairing is right up to 0.7 squares of error.
+apart, on a lattice turned by 45 degrees, so the pairing is right up to 0.7 squares of error; dots, which are all
+of one kind, up to half a pitch.
 """
 
 from collections.abc import Sequence
@@ -114,6 +115,8 @@ def nearest_nodes(
     board: Chessboard,
 ) -> NDArray[np.float64]:
     """Nearest lattice corner of the right kind (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
+    if board.dots is not None:  # all of one kind
+        return np.asarray(np.rint(point_mm / board.sides_mm) * board.sides_mm)
     towards = (pixel_rate @ bright[:, :, None])[:, :, 0]
     odd = np.where((towards[:, 0] * towards[:, 1] > 0.0) == board.odd_bright, 1.0, 0.0)
     x, y = (point_mm / board.sides_mm).T

@@ -22,10 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.fit.seen.dot_rims import off_centre
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
-from correction.target.corners import LEAST_PX, CornerFit, CornerSearch, half_widths_px, refine_corners
+from correction.target.corners import LEAST_PX, CornerFit, CornerSearch, half_widths_px
+from correction.target.marks import refine_marks
 from tracer.camera import Vector3
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Numbers, text_of
@@ -66,7 +68,8 @@ class Expected:
     window : (N,) float64
         Half length of the window to fit in, in squares.
     bent_px : (N, 2) float64
-        How far the bending of the view in the window may pull a corner: a rough forecast.
+        How far the bending of the view in the window may pull a corner, or puts the middle of a dot's picture off
+        its centre: a rough forecast.
     branches : tuple of tuple of str
         Names of the spheres crossed.
     usable : (H, W) bool
@@ -159,6 +162,9 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
     branches = tuple(found.branches)
     every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > RIM_PX)
     held &= board.has_corner(index)
+    if board.dots is not None:
+        every = replace(every, bent_px=off_centre(seen_from_target, board, index, pixel, axes))
+        held &= np.isfinite(every.bent_px[:, 0])
     return every.take(held & (window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
 
 
@@ -178,14 +184,15 @@ def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float
 
 def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> CornerFit:
     """Fit all expected corners in the raw frame."""
-    return refine_corners(
+    return refine_marks(
         frame,
+        board,
+        expected.index,
         expected.pixel,
         expected.axes_px,
-        sign=board.corner_sign(expected.index),
-        mask=expected.usable,
-        window=expected.window,
-        search=CornerSearch(board.arm),
+        expected.usable,
+        expected.window,
+        CornerSearch(board.arm),
     )
 
 

@@ -56,6 +56,9 @@ class Target:
     def add(self, plane_mm: NDArray[np.float64], picture: NDArray[np.float32]) -> None:
         """As `Pattern`."""
         board, lines = self.board, self.board.outer_lines
+        if board.dots is not None:
+            picture[:, 0] += board.shade(plane_mm)
+            return
         middles = np.array(board.discs, dtype=np.float64).reshape(-1, 2) + 0.5
         discs = np.column_stack((middles, np.full(len(middles), board.disc_mm / board.square_mm)))
         ends = np.array([(-np.inf, -np.inf), (np.inf, np.inf)]) if lines is None else lines.astype(np.float64)

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.board import Board
+from tracer.board import LARGE_DOTS, Board
 from tracer.errors import SceneError
 
 Kind = Literal["chessboard", "charuco", "dots", "particles"]
@@ -24,7 +24,6 @@ Points = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 MARKER = 0.7  # side of a marker in squares; 0.75 and more leave little white around it
 DOT, LARGE_DOT = 0.4, 0.65  # diameters of dots in pitches
-LARGE_DOTS = ((0, 0), (1, 0), (0, 2))  # turned by any quarter they are another figure
 MOST_MARKERS = 1000  # of the largest set of 4 x 4 markers, whose cells are widest in print
 PARTICLE_PX, PARTICLES_PER_PX = 3.0, 0.02  # as in the paper: diameter in the corrected image, and how many a pixel
 
@@ -168,10 +167,12 @@ def dots(size_mm: tuple[float, float], pitch_mm: float) -> Sheet:
     index = np.column_stack((i.ravel(), j.ravel()))
     large = (index[:, None] == np.array(LARGE_DOTS)).all(axis=2).any(axis=1)
     discs = np.column_stack((index * pitch_mm, np.where(large, LARGE_DOT, DOT) * pitch_mm))
-    about = {
+    about: dict[str, Any] = {
         "pitch_mm": pitch_mm,
         "dot_mm": round(DOT * pitch_mm, 9),
         "large_dot_mm": round(LARGE_DOT * pitch_mm, 9),
+        "squares": [columns[1] - columns[0], rows[1] - rows[0]],  # a dot at each of their inner corners
+        "origin_corner": [-columns[0], -rows[0]],
     }
     return Sheet(
         "dots", _bounds(columns, rows, pitch_mm), discs=discs, disc_dark=np.ones(len(discs), bool), about=about

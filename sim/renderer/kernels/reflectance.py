@@ -33,6 +33,27 @@ def chessboard(
 
 
 @kernel
+def dot_grid(
+    points: Float64, pitch: float, radii: Float64, large: Float64, lines: Float64, shades: Float32, out: Float32
+) -> None:
+    """Reflectance of a grid of dots at points (N, 2) [mm].
+
+    radii (2,) of usual and large dots [mm]; large (M, 2) places of the large ones and lines (2, 2), before and
+    beyond which there are none, in pitches; shades (2,) of dots and ground.
+    """
+    for index in range(points.shape[0]):
+        x, y = points[index, 0] / pitch, points[index, 1] / pitch
+        i, j = np.round(x), np.round(y)
+        radius = radii[0]
+        for k in range(large.shape[0]):
+            if large[k, 0] == i and large[k, 1] == j:
+                radius = radii[1]
+        there = lines[0, 0] < i < lines[1, 0] and lines[0, 1] < j < lines[1, 1]
+        inside = np.hypot(x - i, y - j) * pitch < radius
+        out[index] = shades[0] if there and inside else shades[1]
+
+
+@kernel
 def particles(
     points: Float64,
     places: Float64,

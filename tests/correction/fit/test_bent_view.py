@@ -71,7 +71,8 @@ def test_a_corner_is_drawn_as_the_board_shows_it_through_a_bent_view(even, twist
     """Dark and bright corners, with the next edges in the window and light that falls ever faster."""
     places = np.arange(-HALF, HALF + 1.0)
     squares, light = view(even, twist, fall, np.stack(np.meshgrid(places, places), axis=-1))
-    seen = drawn(squares[None], light[None], np.array([sign]), BLUR_PX)[0]
+    corner = np.array([[0, 0] if sign < 0 else [1, 0]])
+    seen = drawn(squares[None], light[None], Chessboard(), corner, BLUR_PX)[0]
     points = (np.arange(FINE * len(places)) + 0.5) / FINE - HALF - 0.5
     squares, light = view(even, twist, fall, np.stack(np.meshgrid(points, points), axis=-1))
     board = 0.5 + 0.42 * sign * (1.0 - 2.0 * (np.floor(squares).sum(axis=-1) % 2.0))

@@ -13,10 +13,10 @@ from correction.target import Chessboard
 from correction.target.board_search import track_board
 from correction.target.codes import with_codes
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import CodedBoard, Pose, placed
+from sim.renderer.patterns import CodedBoard, DotGrid, Pose, placed
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
-from tracer.board import Codes
+from tracer.board import LARGE_DOTS, Codes, Dots
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.media import ConstantMedium
@@ -29,7 +29,7 @@ OFF_MM, OFF_DEG = 5.0, 3.0  # of the camera, from where it is believed
 REACH_MM = 3.0 * np.hypot(
     2.0, np.deg2rad(2.0) * AWAY_MM
 )  # three sigmas of what a scene's fit section says unasked
-KINDS = ("discs", "plain", "charuco")
+KINDS = ("discs", "plain", "charuco")  # and "dots", where asked for
 STRAY_PX, STRAYS = 1.0, 0.03
 FINE = 4  # parts of a pixel along a side, where something covers the board
 
@@ -74,6 +74,12 @@ def drawn(seed, kind=None):
     board = Chessboard(square, 0.4 * square, squares=squares, origin_corner=origin, **marks)
     codes = Codes("DICT_4X4_1000", 0.7)
     board = with_codes(board, codes) if kind == "charuco" else board
+    if kind == "dots":
+        of_dots = np.random.default_rng((seed, 5))
+        dot = float(of_dots.uniform(0.3, 0.5))
+        marks = {"dots": Dots(dot * square, bool(of_dots.integers(2))), "discs": LARGE_DOTS}
+        large = min(dot * float(of_dots.uniform(1.4, 1.7)), 0.7) * square
+        board = replace(board, disc_mm=large, **marks)
     if kind == "plain" and rng.random() < 0.15:
         board = replace(board, squares=None)
     aim = AWAY_MM * np.tan(np.deg2rad(OFF_DEG)) * rng.uniform(-1.0, 1.0, 2)
@@ -81,7 +87,9 @@ def drawn(seed, kind=None):
     k1 = float(rng.uniform(-1.5, 0.5)) if rng.random() < 0.5 else 0.0
     true = camera(position, aim, np.deg2rad(OFF_DEG) * rng.uniform(-1.0, 1.0), k1)
     on_paper = {**marks, "squares": squares, "origin_corner": origin}
-    if kind == "charuco":
+    if kind == "dots":
+        real = DotGrid(square, large, **on_paper)
+    elif kind == "charuco":
         real = CodedBoard(square, codes=codes, **on_paper)
     else:
         odd_bright = kind != "plain" or bool(rng.integers(2))

@@ -12,8 +12,9 @@ from daq.bench.bench_file import load_bench
 from ground.errors import ConfigError
 from sim.bench import SimulatedBench
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import CodedBoard
+from sim.renderer.patterns import CodedBoard, DotGrid
 from tests.daq.small_bench import write_bench
+from tracer.board import LARGE_DOTS
 
 PRINTED = PrintedBoard(
     kind="chessboard", square_mm=5.0, disc_mm=2.0, bars_mm=[190.0, 280.0], measured_mm=[190.19, 279.72]
@@ -63,14 +64,26 @@ PLAIN = PrintedBoard(kind="chessboard", **SOME)
 CHARUCO = PrintedBoard(kind="charuco", marker_mm=3.5, dictionary="DICT_4X4_1000", **SOME)
 
 
-@pytest.mark.parametrize(("printed", "kind"), [(PLAIN, Print), (CHARUCO, CodedBoard)])
+DOTS = PrintedBoard(
+    kind="dots",
+    pitch_mm=5.0,
+    dot_mm=2.0,
+    large_dot_mm=3.2,
+    bright_dots=True,
+    squares=[20, 14],
+    origin_corner=[3, 4],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("printed", "kind"), [(PLAIN, Print), (CHARUCO, CodedBoard), (DOTS, DotGrid)])
 def test_the_simulated_bench_prints_the_board_of_its_file(tmp_path, printed, kind):
     told = load_bench(bench_with(tmp_path, {"board": "board.yaml"}, printed)).board
     bench = SimulatedBench(load_bench(bench_with(tmp_path, {"board": "board.yaml"}, printed)), "chessboard")
     try:
         paper = bench.world.print
         assert isinstance(paper, kind)
-        assert (paper.squares, paper.origin_corner, paper.discs) == ((20, 14), (3, 4), ())
+        assert (paper.squares, paper.origin_corner) == ((20, 14), (3, 4))
+        assert paper.discs == (LARGE_DOTS if kind is DotGrid else ())
         places = np.random.default_rng(2).uniform(-20.0, 60.0, (4000, 2))
         shade = replace(told, scale=paper.scale, odd_bright=told.odd_bright if paper.codes else paper.odd_bright)
         assert np.mean((paper.reflectance(places) > 0.5) == (shade.shade(places) > 0.5)) > 0.999
