@@ -126,7 +126,8 @@ class VectorField:
             return ""
         return (
             f"only {100.0 * share:.0f} % of the vectors were measured, the rest are guesses from their neighbours;"
-            " check that the frames are one pair, the time between them, focus and seeding"
+            " check that the frames are one pair, the time between them, focus and seeding; where particles are"
+            " few or dim, larger last windows measure more"
         )
 
     @property

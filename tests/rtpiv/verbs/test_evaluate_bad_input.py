@@ -85,7 +85,9 @@ def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
     scene, frames = good
     other = render(load_scene(scene), printed_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
     assert evaluate(tmp_path, scene, (frames[0], other)) == DONE
-    assert "% of the vectors were measured" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "% of the vectors were measured" in said
+    assert "larger last windows measure more" in said
     assert "check that the frames are one pair" in (tmp_path / "out" / "report.html").read_text()
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["doubt"]
 
