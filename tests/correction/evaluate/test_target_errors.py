@@ -33,12 +33,12 @@ def test_common_corners_are_measured_once_and_to_the_same_bits(monkeypatch, tmp_
     alone = [target_error(*each, BOARD) for each in frames]
     asked = []
 
-    def counted(image, start, *more, **options):
-        asked.append(len(start))
-        return refined(image, start, *more, **options)
+    def counted(image, board, index, *more, **options):
+        asked.append(len(index))
+        return refined(image, board, index, *more, **options)
 
-    refined = measured_in.refine_corners
-    monkeypatch.setattr(measured_in, "refine_corners", counted)
+    refined = measured_in.refine_marks
+    monkeypatch.setattr(measured_in, "refine_marks", counted)
     together = target_errors(frames, BOARD)
     assert asked[0] > 100
     assert 0 < asked[1] < 0.5 * asked[0]  # only the neighbourhood of the ball

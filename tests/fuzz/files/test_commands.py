@@ -41,5 +41,5 @@ def test_a_verb_that_lets_an_error_through_is_found(ground, monkeypatch):
 
     monkeypatch.setattr("rtpiv.verbs.check.check", careless)
     assert any(
-        "KeyError" in finding for finding in hostile("judge", range(30), ground, lambda text: None).findings
+        "KeyError" in finding for finding in hostile("judge", range(60), ground, lambda text: None).findings
     )
