@@ -63,7 +63,7 @@ class Bench:
 
     def _until(self, is_so):
         end_s = time.monotonic() + PATIENCE_S
-        while not is_so() and time.monotonic() < end_s:
+        while not is_so() and self.box.poll() is None and time.monotonic() < end_s:
             time.sleep(0.01)
         if not is_so():
             self.end()

@@ -36,6 +36,7 @@ def words(text):
     return " ".join(re.findall(r"[\w(),-]+", text))
 
 
+@pytest.mark.posix("ports that are files")
 def test_doctor_names_them_until_they_are_tied(path, capsys):
     assert main(["doctor", "--bench", str(path)]) == DEVICE
     said = words(capsys.readouterr().out)

@@ -144,6 +144,7 @@ def test_what_a_plug_says_of_itself_cannot_write_into_the_file(surrounded, capsy
     assert "\x1b" not in capsys.readouterr().out
 
 
+@pytest.mark.posix("ports that are files")
 @pytest.mark.parametrize(
     ("makes", "group", "words"),
     [
@@ -176,6 +177,7 @@ def test_why_a_port_cannot_be_opened(tmp_path, monkeypatch, makes, group, words)
         assert stat.S_ISREG(path.stat().st_mode)
 
 
+@pytest.mark.posix("ports that are files")
 def test_the_doctor_tells_per_device_what_it_lacks(surrounded, tmp_path, monkeypatch):
     surrounded()
     path = write_bench(tmp_path)

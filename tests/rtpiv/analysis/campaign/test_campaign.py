@@ -241,6 +241,7 @@ def test_long_journals_are_planned_side_by_side_with_the_same_keys(runs, whole, 
         forecasts(folder, 2)
 
 
+@pytest.mark.posix("whether a process is there")
 def test_status_names_who_works_on_what(copy):
     folder, _ = copy
     for number in (0, 1, 2):

@@ -41,6 +41,7 @@ def test_a_beat_is_seen_whatever_the_clocks_say(path):
         assert take(path).beat_ns != before.beat_ns
 
 
+@pytest.mark.posix("whether a process is there")
 def test_a_process_that_is_gone_is_known_to_be_gone_on_its_own_computer_alone(path):
     lease = take(path)
     said = json.loads(path.read_text())

@@ -17,6 +17,7 @@ def test_what_is_packed_is_mine_whatever_the_umask(tmp_path: Path) -> None:
     assert is_only_mine(tmp_path / "kernels.zip")
 
 
+@pytest.mark.posix("owners and rights of files")
 @pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
 def test_what_others_may_write_is_not(tmp_path: Path, mode: int) -> None:
     path = tmp_path / "kernels.zip"
@@ -25,6 +26,7 @@ def test_what_others_may_write_is_not(tmp_path: Path, mode: int) -> None:
     assert not is_only_mine(path)
 
 
+@pytest.mark.posix("owners and rights of files")
 def test_a_link_is_not(tmp_path: Path) -> None:
     (tmp_path / "real.zip").write_bytes(b"PK")
     (tmp_path / "kernels.zip").symlink_to(tmp_path / "real.zip")

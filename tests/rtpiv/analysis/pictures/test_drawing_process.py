@@ -59,6 +59,7 @@ def test_who_asks_draws_where_nobody_else_does(tmp_path):
     assert (tmp_path / "a").read_text() == str(os.getpid())
 
 
+@pytest.mark.posix("a fork")
 def test_another_process_draws_and_is_gone_afterwards(tmp_path, monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "2")
     body = f"with drawing_process.drawing() as draw:\n    [draw('{HERE}:draw_pid', out / name) for name in 'abc']"
@@ -79,6 +80,7 @@ def test_errors_come_back(tmp_path, monkeypatch):
     assert err.rstrip().endswith(f"OSError: [Errno 28] no space left on device: '{tmp_path}'")
 
 
+@pytest.mark.posix("a fork")
 @pytest.mark.parametrize("when", ["before", "after"])
 def test_what_a_killed_child_leaves_undone_is_drawn_here(tmp_path, monkeypatch, when):
     monkeypatch.setenv("RTPIV_THREADS", "2")
@@ -103,6 +105,7 @@ def test_one_core_draws_itself(tmp_path, monkeypatch):
     assert (tmp_path / "a").read_text() == str(run.pid), err
 
 
+@pytest.mark.posix("a fork")
 def test_a_killed_command_leaves_no_child(tmp_path, monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "2")
     body = "print(drawing_process._process._process.pid, flush=True)\nimport os; os.kill(os.getpid(), 9)"
