@@ -6,8 +6,8 @@
     < 40 30 31 +0.013       this came, so many seconds after what the host had sent last
 
 `rtpiv probe` writes one.  With the environment variable RTPIV_RECORD every port that is opened writes one as well,
-a file of its own in the folder that the variable names, line by line: what was said before a power cut is there.
-A disk that fails meanwhile ends the recording, never the motion.
+a file of its own in the folder that the variable names, line by line.  A thread of its own writes it: a stop never
+waits for a disk, and one that fails or hangs meanwhile ends the recording, never the motion.
 """
 
 import os
@@ -16,15 +16,20 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
+from queue import Full, Queue
 from typing import Literal, TextIO
 
 from ground.errors import ConfigError, Problem
+from ground.plain_file import read_plain
 from stages.clock import Clock
 from stages.errors import PortUnavailable
 
 VARIABLE = "RTPIV_RECORD"
 LONGEST = 50_000_000  # bytes of a recording that is read
+MOST_WAITING = 100_000  # lines that a slow disk may be behind
+PATIENCE_S = 2.0  # for a disk, when a port is closed
 WORD = re.compile(r"([<>])((?: [0-9a-fA-F]{2})+)(?: \+(\d{1,6}(?:\.\d{1,9})?))?", re.ASCII)
 RATE = re.compile(r"@ \d{1,8}", re.ASCII)
 
@@ -63,27 +68,34 @@ class Dialogue:
 
 
 class RecordedFile:
-    """A new file of a recording: a line is with the system as soon as it is written."""
+    """A new file of a recording; a line is with the system as soon as the disk takes it."""
 
     def __init__(self, path: Path) -> None:
-        self._file: TextIO | None = path.open("x", encoding="utf-8", buffering=1, newline="\n")
+        file = path.open("x", encoding="utf-8", buffering=1, newline="\n")
+        self._lines: Queue[str | None] = Queue(MOST_WAITING)
+        self._is_whole = True
+        self._writer = threading.Thread(target=self._write, args=(file,), name=f"recording {path}", daemon=True)
+        self._writer.start()
 
     def line(self, text: str) -> None:
-        """Add a line; a disk that takes no more ends the recording."""
-        if self._file is not None:
+        """Add a line, without waiting; behind a line that the disk was too slow for there is none."""
+        if self._is_whole:
             try:
-                self._file.write(f"{text}\n")
-            except OSError:
-                self.close()
+                self._lines.put_nowait(text)
+            except Full:
+                self._is_whole = False
 
     def close(self) -> None:
-        """End it."""
-        file, self._file = self._file, None
-        if file is not None:
-            with suppress(OSError):
-                os.fsync(file.fileno())
-            with suppress(OSError):
-                file.close()
+        """End it, and wait for the disk a while."""
+        with suppress(Full):
+            self._lines.put_nowait(None)
+        self._writer.join(PATIENCE_S)
+
+    def _write(self, file: TextIO) -> None:
+        with suppress(OSError), file:  # a disk that takes no more ends the recording
+            while (text := self._lines.get()) is not None:
+                file.write(f"{text}\n")
+            os.fsync(file.fileno())
 
 
 def recorded_file(url: str) -> RecordedFile | None:
@@ -98,18 +110,23 @@ def recorded_file(url: str) -> RecordedFile | None:
     if not folder:
         return None
     name = re.sub(r"[^A-Za-z0-9]+", "-", url).strip("-")
-    number = 1
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
-        while (path := Path(folder) / f"{name}-{number}.txt").exists():
-            number += 1
-        file = RecordedFile(path)
+        file = _new_file(Path(folder), name)
     except OSError as error:
         raise PortUnavailable(
             f"{VARIABLE} names {folder}, where nothing can be written ({error.strerror}); name another folder"
         ) from error
     file.line(f"# {url}")
     return file
+
+
+def _new_file(folder: Path, name: str) -> RecordedFile:
+    """The first number that is free, also where other programs take numbers meanwhile."""
+    for number in count(1):
+        with suppress(FileExistsError):
+            return RecordedFile(folder / f"{name}-{number}.txt")
+    raise AssertionError("numbers do not end")
 
 
 @dataclass(frozen=True)
@@ -143,9 +160,7 @@ def read_dialogue(path: Path) -> tuple[Word, ...]:
         It cannot be read, or a line is none of a recording; with the line.
     """
     try:
-        if path.stat().st_size > LONGEST:
-            raise ConfigError(path, [Problem(0, f"more than {LONGEST} bytes are no recording; cut it in parts")])
-        text = path.read_text(encoding="utf-8")
+        text = read_plain(path, LONGEST).decode("utf-8")
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is no text"
         raise ConfigError(path, [Problem(0, f"the recording cannot be read: {why}")]) from error

@@ -8,7 +8,6 @@ lvpyio fills up what a damaged file lacks, and says nothing.  What DaVis writes 
 camera) tells: packed pixels that are cut short or damaged leave none of it, and such a file is refused.
 """
 
-import os
 import re
 import threading
 from collections.abc import Iterator, Sequence
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
+from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in, require_size
 from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
 from ground.memory import MOST_PX, require_memory
 from ground.plain_file import open_plain
@@ -29,7 +29,6 @@ from piv.errors import FrameError
 IMAGE, SET = ".im7", ".set"
 MOST_FRAMES = 10_000_000
 ITS_OWN = {"LoadFile", "LoadSet", "LoadSetIndex", "LoadSetType", "_Header_MinimalVersion", "_Header_PackType"}
-_FRAME = re.compile(r"(.+)@([0-9]{1,8})", re.DOTALL)
 _CAMERA = re.compile(r"\s*([0-9]+)")  # of "1A: Imager Intense", its number
 
 
@@ -51,7 +50,7 @@ class DavisImages:
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         self._path = path
-        opened = _opened(path)
+        opened = _opened(as_it_is(path))
         if len(cameras := opened.cameras()) > 1:
             first = opened.each // len(cameras) + 1
             raise FrameError(
@@ -69,7 +68,7 @@ class DavisImages:
         if path.suffix.lower() != IMAGE or not path.is_file():
             return False
         try:
-            return _opened(path).count != 1
+            return _opened(as_it_is(path)).count != 1
         except (FrameError, RunUsageError):
             return True
 
@@ -83,48 +82,37 @@ class DavisImages:
 
     def file_of(self, place: Path) -> Path:
         """The image that a frame lies in, which of a set is in the folder beside it."""
-        found = _FRAME.fullmatch(str(place))
+        found, opened = frame_in(place), _opened(as_it_is(self._path))
         assert found is not None
-        opened = _opened(self._path)
-        return opened.files[(int(found[2]) - 1) // opened.each] if opened.files else self._path
+        return opened.files[(found[1] - 1) // opened.each] if opened.files else self._path
 
 
 def is_image(place: Path) -> bool:
     """Whether a name is that of one frame of DaVis, or of an image that may be one."""
-    found = _FRAME.fullmatch(str(place))
-    return (Path(found[1]) if found else place).suffix.lower() in (IMAGE, SET)
+    path, _ = frame_in(place) or (place, 1)
+    return path.suffix.lower() in (IMAGE, SET)
 
 
 def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
     """Read one frame; raises FrameError as `daq.frames.named_frame.read_named`."""
-    found = _FRAME.fullmatch(str(place))
-    opened = _opened(Path(found[1]) if found else place)
-    if found is None and opened.count != 1:
+    named = frame_in(place)
+    path, number = named or (place, 1)
+    opened = _opened(as_it_is(path))
+    if named is None and opened.count != 1:
         raise FrameError(
             f"{place}: holds {opened.count} frames; name one, such as {place.name}@1, or give the set it is in"
         )
     try:
-        frame = opened.frame(int(found[2]) if found else 1)
+        frame = opened.frame(number)
     except FrameError as error:
         raise FrameError(f"{place}: {error}") from None
-    if shape is not None and frame.shape != shape:
-        height, width = frame.shape
-        raise FrameError(f"{place}: is {width} x {height} px, and should be {shape[1]} x {shape[0]} px")
+    require_size(place, frame.shape, shape)
     return frame
 
 
-def _opened(path: Path) -> "_Davis":
-    """The file, kept in this process as long as it is what it was."""
-    try:
-        facts = path.stat()
-    except OSError as error:
-        raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return _kept(path, facts.st_size, facts.st_mtime_ns, os.getpid())
-
-
 @lru_cache(maxsize=2)
-def _kept(path: Path, size: int, time_ns: int, process: int) -> "_Davis":
-    return _Davis(path)
+def _opened(file: OpenFile) -> "_Davis":
+    return _Davis(file[0])
 
 
 class _Davis:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
+from daq.frames.frame_in_file import require_size
 from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
 from piv.errors import FrameError, PairError
 
@@ -89,9 +90,7 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
     with _opened(Path(found[1])) as file:
         try:
             data = file[found[2]]
-            if shape is not None and tuple(data.shape[-2:]) != shape:
-                height, width = data.shape[-2:]
-                raise FrameError(f"{place}: is {width} x {height} px, and should be {shape[1]} x {shape[0]} px")
+            require_size(place, tuple(data.shape[-2:]), shape)
             image = data[number] if data.ndim == 3 else data[number // 2, number % 2]
         except (KeyError, ValueError, IndexError, OSError) as error:
             raise FrameError(f"{place}: cannot be read: {str(error)[:200]}") from None

@@ -11,8 +11,6 @@ MPEG-4, MJPEG) has lost of each particle what an eye does not miss.
 """
 
 import logging
-import os
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -26,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
+from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in, require_size
 from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
 from ground.memory import MOST_PX, require_memory
 from ground.plain_file import open_plain
@@ -38,7 +37,6 @@ MOST_FRAMES = 10_000_000
 KEPT = 4  # frames behind the newest that are not decoded again: those of pairs that overlap
 UNEVEN = 0.25  # of the time between two frames; by more no camera's clock is off
 COLOURED = 3  # how far chroma may be off its middle in a grey frame that was packed with a loss
-_FRAME = re.compile(r"(.+)@([0-9]{1,8})", re.DOTALL)
 logging.getLogger("libav").addHandler(logging.NullHandler())  # what it finds is in our one sentence
 _DAMAGED = "is damaged, or made from a frame that is; leave it out, or copy the video from the camera again"
 
@@ -68,7 +66,7 @@ class Video:
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         self._path = path
-        numbers = _opened(path).numbers
+        numbers = _opened(as_it_is(path)).numbers
         self._pairs, self._alone = pairing.pairs({n: path.with_name(f"{path.name}@{n}") for n in numbers})
 
     @classmethod
@@ -91,36 +89,25 @@ class Video:
 
 def is_image(place: Path) -> bool:
     """Whether a name is that of one frame of a video."""
-    found = _FRAME.fullmatch(str(place))
-    return found is not None and Path(found[1]).suffix.lower() in FORMATS
+    found = frame_in(place)
+    return found is not None and found[0].suffix.lower() in FORMATS
 
 
 def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
     """Read one frame; raises FrameError as `daq.frames.named_frame.read_named`, of another size undecoded."""
-    found = _FRAME.fullmatch(str(place))
+    found = frame_in(place)
     assert found is not None
-    opened = _opened(Path(found[1]))
-    if shape is not None and opened.shape != shape:
-        height, width = opened.shape
-        raise FrameError(f"{place}: is {width} x {height} px, and should be {shape[1]} x {shape[0]} px")
+    opened = _opened(as_it_is(found[0]))
+    require_size(place, opened.shape, shape)
     try:
-        return opened.frame(int(found[2]))
+        return opened.frame(found[1])
     except FrameError as error:
         raise FrameError(f"{place}: {error}") from None
 
 
-def _opened(path: Path) -> "_Decoder":
-    """The video, kept open in this process as long as the file is what it was."""
-    try:
-        facts = path.stat()
-    except OSError as error:
-        raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return _kept(path, facts.st_size, facts.st_mtime_ns, os.getpid())
-
-
 @lru_cache(maxsize=2)
-def _kept(path: Path, size: int, time_ns: int, process: int) -> "_Decoder":
-    return _Decoder(path)
+def _opened(file: OpenFile) -> "_Decoder":
+    return _Decoder(file[0])
 
 
 class _Decoder:

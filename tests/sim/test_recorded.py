@@ -4,7 +4,14 @@ What stands for hardware while it is recorded is a simulated bench behind real p
 by hand where a test needs a box that no emulator is.
 """
 
+import errno
+import io
+import os
 import shutil
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import yaml
@@ -15,6 +22,7 @@ from ground.errors import ConfigError
 from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim.happened import read_happened
 from sim.rehearsed import Rehearsed
+from stages import dialogue
 from stages.dialogue import VARIABLE, read_dialogue
 from stages.errors import PortUnavailable, StageError
 from tests.daq.small_bench import write_bench
@@ -244,6 +252,45 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(path, tmp_path, monkeyp
     monkeypatch.setenv(VARIABLE, str(tmp_path / "file"))
     with pytest.raises(PortUnavailable, match=r"RTPIV_RECORD names .* nothing can be written"), Rehearsed(path):
         pass
+
+
+def test_a_port_never_waits_for_the_disk_of_a_recording(tmp_path, monkeypatch):
+    """The stop of an axis goes by this port: with a disk that hangs it leaves as if nobody recorded."""
+    hangs = threading.Event()
+
+    class Hung(io.StringIO):
+        def write(self, text):
+            hangs.wait(60.0)
+            raise OSError(errno.EIO, "I/O error")
+
+    monkeypatch.setattr(Path, "open", lambda place, *words, **more: Hung())
+    monkeypatch.setattr(dialogue, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(dialogue, "MOST_WAITING", 10)
+    recording = dialogue.RecordedFile(tmp_path / "hung.txt")
+    began_s = time.monotonic()
+    for number in range(1000):
+        recording.line(f"> {number:02x}")
+    recording.close()
+    assert time.monotonic() - began_s < 5.0  # a disk that is asked takes 60 s
+    hangs.set()
+
+
+def test_recordings_of_one_port_that_begin_at_once_are_files_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    with ThreadPoolExecutor(8) as pool:
+        files = list(pool.map(dialogue.recorded_file, ["/dev/ttyUSB0"] * 40))
+    for number, file in enumerate(files):
+        file.line(f"> {number:02x}")
+        file.close()
+    said = {path.read_text().splitlines()[-1] for path in tmp_path.iterdir()}
+    assert said == {f"> {number:02x}" for number in range(40)}
+
+
+@pytest.mark.posix("a pipe")
+def test_a_pipe_is_no_recording(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigError, match="is a pipe"):
+        read_dialogue(tmp_path / "pipe")
 
 
 def test_the_fixture_fails_a_test_that_says_something_else(path, said, pytester):

@@ -1,0 +1,37 @@
+"""A frame that lies among others in one file: `run.set@25` is its name, counted from 1."""
+
+import os
+import re
+from pathlib import Path
+
+from piv.errors import FrameError
+
+_NAME = re.compile(r"(.+)@([0-9]{1,8})", re.DOTALL)
+OpenFile = tuple[Path, int, int, int]  # its name, length, time of change [ns], and the process that has it open
+
+
+def frame_in(place: Path) -> tuple[Path, int] | None:
+    """File and number of a frame; None if the name is not that of one."""
+    found = _NAME.fullmatch(str(place))
+    return None if found is None else (Path(found[1]), int(found[2]))
+
+
+def require_size(place: Path, shape: tuple[int, ...], wanted: tuple[int, int] | None) -> None:
+    """Raise FrameError if a frame has other rows and columns than it must have."""
+    if wanted is not None and shape != wanted:
+        raise FrameError(f"{place}: is {shape[1]} x {shape[0]} px, and should be {wanted[1]} x {wanted[0]} px")
+
+
+def as_it_is(path: Path) -> OpenFile:
+    """What a file that is kept open is known by: one that has changed, or another process's, is opened anew.
+
+    Raises
+    ------
+    FrameError
+        It cannot be looked at.
+    """
+    try:
+        facts = path.stat()
+    except OSError as error:
+        raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return path, facts.st_size, facts.st_mtime_ns, os.getpid()
