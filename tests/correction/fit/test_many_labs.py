@@ -3,6 +3,9 @@
 A wrong model counts as named by an alarm alone: something that the data say and a right lab does not.  What is
 said of the scene file whatever the frames show (a light not told, a number held) counts for nothing.
 
+Corners lie off where the view bends, as they do on rendered frames and as sigma knows: where none did, one sigma
+held 76 % of the map's errors in right labs.
+
 ``make labs LABS=100`` counts a hundred labs of each kind that cost more than COSTLY_PX, and prints what it finds.
 """
 
@@ -46,7 +49,7 @@ class Judged:
 
 
 def judged(seed: int, fault: str) -> Judged:
-    lab = drawn_lab(seed, fault)
+    lab = drawn_lab(seed, fault, pulled=float(np.random.default_rng((18, seed)).normal()))
     verdict = lab.fit.verdict
     named = not verdict.is_right
     cause = named and CAUSE.get(fault, "no cause") in " ".join(verdict.sentences)
