@@ -4,6 +4,9 @@ Numba meets our `Kernel` objects as globals of the functions that it compiles, a
 of it here.
 """
 
+import ground.jit.without_coverage  # before all else that imports numba
+
+# isort: split
 import gc
 import glob
 import inspect

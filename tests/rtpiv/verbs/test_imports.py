@@ -16,7 +16,9 @@ TRACED = {"numba", "llvmlite"}
 SOLVED = {f"scipy.{part}" for part in ("stats", "optimize", "spatial", "interpolate", "ndimage", "io", "sparse")}
 BENCHES = {"daq.bench.bench_table", "daq.runner.session", "daq.plans.steps", "stages.stage", "stages.config"}
 FITTED = {f"correction.fit.{part}" for part in ("judge.result", "judge.suspects", "seen.measurement")}
-OTHERS = {"cv2", "sim", "hypothesis", "IPython", "pandas"}
+OTHERS = {"cv2", "sim", "hypothesis", "IPython", "pandas"} | (
+    {"coverage"} if "COVERAGE_PROCESS_CONFIG" not in os.environ else set()
+)
 SMALL = """
 camera: {focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0]}
 bodies: [{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: N-BK7}]
