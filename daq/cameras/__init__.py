@@ -12,7 +12,6 @@ from typing import Any, cast
 from daq.cameras.camera import Camera
 from daq.errors import CameraSetupError
 from ground.named_program import UnknownName, program_of
-from ground.plain_words import near
 
 BACKENDS = {
     "harvesters": "daq.cameras.harvesters:HarvestersCamera",
@@ -51,6 +50,8 @@ def backend_class(backend: str) -> Callable[..., Camera]:
     try:
         return cast("Callable[..., Camera]", program_of(backend, BACKENDS))
     except UnknownName:
+        from ground.plain_words import near  # and pydantic, for which no camera's process need wait
+
         known = f"use one of {', '.join(BACKENDS)}{near(backend, list(BACKENDS))}"
         raise CameraSetupError(f"camera backend {backend!r} is unknown; {known}") from None
     except (ImportError, AttributeError) as error:

@@ -203,3 +203,9 @@ def test_the_producer_of_the_genicam_wheel():
     assert frames[0].pixels.max() == 255
     assert frames[0].pixels.min() < 50
     assert not np.array_equal(frames[0].pixels, frames[4].pixels)
+
+
+def test_its_process_does_not_wait_for_what_reads_bench_files():
+    need_harvesters()
+    code = "import sys, rtpiv, daq.cameras.harvesters_worker; sys.exit('pydantic' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
