@@ -21,8 +21,7 @@ name of its package only when such a port is opened.
 import errno
 import threading
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import NamedTuple
 
 import serial
@@ -90,6 +89,7 @@ class Port:
         self._file: RecordedFile | None = None
         self._said: Dialogue | None = None
         self._lost = False
+        self._cable = _Cable(self)
         self._write_lock = threading.Lock()
         if url.startswith("sim://") and SIMULATED not in serial.protocol_handler_packages:
             serial.protocol_handler_packages.append(SIMULATED)
@@ -125,7 +125,7 @@ class Port:
         DeviceLost
             The port is dead or takes no bytes.
         """
-        with self._write_lock, self._cable():
+        with self._write_lock, self._cable:
             if self._said is not None:
                 self._said.sent(data)  # first, so that no answer is recorded before its question
             self._serial.write(data)
@@ -147,8 +147,10 @@ class Port:
             The port is dead.
         """
         while True:
-            with self._cable():
-                data: bytes = self._serial.read(max(1, self._serial.in_waiting))
+            with self._cable:
+                data: bytes = self._serial.read(1)
+                if data and (waiting := self._serial.in_waiting):
+                    data += self._serial.read(waiting)
             if data:
                 self._came(data)
                 return data
@@ -157,7 +159,7 @@ class Port:
 
     def pending(self) -> bytes:
         """Return what has arrived already, without waiting."""
-        with self._cable():
+        with self._cable:
             waiting = self._serial.in_waiting
             data: bytes = self._serial.read(waiting) if waiting else b""
         if data:
@@ -214,16 +216,23 @@ class Port:
         self._serial.reset_output_buffer()
         self.clock.sleep_s(DWELL_S)
 
-    @contextmanager
-    def _cable(self) -> Iterator[None]:
-        if self._lost:
-            raise DeviceLost(f"{self.url} is gone; plug it in, open it again and home its axes")
-        try:
-            yield
-        except (*_FAILURES, TypeError) as error:  # TypeError: closed by another thread in the middle of a read
-            self._lost = True
+
+class _Cable:
+    """What every look at a port stands in; a class, because a bench looks thousands of times a minute."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+
+    def __enter__(self) -> None:
+        if self._port._lost:
+            raise DeviceLost(f"{self._port.url} is gone; plug it in, open it again and home its axes")
+
+    def __exit__(self, kind: object, error: BaseException | None, where: object) -> None:
+        # TypeError: closed by another thread in the middle of a read
+        if isinstance(error, (*_FAILURES, TypeError)):
+            self._port._lost = True
             raise DeviceLost(
-                f"{self.url} was lost ({error}); plug it in, open it again and home its axes"
+                f"{self._port.url} was lost ({error}); plug it in, open it again and home its axes"
             ) from error
 
 

@@ -58,17 +58,22 @@ class SimSerial(serial.SerialBase):
 
     def read(self, size: int = 1) -> bytes:
         """Return what is there, waiting up to the timeout for the first byte."""
-        line = self._alive()
-        end_s = line.clock.now_s() + (self.timeout or 0.0)
-        while not self._rest and not self.in_waiting and line.clock.now_s() < end_s:
-            if isinstance(line.clock, VirtualClock):
-                next_s = line.next_s()
-                line.clock.advance_to(min(end_s, end_s if next_s is None else next_s))
-            else:
-                time.sleep(0.0005)
-            self._alive()
+        if not self._rest and not self.in_waiting and self.timeout:
+            self._wait(self.timeout)
         data, self._rest = self._rest[:size], self._rest[size:]
         return data
+
+    def _wait(self, timeout_s: float) -> None:
+        """Let time pass until something has come."""
+        line = self._alive()
+        clock = line.clock
+        end_s = clock.now_s() + timeout_s
+        while not self.in_waiting and clock.now_s() < end_s:
+            if isinstance(clock, VirtualClock):
+                next_s = line.next_s()
+                clock.advance_to(end_s if next_s is None else min(end_s, next_s))
+            else:
+                time.sleep(0.0005)
 
     def write(self, data: Buffer) -> int:
         """Send everything."""
