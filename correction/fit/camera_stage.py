@@ -38,6 +38,8 @@ from correction.fit.seen.measurement import (
 from correction.fit.solve.contact import clear_of, pushed_apart
 from correction.fit.solve.solver import Solution
 from correction.fit.solve.unknowns import Unknowns
+from correction.target.board_search import corners_in_view
+from correction.target.size_seen import size_seen
 from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
 from tracer.scene.fit_section import FitCameraTable
@@ -187,6 +189,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             rms_px,
             limit,
             lens
+            or size_told(work)
             or "the corners of the bare target do not fit any camera near the nominal one; check square_mm,"
             " free more lens terms in the fit section, or check that the board is flat",
         )
@@ -199,9 +202,27 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             pull,
             PRIOR_LIMIT,
             lens
+            or size_told(work)
             or f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
             " of the scene, or allow more in its fit section",
         )
+
+
+def size_told(work: Progress) -> str:
+    """Say how much larger than told the first bare frame shows the board, if no camera near the told one would."""
+    frame, found = work.bare_frames[0], work.bare[0]
+    camera = work.nominal.camera
+
+    def predict(board_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return camera.project(np.c_[board_mm[:, :2], np.full(len(board_mm), frame.height_mm)])
+
+    view = corners_in_view(work.board, predict, camera.shape)
+    size = size_seen(found.corners.pixel, found.axes_px, view, work.board)
+    longer = dict(zip(work.unknowns.names, work.unknowns.sigma.tolist(), strict=True)).get("camera.focal_px", 0.0)
+    nearer = work.priors.camera.position_mm / float(np.linalg.norm(camera.position_mm))
+    if size is None or abs(size.times - 1.0) <= SURE * np.hypot(nearer, longer / camera.focal_px):
+        return ""
+    return f"{frame.name}: {size.sentence}"
 
 
 def turn_of_bench(nominal: Camera, seen: Camera, known: FitCameraTable) -> NDArray[np.float64]:

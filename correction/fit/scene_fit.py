@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import FitFailed
-from correction.fit.camera_stage import find_camera
+from correction.fit.camera_stage import find_camera, size_told
 from correction.fit.glass_stage import find_glass
 from correction.fit.judge.light_of_glass import light_of_glass
 from correction.fit.judge.result import SceneFit, check
@@ -127,9 +127,9 @@ def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float6
 
 
 def _blamed(work: Progress, reason: str) -> str:
-    """Say what the rims of the balls show, then the reason of a failure."""
+    """Say how large the bare board is seen, and what the rims of the balls show, then the reason of a failure."""
     seen = work.outlines.in_words(0.0) if work.outlines else ""
-    return f"{seen}; {reason}" if seen else reason
+    return "; ".join(each for each in (size_told(work), seen, reason) if each)
 
 
 def _rivals(fit: SceneFit, priors: FitTable, light: Light | None) -> list[Rival]:

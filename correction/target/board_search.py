@@ -39,6 +39,7 @@ from correction.target.lattice_growth import (
     lattice_axes,
 )
 from correction.target.marks import find_marks, refine_marks
+from correction.target.size_seen import CLEARLY_OFF, size_seen
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
@@ -369,12 +370,16 @@ def track_board(
         raise TargetNotFound(_why_no_codes(markers))
     if board.dots is not None and marked is None and reach is not None:
         raise TargetNotFound(
-            f"a grid of {len(patches[0].index)} dots is in the frame, but not the {len(board.discs)} large"
+            _why_another_size(patches[0], (index, predicted), board)
+            or f"a grid of {len(patches[0].index)} dots is in the frame, but not the {len(board.discs)} large"
             " dots that mark the origin, whole and as large as the camera should see them; bring them into view,"
             " or correct pitch and camera"
         )
     if marked is None and not placed and (reach is not None or board.is_plain):
-        board, place = place_by_count(frame, patches[0], board, (index, predicted), reach)
+        try:
+            board, place = place_by_count(frame, patches[0], board, (index, predicted), reach)
+        except TargetNotFound as error:
+            raise TargetNotFound(_why_another_size(patches[0], (index, predicted), board) or str(error)) from None
         marked = patches[0], place
     if marked is not None:
         placed = [marked]
@@ -503,21 +508,17 @@ def _plausible(index: NDArray[np.int64], predicted: NDArray[np.float64], patch: 
     return bool(scale) and low**2 < float(np.median(scale)) < high**2 and float(np.mean(along)) > 0.5
 
 
+def _why_another_size(patch: Patch, view: tuple[NDArray[np.int64], NDArray[np.float64]], board: Chessboard) -> str:
+    """Say how much larger than told the board is, where a patch is so all over; "" where it is not."""
+    size = size_seen(patch.position_px, patch.axes_px, view, board)
+    return size.sentence if size is not None and abs(size.times - 1.0) > CLEARLY_OFF else ""
+
+
 def _why_not_placed(
     index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, board: Chessboard
 ) -> str:
     """Say why the largest patch lies on no predicted corners: squares of another size, or too far off."""
-    place = {(i, j): p for (i, j), p in zip(index.tolist(), predicted, strict=True)}
-    steps = [np.hypot(*(place[i + 1, j] - p)) for (i, j), p in place.items() if (i + 1, j) in place]
-    seen = float(np.median(np.linalg.norm(patch.axes_px, axis=1)))
-    expected = float(np.median(steps)) if steps else seen
-    if abs(seen / expected - 1.0) * np.sqrt(len(patch.index)) > 1.0:  # half a square at the ends of the patch
-        return (
-            f"the squares in the frame are {seen:.1f} px wide, where the camera should see those of"
-            f" {board.square_mm:g} mm with {expected:.1f} px; give the right square_mm (about"
-            f" {board.square_mm * seen / expected:.2g}), or correct focal length and distance of the camera"
-        )
-    return (
+    return _why_another_size(patch, (index, predicted), board) or (
         f"the lattice in the frame lies more than half a square from its prediction and no"
         f" {board.origin_marks[:-1]} is seen; give a better start, or bring the {board.origin_marks} into view"
     )

@@ -98,7 +98,7 @@ def test_a_sphere_that_the_scene_does_not_list_is_never_silent():
 def test_another_square_than_believed_is_noticed_by_the_distance():
     truth = bench(*MADE).truth
     clear = photograph(truth.with_bodies(()), False, 0.0, 1, square_mm=1.1 * SQUARE_MM)
-    with pytest.raises(FitFailed, match="check square_mm"):
+    with pytest.raises(FitFailed, match=r"1\.1 times as large as .* give the right square_mm \(about 3\.8\d\)"):
         fit_scene(bench(*MADE).nominal.with_bodies(()), [clear], BOARD)
 
 

@@ -131,7 +131,10 @@ def test_squares_of_another_size_than_described_are_named_with_their_size():
     def predict(points):
         return (231.4, 208.7) + 5.6 * points * (1.0, -1.0)
 
-    with pytest.raises(TargetNotFound, match=r"22\.\d px wide.*2\.5 mm with 14\.0 px.*square_mm \(about 4\)"):
+    with pytest.raises(
+        TargetNotFound,
+        match=r"22\.\d px wide, 1\.6\d* times as large .* of 2\.5 mm \(14\.0 px\).*square_mm \(about 4\.0",
+    ):
         track_board(rendered(view()), BOARD, predict)
 
 

@@ -1,0 +1,89 @@
+"""How large the board is in a frame against how large the camera should see it: a wrong size, or a wrong camera.
+
+A square is as large as the longer of its sides: one that leans is narrower one way, and as long the other.  Every
+corner is compared with what is expected nearest to it, whichever that is: where a board is told with squares of
+another size, no index is right.  A bare board is as much too large all over the frame; what is seen through glass
+is not, and says nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.target.chessboard import Chessboard
+
+EVEN = 0.15  # of the size, from the smallest tenth to the largest: noise, tilt and lens leave less, a ball more
+TENTHS = (10.0, 90.0)  # per cent
+CLEARLY_OFF = 0.03  # of the size: more than a camera that is told to a few millimetres
+
+
+@dataclass(frozen=True)
+class SizeSeen:
+    """Side of a square, or from dot to dot, in a frame.
+
+    Parameters
+    ----------
+    seen_px, expected_px : float
+        As it is, and as the camera should see it, at the median of the corners.
+    board : Chessboard
+        As it is told.
+    """
+
+    seen_px: float
+    expected_px: float
+    board: Chessboard
+
+    @property
+    def times(self) -> float:
+        """How many times as large as told."""
+        return self.seen_px / self.expected_px
+
+    @property
+    def sentence(self) -> str:
+        """What is seen, what should be, and what to correct."""
+        told_mm = self.board.square_mm
+        what, wide, key = (
+            ("squares", "wide", "square_mm")
+            if self.board.dots is None
+            else ("dots", "from one to the next", "pitch_mm")
+        )
+        return (
+            f"the {what} in the frame are {self.seen_px:.1f} px {wide}, {self.times:.3g} times as large as the"
+            f" camera should see those of {told_mm:g} mm ({self.expected_px:.1f} px); give the right {key} (about"
+            f" {told_mm * self.times:.3g}), or correct focal length and distance of the camera"
+        )
+
+
+def size_seen(
+    position_px: NDArray[np.float64],
+    axes_px: NDArray[np.float64],
+    view: tuple[NDArray[np.int64], NDArray[np.float64]],
+    board: Chessboard,
+) -> SizeSeen | None:
+    """Compare corners of a lattice with a prediction; None where not all of them are as much too large.
+
+    Parameters
+    ----------
+    position_px, axes_px : (N, 2) and (N, 2, 2) float64
+        Corners seen, and displacement in the image by one square along each index.
+    view : (M, 2) int64 and (M, 2) float64
+        Board corners in view and where they are expected [px].
+    board : Chessboard
+        As it is told.
+    """
+    place = {(i, j): p for (i, j), p in zip(view[0].tolist(), view[1], strict=True)}
+    known = [(i, j) for i, j in place if {(i + 1, j), (i, j + 1)} <= place.keys()]
+    if not known or not len(position_px):
+        return None
+    sides = [(place[i + 1, j] - place[i, j], place[i, j + 1] - place[i, j]) for i, j in known]
+    longer = np.linalg.norm(sides, axis=2).max(axis=1)
+    _, nearest = scipy.spatial.cKDTree([place[corner] for corner in known]).query(position_px)
+    times = np.linalg.norm(axes_px, axis=1) / longer[nearest][:, None]  # along either index
+    along = times[:, int(np.median(times, axis=0).argmax())]
+    low, middle, high = np.percentile(along, (TENTHS[0], 50.0, TENTHS[1])).tolist()
+    if not high - low < EVEN * middle:
+        return None
+    expected = float(np.median(longer[nearest]))
+    return SizeSeen(middle * expected, expected, board)
