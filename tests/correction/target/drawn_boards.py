@@ -29,7 +29,7 @@ OFF_MM, OFF_DEG = 5.0, 3.0  # of the camera, from where it is believed
 REACH_MM = 3.0 * np.hypot(
     2.0, np.deg2rad(2.0) * AWAY_MM
 )  # three sigmas of what a scene's fit section says unasked
-KINDS = ("discs", "plain", "charuco")  # and "dots", where asked for
+KINDS = ("discs", "plain", "charuco", "dots")
 STRAY_PX, STRAYS = 1.0, 0.03
 FINE = 4  # parts of a pixel along a side, where something covers the board
 
@@ -58,13 +58,15 @@ NOMINAL = camera((0.0, 0.0, AWAY_MM), (0.0, 0.0), 0.0)
 
 
 def drawn(seed, kind=None):
-    """Draw a board by its number."""
+    """Draw a board by its number, of a kind by turns where none is given."""
     rng = np.random.default_rng((seed, 3))
     kind = kind or KINDS[seed % len(KINDS)]
     square = float(rng.uniform(2.2, 4.2))
     squares = tuple(int(n) for n in rng.integers(6, 34, 2))
     origin = tuple(int(rng.integers(1, n)) for n in squares) if rng.random() < 0.3 else None
-    if kind == "plain" and seed % 2:  # one that fits into the frame: nothing else of it says where it is
+    if (
+        kind == "plain" and seed // len(KINDS) % 2
+    ):  # one that fits into the frame: nothing else of it says where it is
         squares = tuple(min(n, int(0.8 * side / square)) for n, side in zip(squares, VIEW_MM, strict=True))
         origin = None if origin is None else tuple(min(o, n - 1) for o, n in zip(origin, squares, strict=True))
     if kind == "charuco":
