@@ -142,7 +142,7 @@ def _measured(file: Named | Scene | None, measured_mm: tuple[float, float]) -> T
     drawn = board.bars_mm
     if drawn is None:
         raise RunUsageError("has no bars", place=path, cure="give the board.yaml that rtpiv target has written")
-    board = board.model_copy(update={"measured_mm": list(measured_mm)})
+    board = board.model_copy(update={"measured_mm": [float(length) for length in measured_mm]})  # of NumPy, too
     far = max(abs(scale - 1.0) for scale in board.scale)
     if far > FAR:
         raise RunUsageError(

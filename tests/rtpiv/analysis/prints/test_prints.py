@@ -189,6 +189,12 @@ def test_a_board_file_keeps_what_the_bars_measure(tmp_path, capsys):
     assert (tmp_path / "board.yaml").read_bytes() == before
 
 
+def test_bars_may_be_measured_by_a_program(tmp_path):
+    target(square_mm=5.0, out=tmp_path / "t")
+    target(tmp_path / "t" / "board.yaml", measured_mm=tuple(np.array((190.19, 279.72))))
+    assert read_board(tmp_path / "t" / "board.yaml").scale == pytest.approx((1.001, 0.999))
+
+
 def test_what_cannot_be_printed_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(SceneError, match="4 x 4"):
         target(square_mm=80.0, out=tmp_path / "t")
