@@ -10,6 +10,7 @@ the light that the scene file tells of target frames (`sim.light`).
 import secrets
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.light import Colours, LitFlow, colours_of, in_each_colour, target_light
 from sim.prepared_pairs import PreparedPairs
-from sim.renderer.patterns import Chessboard, CodedBoard, DotGrid, ParticleSheet, placed, printed_particles
+from sim.renderer.patterns import Chessboard, CodedBoard, DotGrid, ParticleSheet, Plate, placed, printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
@@ -38,7 +39,7 @@ KEPT_FLOW_VIEWS = 2  # the glass in and out
 LATER_S = 1.0  # in the flow for each exposure that was made before this process began
 BOARD = "chessboard"  # what a target run shows
 FLOW = "flow"  # what a flow run shows: no print, but light on particles
-Print = Chessboard | CodedBoard | DotGrid | ParticleSheet
+Print = Chessboard | CodedBoard | DotGrid | ParticleSheet | Plate
 
 
 class World:
@@ -182,7 +183,7 @@ class World:
         return scene, placed(self.print, pose)
 
 
-def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid:
+def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid | Plate:
     """The board on paper, as large as its printer has made it: what was measured of it is not quite that.
 
     A plain board hangs either way round: which of its squares are bright nobody has said.
@@ -194,6 +195,9 @@ def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid:
         codes=told.codes, dots=told.dots, scale=(x, y),
         odd_bright=bool(rng.integers(2)) if told.is_plain else True,
     )  # fmt: skip
+    if told.dots is not None and told.dots.levels:
+        step = told.dots.step_mm + told.step_sigma_mm * rng.standard_normal()
+        return Plate(**vars(replace(on_paper, dots=replace(told.dots, step_mm=step))))
     if told.dots is not None:
         return DotGrid(**vars(on_paper))
     return (Chessboard if told.codes is None else CodedBoard)(**vars(on_paper))

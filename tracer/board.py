@@ -51,10 +51,17 @@ class Dots:
         Diameter of the usual dots.
     bright : bool
         Whether dots are bright on dark; otherwise dark on bright.
+    levels : {"", "rows", "columns", "alternating"}
+        Of a plate with two levels, what lies on the other level than the origin: every second row or column, or
+        every second dot, like the squares of a chessboard.
+    step_mm : float
+        How far that level lies behind the origin's, which is the plane of the target; negative, before it.
     """
 
     dot_mm: float
     bright: bool = False
+    levels: str = ""
+    step_mm: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from sim.renderer.kernels.reflectance import (
     chessboard,
     dot_grid,
     particles,
+    plate,
     printed_image,
     sharp_image,
 )
@@ -71,7 +72,7 @@ class Pattern(Protocol):
         """Reflectance (N,), 0 to 1, at points (N, 2) of the sheet [mm]."""
 
 
-AnyPattern = TypeVar("AnyPattern", bound="Chessboard | CodedBoard | DotGrid | ParticleSheet | Image")
+AnyPattern = TypeVar("AnyPattern", bound="Chessboard | CodedBoard | DotGrid | Plate | ParticleSheet | Image")
 
 
 def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
@@ -145,6 +146,56 @@ class DotGrid(PrintedBoard):
         drawn_mm = points_mm / np.array(self.scale)
         dot_grid(drawn_mm, self.square_mm, radii, large, self.ends(), np.array(shades, np.float32), out)
         return out
+
+
+@dataclass(frozen=True)
+class Plate(PrintedBoard):
+    """A machined plate: dots on its face, and on the ground of grooves that are cut into it.
+
+    Parameters
+    ----------
+    wall : float
+        Reflectance of the walls of the grooves.
+    """
+
+    wall: float = 0.03
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.dots is None or self.dots.levels not in GROOVES or self.dots.step_mm == 0.0:
+            raise SceneError("a plate has dots on levels, and a step between these")
+
+    @property
+    def face_mm(self) -> float:
+        """How far the face lies before the plane of the target, in which the origin is."""
+        assert self.dots is not None
+        return max(-self.dots.step_mm, 0.0)
+
+    @property
+    def ground_mm(self) -> float:
+        """The same of the ground of the grooves; behind the plane it is negative."""
+        assert self.dots is not None
+        return min(-self.dots.step_mm, 0.0)
+
+    def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,) at points (N, 2) [mm] seen from straight above."""
+        return self.seen(points_mm, points_mm)
+
+    def seen(self, face_mm: Points, ground_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,) that rays meet which cross the face here, and its ground there, (N, 2) [mm] each."""
+        assert self.dots is not None
+        out = np.empty(len(face_mm), np.float32)
+        large = np.array(self.discs, np.float64).reshape(-1, 2)
+        radii = 0.5 * np.array((self.dots.dot_mm, self.disc_mm))
+        dot, ground = (self.bright, self.dark) if self.dots.bright else (self.dark, self.bright)
+        groove = np.array((*GROOVES[self.dots.levels], self.dots.step_mm < 0.0), np.int64)
+        shades = np.array((dot, ground, self.wall), np.float32)
+        drawn = [points / np.array(self.scale) for points in (face_mm, ground_mm)]
+        plate(drawn[0], drawn[1], self.square_mm, radii, large, self.ends(), groove, shades, out)
+        return out
+
+
+GROOVES = {"columns": (1, 0), "rows": (0, 1), "alternating": (1, 1)}
 
 
 @dataclass(frozen=True)

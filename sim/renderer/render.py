@@ -18,7 +18,7 @@ from ground.rows import run_rows
 from sim.renderer.bodies import WALLS, as_rows, ball_around, ball_rows, wall_rows
 from sim.renderer.kernels.rays import trace_pixels, weighted_mean
 from sim.renderer.kernels.walls import NUMBERS
-from sim.renderer.patterns import Pattern, Pose
+from sim.renderer.patterns import Pattern, Plate, Pose
 from sim.renderer.sensor import Sensor
 from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere
 from tracer.errors import SceneError
@@ -163,7 +163,17 @@ def _sample(
     t, order = tables, _pupil_order(n)
     world = (t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane)
     trace_pixels(pixels, n, seed, *world, order, points, transmittance, spread)
-    values = pattern.reflectance(points.reshape(-1, 2)).reshape(count, n * n)
+    if isinstance(pattern, Plate):  # the same rays to either level
+        levels = []
+        for above_mm in (pattern.face_mm, pattern.ground_mm):
+            plane = t.plane.copy()
+            plane[0] += above_mm * plane[3]
+            on_level, world = np.empty_like(points), (t.camera, t.spheres, t.rods, t.walls, t.bounds, plane)
+            trace_pixels(pixels, n, seed, *world, order, on_level, transmittance, spread)
+            levels.append(on_level.reshape(-1, 2))
+        values = pattern.seen(*levels).reshape(count, n * n)
+    else:
+        values = pattern.reflectance(points.reshape(-1, 2)).reshape(count, n * n)
     weighted_mean(values, transmittance, light)
     return light, spread
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Pose, placed, printed_particles
+from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Plate, Pose, placed, printed_particles
+from tracer.board import LARGE_DOTS, Dots
 from tracer.errors import SceneError
 
 
@@ -108,3 +109,22 @@ def test_a_board_of_so_many_squares_lies_on_paper():
     beyond = [(-6.1, 0.1), (9.1, 2.1), (0.1, -2.1), (3.1, 6.1)]
     assert at(board, *inside).tolist() == [bright, bright, dark, dark]
     assert (at(board, *beyond) == bright).all()
+
+
+@pytest.mark.parametrize("step_mm", [1.0, -1.0])
+def test_a_ray_meets_the_face_of_a_plate_its_grooves_or_the_wall_between(step_mm):
+    """Rows of 5 mm, the origin on the face or in a groove; rays lean by 0.4 mm a step along y, or by 3."""
+    plate = Plate(5.0, 2.5, discs=LARGE_DOTS, dots=Dots(1.5, True, "rows", step_mm), dark=0.1, bright=0.9)
+    face = np.array([(0.0, 0.0), (0.0, 5.0), (5.0, 1.0), (5.0, 6.0), (20.0, -20.6)])
+    met = plate.seen(face, face + np.array((0.0, 0.4)))
+    dot = {True: np.float32(0.9), False: np.float32(0.1)}
+    rows = np.array([0, 1, 0, 1, -4])
+    on_face = (rows % 2 == 0) == (step_mm > 0.0)
+    y = face[:, 1] + np.where(on_face, 0.0, 0.4)
+    near = np.abs(y - 5.0 * rows)
+    radius = np.array([1.25, 0.75, 1.25, 0.75, 0.75])
+    assert met.tolist() == [dot[bool(r < size)] for r, size in zip(near, radius, strict=True)]
+    steep = plate.seen(face[:2], face[:2] + np.array((0.0, 3.0)))
+    assert steep.tolist() == [np.float32(0.9 if face_first else 0.03) for face_first in on_face[:2]]
+    with pytest.raises(SceneError, match="levels"):
+        Plate(5.0, 2.5, discs=LARGE_DOTS, dots=Dots(1.5))
