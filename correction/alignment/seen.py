@@ -154,8 +154,8 @@ def find_camera(
     nominal, beside = scene.camera, _beside(scene, reach_mm)
     patches = grow_patches(find_marks(frame, board, beside, square_px(nominal, board, board_mm)))
 
-    def predict(plane_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return nominal.project(_world(plane_mm, board_mm))
+    def predict(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return nominal.project(place_mm + board_mm)
 
     index, expected = corners_in_view(board, predict, nominal.shape)
     if board.is_plain and patches and len(index):  # which squares are bright is seen
@@ -213,12 +213,14 @@ def _levels(
     frame: NDArray[Any], camera: Camera, index: NDArray[np.int64], board: Chessboard, board_mm: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Intensity of dark and bright parts: the middles of squares beside some corners, or of dots and between."""
-    asked = index + 0.5 if board.dots is None else np.concatenate((index, index + 0.5))
-    middle = camera.project(_world(board.corner_mm(asked), board_mm))
+    marks = board.place_mm(index)
+    asked = marks + np.append(0.5 * board.sides_mm, 0.0)
+    asked = asked if board.dots is None else np.concatenate((marks, asked))
+    middle = camera.project(asked + board_mm)
     at = np.rint(middle).astype(np.intp)
     inside = (at >= 0).all(axis=1) & (at < np.array(camera.sensor_px)).all(axis=1)
     value = frame[at[inside, 1], at[inside, 0]]
-    bright = board.shade(board.corner_mm(asked[inside])) > 0.5
+    bright = board.shade(asked[inside, :2]) > 0.5
     return float(np.median(value[~bright])), float(np.median(value[bright]))
 
 
@@ -232,7 +234,7 @@ def _fitted(
 ) -> tuple[Camera, NDArray[np.float64], float]:
     """Camera that fits corners, robustly; sigma (3,) of its place, and rms of the corners [px]."""
     unknowns = unknowns_of(scene, [0.0], priors, False).only(("camera.",))
-    points = _world(board.corner_mm(index), board_mm)
+    points = board.place_mm(index) + board_mm
 
     def misses(x: NDArray[np.float64]) -> NDArray[np.float64]:
         camera = unknowns.camera(unknowns.full(x))
@@ -252,11 +254,6 @@ def _fitted(
     rms = float(np.sqrt(np.median(np.sum(away**2, axis=1)) / 1.386))
     off_by = unknowns.columns[:3] @ covariance @ unknowns.columns[:3].T * max(1.0, rms / CORNER_PX) ** 2
     return camera, np.asarray(np.sqrt(np.diag(off_by))), rms
-
-
-def _world(plane_mm: NDArray[np.float64], board_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World points (N, 3) of points (N, 2) of the board."""
-    return np.column_stack((plane_mm, np.zeros(len(plane_mm)))) + board_mm
 
 
 def _beside(scene: Scene, reach_mm: float) -> NDArray[np.bool_]:
@@ -446,8 +443,8 @@ def _unnamed(
     """
     import cv2
 
-    def predict(plane_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return camera.project(_world(plane_mm, view.board_mm))
+    def predict(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return camera.project(place_mm + view.board_mm)
 
     index, pixel = corners_in_view(view.board, predict, camera.shape)
     outlines = np.zeros(camera.shape, np.uint8)

@@ -157,6 +157,7 @@ def _error_of(
     soft = cv2.GaussianBlur(np.nan_to_num(corrected), (2 * SOFTEN_REACH_PX + 1,) * 2, SOFTEN_PX)
     outline = grid.to_mm(np.array([[0.0, 0.0], [grid.shape[1] - 1.0, grid.shape[0] - 1.0]]))
     index = board.corners_within(outline)
+    index = index[board.depth_mm(index) == 0.0]  # the map is that of the plane
     expected = grid.to_px(board.corner_mm(index))
     across, up = board.sides_mm / grid.pitch_mm
     square = max(across, up)

@@ -27,6 +27,7 @@ from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.judge.result import SHARE_LIMIT, FitStep, rms_limit_px
 from correction.fit.judge.suspects import CLEAR
 from correction.fit.judge.verdict import PRIOR_LIMIT
+from correction.fit.levels_shown import levels_shown, look_like_levels
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import (
     FLOOR_PX,
@@ -182,7 +183,12 @@ def _limit_px(work: Progress) -> float:
 def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution) -> None:
     """Refuse a camera that does not fit the bare target."""
     limit, pull = _limit_px(work), solution.pull
-    lens = "" if rms_px <= limit and pull <= PRIOR_LIMIT else lens_off_axis(work)
+    fits = rms_px <= limit and pull <= PRIOR_LIMIT
+    other = not fits or look_like_levels(work, unknowns, solution.x)
+    lens = levels_shown(work, limit) if other else ""
+    if fits and lens:
+        raise FitFailed("levels of dots", rms_px, limit, lens)
+    lens = lens or ("" if fits else lens_off_axis(work))
     if not rms_px <= limit:
         raise FitFailed(
             "bare target",

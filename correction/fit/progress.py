@@ -60,9 +60,16 @@ class Progress:
         self.others: list[NDArray[np.float64]] = []
         self.found_saddles: dict[str, Saddles] = {}
 
-    def unknowns_of(self, nominal: Scene, priors: FitTable, travel: Vector3 = (0.0, 0.0, 1.0)) -> Unknowns:
+    def unknowns_of(
+        self,
+        nominal: Scene,
+        priors: FitTable,
+        travel: Vector3 = (0.0, 0.0, 1.0),
+        board: Chessboard | None = None,
+    ) -> Unknowns:
         """Number what is free around a nominal scene, with a target that the stage moves along `travel`."""
-        return unknowns_of(nominal, self.heights, priors, self.focal_free, travel, self.board.scale_sigma)
+        known = (board or self.board).print_sigma
+        return unknowns_of(nominal, self.heights, priors, self.focal_free, travel, known)
 
     def note(self, step: FitStep) -> None:
         """Remember a step and say it."""

@@ -11,9 +11,17 @@
     dot_mm: 1.4
     large_dot_mm: 2.3            # of three: the origin, the next one to the right, and the second above
 
-A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured, it
-is 1 to half a per cent: what printers differ by.  A bench names the file (`target: {board: board.yaml}`), a run
-keeps it.
+    kind: dots                   # a plate, machined, with two levels of dots
+    pitch_mm: 5.0
+    dot_mm: 1.5
+    large_dot_mm: 2.5
+    bright_dots: true
+    levels: rows                 # every second row is on the other level; or columns, or alternating
+    step_mm: 1.0                 # behind that of the origin, which is the plane of the target
+
+A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured,
+it is 1 to half a per cent: what printers differ by; that of a plate to 0.01 %, as makers of plates say.  A bench
+names the file (`target: {board: board.yaml}`), a run keeps it.
 """
 
 from dataclasses import replace
@@ -33,6 +41,8 @@ from tracer.board import LARGE_DOTS, Board, Codes, Dots
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
 UNMEASURED = 0.005  # by which printers stretch
+MACHINED, MACHINED_MM = 1e-4, 0.01  # by which the pitch of a plate is off, and its step
+DEEPEST = 0.8  # pitches: a step beyond hides dots from whoever looks aslant
 SIZES = {
     "chessboard": ("square_mm",),
     "charuco": ("square_mm", "marker_mm", "squares", "dictionary", "origin_corner"),
@@ -63,6 +73,11 @@ class PrintedBoard(Table):
         Of dots: from one to the next, and diameters of the usual and of the large ones.
     large_dots, bright_dots : optional
         Which are large, columns and rows from the origin, and whether dots are bright on dark.
+    levels, step_mm : optional
+        Of a plate: which dots are on another level than the origin (``rows``: every second row), and how far it
+        lies behind; negative, before.
+    step_sigma_mm : float
+        Standard deviation of that.
     particles, particle_mm, seed, size_mm : optional
         Of particles: how many, how wide, drawn from which seed on which area.
     """
@@ -79,6 +94,9 @@ class PrintedBoard(Table):
     large_dot_mm: Positive | None = None
     large_dots: list[Annotated[list[int], Field(min_length=2, max_length=2)]] | None = None
     bright_dots: bool | None = None
+    levels: Literal["rows", "columns", "alternating"] | None = None
+    step_mm: Annotated[float, Field(ge=-1e3, le=1e3)] | None = None
+    step_sigma_mm: Positive | None = None
     particles: int | None = None
     particle_mm: Positive | None = None
     seed: int | None = None
@@ -92,6 +110,17 @@ class PrintedBoard(Table):
         missing = [key for key in SIZES[self.kind] if getattr(self, key) is None]
         if missing:
             raise ValueError(f"kind {self.kind} needs {', '.join(missing)}")
+        if (self.levels is None) != (self.step_mm is None) or (self.levels is not None and self.kind != "dots"):
+            raise ValueError("a plate is of kind dots and says levels and step_mm, the way from one to the other")
+        if self.step_sigma_mm is not None and self.levels is None:
+            raise ValueError(
+                "step_sigma_mm is how well the step of a plate is known; say levels and step_mm as well"
+            )
+        if self.step_mm is not None and not 0.0 < abs(self.step_mm) <= DEEPEST * (self.pitch_mm or 0.0):
+            raise ValueError(
+                f"step_mm is not 0 and at most {DEEPEST:g} of pitch_mm; a deeper level is hidden from whoever"
+                " looks aslant"
+            )
         if self.measured_mm is not None and self.bars_mm is None:
             raise ValueError(
                 "measured_mm says how long bars are on paper, so say bars_mm, how long they were drawn"
@@ -117,8 +146,10 @@ class PrintedBoard(Table):
             assert self.dot_mm is not None
             assert self.large_dot_mm is not None
             large = tuple((i, j) for i, j in self.large_dots) if self.large_dots is not None else LARGE_DOTS
-            dots = Dots(self.dot_mm, bright=bool(self.bright_dots))
+            dots = Dots(self.dot_mm, bool(self.bright_dots), self.levels or "", self.step_mm or 0.0)
             board = replace(board, disc_mm=self.large_dot_mm, discs=large, dots=dots)
+            if self.levels is not None:
+                board = replace(board, step_sigma_mm=self.step_sigma_mm or MACHINED_MM)
         elif self.disc_mm is not None:
             board = replace(board, disc_mm=self.disc_mm, discs=Board().discs)
         if self.squares is not None:
@@ -144,7 +175,8 @@ class PrintedBoard(Table):
     def scale_sigma(self) -> tuple[float, float]:
         """Standard deviations of the scale in x and y."""
         if self.measured_mm is None or self.bars_mm is None:
-            return UNMEASURED, UNMEASURED
+            own = UNMEASURED if self.levels is None else MACHINED
+            return own, own
         x, y = (self.read_sigma_mm / drawn for drawn in self.bars_mm)
         return x, y
 

@@ -16,6 +16,8 @@ Seen through air, board and image are joined by a smooth map: a polynomial of or
 any usable lens to a fraction of a pixel.  Corners seen through something that bends the view (glass left in
 front of the target, a mirror) may be linked to the bare lattice at a rim and would be counted on with
 indices that look right.  They do not lie on the smooth map of the others, and that shows them.
+
+Dots of a plate's other level lie beside that map by another smooth one, of order 2.
 """
 
 from collections.abc import Callable
@@ -43,7 +45,7 @@ from correction.target.size_seen import CLEARLY_OFF, size_seen
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
-ORDER = 5
+ORDER, LEVEL_ORDER = 5, 2  # of the map, and of what lies between both levels of a plate
 LARGEST_SQUARES = 0.35  # from the smooth map, at most
 SMALLEST_SQUARES = 0.03  # nothing is judged more finely than this
 TIMES_MEDIAN = 12.0  # of all deviations: between, the limit follows how well the map fits
@@ -61,7 +63,10 @@ FAR_SQUARES = 512  # half side of the largest board looked at
 
 
 def on_smooth_map(
-    index: NDArray[np.int64], position_px: NDArray[np.float64], axes_px: NDArray[np.float64]
+    index: NDArray[np.int64],
+    position_px: NDArray[np.float64],
+    axes_px: NDArray[np.float64],
+    deep: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
     """Corners (N,) that lie on one smooth map with the majority.
 
@@ -72,6 +77,8 @@ def on_smooth_map(
     position_px : (N, 2) float
     axes_px : (N, 2, 2) float
         Image displacement by one square along each index.
+    deep : (N,) bool, optional
+        Which are on the other level of a plate.
 
     Notes
     -----
@@ -91,6 +98,9 @@ def on_smooth_map(
         if 3 * len(powers) > len(index):
             break
         terms = np.stack([x**k * y**m for k, m in powers], axis=-1)
+        if deep is not None:
+            beside = [x**k * y**m * deep for k, m in powers if k + m <= LEVEL_ORDER]
+            terms = np.column_stack((terms, *beside))
         weighted = terms * weight[:, None] ** 2
         normal = weighted.T @ terms  # condition 1e3: fine squared; singular where all corners lie on few lines
         solution = np.linalg.lstsq(normal, weighted.T @ position_px, rcond=None)[0]
@@ -102,7 +112,10 @@ def on_smooth_map(
 
 
 def as_the_largest_piece_says(
-    index: NDArray[np.int64], position_px: NDArray[np.float64], axes_px: NDArray[np.float64]
+    index: NDArray[np.int64],
+    position_px: NDArray[np.float64],
+    axes_px: NDArray[np.float64],
+    deep: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
     """Corners (N,) of the largest piece of lattice, and of those pieces apart that lie where it has them.
 
@@ -111,7 +124,7 @@ def as_the_largest_piece_says(
 
     Parameters
     ----------
-    index, position_px, axes_px
+    index, position_px, axes_px, deep
         As in `on_smooth_map`.
     """
     number = {(i, j): n for n, (i, j) in enumerate(index.tolist())}
@@ -130,12 +143,37 @@ def as_the_largest_piece_says(
     kept = np.asarray(piece == np.bincount(piece).argmax())
     x, y = ((index - index[kept].mean(axis=0)) / max(float(np.ptp(index[kept], axis=0).max()), 1.0)).T
     terms = np.stack((np.ones(count), x, y, x * x, x * y, y * y), axis=-1)
+    if deep is not None:
+        terms = np.column_stack((terms, deep, deep * x, deep * y))
     solution = np.linalg.lstsq(terms[kept], position_px[kept], rcond=None)[0]
     side = np.hypot(axes_px[:, 0], axes_px[:, 1]).mean(axis=1)
     near = np.hypot(*(position_px - terms @ solution).T) < APART_SQUARES * side
     for other in range(pieces):
         kept |= (piece == other) & near[piece == other].all()
     return kept
+
+
+def _deep(board: Chessboard, index: NDArray[np.int64]) -> NDArray[np.bool_] | None:
+    """Marks (N,) on the other level of a plate; None of any other board."""
+    return np.asarray(board.depth_mm(index) != 0.0) if len(board.depths_mm) > 1 else None
+
+
+def _beside(
+    board: Chessboard, index: NDArray[np.int64], position_px: NDArray[np.float64], at: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """How far marks `at` (M, 2) are seen beside the lattice of the origin's level (M, 2) [px], by N known ones."""
+    deep = _deep(board, index)
+    if deep is None or not 0 < np.count_nonzero(deep) < len(deep):
+        return np.zeros((len(at), 2))
+    middle, size = index.mean(axis=0), max(float(np.ptp(index, axis=0).max()), 1.0)
+
+    def terms(of: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        x, y = ((of - middle) / size).T
+        linear = np.stack((np.ones(len(of)), x, y), axis=-1) * (board.depth_mm(of) != 0.0)[:, None]
+        return linear, np.stack([x**k * y**m for k in range(4) for m in range(4 - k)], axis=-1)
+
+    solution = np.linalg.lstsq(np.column_stack(terms(index)), position_px, rcond=None)[0]
+    return np.asarray(terms(at)[0] @ solution[:3])
 
 
 @dataclass(frozen=True)
@@ -201,7 +239,7 @@ def measure_lattice(
         Too many corners lie off one smooth view, or too few could be fitted.
     """
     index, start, axes = _claims(placed, board)
-    smooth = on_smooth_map(index, start, axes)
+    smooth = on_smooth_map(index, start, axes, _deep(board, index))
     foreign = int(np.count_nonzero(~smooth))
     if foreign > MOST_FOREIGN * len(index) or (discs_count and not _holds_discs(index[smooth], board)):
         raise TargetNotFound(
@@ -229,19 +267,29 @@ def measure_lattice(
         position = np.concatenate((position, fit.position_px[fit.valid]))
         sigma = np.concatenate((sigma, fit.sigma_px[fit.valid]))
         blurs = np.concatenate((blurs, fit.blurs_px[fit.valid]))
-        lattice_axes(known_index, position, known_axes)
+        lattice_axes(known_index, position, known_axes, len(board.depths_mm) > 1)
         tried.update((int(i), int(j)) for i, j in index)
-        index, start, axes = _neighbours(known_index, position, known_axes, tried)
+        flat = position - _beside(board, known_index, position, known_index)
+        index, start, axes = _neighbours(known_index, flat, known_axes, tried)
+        start = start + _beside(board, known_index, position, index)
         there = board.has_corner(index)
         index, start, axes = index[there], start[there], axes[there]
         if len(index) == 0:
             break
     refused = refused or {}
-    smooth = on_smooth_map(known_index, position, known_axes)
-    smooth[smooth] = as_the_largest_piece_says(known_index[smooth], position[smooth], known_axes[smooth])
+    deep = _deep(board, known_index)
+    smooth = on_smooth_map(known_index, position, known_axes, deep)
+    smooth[smooth] = as_the_largest_piece_says(
+        known_index[smooth], position[smooth], known_axes[smooth], None if deep is None else deep[smooth]
+    )
     foreign += int(np.count_nonzero(~smooth))
     known_index, known_axes = known_index[smooth], known_axes[smooth]
     position, sigma, blurs = position[smooth], sigma[smooth], blurs[smooth]
+    if deep is not None and not _holds_discs(known_index, board):
+        raise TargetNotFound(
+            "the large dots of the plate do not lie on one smooth view with most others; take away what hides or"
+            " bends the view around them"
+        )
     if len(position) < LEAST_BOARD:
         raise TargetNotFound(f"only {len(position)} corners could be fitted ({refused}); check focus and light")
     refused = {reason: n for reason, n in refused.items() if reason != "OK"}
@@ -342,7 +390,8 @@ def track_board(
     image, board, mask
         As in `find_board`.
     predict : callable
-        Board points (M, 2) [mm] -> expected pixels (M, 2); NaN where the view cannot show the point.
+        Marks of the board (M, 3) [mm], x and y on it and z before it -> expected pixels (M, 2); NaN where the
+        view cannot show them.
     reach : float, optional
         How far the prediction may be off, in squares.  Without, it is believed: what is nearest lies there.
 
@@ -406,7 +455,7 @@ def corners_in_view(
     ----------
     board : Chessboard
     predict : callable
-        Board points (M, 2) [mm] -> pixels (M, 2) or NaN.
+        Marks of the board (M, 3) [mm], x and y on it and z before it -> pixels (M, 2) or NaN.
     shape : (int, int)
         Rows and columns of the frame.
     """
@@ -416,7 +465,7 @@ def corners_in_view(
         before = len(index)
         grid = np.arange(-half, half + 1)
         every = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
-        pixel = np.asarray(predict(board.corner_mm(every)), dtype=np.float64)
+        pixel = np.asarray(predict(board.place_mm(every)), dtype=np.float64)
         inside = ((pixel >= 0.0) & (pixel <= size)).all(axis=1) & board.has_corner(every)  # False for NaN
         index, pixels = every[inside].astype(np.int64), pixel[inside]
         half *= 2

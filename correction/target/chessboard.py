@@ -5,7 +5,8 @@ Corner (i, j) is the point (i a, j b), a and b the sides of a square on paper: t
 The pattern of the discs looks different after every quarter turn, so it fixes both the origin and the orientation;
 it cannot tell a mirror image, which no camera shows of a board in air.
 
-A grid of dots is the same with a dot at each corner; its discs are the dots that are larger.
+A grid of dots is the same with a dot at each corner; its discs are the dots that are larger.  Dots of a plate
+stand on two levels: that of the origin, which is the plane of the target, and one behind it, or before it.
 
 Around a corner two edges cross.  What a fit may look at is a cross of arms along them: the arms end before
 the next corner (1 square away) and are thinner than the distance from an edge to a disc.
@@ -26,6 +27,7 @@ WIDEST_MARKER = 0.8  # squares
 SMALLEST_DOT, WIDEST_DOT = 0.15, 0.75  # pitches: smaller ones are lost behind glass, wider ones touch the next
 LARGER = 1.3  # times that large dots are wider than the others: blur must not make one of the other
 CLEAR_ARM = 0.7  # of the room between an edge and what is printed in the square: blur takes the rest
+LEVEL_BY = {"rows": (0, 1), "columns": (1, 0), "alternating": (1, 1)}  # index times this odd: on the other level
 QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
     ((1, 0), (0, 1)),
     ((0, -1), (1, 0)),
@@ -42,6 +44,8 @@ class Chessboard(Board):
     ----------
     scale_sigma : (float, float)
         Standard deviations of its scale on paper; 0 takes the squares to be as large as they are said to be.
+    step_sigma_mm : float
+        Standard deviation of the step between two levels of dots.
 
     Raises
     ------
@@ -50,6 +54,7 @@ class Chessboard(Board):
     """
 
     scale_sigma: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
+    step_sigma_mm: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         if not (self.square_mm > 0.0 and self.disc_mm > 0.0):
@@ -84,7 +89,11 @@ class Chessboard(Board):
             )
 
     def _check_dots(self, dots: Dots) -> None:
-        """Refuse dots that cannot be found, or do not say where the origin is."""
+        """Refuse dots that cannot be found, or do not say where the origin is, and levels that are none."""
+        if dots.levels and dots.levels not in LEVEL_BY:
+            raise BoardError(f"levels {dots.levels!r} are not known; say one of {', '.join(LEVEL_BY)}")
+        if bool(dots.levels) != (dots.step_mm != 0.0):
+            raise BoardError("a plate has levels, and a step_mm from one to the other which is not 0; say both")
         if self.codes is not None or not self.discs:
             raise BoardError("a grid of dots has large dots at its origin, and no markers")
         least, most = SMALLEST_DOT * self.square_mm, WIDEST_DOT * self.square_mm / LARGER
@@ -121,10 +130,37 @@ class Chessboard(Board):
         """Positions (..., 2) [mm] of the corners with index (..., 2) int."""
         return np.asarray(index, dtype=np.float64) * self.sides_mm
 
+    @property
+    def print_sigma(self) -> tuple[float, ...]:
+        """Standard deviations of its width and height, and of its step if it has one, as shares of them."""
+        if self.dots is None or not self.dots.levels:
+            return self.scale_sigma
+        return (*self.scale_sigma, self.step_sigma_mm / abs(self.dots.step_mm))
+
+    @property
+    def depths_mm(self) -> tuple[float, ...]:
+        """How far each of its levels lies behind its plane: that of the origin first, and mostly alone."""
+        return (0.0,) if self.dots is None or not self.dots.levels else (0.0, self.dots.step_mm)
+
+    def depth_mm(self, index: ArrayLike) -> NDArray[np.float64]:
+        """How far (...) [mm] marks with index (..., 2) int lie behind the plane of the board."""
+        index = np.asarray(index)
+        if self.dots is None or not self.dots.levels:
+            return np.zeros(index.shape[:-1])
+        return np.where(index @ LEVEL_BY[self.dots.levels] % 2 != 0, self.dots.step_mm, 0.0)
+
+    def place_mm(self, index: ArrayLike) -> NDArray[np.float64]:
+        """Places (..., 3) [mm] of marks with index (..., 2) int: x and y on the board, z before its plane."""
+        return np.concatenate((self.corner_mm(index), -self.depth_mm(index)[..., None]), axis=-1)
+
     def stretched(self, by: ArrayLike) -> "Chessboard":
-        """Return the same board, its squares wider and higher by two factors (2,)."""
-        x, y = np.multiply(self.scale, by).tolist()
-        return replace(self, scale=(x, y))
+        """Return the same board, its squares wider and higher by two factors (2,), and its step by a third."""
+        wider, higher, *deeper = np.asarray(by, np.float64).tolist()
+        x, y = np.multiply(self.scale, (wider, higher)).tolist()
+        dots = self.dots
+        if dots is not None and deeper:
+            dots = replace(dots, step_mm=dots.step_mm * deeper[0])
+        return replace(self, scale=(x, y), dots=dots)
 
     @property
     def arm(self) -> float:

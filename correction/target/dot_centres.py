@@ -28,8 +28,9 @@ from correction.target.corners import (
     half_widths_px,
 )
 from ground.rows import run_rows
+from tracer.board import Dots
 
-REACH = 0.5  # pitches: half side of what is asked at most
+REACH, REACH_ON_PLATE = 0.5, 0.4  # pitches: half side of what is asked at most; walls stand between levels
 BESIDE_PX = 4.0  # of paper around a dot that is asked
 FREE = 10
 STEPS, SETTLED_PX = 30, 1e-3  # of the optimiser, and a step that no longer matters
@@ -47,7 +48,7 @@ def refine_dots(
     start_px: NDArray[np.float64],
     axes_px: NDArray[np.float64],
     share: NDArray[np.float64],
-    bright: bool,
+    dots: Dots,
     usable: NDArray[np.uint8],
     search: CornerSearch,
     threads: int | None = None,
@@ -64,8 +65,8 @@ def refine_dots(
         Columns: displacement in the image by one pitch along the board's +x and +y.
     share : (N,) float64
         Diameter of each dot in pitches.
-    bright : bool
-        Whether dots are bright.
+    dots : Dots
+        Whether they are bright, and whether on levels.
     usable : (H, W) or (1, 1) uint8
         0 where pixels may not be used.
     search : CornerSearch
@@ -78,11 +79,11 @@ def refine_dots(
     CornerFit
         In the order of `start_px`; both blurs of a dot are one.
     """
-    count = len(start_px)
+    count, most = len(start_px), REACH_ON_PLATE if dots.levels else REACH
     out, verdict = np.full((count, 11), np.nan), np.full(count, int(CornerReason.SMALL), np.uint8)
-    thin = half_widths_px(axes_px, np.full(count, REACH))
+    thin = half_widths_px(axes_px, np.full(count, most))
     asked = np.isfinite(start_px).all(axis=1) & np.isfinite(axes_px).all(axis=(1, 2)) & (thin >= LEAST_PX)
-    reach = np.minimum(0.5 * share + BESIDE_PX / np.linalg.norm(axes_px, axis=1).min(axis=1), REACH)
+    reach = np.minimum(0.5 * share + BESIDE_PX / np.linalg.norm(axes_px, axis=1).min(axis=1), most)
     extent = np.ceil(reach * np.abs(axes_px).sum(axis=2).max(axis=1, initial=0.0))
     order = np.flatnonzero(asked)
     order = order[np.argsort(extent[order], kind="stable")]
@@ -103,7 +104,7 @@ def refine_dots(
         rough = BLURRED * out[:, 8] ** 2 / (share**2 * np.abs(np.linalg.det(axes_px)))
         misfit = ~(residual <= LARGEST_RESIDUAL) | ~((size > SIZE[0] - rough) & (size < SIZE[1] + rough))
         verdict[fitted & misfit] = CornerReason.MISFIT
-        verdict[fitted & ((amplitude > 0.0) != bright)] = CornerReason.INVERTED
+        verdict[fitted & ((amplitude > 0.0) != dots.bright)] = CornerReason.INVERTED
     return CornerFit(
         position_px=out[:, :2].copy(),
         sigma_px=sigma,

@@ -15,6 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.target.lattice_growth import Saddles
+from tracer.board import Dots
 
 WIDEST = 4.0  # dots of the board as seen without glass, that the widest in the frame is at most
 NEARBY_PX = 9  # side of the window in which the darkest point counts
@@ -23,12 +24,15 @@ SMALLEST_PX = 5  # pixels in a dot
 ELLIPSE = 0.8, 1.2  # area of a dot over that of an ellipse with its covariance
 NEIGHBOURS = 9  # nearest dots that are asked for the grid's directions
 RIGHT_ANGLE = 0.5  # cosine between both directions at most, in the frame in which the dot is a circle
-ALIKE = 0.6  # shorter over longer step, there
+ALIKE, ALIKE_ON_PLATE = 0.6, 0.45  # shorter over longer step, there
 USUAL_PX = 24.0  # a dot, if nobody says how wide they are
 
 
 def find_dots(
-    frame: NDArray[Any], bright: bool, dot_px: float | None = None, mask: NDArray[np.bool_] | None = None
+    frame: NDArray[Any],
+    dots: Dots,
+    dot_px: float | None = None,
+    mask: NDArray[np.bool_] | None = None,
 ) -> Saddles:
     """Find dots, the darkest first.
 
@@ -36,8 +40,8 @@ def find_dots(
     ----------
     frame : (H, W) uint8, uint16 or float32
         The frame.
-    bright : bool
-        Whether dots are brighter than what is around them.
+    dots : Dots
+        Whether they are brighter than what is around them, and on which levels they are.
     dot_px : float, optional
         Diameter of the largest dots as seen without glass.
     mask : (H, W) bool, optional
@@ -52,7 +56,7 @@ def find_dots(
 
     light = cv2.GaussianBlur(frame.astype(np.float32), (3, 3), 0.0, borderType=cv2.BORDER_REPLICATE)
     span = float(light.max()) + float(light.min())
-    light = span - light if bright else light
+    light = span - light if dots.bright else light
     side = 2 * int(0.5 * WIDEST * (dot_px or USUAL_PX)) + 1
     paper = cv2.morphologyEx(light, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
     depth = 1.0 - light / np.maximum(paper, 1e-6)
@@ -73,8 +77,8 @@ def find_dots(
         whole &= mask[at[:, 1], at[:, 0]]
     found = np.flatnonzero(whole)
     found = found[np.argsort(-depths[found], kind="stable")]
-    towards = _directions(mean[found], covariance[found])
-    return Saddles(mean[found], towards, depths[found], alike=True)
+    towards = _directions(mean[found], covariance[found], ALIKE_ON_PLATE if dots.levels else ALIKE)
+    return Saddles(mean[found], towards, depths[found], alike=True, levels=dots.levels)
 
 
 def _moments(
@@ -96,7 +100,7 @@ def _moments(
     return mean, covariance.transpose(2, 0, 1), mean_of(depth[v, u])
 
 
-def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64], alike: float) -> NDArray[np.float64]:
     """Unit vectors (N, 2, 2: rows) from dots to their neighbours along the grid; NaN where no grid is around."""
     out = np.full((len(mean), 2, 2), np.nan)
     if len(mean) <= NEIGHBOURS:
@@ -112,7 +116,7 @@ def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> N
     unit = there / far[..., None]
     along = np.abs(np.einsum("nmi,ni->nm", unit, unit[rows, first]))
     second = np.where(along < RIGHT_ANGLE, far, np.inf).argmin(axis=1)
-    good = (along[rows, second] < RIGHT_ANGLE) & (far[rows, first] > ALIKE * far[rows, second])
+    good = (along[rows, second] < RIGHT_ANGLE) & (far[rows, first] > alike * far[rows, second])
     for k, which in enumerate((first, second)):
         chosen = step[rows, which]
         out[good, k] = (chosen / np.linalg.norm(chosen, axis=1, keepdims=True))[good]

@@ -34,7 +34,7 @@ def find_marks(
     """
     if board.dots is not None:
         dot_px = None if square_px is None else square_px * board.disc_mm / board.square_mm
-        return find_dots(frame, board.dots.bright, dot_px, mask)
+        return find_dots(frame, board.dots, dot_px, mask)
     return find_saddles(frame, mask) if square_px is None else coarse_saddles(frame, square_px, mask)
 
 
@@ -71,4 +71,4 @@ def refine_marks(
     pixels, usable = checked_pixels(image, mask)
     axes = np.broadcast_to(np.asarray(axes_px, np.float64), (len(index), 2, 2))
     start = np.asarray(start_px, np.float64).reshape(-1, 2)
-    return refine_dots(pixels, start, axes, board.dot_share(index), board.dots.bright, usable, search)
+    return refine_dots(pixels, start, axes, board.dot_share(index), board.dots, usable, search)

@@ -42,4 +42,4 @@ def nominal_projection(scene):
     distance, focal = {"one_sphere": (250.0, 35.0), "two_spheres": (500.0, 60.0)}[scene]
     scale = 1.0 / (1.0 / focal - 1.0 / distance) / PITCH_MM / distance
 
-    return lambda points_mm: CENTRE + scale * np.asarray(points_mm) * (1.0, -1.0)
+    return lambda points_mm: CENTRE + scale * np.asarray(points_mm)[:, :2] * (1.0, -1.0)

@@ -45,6 +45,11 @@ class TargetPose:
         axes = np.array(self.axes)
         return np.asarray(np.array(self.origin_mm) + points @ axes[:2])
 
+    def behind(self, depth_mm: float) -> "TargetPose":
+        """Return the pose of the plane so far behind this one, along its normal."""
+        x, y, z = (np.array(self.origin_mm) - depth_mm * np.array(self.axes[2])).tolist()
+        return replace(self, origin_mm=(x, y, z)) if depth_mm else self
+
     def packed(self) -> NDArray[np.float64]:
         """Origin and axes as (12,) for the kernel."""
         return np.array([*self.origin_mm, *np.ravel(self.axes)])

@@ -347,7 +347,8 @@ def _shape_columns(
     for frame in seen.frames:
         rows = balls_crossed(frame.branch_name, names)
         pose = unknowns.pose(full, frame.corners.height_number)
-        crossed.append(shape_rates(camera, table, rows, frame.corners.pixel, pose))
+        depth_mm = unknowns.deeper(full) * frame.corners.depth_mm
+        crossed.append(shape_rates(camera, table, rows, frame.corners.pixel, pose, depth_mm))
     return {
         ball: [to_sigma @ one.by_each([number]) for to_sigma, one in zip(whitened, crossed, strict=True)]
         for number, ball in enumerate(names)

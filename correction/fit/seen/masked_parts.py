@@ -56,6 +56,7 @@ from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of, text_of
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.sensitivity import TargetPose
+from tracer.strategies.trace import RayStatus
 
 CLEAR_PX = 5  # side of what must show one square: blur and the fit's own errors reach less far
 NARROWEST_PX = 8.0  # views of a square that can be told bright from dark
@@ -176,6 +177,8 @@ def unlisted_parts(
         seen = in_target_frame(scene, view.pose)
         rays = build_ray_map(seen)
         width = _square_px(rays, board)
+        for depth_mm in board.depths_mm[1:]:
+            rays = _on_plate(rays, build_ray_map(in_target_frame(scene, view.pose.behind(depth_mm))), board)
         agrees = agreement(rays, view.image, board, bounds, width, board.square_mm / grid_of(seen.camera).pitch_mm)
         least_px = _least_px(seen)
         unsure = list(_parts(agrees, least_px)) if view.sigma_mm is not None else []
@@ -192,6 +195,25 @@ def unlisted_parts(
                 rim = _rim_of(np.concatenate(body), seen, place_mm or {})
                 found.append(Unlisted(view.name, way, sum(map(len, body)), outlines, rim))
     return tuple(sorted(found, key=lambda one: -one.pixels))
+
+
+def _on_plate(rays: RayMap, other: RayMap, board: Chessboard) -> RayMap:
+    """Ray map to a plate, from those to the planes of its two levels: pixels land where its level is met first.
+
+    Around each mark its level is taken to reach half way to the next; what meets neither level meets the wall
+    between, and shows nothing.
+    """
+    before = board.depths_mm[1] < 0.0  # the second is then before the first
+    near, far = (other, rays) if before else (rays, other)
+    on_near, on_far = (
+        one.recovered
+        & ((board.depth_mm(np.rint(np.nan_to_num(one.plane_mm) / board.sides_mm).astype(np.int64)) != 0.0) == odd)
+        for one, odd in ((near, before), (far, not before))
+    )
+    plane = np.where(on_near[..., None], near.plane_mm, far.plane_mm)
+    shown = (on_near | on_far) & rays.recovered & other.recovered
+    status = np.where(shown, rays.status, np.uint8(RayStatus.MISSED_PLANE))
+    return replace(rays, plane_mm=plane, status=status)
 
 
 def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float]) -> str:

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from correction.errors import TargetNotFound
 from correction.fit.seen.bent_view import LEFT_BY_RIM, taken_aside
 from correction.fit.seen.dot_rims import off_centre
-from correction.fit.seen.prediction import Expected, expect, in_target_frame, measure
+from correction.fit.seen.prediction import Expected, expect, in_target_frame, measure, on_each_level
 from correction.fit.seen.smear import (
     UNEVEN,
     UNEVEN_COLOURS,
     UNSURE,
     Dispersion,
     colour_steps,
+    joined,
     pupil_smear,
     smeared,
     smeared_by_colour,
@@ -192,15 +193,16 @@ def bare_frame(
         With the frame's name in front.
     """
 
-    def predict(board_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return camera.project(np.c_[board_mm, np.full(len(board_mm), frame.height_mm)])
+    def predict(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return camera.project(place_mm + np.array((0.0, 0.0, frame.height_mm)))
 
     try:
         found = track_board(frame.image, board, predict, reach=reach)
     except TargetNotFound as error:
         raise TargetNotFound(f"{frame.name}: {error}") from None
     count = len(found)
-    corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
+    depth = board.depth_mm(found.index)
+    corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px), depth)
     nothing = np.zeros_like(found.blurs_px)
     measured = MeasuredFrame(
         frame.name,
@@ -233,7 +235,10 @@ def bare_frame_through_walls(
 
 def centred(frame: MeasuredFrame, board: Chessboard, scene: Scene, pose: TargetPose) -> MeasuredFrame:
     """Take the middles of pictures of dots of the bare target back to their centres, by a scene without balls."""
-    off = off_centre(in_target_frame(scene, pose), board, frame.index, frame.corners.pixel, frame.axes_px)
+    off, depth = np.full((len(frame), 2), np.nan), board.depth_mm(frame.index)
+    for depth_mm in board.depths_mm:
+        own, seen = depth == depth_mm, in_target_frame(scene, pose.behind(depth_mm))
+        off[own] = off_centre(seen, board, frame.index[own], frame.corners.pixel[own], frame.axes_px[own])
     whole = np.isfinite(off[:, 0])
     frame, off = frame.taken(whole), off[whole]
     corners = replace(frame.corners, pixel=frame.corners.pixel - off)
@@ -255,11 +260,22 @@ def glass_frame(
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
     spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px), np.zeros_like(fit.blurs_px))
-    aside, bent = taken_aside(scene, pose, board, expected, fit.blur_px)
+    levels = list(on_each_level(expected, pose, board))
+    aside, bent = (
+        np.concatenate(parts)
+        for parts in zip(
+            *(taken_aside(scene, on, board, expected.take(own), fit.blur_px[own]) for on, own in levels),
+            strict=True,
+        )
+    )
     fit = replace(fit, position_px=fit.position_px - aside)
     doubt, alike = np.zeros(len(expected.pixel)), np.zeros((len(expected.pixel), 2, 2))
     if dispersion is not None:
-        parts = colour_steps(scene, pose, dispersion, expected.pixel)
+        of_levels = [colour_steps(scene, on, dispersion, expected.pixel[own]) for on, own in levels]
+        parts = (
+            np.concatenate([steps for steps, _ in of_levels], axis=1),
+            np.concatenate([share for _, share in of_levels], axis=1),
+        )
         if board.dots is None:
             smear = smeared_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
         else:
@@ -268,8 +284,14 @@ def glass_frame(
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, spread.by_pupil_px2, smear.edges_px2)
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)
     if scene.camera.pupil is not None:
-        args = pose, expected.pixel, expected.axes_px, fit.blur_px
-        smear = pupil_smear(scene, scene.camera.pupil, *args)
+        smear = joined(
+            [
+                pupil_smear(
+                    scene, scene.camera.pupil, on, expected.pixel[own], expected.axes_px[own], fit.blur_px[own]
+                )
+                for on, own in levels
+            ]
+        )
         uneven = uneven_blur(expected.index, expected.branch, expected.axes_px, smear)
         alike[:, 1] = UNEVEN * smear.shift_px + uneven
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2, spread.by_light_px2)
@@ -286,8 +308,8 @@ def _measured(
     branch_names = expected.ways
     names, counts = np.unique(branch_names[branch_names != ""], return_counts=True)
     valid, lost = fit.valid, ~fit.valid & ~np.isin(fit.reason, NOT_ASKED)
-    node = board.corner_mm(expected.index[valid])
-    corners = Corners(height_number, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]))
+    node, depth = board.corner_mm(expected.index[valid]), board.depth_mm(expected.index[valid])
+    corners = Corners(height_number, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]), depth)
     reasons = {reason: count for reason, count in fit.counts().items() if reason != "OK"}
     return MeasuredFrame(
         name,

@@ -10,7 +10,7 @@ Candidates are the saddles of a frame that may be seen through glass.  Each is t
 present scene and paired with the nearest lattice corner OF ITS OWN KIND: seen through the local derivative of the
 trace, the saddle tells whether the square towards +x, +y is bright.  Corners of one kind lie sqrt(2) squares
 apart, on a lattice turned by 45 degrees, so the pairing is right up to 0.7 squares of error; dots, which are all
-of one kind, up to half a pitch.
+of one kind, up to half a pitch.  On a plate each is paired with the nearest dot of either level, in its plane.
 """
 
 from collections.abc import Sequence
@@ -82,9 +82,9 @@ def candidates_of(
     glass say nothing about it.
     """
     bright = saddles.edges.sum(axis=1)
-    everything = Corners(height_number, False, saddles.position_px, np.zeros((len(saddles), 2)), 1.0)
-    rays = landed(unknowns, full, everything)
-    node = nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board)
+    everything, rays, node = nearest_marks(
+        unknowns, full, (height_number, False), saddles.position_px, bright, board
+    )
     bare = np.linalg.norm(rays.point_mm - node, axis=1) < 0.1 * board.square_mm
     wide = np.array(full)
     wide[unknowns.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
@@ -108,18 +108,74 @@ def _behind_balls(unknowns: Unknowns, rays: Landings, bare: Landings) -> NDArray
     return np.asarray(behind & np.where(rays.recovered, turned, bare.recovered))
 
 
-def nearest_nodes(
+def nearest_marks(
+    unknowns: Unknowns,
+    full: NDArray[np.float64],
+    view: tuple[int, bool],
+    pixel: NDArray[np.float64],
+    bright: NDArray[np.float64],
+    board: Chessboard,
+) -> tuple[Corners, Landings, NDArray[np.float64]]:
+    """Land saddles, or dots, on the level of the board on which they are nearest to a mark.
+
+    Parameters
+    ----------
+    unknowns, full
+        The scene.
+    view : (int, bool)
+        Number of the target's height, and whether the glass stood there.
+    pixel : (N, 2) float64
+    bright : (N, 2) float64
+        Image direction of the bright squares.
+    board : Chessboard
+
+    Returns
+    -------
+    Corners
+        Of these pixels, without their places on the board, but on the level that was found.
+    Landings
+    (N, 2) float64
+        Nearest mark [mm]; NaN where a ray does not land.
+    """
+    zeros, found = np.zeros_like(pixel), []
+    for depth_mm in board.depths_mm:
+        corners = Corners(*view, pixel, zeros, 1.0, np.full(len(pixel), depth_mm))
+        rays = landed(unknowns, full, corners)
+        found.append((corners, rays, _nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board, depth_mm)))
+    if len(found) == 1:
+        return found[0]
+    away = np.stack([np.linalg.norm(rays.point_mm - node, axis=1) for _, rays, node in found])
+    nearest = np.where(np.isfinite(away), away, np.inf).argmin(axis=0)
+    depth = np.array(board.depths_mm)[nearest]
+    corners = replace(found[0][0], depth_mm=depth)
+    node = np.where((nearest == 0)[:, None], found[0][2], found[1][2])
+    return corners, landed(unknowns, full, corners), node
+
+
+def _nearest_nodes(
     point_mm: NDArray[np.float64],
     pixel_rate: NDArray[np.float64],
     bright: NDArray[np.float64],
     board: Chessboard,
+    depth_mm: float,
 ) -> NDArray[np.float64]:
-    """Nearest lattice corner of the right kind (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
-    if board.dots is not None:  # all of one kind
-        return np.asarray(np.rint(point_mm / board.sides_mm) * board.sides_mm)
-    towards = (pixel_rate @ bright[:, :, None])[:, :, 0]
-    odd = np.where((towards[:, 0] * towards[:, 1] > 0.0) == board.odd_bright, 1.0, 0.0)
+    """Nearest mark of the right kind, and level, (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
     x, y = (point_mm / board.sides_mm).T
+    if board.dots is not None:  # all of one kind
+        if not board.dots.levels:
+            return np.asarray(np.rint(point_mm / board.sides_mm) * board.sides_mm)
+        odd = np.full(len(x), float(depth_mm != 0.0))
+        if board.dots.levels == "rows":
+            return np.asarray(
+                np.stack((np.rint(x), 2.0 * np.rint((y - odd) / 2.0) + odd), axis=-1) * board.sides_mm
+            )
+        if board.dots.levels == "columns":
+            return np.asarray(
+                np.stack((2.0 * np.rint((x - odd) / 2.0) + odd, np.rint(y)), axis=-1) * board.sides_mm
+            )
+    else:
+        towards = (pixel_rate @ bright[:, :, None])[:, :, 0]
+        odd = np.where((towards[:, 0] * towards[:, 1] > 0.0) == board.odd_bright, 1.0, 0.0)
     p = 2.0 * np.rint((x + y - odd) / 2.0) + odd
     q = 2.0 * np.rint((x - y - odd) / 2.0) + odd
     return np.asarray(np.stack((p + q, p - q), axis=-1) * 0.5 * board.sides_mm)
@@ -142,10 +198,10 @@ def distances(
     unknowns: Unknowns, full: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], Landings, Corners]:
     """Distances (N, 2) to the nearest corners [px], mm a px (N, 1), and the rays they come from."""
-    corners = Corners(candidates.height_number, True, candidates.pixel, np.zeros_like(candidates.pixel), 1.0)
-    rays = landed(unknowns, full, corners)
-    stretched = board.stretched(unknowns.stretch(full))
-    off = rays.point_mm - nearest_nodes(rays.point_mm, rays.pixel_rate, candidates.bright, stretched)
+    stretched = board.stretched(unknowns.stretch(full)[:2])  # `landed` makes the step deeper by itself
+    view = candidates.height_number, True
+    corners, rays, node = nearest_marks(unknowns, full, view, candidates.pixel, candidates.bright, stretched)
+    off = rays.point_mm - node
     spread = np.sqrt((rays.pixel_rate**2).sum(axis=(1, 2)))  # of a pixel, on the plane
     scale = np.maximum(spread, pitch_mm)[:, None]
     off[spread > SQUEEZED * pitch_mm] = np.nan

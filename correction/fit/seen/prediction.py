@@ -8,6 +8,9 @@ stay inside one branch, clear of the rim by a few pixels, because the scene is n
 A print that is stretched more one way than the other has no square lattice: from the node beside it, each of its
 corners is found by Newton's method along traced rays.
 
+A plate shows each of its levels in the plane of that level, all others of its lattice in another: levels are
+predicted one by one.
+
 The corner fit knows straight and evenly curved edges.  Next to a fold the view also twists: the odd part of
 the landing point, (X(u + d) - X(u - d))/2 - h, that no affine frame explains grows with the cube of the
 window.  Windows are shortened until it is below TWIST_PX at their ends.  What is left of it displaces corners
@@ -16,6 +19,7 @@ both at the ends of a window of half length l and in px, corners of exact render
 PULLED t |e| / l, or by a sixth to twice that: a forecast that says which corners must be drawn (`bent_view`).
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -109,7 +113,7 @@ class Expected:
 
 
 def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) -> Expected:
-    """Predict every corner on every sheet.
+    """Predict every corner on every sheet, level by level.
 
     Parameters
     ----------
@@ -127,9 +131,37 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
     SceneError
         The target stands where a body is.
     """
+    levels = [_on_level(scene, pose, board, depth_mm, times) for depth_mm in board.depths_mm]
+    return levels[0] if len(levels) == 1 else _together(levels)
+
+
+def _together(levels: Sequence[Expected]) -> Expected:
+    """Marks of all levels, one level after the other; windows may use what is clear of borders on each."""
+    branches = tuple(dict.fromkeys(way for level in levels for way in level.branches))
+    numbered = [np.array([branches.index(way) for way in level.branches])[level.branch] for level in levels]
+    parts = {
+        name: np.concatenate([getattr(level, name) for level in levels])
+        for name in ("index", "pixel", "axes_px", "rim_px", "window", "bent_px")
+    }
+    usable = np.logical_and.reduce([level.usable for level in levels])
+    number = np.concatenate(numbered).astype(levels[0].branch.dtype)
+    return Expected(**parts, branch=number, branches=branches, usable=usable)
+
+
+def on_each_level(
+    expected: Expected, pose: TargetPose, board: Chessboard
+) -> Iterator[tuple[TargetPose, NDArray[np.bool_]]]:
+    """Planes of the levels of a board, and which marks (N,) lie on each; marks of one follow those of another."""
+    depth = board.depth_mm(expected.index)
+    for depth_mm in board.depths_mm:
+        yield pose.behind(depth_mm), np.asarray(depth == depth_mm)
+
+
+def _on_level(scene: Scene, pose: TargetPose, board: Chessboard, depth_mm: float, times: int) -> Expected:
+    """Predict every corner of one level on every sheet; arguments as of `expect`."""
     import cv2
 
-    seen_from_target = in_target_frame(scene, pose)
+    seen_from_target = in_target_frame(scene, pose.behind(depth_mm))
     searched = seen_from_target.coarser(times)
     ray_map = build_ray_map(searched)
     grid = _lattice(searched, board)
@@ -162,6 +194,10 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
     branches = tuple(found.branches)
     every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > RIM_PX)
     held &= board.has_corner(index)
+    if len(board.depths_mm) > 1:
+        own = board.depth_mm(index) == depth_mm
+        every, held = every.take(own), held[own]
+        index, pixel, axes, window = every.index, every.pixel, every.axes_px, every.window
     if board.dots is not None:
         every = replace(every, bent_px=off_centre(seen_from_target, board, index, pixel, axes))
         held &= np.isfinite(every.bent_px[:, 0])

@@ -20,8 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.fit.seen.measurement import MeasuredFrame
-from correction.fit.seen.pairing import moved, nearest_nodes
-from correction.fit.solve.solver import Corners, landed
+from correction.fit.seen.pairing import moved, nearest_marks
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
 from correction.target.lattice_growth import Saddles
@@ -233,12 +232,14 @@ def seen_outlines(
         return None  # behind a window of liquid a ball is not seen in the direction in which it stands
     strong = saddles.strength > least
     pixel, bright = saddles.position_px[strong], saddles.edges[strong].sum(axis=1)
-    rays = landed(unknowns, full, Corners(height_number, False, pixel, np.zeros_like(pixel), 1.0))
-    node = nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board)
+    _, rays, node = nearest_marks(unknowns, full, (height_number, False), pixel, bright, board)
     at_node = np.linalg.norm(rays.point_mm - node, axis=1) < SAME * board.square_mm
     found = {tuple(index) for index in np.rint(node[at_node] / board.sides_mm).astype(np.int64).tolist()}
     hidden = np.array([tuple(index) not in found for index in bare.index.tolist()], dtype=np.bool_)
-    corners = unknowns.pose(full, height_number).to_world(board.corner_mm(bare.index))
+    pose = unknowns.pose(full, height_number)
+    corners = pose.to_world(board.corner_mm(bare.index)) - np.multiply.outer(
+        board.depth_mm(bare.index), pose.axes[2]
+    )
     free = np.array([f"{sphere.name}.x" in unknowns.names for sphere in unknowns.scene.spheres], dtype=np.bool_)
     scene, camera = unknowns.scene, unknowns.camera(full)
     rest = [body for body in scene.bodies if body not in scene.spheres]

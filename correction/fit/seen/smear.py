@@ -90,6 +90,15 @@ class Smear:
     edges_px2: NDArray[np.float64]
 
 
+def joined(parts: Sequence[Smear]) -> Smear:
+    """Smear of all corners of several."""
+    return Smear(
+        np.concatenate([part.shift_px for part in parts]),
+        np.concatenate([part.width_px for part in parts]),
+        np.concatenate([part.edges_px2 for part in parts]),
+    )
+
+
 def uneven_blur(
     index: NDArray[np.int64], branch: NDArray[np.integer[Any]], axes_px: NDArray[np.float64], smear: Smear
 ) -> NDArray[np.float64]:

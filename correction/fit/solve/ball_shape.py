@@ -89,7 +89,12 @@ class ShapeRates:
 
 
 def shape_rates(
-    camera: Camera, spheres: Points, crossed: NDArray[np.int64], pixels: Points, pose: TargetPose
+    camera: Camera,
+    spheres: Points,
+    crossed: NDArray[np.int64],
+    pixels: Points,
+    pose: TargetPose,
+    depth_mm: NDArray[np.float64] | float = 0.0,
 ) -> ShapeRates:
     """Follow rays to a plane, and what shapes do to them back.
 
@@ -103,6 +108,8 @@ def shape_rates(
     pixels : (N, 2) float64
     pose : TargetPose
         Of the target.
+    depth_mm : (N,) float64 or float
+        How far behind its plane rays land.
     """
     way = camera.directions(pixels)
     at = np.tile(np.array(camera.position_mm), (len(way), 1))
@@ -116,7 +123,8 @@ def shape_rates(
                 surface = _Surface.met(at[here], way[here], row, entering)
                 at[here], way[here] = row[:, :3] + row[:, 3:4] * surface.out, surface.way_behind()
                 surfaces.append(surface)
-        origin, axes = np.array(pose.origin_mm), np.array(pose.axes)
+        axes = np.array(pose.axes)
+        origin = np.array(pose.origin_mm) - np.multiply.outer(depth_mm, axes[2])
         fall = -((at - origin) @ axes[2]) / (way @ axes[2])
         for axis in range(2):
             by_place = axes[axis] - axes[2] * (way @ axes[axis] / (way @ axes[2]))[:, None]

@@ -185,10 +185,10 @@ def shape_parts(
     rays = landed(unknowns, full, corners)
     to_sigma = np.full_like(rays.pixel_rate, np.nan)
     to_sigma[rays.recovered] = np.linalg.inv(rays.pixel_rate[rays.recovered])
-    pose = unknowns.pose(full, corners.height_number)
+    pose, depth_mm = unknowns.pose(full, corners.height_number), unknowns.deeper(full) * corners.depth_mm
     names = [sphere.name for sphere in unknowns.scene.spheres]
     table, camera = unknowns.spheres(full), unknowns.camera(full)
-    crossed = shape_rates(camera, table, balls_crossed(ways, names), corners.pixel, pose)
+    crossed = shape_rates(camera, table, balls_crossed(ways, names), corners.pixel, pose, depth_mm)
     rate = crossed.by_each([names.index(ball) for ball in balls])
     rate = np.asarray(corners.whiten) @ to_sigma @ rate * np.tile(SIZES_MM, len(balls))
     return replace(part, rate=np.concatenate((part.rate[:, :, : -rate.shape[2]], rate), axis=2))

@@ -6,6 +6,8 @@ A corner measured at pixel u that shows lattice point X_k of a print stretched b
 
 the reprojection error in sigmas, to first order: tracing goes from pixels to the plane, so no inverse has to
 be iterated.  Its derivative is W J^-1 dX/dtheta (the missing term is proportional to the residual itself).
+Marks of a plate's other level land on its plane, d behind the target's along its normal n:  with Y = dX/do by
+the target's origin o, the derivative by the target's turn has  -d n x Y  more, that by d is  -Y n.
 Far from the solution J says little; there e = (X - X_k) / scale is used, on the plane.
 
 The cost is  sum rho(|e|^2) + x . x + walls,  rho(s) = c^2 log(1 + s/c^2) (Cauchy) on data only: priors are
@@ -20,7 +22,8 @@ say how that changes with the ball's place and the wall's numbers.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +33,7 @@ from correction.fit.solve.other_bodies import STEP
 from correction.fit.solve.unknowns import Unknowns, left_jacobian
 from tracer.bodies import CONTACT_TOL_MM, Body
 from tracer.errors import SceneError
-from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, landings_through
+from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings_through
 
 FAR_MM = 5.0  # a ball so far from a wall does not come to it in one step
 LOST = 12.0  # [residual units] what a ray that lands nowhere costs
@@ -112,6 +115,8 @@ class Corners:
         Their points on the target.
     whiten : (N, 2, 2) float64 or float
         W; a number means: residuals on the plane, in units of that many mm.
+    depth_mm : (N,) float64, optional
+        How far they lie behind the plane of the target, as its step was measured; all on it, without.
     """
 
     height_number: int
@@ -119,6 +124,11 @@ class Corners:
     pixel: NDArray[np.float64]
     node_mm: NDArray[np.float64]
     whiten: NDArray[np.float64] | float
+    depth_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if not len(self.depth_mm):
+            object.__setattr__(self, "depth_mm", np.zeros(len(self)))
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -126,7 +136,8 @@ class Corners:
     def take(self, chosen: NDArray[np.bool_]) -> "Corners":
         """Return the corners where `chosen`."""
         whiten = self.whiten if isinstance(self.whiten, float) else self.whiten[chosen]
-        return replace(self, pixel=self.pixel[chosen], node_mm=self.node_mm[chosen], whiten=whiten)
+        pixel, node, depth = self.pixel[chosen], self.node_mm[chosen], self.depth_mm[chosen]
+        return replace(self, pixel=pixel, node_mm=node, whiten=whiten, depth_mm=depth)
 
 
 @dataclass(frozen=True)
@@ -170,7 +181,47 @@ def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, by_w
     except SceneError:
         world = unknowns.world(unknowns.start, corners.glass)
         return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient, by_walls).nowhere()
-    return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient, by_walls)
+    depth = unknowns.deeper(full) * corners.depth_mm
+    return on_levels(
+        lambda plane, pixels: landings_through(camera, world, pixels, plane, unknowns.scene.n_ambient, by_walls),
+        pose,
+        corners.pixel,
+        depth,
+    )
+
+
+def on_levels(
+    land: Callable[[TargetPose, NDArray[np.float64]], Landings],
+    pose: TargetPose,
+    pixels: NDArray[np.float64],
+    depth_mm: NDArray[np.float64],
+) -> Landings:
+    """Landings of pixels (N, 2) on planes so far (N,) behind a target, derivatives by the pose of that target.
+
+    Parameters
+    ----------
+    land : callable
+        Plane and pixels (M, 2) -> landings there.
+    pose, pixels, depth_mm
+        Of the target, and of each pixel.
+    """
+    levels = np.unique(depth_mm)
+    if len(levels) < 2 and not levels.any():
+        return land(pose, pixels)
+    parts = [(depth_mm == level, land(pose.behind(float(level)), pixels[depth_mm == level])) for level in levels]
+    first = parts[0][1]
+
+    def put(name: str) -> NDArray[Any]:
+        of_first = getattr(first, name)
+        out = np.zeros((len(pixels), *of_first.shape[1:]), of_first.dtype)
+        for here, part in parts:
+            out[here] = getattr(part, name)
+        return out
+
+    rate, normal = put("rate"), np.array(pose.axes[2])
+    by_place = rate[:, :, -6:-3]
+    rate[:, :, -3:] -= depth_mm[:, None, None] * np.cross(normal, by_place)
+    return Landings(put("status"), put("key"), put("point_mm"), put("pixel_rate"), rate, first.names)
 
 
 def free_rates(
@@ -194,15 +245,20 @@ def free_rates(
     of_rays = (rays.rate.reshape(-1, numbers) @ turned).reshape(count, 2, -1)
     # By the print too where the ray lands, not at its corner: a bench that grows with its print, which no frame
     # tells, must move nothing, or noise beside the corners would shrink it.
-    on_print = rays.point_mm / unknowns.stretch(full)
-    return np.asarray(of_rays - on_print[:, :, None] * unknowns.columns[unknowns.printed])
+    on_print = rays.point_mm / unknowns.stretch(full)[:2]
+    by_print = on_print[:, :, None] * unknowns.columns[unknowns.printed]
+    if corners.depth_mm.any():
+        normal = np.array(unknowns.pose(full, corners.height_number).axes[2])
+        by_depth = rays.rate[:, :, -len(TARGET) : -3] @ normal
+        by_print += (by_depth * corners.depth_mm[:, None])[:, :, None] * unknowns.columns[-1]
+    return np.asarray(of_rays - by_print)
 
 
 def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> Residuals:
     """Residuals of corners at the free vector x."""
     full = unknowns.full(x)
     rays = landed(unknowns, full, corners)
-    off = rays.point_mm - unknowns.stretch(full) * corners.node_mm
+    off = rays.point_mm - unknowns.stretch(full)[:2] * corners.node_mm
     rate = free_rates(unknowns, full, corners, rays)
     if isinstance(corners.whiten, float):
         return Residuals(off / corners.whiten, rate / corners.whiten)

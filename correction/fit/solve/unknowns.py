@@ -3,10 +3,11 @@
 All numbers of the bench stand in one FULL vector:
 
     camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
-                | 45 of each ball out of round | 6 of each height of the target | 2 of the print
+                | 45 of each ball out of round | 6 of each height of the target | 2 or 3 of the print
 
-in the units of `tracer.strategies.sensitivity`; the last two are by how much of itself the print is wider and
-higher than it was measured.  The FREE vector x is shorter and in units of the prior's sigmas:
+in the units of `tracer.strategies.sensitivity`; the last ones are by how much of itself the print is wider and
+higher than it was measured, and the step of a plate with two levels deeper.  The FREE vector x is
+shorter and in units of the prior's sigmas:
 
     full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
 
@@ -43,7 +44,7 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
 from tracer.strategies.trace import world_from
 
 LENS = ("k1", "k2", "k3", "p1", "p2")
-PRINT = ("stretch_x", "stretch_y")
+PRINT = ("stretch_x", "stretch_y", "step")  # the last one of plates with two levels alone
 SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target
 
 
@@ -106,12 +107,17 @@ class Unknowns:
 
     @property
     def printed(self) -> slice:
-        """Place of the print's numbers in the full vector."""
-        return slice(len(self.start) - len(PRINT), len(self.start))
+        """Place of the print's width and height in the full vector."""
+        first = self.full_names.index(f"print.{PRINT[0]}")
+        return slice(first, first + 2)
 
     def stretch(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How many times wider and higher (2,) the print of a full vector is than it was measured."""
-        return np.asarray(1.0 + full[self.printed])
+        """How many times wider, higher, and a plate deeper (2 or 3,), the print is than it was measured."""
+        return np.asarray(1.0 + full[self.printed.start :])
+
+    def deeper(self, full: NDArray[np.float64]) -> float:
+        """How many times deeper the step of a plate is than it was measured; 1 of all else."""
+        return float(self.stretch(full)[2:].prod())
 
     def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
         """Shapes (45,) [mm] of a full vector by the numbers of the balls."""
@@ -259,7 +265,7 @@ def unknowns_of(
     priors: FitTable,
     focal_free: bool = False,
     travel: Vector3 = (0.0, 0.0, 1.0),
-    print_sigma: tuple[float, float] = (0.0, 0.0),
+    print_sigma: tuple[float, ...] = (0.0, 0.0),
 ) -> Unknowns:
     """Number everything and decide what is free.
 
@@ -275,8 +281,8 @@ def unknowns_of(
         Whether the focal length is free if the section does not say: the bare target was seen at several heights.
     travel : (float, float, float)
         Unit vector along which the stage moves the target to its heights.
-    print_sigma : (float, float)
-        How well the width and height of the print are known, as shares of them.
+    print_sigma : tuple of float
+        How well width and height of the print are known, and the step of a plate, as shares of them.
     """
     heights = distinct_heights(heights_mm)
     start, columns, names = _Columns(), [], []
@@ -312,7 +318,8 @@ def unknowns_of(
             [*(height * along for along in travel), 0.0, 0.0, 0.0],
             [s * known_z for s in spread],
         )
-    start.add([f"print.{part}" for part in PRINT], [0.0] * len(PRINT), print_sigma)
+    printed = [f"print.{part}" for part in PRINT[: len(print_sigma)]]
+    start.add(printed, [0.0] * len(printed), print_sigma)
     for place, spread_of in enumerate(start.sigmas):
         if spread_of > 0.0:
             column = np.zeros(len(start.names))

@@ -36,14 +36,17 @@ ALL = FitTable(
 )
 
 
-def test_every_derivative_agrees_with_differences():
+@pytest.mark.parametrize("deep_mm", [(0.0, 0.0), (0.0, 1.5), (-0.8, 2.0)])
+def test_every_derivative_agrees_with_differences(deep_mm):
     scene = at_size(named_scene("pyramid_500"), 700)
-    bench = unknowns_of(scene, [0.0, -10.0], ALL)
+    deep = any(deep_mm)
+    bench = unknowns_of(scene, [0.0, -10.0], ALL, print_sigma=(0.0, 0.0, 0.01) if deep else (0.0, 0.0))
     u, v = np.meshgrid(np.linspace(150, 550, 9), np.linspace(160, 545, 9))
     pixel = np.stack((u.ravel(), v.ravel()), axis=-1)
     x = np.random.default_rng(0).normal(size=len(bench.names)) * 0.2
+    depth = np.resize(deep_mm, len(pixel))
     for height, glass in ((0, True), (1, True), (1, False)):
-        corners = Corners(height, glass, pixel, np.zeros_like(pixel), 1.0)
+        corners = Corners(height, glass, pixel, np.zeros_like(pixel), 1.0, depth)
         exact = residuals(bench, x, corners).rate
         for number, name in enumerate(bench.names):
             step = np.zeros(len(x))

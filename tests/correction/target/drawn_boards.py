@@ -13,7 +13,7 @@ from correction.target import Chessboard
 from correction.target.board_search import track_board
 from correction.target.codes import with_codes
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import CodedBoard, DotGrid, Pose, placed
+from sim.renderer.patterns import CodedBoard, DotGrid, Plate, Pose, placed
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tracer.board import LARGE_DOTS, Codes, Dots
@@ -29,7 +29,7 @@ OFF_MM, OFF_DEG = 5.0, 3.0  # of the camera, from where it is believed
 REACH_MM = 3.0 * np.hypot(
     2.0, np.deg2rad(2.0) * AWAY_MM
 )  # three sigmas of what a scene's fit section says unasked
-KINDS = ("discs", "plain", "charuco", "dots")
+KINDS = ("discs", "plain", "charuco", "dots")  # and "plate", where asked for
 STRAY_PX, STRAYS = 1.0, 0.03
 FINE = 4  # parts of a pixel along a side, where something covers the board
 
@@ -76,11 +76,18 @@ def drawn(seed, kind=None):
     board = Chessboard(square, 0.4 * square, squares=squares, origin_corner=origin, **marks)
     codes = Codes("DICT_4X4_1000", 0.7)
     board = with_codes(board, codes) if kind == "charuco" else board
-    if kind == "dots":
+    if kind in ("dots", "plate"):
         of_dots = np.random.default_rng((seed, 5))
         dot = float(of_dots.uniform(0.3, 0.5))
         marks = {"dots": Dots(dot * square, bool(of_dots.integers(2))), "discs": LARGE_DOTS}
         large = min(dot * float(of_dots.uniform(1.4, 1.7)), 0.7) * square
+        if kind == "plate":
+            step, levels = (
+                float(of_dots.uniform(0.5, 1.5)),
+                str(of_dots.choice(("rows", "columns", "alternating"))),
+            )
+            step *= float(of_dots.choice((1.0, -1.0)))
+            marks["dots"] = replace(marks["dots"], levels=levels, step_mm=step)
         board = replace(board, disc_mm=large, **marks)
     if kind == "plain" and rng.random() < 0.15:
         board = replace(board, squares=None)
@@ -91,12 +98,16 @@ def drawn(seed, kind=None):
     on_paper = {**marks, "squares": squares, "origin_corner": origin}
     if kind == "dots":
         real = DotGrid(square, large, **on_paper)
+    elif kind == "plate":
+        real = Plate(square, large, **on_paper)
     elif kind == "charuco":
         real = CodedBoard(square, codes=codes, **on_paper)
     else:
         odd_bright = kind != "plain" or bool(rng.integers(2))
         real = Print(square, 0.4 * square, odd_bright=odd_bright, **on_paper)
     balls = balls_before(seed)
+    if kind == "plate":  # whose face may lie before the plane
+        balls = tuple(ball for ball in balls if ball.centre_mm[2] - ball.radius_mm > 1.6)
     light = render_irradiance(Scene(true, balls), placed(real, Pose()), samples=3, seed=seed)
     light, words = _as_a_lab_sees_it(light, true, board, squares, rng)
     words += f", {len(balls)} balls" if balls else ""
@@ -159,15 +170,11 @@ def _laid(light, cover, shade):
 
 def verdict(one):
     """Say "right", "refused", or by what it is wrong; and the rms of what is right, in px."""
-
-    def predict(board_mm):
-        return one.nominal.project(np.column_stack((board_mm, np.zeros(len(board_mm)))))
-
     try:
-        found = track_board(one.image, one.board, predict, reach=REACH_MM / one.board.square_mm)
+        found = track_board(one.image, one.board, one.nominal.project, reach=REACH_MM / one.board.square_mm)
     except TargetNotFound as error:
         return "refused", str(error)
-    there = one.true.project(np.column_stack((found.plane_mm, np.zeros(len(found)))))
+    there = one.true.project(one.board.place_mm(found.index))
     off = np.linalg.norm(found.position_px - there, axis=1)
     side = np.linalg.norm(found.axes_px, axis=1).mean(axis=1)
     astray = off > STRAY_PX  # where an edge of something else crosses one of a square; a fit leaves them out

@@ -100,7 +100,7 @@ def test_discs_put_a_prediction_right_that_is_squares_off(east, north):
     to_board = view(2.0)
 
     def predict(points):
-        return (231.4, 208.7) + 9.0 * (points + np.array((east, north))) * (1.0, -1.0)
+        return (231.4, 208.7) + 9.0 * (points[:, :2] + np.array((east, north))) * (1.0, -1.0)
 
     found = track_board(rendered(to_board), BOARD, predict)
     assert miss_mm(found, to_board) < 0.01
@@ -114,7 +114,7 @@ def test_without_discs_in_view_the_prediction_decides(turn_deg):
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
 
     def predict(points):  # half a millimetre and one degree off
-        x, y = (points - shift + np.array((0.5, -0.4))).T
+        x, y = (points[:, :2] - shift + np.array((0.5, -0.4))).T
         x, y = x - 0.017 * y, y + 0.017 * x
         return np.column_stack((231.4 + 9.0 * (c * x - s * y), 208.7 - 9.0 * (s * x + c * y)))
 
@@ -129,7 +129,7 @@ def test_squares_of_another_size_than_described_are_named_with_their_size():
     """A lab's board, described as the usual one: the camera tells how large it is."""
 
     def predict(points):
-        return (231.4, 208.7) + 5.6 * points * (1.0, -1.0)
+        return (231.4, 208.7) + 5.6 * points[:, :2] * (1.0, -1.0)
 
     with pytest.raises(
         TargetNotFound,
@@ -140,7 +140,7 @@ def test_squares_of_another_size_than_described_are_named_with_their_size():
 
 def test_a_prediction_out_of_the_frame_is_said():
     with pytest.raises(TargetNotFound, match="nominal camera"):
-        track_board(rendered(view()), BOARD, lambda points: np.full(points.shape, np.nan))
+        track_board(rendered(view()), BOARD, lambda points: np.full((len(points), 2), np.nan))
 
 
 @pytest.mark.parametrize(

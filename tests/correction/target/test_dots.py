@@ -25,8 +25,8 @@ GRID = Chessboard(PITCH_MM, 0.65 * PITCH_MM, **WORDS)
 FEW = (1, 4, 5, 8, 11)  # found and refused, bare and behind balls
 
 
-def predict(board_mm):
-    return NOMINAL.project(np.column_stack((board_mm, np.zeros(len(board_mm)))))
+def predict(place_mm):
+    return NOMINAL.project(place_mm)
 
 
 def seen(true=NOMINAL, **changed):
@@ -66,7 +66,7 @@ def test_a_camera_that_is_believed_a_pitch_aside_moves_no_dot(away):
     x, y = PITCH_MM * np.array(away)
     true = camera((x, y, 300.0), (x, y), 0.02)
     found = track_board(seen(true), GRID, predict, reach=4.0)
-    there = true.project(np.column_stack((found.plane_mm, np.zeros(len(found)))))
+    there = true.project(GRID.place_mm(found.index))
     assert len(found) > 120
     assert np.sqrt(np.mean((found.position_px - there) ** 2)) < 0.03
     assert len(find_board(seen(true), GRID)) == len(found)

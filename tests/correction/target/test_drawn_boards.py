@@ -19,8 +19,8 @@ FEW = (2, 3, 4, 5, 7, 8, 9, 13, 14)  # of each kind some, behind none, two and t
 PLAIN = Chessboard(3.0, discs=(), squares=(14, 11))
 
 
-def predict(board_mm):
-    return NOMINAL.project(np.column_stack((board_mm, np.zeros(len(board_mm)))))
+def predict(place_mm):
+    return NOMINAL.project(place_mm)
 
 
 def seen(board, true=NOMINAL, odd_bright=True):
@@ -81,6 +81,6 @@ def test_what_does_not_say_where_it_is_is_refused_with_what_to_add(told, shown, 
 def test_a_view_that_is_good_enough_says_by_itself_where_a_plain_board_is():
     board = replace(PLAIN, squares=None)
     found = track_board(seen(replace(PLAIN, squares=(99, 99)), NOMINAL, False), board, predict, reach=0.7)
-    assert np.abs(found.position_px - predict(found.plane_mm)).max() < 0.5
+    assert np.abs(found.position_px - predict(found.board.place_mm(found.index))).max() < 0.5
     with pytest.raises(TargetNotFound, match="prediction"):
         find_board(seen(PLAIN), PLAIN)

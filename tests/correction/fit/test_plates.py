@@ -1,0 +1,125 @@
+"""Plates with two levels fit scenes, say from where a frame was taken, and are refused if told wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.errors import FitFailed
+from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.bent_view import taken_aside
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.seen.prediction import expect, measure, on_each_level
+from correction.fit.solve.solver import Corners, landed
+from correction.fit.solve.unknowns import unknowns_of
+from correction.target import Chessboard
+from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.renderer.patterns import DotGrid, Plate
+from sim.renderer.render import render, render_irradiance
+from sim.renderer.sensor import Sensor
+from tests.correction.fit.benches import errors_behind
+from tests.correction.fit.test_dots import EXACT
+from tracer.board import LARGE_DOTS, Dots
+from tracer.scene.fit_section import FitTable
+from tracer.strategies.sensitivity import TargetPose
+
+PITCH_MM, STEP_MM = 3.5, 1.2
+SIGMA = {"scale_sigma": (1e-4, 1e-4), "step_sigma_mm": 0.01}
+
+
+def plate(levels, step_mm=STEP_MM, pitch_mm=PITCH_MM, bright=True):
+    """A board that is described, and the real thing; a grid on one level for no levels."""
+    words = {"discs": LARGE_DOTS, "dots": Dots(0.4 * pitch_mm, bright, levels, step_mm if levels else 0.0)}
+    board = Chessboard(pitch_mm, 0.65 * pitch_mm, **words, **SIGMA if levels else {})
+    return board, (Plate if levels else DotGrid)(pitch_mm, 0.65 * pitch_mm, **words)
+
+
+def bare(paper, size_px=504):
+    """A nominal camera, and a frame of the bare target by one that stands a little elsewhere."""
+    nominal = at_size(named_scene("two_spheres_500"), size_px)
+    scene = misaligned(nominal, 3).with_bodies(())
+    return nominal.with_bodies(()), [
+        TargetFrame("clear", render(scene, paper, Sensor(), samples=4, seed=1), False)
+    ]
+
+
+@pytest.mark.parametrize("levels", ["rows", "alternating"])
+def test_marks_of_a_level_land_where_its_plane_is(levels):
+    """By a ray from the pixel through the world, without any plane but that of its own level."""
+    board, _ = plate(levels, 2.0)
+    scene = misaligned(at_size(named_scene("two_spheres_500"), 504), 4).with_bodies(())
+    bench = unknowns_of(scene, [0.0], FitTable(), print_sigma=board.print_sigma)
+    index = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(-1, 2)
+    pixel = scene.camera.project(board.place_mm(index))
+    full = bench.start.copy()
+    corners = Corners(0, True, pixel, board.corner_mm(index), 1.0, board.depth_mm(index))
+    assert np.abs(landed(bench, full, corners).point_mm - board.corner_mm(index)).max() < 1e-9
+    full[bench.full_names.index("print.step")] = 0.1
+    deeper = scene.camera.project(board.stretched((1.0, 1.0, 1.1)).place_mm(index))
+    moved = replace(corners, pixel=deeper)
+    assert np.abs(landed(bench, full, moved).point_mm - board.corner_mm(index)).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("shown", "told", "words"),
+    [
+        (("rows", 1.2), ("rows", 1.0), "by rows, .* 1.20. mm behind .* step_mm: 1; say"),
+        (("rows", 1.2), ("columns", 1.2), "by rows, .* levels: columns"),
+        (("alternating", 1.2), ("rows", 1.2), "by alternating, .* levels: rows"),
+        (("columns", -0.8), ("columns", 0.8), "by columns, .* -0.80\\d* mm behind"),
+        (("rows", 1.2), ("", 0.0), "by rows, .* nothing of levels"),
+        (("", 0.0), ("rows", 1.2), "all dots on one level"),
+    ],
+)
+def test_levels_that_are_told_wrong_are_refused_and_named(shown, told, words):
+    nominal, frames = bare(plate(*shown)[1])
+    with pytest.raises(FitFailed, match=words):
+        fit_scene(nominal, frames, plate(*told)[0])
+
+
+def test_a_plate_told_right_fits_and_says_its_step():
+    board, paper = plate("rows")
+    nominal, frames = bare(paper)
+    fit = fit_scene(nominal, frames, replace(board, dots=replace(board.dots, step_mm=1.19)))
+    step = fit.board.dots.step_mm
+    sigma = 1.19 * fit.sigmas[fit.names.index("print.step")]
+    assert sigma < 0.005  # told to 0.01
+    assert abs(step - STEP_MM) < 4.0 * sigma
+
+
+def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_off():
+    scene = misaligned(at_size(named_scene("two_spheres_500"), 504), 5)
+    board, paper = plate("rows", 1.0, 5.0)
+    frame = EXACT.expose(render_irradiance(scene, paper, samples=8, seed=1), seed=0)
+    shown = expect(scene, TargetPose(), board)
+    shown = shown.take(shown.branch > 0)
+    fit = measure(frame, shown, board)
+    levels = list(on_each_level(shown, TargetPose(), board))
+    aside = np.concatenate(
+        [taken_aside(scene, pose, board, shown.take(own), fit.blur_px[own])[0] for pose, own in levels]
+    )
+    off = fit.position_px - aside - shown.pixel
+    for _, own in levels:
+        there = fit.valid & np.isfinite(aside[:, 0]) & own
+        assert there.sum() > 12
+        assert np.sqrt(np.mean(off[there] ** 2)) < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "levels", "bright"),
+    [(3, "rows", True), (4, "rows", True), (5, "rows", True), (3, "alternating", False), (4, "columns", False)],
+)
+def test_the_map_behind_two_balls_is_right_by_plates(seed, levels, bright):
+    board, paper = plate(levels, 1.0, bright=bright)
+    nominal = at_size(named_scene("two_spheres_500"), 1008)
+    truth = misaligned(nominal, seed)
+    frames = [
+        TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=5, seed=1), False),
+        TargetFrame("glass", render(truth, paper, Sensor(), samples=5, seed=2), True),
+    ]
+    fit = fit_scene(nominal, frames, board)
+    error, _, compared = errors_behind(fit, truth)
+    assert not fit.verdict.unlisted
+    assert compared > 0.99
+    assert np.sqrt(np.mean(error**2)) < 0.01
