@@ -11,6 +11,7 @@ import pytest
 from sim.emulators.faults import Fault, FaultSchedule
 from stages.drivers_by_name import DRIVERS
 from stages.errors import NoReply, ProtocolViolation, StageError
+from tests.stages.benches import brisk
 
 SCHEDULES = 200 // len(DRIVERS)
 
@@ -30,7 +31,7 @@ def offsets_mm(made):
 
 
 def test_a_late_answer_is_never_credited_to_the_next_question(bench, driver):
-    made = bench(driver)
+    made = bench(driver, **brisk(driver))
     made.stage.home()
     made.stage.move({"a": 30.0, "b": 80.0})
     constant_mm = offsets_mm(made)

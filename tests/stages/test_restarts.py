@@ -17,6 +17,7 @@ from stages.errors import (
 from stages.protocols.grbl import RESET, RESUME
 from stages.states import AxisState
 from tests.slow_cases import slow
+from tests.stages.benches import brisk
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 
@@ -39,7 +40,7 @@ def test_at_rest(bench, kind, off_s):
         "the other axis": lambda stage: stage.move({"b": 40.0}),
     }
     for name, ask in asks.items():
-        made = homed(bench, kind)
+        made = homed(bench, kind, **brisk(kind))
         made.line.power_cycle(off_s)
         made.clock.sleep_s(off_s + 0.5)
         stood_mm = made.world.true_mm("a"), made.world.true_mm("b")
