@@ -119,6 +119,12 @@ USE = (
     "print(twice(1.0), other(1.0), sum(twice.stats.cache_hits.values()), sum(other.stats.cache_hits.values()))\n"
 )
 
+ALIKE = ("other_1", "other_2", "other_3")  # kernels of one text, each in a file of its own
+USE_ALIKE = "".join(
+    f"from tracer.kernels.{name} import other as {name}\n"
+    f"print({name}(1.0), sum({name}.stats.cache_hits.values()))\n"
+    for name in ALIKE
+)
 COUNTED = (
     "import ground.jit.compiler as compiler\nplain, read = compiler.parse_bitcode, []\n"
     "compiler.parse_bitcode = lambda bitcode: (read.append(1), plain(bitcode))[1]\n" + USE + "print(len(read))\n"
@@ -126,7 +132,7 @@ COUNTED = (
 
 
 class Clone:
-    """A checkout of three kernels."""
+    """A checkout of some kernels."""
 
     def __init__(self, root):
         self.root, self.kernels = root, root / "tracer" / "kernels"
@@ -138,7 +144,8 @@ class Clone:
             (package / "__init__.py").touch()
         (self.kernels / "callee.py").write_text(CALLEE.format("3.0"))
         (self.kernels / "caller.py").write_text(CALLER)
-        (self.kernels / "other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
+        for name in ("other", *ALIKE):
+            (self.kernels / f"{name}.py").write_text(CALLEE.replace("value", "other").format("7.0"))
 
     def use(self, cache, code=USE):
         """Call both in a process of its own: their values, and how many of each were found."""
@@ -156,7 +163,7 @@ def compiled(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compiled")
     first = Clone(folder / "first")
     first.write()
-    assert first.use(folder / "cache") == ["6.0", "7.0", "0", "0"]
+    assert first.use(folder / "cache", USE + USE_ALIKE) == ["6.0", "7.0", "0", "0", *["7.0", "0"] * len(ALIKE)]
     return first.root, folder / "cache"
 
 
@@ -172,7 +179,6 @@ def clone(compiled, tmp_path):
 def test_no_stale_callee_is_ever_run(clone):
     """The edit that numba alone misses; what does not see it comes from the cache, wherever it stands."""
     made, cache = clone
-    assert made.use(cache) == ["6.0", "7.0", "1", "1"]
     (made.kernels / "callee.py").write_text(CALLEE.format("5.0"))
     assert made.use(cache) == ["10.0", "7.0", "0", "1"]
 
@@ -192,18 +198,16 @@ def test_a_kept_file_that_cannot_be_read_is_compiled_anew_and_replaced(clone):
     made, cache = clone
 
     def renamed(data):
-        name = b"tracer.kernels.caller"
-        return data.replace(name, name.replace(b"caller", b"forged"))
+        return data.replace(b"tracer.kernels.other_3", b"tracer.kernels.forged_")
 
-    for kind, damaged in (
-        ("nbc", lambda data: data[:100]),
-        ("nbi", lambda data: b"\0" * len(data)),
-        ("nbc", renamed),
-    ):
-        (file,) = cache.rglob(f"caller.twice*.{kind}")
+    damages = (("nbc", lambda data: data[:100]), ("nbi", lambda data: b"\0" * len(data)), ("nbc", renamed))
+    kept = {}
+    for name, (kind, damaged) in zip(ALIKE, damages, strict=True):
+        (file,) = cache.rglob(f"{name}.other-*.{kind}")
         sound = file.read_bytes()
-        file.write_bytes(damaged(sound))
-        assert file.read_bytes() != sound
-        assert made.use(cache) == ["6.0", "7.0", "0", "1"]
-        assert file.read_bytes() != damaged(sound)
-    assert made.use(cache) == ["6.0", "7.0", "1", "1"]  # it was replaced
+        kept[file] = damaged(sound)
+        assert kept[file] != sound
+        file.write_bytes(kept[file])
+    assert made.use(cache, USE_ALIKE) == ["7.0", "0"] * 3
+    assert all(file.read_bytes() != damaged for file, damaged in kept.items())
+    assert made.use(cache, USE_ALIKE) == ["7.0", "1"] * 3  # each was replaced

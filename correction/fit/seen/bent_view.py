@@ -37,7 +37,11 @@ FINER = 4  # points a pixel that are drawn
 CONTRAST = 0.85  # of black and white print
 DRAWN_PX = 0.2  # blur of what is drawn, before the rest of it is added
 BESIDE_PX = 3  # what is drawn beyond a window
-AT_ONCE = 64  # corners drawn at a time
+AT_ONCE = 64  # corners traced and fitted at a time
+DRAWN_AT_ONCE = (
+    4  # of those: what lies between pixels is FINER**2 times as much, and stays in the processor's cache
+)
+FAR = 6.0  # erf of more is 1 to the last bit
 WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
 WORTH_OF_DOTS_PX = 0.01  # of what the rim of a dot says, the same
 LEFT_BY_RIM, LEFT_OF_DOTS = 0.03, 0.02  # of what is taken off dots, by their rims and as drawn
@@ -151,27 +155,39 @@ def drawn(
         Standard deviation, with the pixel in it.
     """
     size = squares.shape[1]
-    between, spread = _between(size), _spread(size, blur_px)
+    seen, between, spread = np.empty(passed.shape), _between(size), _spread(size, blur_px)
+    for first in range(0, len(seen), DRAWN_AT_ONCE):
+        some = slice(first, first + DRAWN_AT_ONCE)
+        light = np.einsum("av,nvu,bu->nab", between, passed[some], between, optimize=True)
+        light *= 1.0 + CONTRAST * _shade(squares[some], between, board, index[some])
+        seen[some] = spread @ light @ spread.T
+    return seen
+
+
+def _shade(
+    squares: NDArray[np.float64], between: NDArray[np.float64], board: Chessboard, index: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """What is printed, dark -1 and bright 1, between the pixels (N, M, M); arguments are those of `drawn`."""
     fine = np.einsum("av,nvuk,bu->nabk", between, squares, between, optimize=True)
-    if board.dots is None:
-        shade = np.broadcast_to(board.corner_sign(index)[:, None, None], fine.shape[:3]).astype(np.float64)
-        for edge in range(2):
-            nearest = np.rint(fine[..., edge])
-            shade *= np.where(nearest % 2.0, -1.0, 1.0) * _edge(fine[..., edge], nearest)
-    else:
+    if board.dots is not None:
         node = np.rint(fine).astype(np.int64)
         beyond = np.linalg.norm(fine - node, axis=-1) - 0.5 * board.dot_share(node + index[:, None, None])
-        shade = (-1.0 if board.dots.bright else 1.0) * _edge(beyond)
-    light = np.einsum("av,nvu,bu->nab", between, passed, between, optimize=True)
-    light *= 1.0 + CONTRAST * shade
-    return np.asarray(spread @ light @ spread.T)
+        return (-1.0 if board.dots.bright else 1.0) * _edge(beyond)
+    shade = np.broadcast_to(board.corner_sign(index)[:, None, None], fine.shape[:3]).astype(np.float64)
+    for edge in range(2):
+        nearest = np.rint(fine[..., edge])
+        odd = nearest - 2.0 * np.floor(0.5 * nearest)  # a fifth of the time of %
+        shade *= (1.0 - 2.0 * odd) * _edge(fine[..., edge], nearest)
+    return shade
 
 
 def _edge(field: NDArray[np.float64], level: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
     """Shade (N, M, M), -1 to 1, around where a field that is drawn FINER goes through a level."""
     slope = np.hypot(*np.gradient(field, 1.0 / FINER, axis=(1, 2)))
-    off_px = (field - level) / np.maximum(slope, 1e-12)
-    return np.asarray(scipy.special.erf(off_px / (np.sqrt(2.0) * DRAWN_PX)))
+    off = (field - level) / np.maximum(slope, 1e-12) / (np.sqrt(2.0) * DRAWN_PX)
+    shade, near = np.sign(off), np.abs(off) < FAR
+    shade[near] = scipy.special.erf(off[near])
+    return np.asarray(shade)
 
 
 @cache

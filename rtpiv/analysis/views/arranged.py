@@ -8,6 +8,7 @@ and noise grow with it.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TypeVar
 
 from daq.errors import RunUsageError
@@ -72,6 +73,7 @@ def best_gap(lab: Lab, lens: bool) -> Arranged | None:
     return _nearest(filter(None, map(at, PARTS)), lambda found: found.share)
 
 
+@cache  # `init` asks for the same labs to place the balls and to say what else would show more
 def arranged(lab: Lab) -> Arranged | None:
     """The lab with the share that it shows; None if it cannot be."""
     from rtpiv.templates.stage_text import room_of  # of a bench: who has a scene does not wait

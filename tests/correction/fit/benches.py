@@ -19,7 +19,7 @@ from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
-from tracer.strategies.trace import trace
+from tracer.strategies.trace import TraceResult, trace
 
 SIZE_PX = 1008
 SQUARE_MM = 3.5  # 22 px in the bare view
@@ -70,11 +70,15 @@ def fitted(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tupl
 def map_error_px(fit: Scene, truth: Scene, pixels: np.ndarray, grid: PlaneGrid) -> np.ndarray:
     """Where pixels land in the fitted scene minus where they land in truth (N, 2), in corrected px."""
     a, b = trace(fit, pixels), trace(truth, pixels)
-    names_a = np.array([",".join(a.branches[int(key)]) for key in a.rays["key"]])
-    names_b = np.array([",".join(b.branches[int(key)]) for key in b.rays["key"]])
     off = (a.plane_mm - b.plane_mm) / grid.pitch_mm
-    off[(names_a != names_b) | ~a.recovered | ~b.recovered] = np.nan
+    off[(_ways(a) != _ways(b)) | ~a.recovered | ~b.recovered] = np.nan
     return off
+
+
+def _ways(traced: TraceResult) -> np.ndarray:
+    """The bodies that each ray went through, as one word (N,); there are few ways and many rays."""
+    keys, which = np.unique(traced.rays["key"], return_inverse=True)
+    return np.array([",".join(traced.branches[int(key)]) for key in keys])[which]
 
 
 def errors_behind(fit: SceneFit, truth: Scene, every: int = 5) -> tuple[np.ndarray, np.ndarray, float]:

@@ -103,14 +103,16 @@ def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_
     "lab", [slow(LABS["one ball"], name="one"), pytest.param(LABS["triangle on rods"], id="triangle")]
 )
 def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
+    schemas = {}  # some files share one, and each is looked through once
     for file in init(tmp_path, GivenLab(**lab)):
-        first = file.read_text().splitlines()[0]
-        named = json.loads((tmp_path / first.partition("$schema=")[2]).read_text())
-        jsonschema.Draft202012Validator.check_schema(named)
+        name = file.read_text().splitlines()[0].partition("$schema=")[2]
+        if name not in schemas:
+            schemas[name] = jsonschema.Draft202012Validator(json.loads((tmp_path / name).read_text()))
+            schemas[name].check_schema(schemas[name].schema)
         tree = yaml.safe_load(file.read_text())
-        jsonschema.validate(tree, named)
+        schemas[name].validate(tree)
         with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(tree | {"wavelength": 532.0}, named)
+            schemas[name].validate(tree | {"wavelength": 532.0})
         assert load_yaml(file).tree == tree
 
 
@@ -178,12 +180,19 @@ def test_files_of_a_person_are_not_replaced(tmp_path, capsys):
     assert "wavelength_nm" in (tmp_path / "scene.yaml").read_text()
 
 
-def test_by_questions_at_a_terminal(tmp_path):
-    """Nonsense is asked again; what options say is not asked."""
+@pytest.fixture
+def terminal(monkeypatch):
+    """What is written here is typed at a terminal, from which this process reads."""
     here, there = pty.openpty()
-    command = [sys.executable, "-m", "rtpiv", "init", str(tmp_path / "lab"), "--sensor-px", "640", "480"]
-    asked = subprocess.Popen(command, stdin=there, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    os.close(there)
+    with os.fdopen(there) as typed:
+        monkeypatch.setattr(sys, "stdin", typed)
+        yield here
+    os.close(here)
+
+
+@pytest.mark.usefixtures("no_others")
+def test_by_questions_at_a_terminal(tmp_path, terminal, capsys):
+    """Nonsense is asked again; what options say is not asked."""
     lines = [
         "5.5",
         "600",
@@ -200,10 +209,9 @@ def test_by_questions_at_a_terminal(tmp_path):
         "perhaps",
         "yes",
     ]
-    os.write(here, ("\n".join(lines) + "\n").encode())
-    said, _ = asked.communicate(timeout=120)
-    os.close(here)
-    assert asked.returncode == DONE, said
+    os.write(terminal, ("\n".join(lines) + "\n").encode())
+    assert main(["init", str(tmp_path / "lab"), "--sensor-px", "640", "480"]) == DONE
+    said = capsys.readouterr().out
     assert "width and height" not in said
     assert "arrangement 'triangel': there are behind, beside, triangle, pyramid, sc, bcc, hcp" in said
     assert "'thirty' cannot be read" in said
@@ -302,15 +310,17 @@ def test_where_no_distance_is_said_the_balls_stand_where_they_show_much(lab, tmp
     assert traced_share(tmp_path / "lab" / "scene.yaml") > 0.35
 
 
-def test_a_distance_that_is_asked_for_is_kept_and_what_would_show_more_comes_first(tmp_path, capsys):
+def test_a_distance_that_is_asked_for_is_kept_and_what_would_show_more_comes_first(tmp_path, capsys, request):
     init(tmp_path / "lab", GivenLab(balls=3, gap_mm=4.0))
     said = capsys.readouterr().out
     assert "through glass: 1." in said
     first = next(line.split() for line in said.splitlines() if line.split()[:2] == ["3", "triangle"])
+    request.getfixturevalue("no_others")
     init(tmp_path / "other", GivenLab(balls=3, gap_mm=float(first[2]), lens_mm=float(first[3])))
     assert percent(traced_share(tmp_path / "other" / "scene.yaml")) == f"{first[4]} %"
 
 
+@pytest.mark.usefixtures("no_others")
 def test_the_target_is_lit_by_the_laser_until_somebody_says_another_light(tmp_path):
     """Nobody is told of a lamp on the simulated bench, and whoever writes a wavelength there is."""
     init(tmp_path, GivenLab(wavelength_nm=488.0))
