@@ -38,9 +38,7 @@ CONTRAST = 0.85  # of black and white print
 DRAWN_PX = 0.2  # blur of what is drawn, before the rest of it is added
 BESIDE_PX = 3  # what is drawn beyond a window
 AT_ONCE = 64  # corners traced and fitted at a time
-DRAWN_AT_ONCE = (
-    4  # of those: what lies between pixels is FINER**2 times as much, and stays in the processor's cache
-)
+DRAWN_AT_ONCE = 4  # of those: points between pixels are FINER**2 as many, and stay in the processor's cache
 FAR = 6.0  # erf of more is 1 to the last bit
 WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
 WORTH_OF_DOTS_PX = 0.01  # of what the rim of a dot says, the same
