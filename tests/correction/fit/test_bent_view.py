@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from correction.fit.seen.bent_view import LEFT, drawn
+from correction.fit.seen.bent_view import DRAWN_AT_ONCE, LEFT, drawn
 from correction.fit.seen.measurement import TargetFrame, glass_frame
 from correction.fit.seen.prediction import Expected, expect
 from correction.target import Chessboard
@@ -80,6 +80,21 @@ def test_a_corner_is_drawn_as_the_board_shows_it_through_a_bent_view(even, twist
     true = found_at(blurred[FINE // 2 :: FINE, FINE // 2 :: FINE])
     assert np.linalg.norm(true) >= aside_px
     np.testing.assert_allclose(found_at(seen), true, atol=0.004)
+
+
+def test_many_corners_at_once_show_each_its_own_squares():
+    """A flat view of three squares to every side, of dark and bright corners: off the edges the print itself."""
+    places = np.arange(-HALF, HALF + 1.0)
+    count = 2 * DRAWN_AT_ONCE + 1
+    shift = np.linspace(-0.4, 0.4, count)[:, None, None, None] * (1.0, -0.5)
+    squares = np.stack(np.meshgrid(places, places), axis=-1) / 4.5 + shift
+    corner = np.array([[number // 3 % 2, 0] for number in range(count)])
+    seen = drawn(squares, np.ones(squares.shape[:3]), Chessboard(), corner, BLUR_PX)
+    bright = 1.0 - 2.0 * (np.floor(squares).sum(axis=-1) % 2.0)
+    bright[corner[:, 0] == 0] *= -1.0
+    away = (np.abs(squares - np.rint(squares)) > 0.35).all(axis=-1)
+    assert away.mean() > 0.05
+    np.testing.assert_array_equal(np.sign(seen - 1.0)[away], bright[away])
 
 
 def test_what_the_bending_of_a_view_does_to_corners_is_taken_off():

@@ -209,7 +209,7 @@ def test_by_questions_at_a_terminal(tmp_path, terminal, capsys):
         "perhaps",
         "yes",
     ]
-    os.write(terminal, ("\n".join(lines) + "\n").encode())
+    os.write(terminal, ("\n".join(lines) + "\n\x04").encode())  # one question more ends it
     assert main(["init", str(tmp_path / "lab"), "--sensor-px", "640", "480"]) == DONE
     said = capsys.readouterr().out
     assert "width and height" not in said
