@@ -74,11 +74,12 @@ def size_seen(
         As it is told.
     """
     place = {(i, j): p for (i, j), p in zip(view[0].tolist(), view[1], strict=True)}
-    known = [(i, j) for i, j in place if {(i + 1, j), (i, j + 1)} <= place.keys()]
+    far = len(board.depths_mm)  # of a plate the next dot but one is on the same level
+    known = [(i, j) for i, j in place if {(i + far, j), (i, j + far)} <= place.keys()]
     if not known or not len(position_px):
         return None
-    sides = [(place[i + 1, j] - place[i, j], place[i, j + 1] - place[i, j]) for i, j in known]
-    longer = np.linalg.norm(sides, axis=2).max(axis=1)
+    sides = [(place[i + far, j] - place[i, j], place[i, j + far] - place[i, j]) for i, j in known]
+    longer = np.linalg.norm(sides, axis=2).max(axis=1) / far
     _, nearest = scipy.spatial.cKDTree([place[corner] for corner in known]).query(position_px)
     times = np.linalg.norm(axes_px, axis=1) / longer[nearest][:, None]  # along either index
     along = times[:, int(np.median(times, axis=0).argmax())]

@@ -26,6 +26,7 @@ TELLING = {  # keys that only one kind of file has
     "scene": ("camera", "bodies", "wavelength_nm", "ambient", "glasses"),
     "bench": ("stages", "scene", "keep_out", "simulation"),
     "plan": ("experiment",),
+    "board": ("kind", "square_mm", "pitch_mm", "dot_mm", "large_dot_mm", "bars_mm", "measured_mm", "particle_mm"),
     "piv": (
         "final_window_px",
         "finest_window_px",
@@ -55,7 +56,7 @@ def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "lis
     Parameters
     ----------
     paths : path, or list of path
-        Scene, bench, plan and PIV files; folders that hold such files (``*.yaml``); folders of runs.
+        Scene, bench, plan, board and PIV files; folders that hold such files (``*.yaml``); folders of runs.
     bench : path, optional
         Bench on which plans are tried as by `acquire --home --dry-run`.  By default one that is among `paths`,
         else a bench.yaml beside the plan; without any only the plan itself is looked at.
@@ -147,7 +148,7 @@ def _kind_of(path: Path) -> str:
         return "bench"
     best = max(hits, key=lambda kind: hits[kind])
     if not hits[best]:
-        text = "is no file of ours: a scene has camera and bodies, a bench stages, a plan experiment"
+        text = "is no file of ours: a scene has camera and bodies, a bench stages, a plan experiment, a board kind"
         raise ConfigError(path, [Problem(1, text)])
     return best
 
@@ -161,8 +162,29 @@ def _said(path: Path, kind: str, benches: "Benches | None", named: Sequence[Path
         from rtpiv.analysis.pairs.piv_file import piv_choice
 
         return f"last windows of {piv_choice(piv=path).settings.windows_said}", []
+    if kind == "board":
+        return _board_said(path), []
     assert benches is not None
     return benches.said(path) if kind == "bench" else benches.plan_said(path, named)
+
+
+def _board_said(path: Path) -> str:
+    """What a board file says in one sentence; ConfigError if nothing such can be."""
+    from correction.errors import BoardError
+    from correction.target.board_file import read_board
+
+    printed = read_board(path)
+    if printed.kind == "particles":
+        return f"{printed.particles} particles"
+    try:
+        board = printed.board()
+    except BoardError as error:
+        raise ConfigError(path, [Problem(1, str(error))]) from error
+    levels = "" if printed.levels is None else f", by {printed.levels} on two levels {printed.step_mm:g} mm apart"
+    wide, high = (100.0 * sigma for sigma in board.scale_sigma)
+    return (
+        f"{printed.kind} of {board.square_mm:g} mm{levels}; width and height known to {wide:.2g} and {high:.2g} %"
+    )
 
 
 def _through(scene: Scene) -> str:

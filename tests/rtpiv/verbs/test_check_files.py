@@ -76,6 +76,34 @@ def test_problems_of_all_files_at_once(lab, capsys):
         assert words in said, said
 
 
+PLATE = """kind: dots
+pitch_mm: 2.5
+dot_mm: 1.0
+large_dot_mm: 1.7
+levels: rows
+step_mm: 1.0
+"""
+
+
+def test_a_board_file_is_looked_at_beside_the_bench_that_names_it(lab):
+    (lab / "plate.yaml").write_text(PLATE)
+    change(lab / "bench.yaml", "target: {square_mm", "target: {board: plate.yaml}  # {square_mm")
+    found = {one.path.name: one for one in check(lab)}
+    assert found["plate.yaml"].kind == "board"
+    assert found["plate.yaml"].said == (
+        "dots of 2.5 mm, by rows on two levels 1 mm apart; width and height known to 0.01 and 0.01 %"
+    )
+    for old, new, words in (
+        ("step_mm: 1.0", "step_mm: 4.0", r"plate.yaml:.*at most 0.8 of pitch_mm"),
+        ("large_dot_mm: 1.7", "large_dot_mm: 1.1", r"plate.yaml:.*large dots of 1.1 mm cannot be told"),
+        ("levels: rows", "levels: rings", r"plate.yaml:.*levels"),
+    ):
+        change(lab / "plate.yaml", old, new)
+        with pytest.raises(RunUsageError, match=words):
+            check(lab / "plate.yaml")
+        change(lab / "plate.yaml", new, old)
+
+
 def test_the_simulation_is_looked_at_as_well(lab):
     change(lab / "bench.yaml", "lead_mm: 5.0", "lead: 5.0")
     with pytest.raises(
