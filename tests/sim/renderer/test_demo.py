@@ -13,7 +13,7 @@ from tracer.errors import SceneError
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
-    return make_frames("two_spheres_500", 504, 3, tmp_path_factory.mktemp("demo"), sensor=SILENT)
+    return make_frames("two_spheres_500", 504, 3, tmp_path_factory.mktemp("demo"), sensor=SILENT, samples=3)
 
 
 def test_folder_holds_the_whole_set(frames):
