@@ -219,8 +219,8 @@ def size_told(work: Progress) -> str:
     frame, found = work.bare_frames[0], work.bare[0]
     camera = work.nominal.camera
 
-    def predict(board_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return camera.project(np.c_[board_mm[:, :2], np.full(len(board_mm), frame.height_mm)])
+    def predict(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return camera.project(place_mm + np.array((0.0, 0.0, frame.height_mm)))
 
     view = corners_in_view(work.board, predict, camera.shape)
     size = size_seen(found.corners.pixel, found.axes_px, view, work.board)

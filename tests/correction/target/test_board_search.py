@@ -261,6 +261,27 @@ def test_no_corner_lies_on_any_map():
     assert on_smooth_map(none.astype(int), none, np.zeros((0, 2, 2))).shape == (0,)
 
 
+@pytest.mark.parametrize(("off", "kept"), [(0.0, True), (0.02, True), (0.06, False), (0.3, False)])
+def test_a_corner_at_the_end_of_the_lattice_is_judged_by_the_others(off, kept):
+    """No polynomial may bend itself to a corner that nothing stands beside."""
+    index = np.array([(i, j) for i in range(8) for j in range(8)] + [(8, 8)])
+    position = 16.0 * index + 0.1 * index**2
+    position[64, 1] += 16.0 * off
+    axes = np.broadcast_to(16.0 * np.eye(2), (len(index), 2, 2))
+    assert on_smooth_map(index, position, axes).tolist() == [True] * 64 + [kept]
+
+
+@pytest.mark.parametrize(("off", "kept"), [(0.0, True), (0.15, False), (0.27, False)])
+def test_a_piece_in_a_hole_of_the_lattice_is_judged_by_what_is_around(off, kept):
+    """As a ball shows it that happens to stand so that squares are as wide behind it as beside it."""
+    index = np.array([(i, j) for i in range(12) for j in range(12)])
+    inside = ((index > 4) & (index < 8)).all(axis=1)
+    position = 16.0 * index + 0.02 * index**2
+    position[inside, 0] += 16.0 * off
+    axes = np.broadcast_to(16.0 * np.eye(2), (len(index), 2, 2))
+    assert as_the_largest_piece_says(index, position, axes).tolist() == (~inside | kept).tolist()
+
+
 @pytest.mark.parametrize(("off", "kept"), [(0.0, True), (0.1, True), (0.7, False)])
 def test_a_piece_of_lattice_apart_counts_where_the_largest_says(off, kept):
     index = np.array([(i, j) for i in range(8) for j in range(8)] + [(i, j) for i in (10, 11) for j in (2, 3, 4)])

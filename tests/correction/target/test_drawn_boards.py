@@ -12,10 +12,11 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.target.count_boards import count_boards
-from tests.correction.target.drawn_boards import KINDS, NOMINAL, camera
+from tests.correction.target.drawn_boards import KINDS, NOMINAL, camera, drawn, verdict
 from tracer.scene.scene import Scene
 
 FEW = (2, 3, 4, 5, 7, 8, 9, 13, 14)  # of each kind some, behind none, two and three balls
+FOREIGN = (344, 364, 382, 544)  # behind balls, at rims and along the end of what hides the board, nearly in place
 PLAIN = Chessboard(3.0, discs=(), squares=(14, 11))
 
 
@@ -36,6 +37,12 @@ def test_of_some_drawn_boards_none_is_wrong():
     count = count_boards(FEW)
     assert not count.wrong
     assert all(count.said[kind, "right"] > 1 for kind in KINDS), count
+
+
+@pytest.mark.parametrize("seed", FOREIGN)
+def test_corners_seen_through_a_ball_or_beside_the_board_are_none_of_it(seed):
+    said, about = verdict(drawn(seed))
+    assert said == "right", (said, about)
 
 
 @pytest.mark.slow

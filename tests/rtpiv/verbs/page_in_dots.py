@@ -68,7 +68,10 @@ class Page:
         """OpenCV's corners, counted from the lower left one of the board: the mean of what all say."""
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
         laid_out = cv2.aruco.CharucoBoard(tuple(board.squares), board.square_mm, board.marker_mm, dictionary)
-        corners, numbers, _, _ = cv2.aruco.CharucoDetector(laid_out).detectBoard(self.grey)
+        settings = cv2.aruco.DetectorParameters()
+        settings.minMarkerPerimeterRate = 0.005  # of the page, which is wide
+        detector = cv2.aruco.CharucoDetector(laid_out, detectorParams=settings)
+        corners, numbers, _, _ = detector.detectBoard(self.grey)
         columns, rows = board.squares
         assert len(numbers) == (columns - 1) * (rows - 1)
         j, i = np.divmod(numbers.ravel(), columns - 1)  # OpenCV counts rows from the top
