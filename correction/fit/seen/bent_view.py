@@ -102,8 +102,9 @@ def found_bent(
         affine = np.linalg.inv(expected.axes_px[some]) * board.sides_mm[:, None]
         flat = np.einsum("nij,nvuj->nvui", affine, off)
         point = rays.plane_mm - node[some][:, None, None]
-        squares = (flat + carried_on(point - flat, there)) / board.sides_mm
-        passed = carried_on(rays.rays["transmittance"][..., None], there)[..., 0]
+        nearest = nearest_there(there)
+        squares = (flat + (point - flat)[nearest]) / board.sides_mm
+        passed = rays.rays["transmittance"][nearest]
         tiles = drawn(squares, passed, board, expected.index[some], blur_px)
         height, width = expected.usable.shape
         inside = ((pixel >= 0) & (pixel < (width, height))).all(axis=-1)
@@ -123,11 +124,10 @@ def found_bent(
     return aside
 
 
-def carried_on(value: NDArray[np.float64], there: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Values (N, n, n, K), those that are not `there` (N, n, n) from the nearest one of their tile that is."""
+def nearest_there(there: NDArray[np.bool_]) -> tuple[NDArray[np.int64], ...]:
+    """The place nearest to each in tiles (N, n, n), of the same tile, that is `there`: its index by axis."""
     apart = (1e6, 1.0, 1.0)
-    nearest = scipy.ndimage.distance_transform_edt(~there, apart, return_distances=False, return_indices=True)
-    return np.asarray(value[tuple(nearest)])
+    return tuple(scipy.ndimage.distance_transform_edt(~there, apart, return_distances=False, return_indices=True))
 
 
 def drawn(
