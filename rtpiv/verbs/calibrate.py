@@ -137,6 +137,8 @@ def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
     """
     if scene is not None:
         return load_scene(scene), load_priors(scene)
+    if not folder.exists():
+        raise ViewsMissing("is not there", place=folder, cure="give the folder of a target run")
     if not is_run(folder):
         raise ViewsMissing(
             "is no run, which would know its scene", place=folder, cure="give the nominal one with --scene"

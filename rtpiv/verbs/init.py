@@ -305,6 +305,8 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     )
     if (shown := through_scene(scene)) is not None:
         screen.print(shown.sentence, style="bold")
+        if warning := _too_little(lab, shown.share):
+            screen.print(warning, style="bold red", soft_wrap=True)
         _print_others(lab, shown.share, lens)
     screen.print(
         f"{', '.join(FILES)} are in {folder}, and pass `rtpiv check`. Next, in that folder:", soft_wrap=True
@@ -312,6 +314,22 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     for words in NEXT:
         screen.print(f"  {words}", soft_wrap=True)
     screen.print("Every file says at its top what to edit for real hardware; --simulate is left out then.")
+
+
+def _too_little(lab: Lab, share: float) -> str:
+    """A sentence on what to change in a lab that shows little; empty where it shows enough."""
+    from rtpiv.analysis.views.arranged import LITTLE
+
+    if share >= LITTLE:
+        return ""
+    wider = max(span / field for span, field in zip(lab.span_mm, lab.field_mm, strict=True))
+    if wider <= 1.0:
+        return "This lab shows little through its glass; what shows more is listed here."
+    balls, field = (" x ".join(f"{side:.0f}" for side in sides) for sides in (lab.span_mm, lab.field_mm))
+    return (
+        f"This lab shows little through its glass: its balls are {balls} mm and the camera sees {field} mm;"
+        f" --lens-mm {lab.lens_mm / wider:.2g} or --distance-mm {lab.distance_mm * wider:.2g} shows them whole."
+    )
 
 
 def _print_others(lab: Lab, share: float, lens: bool) -> None:

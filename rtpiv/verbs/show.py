@@ -57,7 +57,13 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         screen.print(evaluation.field.doubt, style="bold red")
     tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
     if evaluation.shift is None:
-        tables.append(("what moved, v down, y up", moved_head(evaluation), moved_rows(evaluation)))
+        tables.append(
+            (
+                "medians of what moved: u right, v down; x right, y up",
+                moved_head(evaluation),
+                moved_rows(evaluation),
+            )
+        )
     if evaluation.shift is not None:
         tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
     if evaluation.map_sigma is not None:

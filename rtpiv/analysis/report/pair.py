@@ -209,7 +209,11 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
         per_px = 1e-3 * grid.pitch_mm / evaluation.task.dt_s
         page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
                     ("1 px of displacement is", f"{per_px:.6g} m/s")])  # fmt: skip
-        page.table(moved_head(evaluation), moved_rows(evaluation), "What moved, y up on the plane")
+        page.table(
+            moved_head(evaluation),
+            moved_rows(evaluation),
+            "Medians of what moved: u right, v down; x right, y up",
+        )
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
     rule = (
         f"Windows of {evaluation.settings.windows_said}; {field.step_px} px apart. A window is masked if less "

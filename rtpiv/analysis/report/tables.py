@@ -214,14 +214,14 @@ def moved_head(evaluation: Evaluation) -> Row:
     return (
         "region",
         "vectors",
-        "median u, v [px]",
-        f"median x, y [{unit}]",
+        "displacement u, v [px]",
+        f"{'displacement' if evaluation.task.dt_s is None else 'velocity'} x, y [{unit}]",
         f"its median sigma [{unit}]",
     )
 
 
 def moved_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under `moved_head`: what moved beside and behind the glass, v down, y up, and how sure a vector is."""
+    """Rows under `moved_head`: medians beside and behind the glass, v down, y up, and how sure a vector is."""
     scale = per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
     field, rows = evaluation.field, list[Row]()
     parts = [_random(field), _resolution(field)]

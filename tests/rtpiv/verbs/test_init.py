@@ -5,6 +5,7 @@ import json
 import math
 import os
 import pty
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -314,10 +315,20 @@ def test_a_distance_that_is_asked_for_is_kept_and_what_would_show_more_comes_fir
     init(tmp_path / "lab", GivenLab(balls=3, gap_mm=4.0))
     said = capsys.readouterr().out
     assert "through glass: 1." in said
+    assert "shows little through its glass; what shows more" in said
     first = next(line.split() for line in said.splitlines() if line.split()[:2] == ["3", "triangle"])
     request.getfixturevalue("no_others")
     init(tmp_path / "other", GivenLab(balls=3, gap_mm=float(first[2]), lens_mm=float(first[3])))
     assert percent(traced_share(tmp_path / "other" / "scene.yaml")) == f"{first[4]} %"
+
+
+@pytest.mark.usefixtures("no_others")
+def test_a_lens_that_sees_a_part_of_the_balls_is_told_with_one_that_sees_them(tmp_path, capsys):
+    init(tmp_path / "long", GivenLab(balls=3, lens_mm=200.0))
+    said = capsys.readouterr().out
+    shorter = re.search(r"shows little through its glass: its balls are .* --lens-mm (\S+) or", said)
+    init(tmp_path / "short", GivenLab(balls=3, lens_mm=float(shorter[1])))
+    assert "shows little" not in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("no_others")
