@@ -226,7 +226,7 @@ def size_told(work: Progress) -> str:
     size = size_seen(found.corners.pixel, found.axes_px, view, work.board)
     longer = dict(zip(work.unknowns.names, work.unknowns.sigma.tolist(), strict=True)).get("camera.focal_px", 0.0)
     nearer = work.priors.camera.position_mm / float(np.linalg.norm(camera.position_mm))
-    if size is None or abs(size.times - 1.0) <= SURE * np.hypot(nearer, longer / camera.focal_px):
+    if size is None or not size.differs(SURE * float(np.hypot(nearer, longer / camera.focal_px))):
         return ""
     return f"{frame.name}: {size.sentence}"
 

@@ -580,7 +580,7 @@ def _plausible(index: NDArray[np.int64], predicted: NDArray[np.float64], patch: 
 def _why_another_size(patch: Patch, view: tuple[NDArray[np.int64], NDArray[np.float64]], board: Chessboard) -> str:
     """Say how much larger than told the board is, where a patch is so all over; "" where it is not."""
     size = size_seen(patch.position_px, patch.axes_px, view, board)
-    return size.sentence if size is not None and abs(size.times - 1.0) > CLEARLY_OFF else ""
+    return size.sentence if size is not None and size.differs(CLEARLY_OFF) else ""
 
 
 def _why_not_placed(

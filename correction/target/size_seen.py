@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from correction.target.chessboard import Chessboard
 
 EVEN = 0.15  # of the size, from the smallest tenth to the largest: noise, tilt and lens leave less, a ball more
-TENTHS = (10.0, 90.0)  # per cent
+TENTHS, TENTHS_APART = (10.0, 90.0), 2.563  # per cent, and standard deviations of a normal one between them
+OF_MEDIAN, SURE = 1.25, 3.0  # sigmas of a median in those of a mean; that count as sure
 CLEARLY_OFF = 0.03  # of the size: more than a camera that is told to a few millimetres
 
 
@@ -27,18 +28,25 @@ class SizeSeen:
     ----------
     seen_px, expected_px : float
         As it is, and as the camera should see it, at the median of the corners.
+    sigma : float
+        Standard deviation of their ratio.
     board : Chessboard
         As it is told.
     """
 
     seen_px: float
     expected_px: float
+    sigma: float
     board: Chessboard
 
     @property
     def times(self) -> float:
         """How many times as large as told."""
         return self.seen_px / self.expected_px
+
+    def differs(self, by: float) -> bool:
+        """Whether it is not as large as told, by more than so much of it and what the corners leave open."""
+        return abs(self.times - 1.0) > by + SURE * self.sigma
 
     @property
     def sentence(self) -> str:
@@ -87,4 +95,5 @@ def size_seen(
     if not high - low < EVEN * middle:
         return None
     expected = float(np.median(longer[nearest]))
-    return SizeSeen(middle * expected, expected, board)
+    sigma = OF_MEDIAN * (high - low) / TENTHS_APART / np.sqrt(len(along))
+    return SizeSeen(middle * expected, expected, float(sigma), board)

@@ -14,7 +14,7 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.patterns import CodedBoard, DotGrid, Pose, placed
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tests.correction.target.drawn_boards import NOMINAL, REACH_MM, camera
+from tests.correction.target.drawn_boards import NOMINAL, REACH_MM, camera, drawn, verdict
 from tests.slow_cases import slow_but
 from tracer.board import LARGE_DOTS, Codes, Dots
 from tracer.bodies import Sphere
@@ -106,3 +106,11 @@ def test_a_view_through_a_ball_says_nothing_of_the_size():
     with pytest.raises(TargetNotFound) as refused:
         track_board(seen("discs", NOMINAL, (ball,)), board, predict, reach=REACH_MM / board.square_mm)
     assert "times as large" not in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", [168, 199])
+def test_a_few_corners_of_a_board_that_is_as_told_do_not_make_it_larger(seed):
+    """Fifteen and 25 of them, by a camera that stands 5 mm nearer."""
+    said, about = verdict(drawn(seed))
+    assert said == "refused"
+    assert "times as large" not in about
