@@ -52,6 +52,8 @@ class SimSerial(serial.SerialBase):
     def in_waiting(self) -> int:
         """Bytes that can be read now."""
         line = self._alive()
+        if self._rest:
+            return len(self._rest)
         came = line.receive()
         self._rest += came if line.baud in (None, self.baudrate) else _misread(came)
         return len(self._rest)
@@ -68,12 +70,14 @@ class SimSerial(serial.SerialBase):
         line = self._alive()
         clock = line.clock
         end_s = clock.now_s() + timeout_s
-        while not self.in_waiting and clock.now_s() < end_s:
+        while clock.now_s() < end_s:
             if isinstance(clock, VirtualClock):
                 next_s = line.next_s()
                 clock.advance_to(end_s if next_s is None else min(end_s, next_s))
             else:
                 time.sleep(0.0005)
+            if self.in_waiting:
+                return
 
     def write(self, data: Buffer) -> int:
         """Send everything."""

@@ -303,6 +303,17 @@ class Motor:
             edges += [("blocked", math.nextafter(high_mm, math.inf)), ("blocked", low_mm)]
         return edges
 
+    def _free(self, low_mm: float, high_mm: float) -> bool:
+        """Whether there is plainly no edge on this way; most ways are so, and short."""
+        mechanics = self.mechanics
+        return (
+            self.obstacle_mm is None
+            and not self.is_jammed
+            and mechanics.low_switch_mm < low_mm
+            and high_mm < mechanics.high_switch_mm
+            and not low_mm < mechanics.index_mm <= high_mm
+        )
+
     def _first_event(self, piece: _Piece, end_s: float) -> tuple[float, str, bool] | None:
         """Earliest edge crossed within a piece: time from now, name, direction."""
         here_mm = self._carriage_mm
@@ -311,8 +322,11 @@ class Motor:
             return self._carriage_for(_at(self._pulses, self._speed, piece.acceleration, after_s)[0])
 
         there_mm, first = carriage_mm(end_s), None
+        low_mm, high_mm = min(here_mm, there_mm), max(here_mm, there_mm)
+        if self._free(low_mm, high_mm):
+            return None
         for name, edge_mm in self._edges():
-            if (here_mm >= edge_mm) == (there_mm >= edge_mm):
+            if not low_mm < edge_mm <= high_mm:
                 continue
             before_s, after_s = 0.0, end_s
             for _ in range(BISECTIONS):

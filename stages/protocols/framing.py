@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from stages.errors import ProtocolViolation
@@ -49,7 +50,7 @@ class Lines:
     """
 
     def __init__(self, ends: bytes, longest: int = 512) -> None:
-        self._cut = re.compile(b"[" + re.escape(ends) + b"]")
+        self._cut = _ends_of(ends)
         self._longest = longest
         self._rest = bytearray()
 
@@ -116,9 +117,7 @@ class LineStream(Generic[T]):
         self._read = read
         self._lines = Lines(ends, longest)
         self._singles = singles or {}
-        single = b"[" + re.escape(bytes(self._singles)) + b"]|" if self._singles else b""
-        others = re.escape(ends + bytes(self._singles))
-        self._parts = re.compile(single + b"[" + re.escape(ends) + b"]+|[^" + others + b"]+")
+        self._parts = _parts_of(ends, bytes(self._singles))
 
     @property
     def rest(self) -> bytes:
@@ -148,6 +147,19 @@ def text_of(raw: bytes) -> str:
     ProtocolViolation
         The line holds other bytes.
     """
-    if any(byte < 0x20 or byte > 0x7E for byte in raw):
+    if not raw.isascii() or not (text := raw.decode("ascii")).isprintable():
         raise ProtocolViolation("a line holds bytes that are not text", raw)
-    return raw.decode("ascii")
+    return text
+
+
+@cache
+def _ends_of(ends: bytes) -> re.Pattern[bytes]:
+    """Where a chunk is cut into lines; each answer has a decoder of its own, all of them the same patterns."""
+    return re.compile(b"[" + re.escape(ends) + b"]")
+
+
+@cache
+def _parts_of(ends: bytes, singles: bytes) -> re.Pattern[bytes]:
+    """What a chunk is made of: bytes that are messages of their own, ends of lines, and what is between them."""
+    single = b"[" + re.escape(singles) + b"]|" if singles else b""
+    return re.compile(single + b"[" + re.escape(ends) + b"]+|[^" + re.escape(ends + singles) + b"]+")
