@@ -16,7 +16,7 @@ from daq.runs.run_folder import frame_entries
 from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load
-from tests.slow_cases import slow
+from tests.slow_cases import slow, slow_but
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 SMALL = {"width": 64, "height": 16, "row_time_us": 20.0}
@@ -73,6 +73,7 @@ def test_what_a_camera_does_not_tell_is_not_compared(told, shape, said):
     assert bool(found) == bool(said)
 
 
+@pytest.mark.parametrize("rig", slow_but(RIGS, "aravis", "memory"), indirect=True)  # the contract has the other
 def test_an_incomplete_frame_is_not_waited_for(rig):
     """A minute of patience: nothing of it is spent, and the frames are those of the triggers after."""
     camera = rig.make(CameraConfig(**SMALL, faults=FaultPlan(incomplete=(1, 2, 4))))

@@ -42,11 +42,16 @@ def numbered_frames(folder, numbers):
     return folder
 
 
+@pytest.fixture(scope="module")
+def numbered(tmp_path_factory):
+    return numbered_frames(tmp_path_factory.mktemp("numbered"), range(3 * FRAMES))
+
+
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path, numbered):
     bench, plan = load(tmp_path, PLAN, camera=CAMERA)
     folder = begin(Request(bench.path, plan.path, correct=False), bench, plan, tmp_path / "runs")
-    return bench, plan, folder, numbered_frames(tmp_path / "frames_in", range(3 * FRAMES))
+    return bench, plan, folder, shutil.copytree(numbered, tmp_path / "frames_in")  # tests take some away
 
 
 def go(run, camera_class=FilesCamera, folder=None, before=None):

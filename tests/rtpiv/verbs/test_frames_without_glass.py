@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import tifffile
-import xarray
 
 from correction import Corrector, build_correction_map
 from ground.file_lock import folder_held
@@ -27,9 +26,15 @@ def day(tmp_path_factory):
     return folder
 
 
+def opened(path):
+    import xarray  # here, and pandas with it: all processes of the tests would wait for them
+
+    return xarray.open_dataset(path)
+
+
 def right(folder, name="vectors.nc"):
     """Velocities are the shift's, x to the right and y up."""
-    with xarray.open_dataset(folder / name) as file:
+    with opened(folder / name) as file:
         assert file["u"].attrs["units"] == "m s-1"
         assert "dxdz" not in file  # nothing is known of the camera that would tell
         u, v = (float(np.nanmedian(file[name])) for name in ("u", "v"))
@@ -65,7 +70,7 @@ def test_a_mean_goes_on_in_its_folder_and_with_another_ruler_begins_anew(day, tm
     assert right(tmp_path / "evaluation", "mean.nc")
     (tmp_path / "evaluation" / "fit.npz").write_bytes(b"of another scene")
     assert main(["mean", str(day), "--mm-per-px", str(2 * MM), *TOLD[2:]]) == DONE  # the ruler was read wrongly
-    with xarray.open_dataset(tmp_path / "evaluation" / "mean.nc") as file:
+    with opened(tmp_path / "evaluation" / "mean.nc") as file:
         assert float(np.nanmedian(file["u"])) == pytest.approx(2e-3 * SHIFT[0] * MM / (1e-6 * DT_US), rel=0.01)
     assert not (tmp_path / "evaluation" / "fit.npz").exists()
 
