@@ -20,7 +20,9 @@ from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tests.correction.fit.test_dots import EXACT
 from tracer.board import LARGE_DOTS, Dots
-from tracer.scene.fit_section import FitTable
+from tracer.camera import Camera, Lens, look_at
+from tracer.scene.fit_section import FitCameraTable, FitTable
+from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 
 PITCH_MM, STEP_MM = 3.5, 1.2
@@ -123,3 +125,55 @@ def test_the_map_behind_two_balls_is_right_by_plates(seed, levels, bright):
     assert not fit.verdict.unlisted
     assert compared > 0.99
     assert np.sqrt(np.mean(error**2)) < 0.01
+
+
+FREE = FitCameraTable(position_mm=20.0, rotation_deg=3.0, focal_px=100.0, principal_px=30.0)
+SENSOR_PX, FOCAL_PX, AWAY_MM = (640, 512), 3200.0, 300.0
+NUMBERS = ("x", "y", "z", "focal_px", "cu", "cv")
+
+
+def camera_at(position, rotation, focal_px, principal_px):
+    return Camera(focal_px, principal_px, SENSOR_PX, position, rotation, Lens())
+
+
+def of_one_frame(degrees, levels, seed):
+    """Errors (6,) of a camera found from one bare frame, by a lens that nobody knows, and their sigmas (6,)."""
+    rng, middle = np.random.default_rng((seed, 9)), tuple(0.5 * (side - 1) for side in SENSOR_PX)
+    slant = np.deg2rad(degrees)
+    told = AWAY_MM * np.array((0.8 * np.sin(slant), 0.6 * np.sin(slant), np.cos(slant)))
+    nominal = camera_at(tuple(told.tolist()), look_at(tuple(told), (0.0, 0.0, 0.0), 0.05), FOCAL_PX, middle)
+    place = told + rng.normal(0.0, 4.0, 3)
+    aim = (*rng.normal(0.0, 2.0, 2).tolist(), 0.0)
+    focal, principal = FOCAL_PX + rng.normal(0.0, 40.0), np.array(middle) + rng.normal(0.0, 12.0, 2)
+    rotation = look_at(tuple(place.tolist()), aim, 0.05 + 0.02 * rng.normal())
+    true = camera_at(tuple(place.tolist()), rotation, float(focal), tuple(principal.tolist()))
+    board, paper = plate(levels, 1.0)
+    scale = tuple((1.0 + SIGMA["scale_sigma"][0] * rng.normal(size=2)).tolist())
+    dots = paper.dots
+    if levels:  # as well as its maker knows
+        dots = replace(dots, step_mm=dots.step_mm + SIGMA["step_sigma_mm"] * rng.normal())
+    image = render(Scene(true, ()), replace(paper, dots=dots, scale=scale), Sensor(), samples=4, seed=seed)
+    board = replace(board, scale_sigma=SIGMA["scale_sigma"])
+    fit = fit_scene(Scene(nominal, ()), [TargetFrame("clear", image, False)], board, FitTable(camera=FREE))
+    found, rows = fit.scene.camera, [fit.unknowns.full_names.index(f"camera.{name}") for name in NUMBERS]
+    sigma = np.sqrt(np.sum(fit.root[rows] ** 2, axis=1))
+    error = [*np.subtract(found.position_mm, place), found.focal_px - focal]
+    return np.array((*error, *np.subtract(found.principal_px, principal))), sigma
+
+
+@pytest.mark.slow
+def test_one_frame_of_a_plate_says_from_where_it_was_taken_as_well_as_its_sigma_says():
+    for degrees in (25.0, 0.0):
+        error, sigma = np.swapaxes([of_one_frame(degrees, "rows", seed) for seed in range(10)], 0, 1)
+        assert 0.6 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.5
+        assert np.abs(error / sigma).max() < 4.0
+
+
+@pytest.mark.slow
+def test_a_plate_seen_straight_on_says_what_a_flat_board_leaves_to_the_lens():
+    """Distance and principal axis: with one level they move with focal length and turn, and no frame tells."""
+    _, flat = of_one_frame(0.0, "", 0)
+    _, levels = of_one_frame(0.0, "rows", 0)
+    names = {name: n for n, name in enumerate(NUMBERS)}
+    for name in ("z", "focal_px", "cu", "cv"):
+        assert levels[names[name]] < 0.5 * flat[names[name]], name

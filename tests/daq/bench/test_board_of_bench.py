@@ -12,7 +12,7 @@ from daq.bench.bench_file import load_bench
 from ground.errors import ConfigError
 from sim.bench import SimulatedBench
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import CodedBoard, DotGrid
+from sim.renderer.patterns import CodedBoard, DotGrid, Plate
 from tests.daq.small_bench import write_bench
 from tracer.board import LARGE_DOTS
 
@@ -75,7 +75,12 @@ DOTS = PrintedBoard(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("printed", "kind"), [(PLAIN, Print), (CHARUCO, CodedBoard), (DOTS, DotGrid)])
+PLATE = PrintedBoard(**DOTS.model_dump(exclude_none=True), levels="columns", step_mm=1.0, step_sigma_mm=0.02)
+
+
+@pytest.mark.parametrize(
+    ("printed", "kind"), [(PLAIN, Print), (CHARUCO, CodedBoard), (DOTS, DotGrid), (PLATE, Plate)]
+)
 def test_the_simulated_bench_prints_the_board_of_its_file(tmp_path, printed, kind):
     told = load_bench(bench_with(tmp_path, {"board": "board.yaml"}, printed)).board
     bench = SimulatedBench(load_bench(bench_with(tmp_path, {"board": "board.yaml"}, printed)), "chessboard")
@@ -83,7 +88,10 @@ def test_the_simulated_bench_prints_the_board_of_its_file(tmp_path, printed, kin
         paper = bench.world.print
         assert isinstance(paper, kind)
         assert (paper.squares, paper.origin_corner) == ((20, 14), (3, 4))
-        assert paper.discs == (LARGE_DOTS if kind is DotGrid else ())
+        assert paper.discs == (LARGE_DOTS if kind in (DotGrid, Plate) else ())
+        if kind is Plate:  # as well as its maker knows
+            assert 0.0 < abs(paper.dots.step_mm - 1.0) < 0.08
+            assert paper.dots.levels == "columns"
         places = np.random.default_rng(2).uniform(-20.0, 60.0, (4000, 2))
         shade = replace(told, scale=paper.scale, odd_bright=told.odd_bright if paper.codes else paper.odd_bright)
         assert np.mean((paper.reflectance(places) > 0.5) == (shade.shade(places) > 0.5)) > 0.999
