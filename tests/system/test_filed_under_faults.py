@@ -7,6 +7,7 @@ import pytest
 from daq.runs.run_folder import RunFolder, frame_entries
 from rtpiv.command_line.cli import DONE, main
 from sim.frame_truth import misfiled
+from tests.daq.cameras.rigs import need_aravis
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
@@ -39,6 +40,8 @@ def faults(seed):
 @pytest.mark.parametrize("backend", ["harvesters", "aravis"])
 @pytest.mark.parametrize("seed", range(4))
 def test_no_frame_is_filed_under_a_stop_it_does_not_show(tmp_path, seed, backend):
+    if backend == "aravis":
+        need_aravis()
     simulation = f"samples: 1\nprints_truth: true\nfaults: {faults(seed)}"
     write_bench(tmp_path, simulation=simulation, camera=CAMERA.replace("BACKEND", backend))
     (tmp_path / "plan.yaml").write_text(PLAN)
