@@ -214,9 +214,9 @@ def fit_dewarp(
             f"the target frame is {size} px, the camera {camera.sensor_px[0]} x {camera.sensor_px[1]};"
             " give a frame of this camera"
         )
-    found = track_board(image, board, lambda points: camera.project(_on_plane(points)), mask)
+    found = track_board(image, board, camera.project, mask)
     return fit_dewarp_pairs(
-        camera.project_ideal(_on_plane(found.plane_mm)),
+        camera.project_ideal(board.place_mm(found.index)),
         found.position_px,
         camera.sensor_px,
         order,
@@ -338,11 +338,6 @@ def _sound(
             break
         keep = now
     return keep
-
-
-def _on_plane(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World points (N, 3) of points (N, 2) on z = 0."""
-    return np.concatenate((points_mm, np.zeros((len(points_mm), 1))), axis=1)
 
 
 def _spacing(found: BoardDetection) -> float:
