@@ -56,7 +56,9 @@ def wait_for_session(process, runs, before):
             if sessions(path) > before:
                 return path
         time.sleep(0.01)
-    return next(runs.glob("*_plan"))
+    found = next(runs.glob("*_plan"), None)
+    assert found is not None, process.communicate()[1].decode()
+    return found
 
 
 def check_what_was_acknowledged(path):
