@@ -82,6 +82,7 @@ def test_the_second_is_refused_before_it_has_written_anything(folder, verb, caps
 
 
 @pytest.mark.slow
+@pytest.mark.draws
 @pytest.mark.parametrize("verb", WORDS)
 def test_nothing_is_mixed(folder, verb):
     alone = []
