@@ -169,8 +169,9 @@ def stream_with_kills(folder, kills, seed, most_s, of_camera):
         if process.poll() == DONE:
             break
         if process.poll() is not None:  # the camera was killed while it was set up, before its first frame
-            assert of_camera
-            assert b"camera is lost" in process.communicate()[1]
+            errors = process.communicate()[1].decode()
+            assert of_camera, errors
+            assert "camera is lost" in errors
             before = sessions(path)
             process = start(folder, "resume", path)
             wait_for_session(process, runs, before)
