@@ -150,6 +150,7 @@ class Clone:
     def use(self, cache, code=USE):
         """Call both in a process of its own: their values, and how many of each were found."""
         environment = {**os.environ, "RTPIV_CACHE": str(cache), "PYTHONPATH": str(self.root)}
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"  # a text as long, changed at once, keeps its own
         ran = subprocess.run(
             [sys.executable, "-c", code], cwd=self.root, env=environment, capture_output=True, text=True
         )
