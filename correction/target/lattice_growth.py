@@ -41,10 +41,8 @@ LEAST_CORNERS = 9  # a patch smaller than this is chance
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 NEIGHBOURS = 13  # nearest saddles looked at around a seed
 LEARNT = 0.1  # squares: how far a level may be seen elsewhere than before; beyond, dots are seen through something
-STRAIGHT, EVEN = (
-    0.97,
-    0.25,
-)  # of a seed: cosine between an edge and the way to a neighbour, and how far both differ
+STRAIGHT = 0.97  # of a seed: cosine between an edge and the way to a neighbour
+EVEN = 0.25  # of the longer: by how much the ways to both neighbours along an axis differ
 STRAIGHT_ON_PLATE, EVEN_ON_PLATE, COS_ON_PLATE = (
     0.82,
     0.55,

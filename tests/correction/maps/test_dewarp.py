@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,15 @@ from correction.errors import DewarpError
 from correction.maps.dewarp import Dewarp, coverage, fit_dewarp, fit_dewarp_pairs, powers
 from correction.target import Chessboard
 from piv.errors import FrameError
+from sim.renderer.patterns import DotGrid, Plate
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 from tests.correction.frame_truth import FRAMES, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
-from tracer.camera import Camera, look_at, thin_lens_distance_mm
+from tests.correction.target.drawn_boards import camera
+from tracer.board import LARGE_DOTS, Dots
+from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
+from tracer.scene.scene import Scene
 
 SENSOR = (800, 600)
 
@@ -172,6 +179,25 @@ def test_a_photographed_board_gives_its_warp():
     dark[:, 300:] = 400.0
     with pytest.raises(DewarpError, match="cover"):
         fit_dewarp(photographed(dark, 1), camera, board)
+
+
+@pytest.mark.parametrize("levels", ["", "rows"])
+def test_dots_on_one_level_or_on_two_show_the_lens(levels):
+    """Of a plate that is taken to be flat the lower dots would lie a third of a per cent nearer to the middle."""
+    small = camera((0.0, 0.0, 300.0), (0.0, 0.0), 0.0)
+    view = {"focal_px": 1.5 * small.focal_px, "principal_px": (479.5, 383.5), "sensor_px": (960, 768)}
+    nominal = replace(small, **view)
+    true = replace(nominal, lens=Lens(k1=0.3))
+    dots = Dots(0.6, levels=levels, step_mm=1.0 if levels else 0.0)
+    about = {"discs": LARGE_DOTS, "dots": dots, "squares": (80, 80)}
+    paper = (Plate if levels else DotGrid)(1.5, 1.0, **about)
+    image = render(Scene(true, ()), paper, Sensor(), samples=3, seed=1)
+    fitted = fit_dewarp(image, nominal, Chessboard(1.5, 1.0, **about), 3)
+    plane = np.column_stack((np.random.default_rng(0).uniform(-20.0, 20.0, (200, 2)), np.zeros(200)))
+    bent_px = np.linalg.norm(true.project(plane) - nominal.project(plane), axis=1)
+    off_px = np.linalg.norm(fitted.apply(nominal.project_ideal(plane)) - true.project(plane), axis=1)
+    assert bent_px.max() > 0.5
+    assert off_px.max() < 0.03
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 Drawn by the simulator, whose patterns share no arithmetic with what finds them.  `verdict` says what came of one.
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import cv2
@@ -181,3 +182,11 @@ def verdict(one):
     if (off < 0.3 * side).all() and astray.sum() <= max(1.0, STRAYS * len(off)):
         return "right", float(np.sqrt(np.mean(off[~astray] ** 2) / 2.0))
     return f"wrong: {np.count_nonzero(astray)} of {len(off)} corners, by {off.max():.1f} px", one.about
+
+
+def counted(kind, seeds):
+    """How many of a kind are right and refused, what is wrong, and the rms of those that are right [px]."""
+    found = [verdict(drawn(seed, kind)) for seed in seeds]
+    count = Counter(said.split(":")[0] for said, _ in found)
+    wrong = [one for one in found if one[0].startswith("wrong")]
+    return count, wrong, [off for said, off in found if said == "right"]

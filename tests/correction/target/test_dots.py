@@ -1,6 +1,5 @@
 """Grids of dots are found by their large dots where they hang, or refused; none is moved by a pitch."""
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.patterns import DotGrid, Pose
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tests.correction.target.drawn_boards import NOMINAL, camera, drawn, verdict
+from tests.correction.target.drawn_boards import NOMINAL, camera, counted
 from tracer.board import LARGE_DOTS, Dots
 from tracer.scene.scene import Scene
 
@@ -35,19 +34,8 @@ def seen(true=NOMINAL, **changed):
     return render(Scene(true, ()), paper, Sensor(), samples=4, seed=1)
 
 
-def counted(seeds):
-    """How many are right and refused, what is wrong, and the rms of those that are right [px]."""
-    found = [verdict(drawn(seed, "dots")) for seed in seeds]
-    count = Counter(said.split(":")[0] for said, _ in found)
-    return (
-        count,
-        [one for one in found if one[0].startswith("wrong")],
-        [off for said, off in found if said == "right"],
-    )
-
-
 def test_of_some_drawn_grids_none_is_wrong():
-    count, wrong, rms = counted(FEW)
+    count, wrong, rms = counted("dots", FEW)
     assert not wrong
     assert count["right"] > 1
     assert np.median(rms) < 0.03
@@ -55,7 +43,7 @@ def test_of_some_drawn_grids_none_is_wrong():
 
 @pytest.mark.slow
 def test_of_three_hundred_drawn_grids_none_is_wrong():
-    count, wrong, rms = counted(range(300))
+    count, wrong, rms = counted("dots", range(300))
     assert not wrong
     assert count["right"] > 180, count  # large dots of the others are hidden, or out of the frame
     assert np.median(rms) < 0.03

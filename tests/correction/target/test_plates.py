@@ -1,6 +1,5 @@
 """Plates with dots on two levels are found however they are turned, and their marks lie where they were cut."""
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from correction.target.board_search import find_board, track_board
 from sim.renderer.patterns import Plate
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tests.correction.target.drawn_boards import NOMINAL, camera, drawn, verdict
+from tests.correction.target.drawn_boards import NOMINAL, camera, counted
 from tracer.board import LARGE_DOTS, Dots
 from tracer.scene.scene import Scene
 
@@ -76,19 +75,8 @@ def test_without_its_large_dots_a_plate_is_refused():
         track_board(covered, told(levels="rows"), NOMINAL.project, reach=4.0)
 
 
-def counted(seeds):
-    """How many drawn plates are right and refused, what is wrong, and the rms of those that are right [px]."""
-    found = [verdict(drawn(seed, "plate")) for seed in seeds]
-    count = Counter(said.split(":")[0] for said, _ in found)
-    return (
-        count,
-        [one for one in found if one[0].startswith("wrong")],
-        [off for said, off in found if said == "right"],
-    )
-
-
 def test_of_some_drawn_plates_none_is_wrong():
-    count, wrong, rms = counted(FEW)
+    count, wrong, rms = counted("plate", FEW)
     assert not wrong
     assert count["right"] > 1
     assert np.median(rms) < 0.03
@@ -96,7 +84,7 @@ def test_of_some_drawn_plates_none_is_wrong():
 
 @pytest.mark.slow
 def test_of_two_hundred_drawn_plates_none_is_wrong():
-    count, wrong, rms = counted(range(200))
+    count, wrong, rms = counted("plate", range(200))
     assert not wrong
     assert count["right"] > 100, count  # large dots of the others are hidden, or out of the frame
     assert np.median(rms) < 0.03
