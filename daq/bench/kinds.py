@@ -32,7 +32,7 @@ KINDS = {
     "stage": "daq.bench.kinds:StageKind",
     "camera": "daq.bench.kinds:CameraKind",
     "timing": "daq.bench.kinds:TimingKind",
-    "reading": "daq.bench.reading:ReadingKind",
+    "reading": "daq.bench.gauges:ReadingKind",
 }
 
 

@@ -10,22 +10,15 @@ number or is older than `oldest_s` is missing at that step, and a run goes on, u
 
 import math
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 from pydantic import Field, model_validator
 
 from ground.config import Table
 
-if TYPE_CHECKING:
-    from daq.bench.bench_table import Bench
-    from stages.clock import Clock
-
 NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
-COLUMN = 2  # of a file; the first is the time
 FOR_PORTS = {"baud", "ask", "find", "wait_s"}
 
 
@@ -114,30 +107,3 @@ def reading_of(section: ReadingSection, text: str, when: datetime) -> Reading:
 def missing(section: ReadingSection, why: str) -> Reading:
     """Return that there is none."""
     return Reading(section.unit, math.nan, datetime.now(UTC).isoformat(timespec="milliseconds"), why)
-
-
-class ReadingKind:
-    """A device of kind `reading`."""
-
-    section = ReadingSection
-    simulator = "sim.devices:simulated_reading"
-
-    @contextmanager
-    def open(self, section: ReadingSection, bench: "Bench", clock: "Clock") -> Iterator[Gauge]:
-        """Open it; what is not there is missing from the readings."""
-        if section.file is not None:
-            from daq.bench.reading_file import FileGauge
-
-            yield FileGauge(section, bench.path.parent / section.file)
-            return
-        from daq.bench.reading_port import PortGauge
-
-        gauge = PortGauge(section, clock)
-        try:
-            yield gauge
-        finally:
-            gauge.close()
-
-    def places(self, section: ReadingSection) -> Iterator[str]:
-        """File or port."""
-        yield f"reading: {section.file or section.port}"

@@ -15,7 +15,7 @@ def short(name: str, longest: int = LONGEST_NAME) -> str:
 
 
 if TYPE_CHECKING:
-    from rtpiv.analysis.pictures.plane_axes import Figure
+    from matplotlib.figure import Figure
 
 PNG_LEVEL = 4  # of zlib: a third of the time of 6 for a few per cent more bytes
 

@@ -7,10 +7,9 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from daq.bench.bench_file import load_bench
+from daq.bench.gauges import FileGauge, PortGauge
 from daq.bench.kinds import kind_of
 from daq.bench.reading import ReadingSection
-from daq.bench.reading_file import FileGauge
-from daq.bench.reading_port import PortGauge
 from daq.errors import ReadingMissing
 from daq.runner.progress import Progress
 from daq.runner.step_readings import Gauges

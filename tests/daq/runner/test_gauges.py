@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from daq.bench.bench_file import load_bench
+from daq.bench.gauges import FileGauge
 from daq.bench.opened import open_bench
 from daq.bench.reading import ReadingSection
-from daq.bench.reading_file import FileGauge
 from daq.errors import PlanError, ReadingMissing
 from daq.plans.plan import load_plan
 from daq.runner.progress import Progress
