@@ -1,6 +1,6 @@
 """Sub-pixel positions of chessboard corners, near the noise limit, with an honest sigma.
 
-The model is in `board.kernels.corner_model`, its fit in `corner_fit`.  What the caller knows of the view
+The model is in `kernels.corner_model`, its fit in `corner_fit`.  What the caller knows of the view
 goes in as an affine frame: `axes_px` says where one square along the board's +x and +y lies in the image.  Behind
 glass squares are stretched, inverted and turned, and the window follows: it is a cross of arms along the
 two edges, `window` squares long each way and `arm` squares to either side, so that neither the next corner

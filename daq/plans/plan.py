@@ -1,6 +1,6 @@
 """plan.yaml -> a frozen plan -> a flat list of steps; nothing moves and nothing is open.
 
-A plan file names its experiment; see ``plans.experiments`` for the keys of each.  Experiments are one file each
+A plan file names its experiment; see `daq.plans.experiments` for the keys of each.  Experiments are one file each
 and one line in `EXPERIMENTS`.  An experiment is a `PlanTable`: its keys in the plan file, and `poses`, a pure
 function of bench and file that says what is to be photographed.  What a plan may ask and hardly ever does is asked
 back, each question with its line (`plan_questions`; see `daq.bench.unusual_scene`).

@@ -44,3 +44,14 @@ def test_no_two_folders_import_each_other_and_three_parts_stand_alone():
     both = [(arrows[a, b], arrows[b, a]) for a, b in combinations(folders, 2) if {(a, b), (b, a)} <= arrows.keys()]
     assert len(arrows) > 200  # it does read imports
     assert not both
+
+
+def test_the_page_of_the_architecture_names_every_folder_and_no_file_that_is_gone():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    folders = {path.parent for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
+    named = set(re.findall(r"^\| `([\w/]+)/` \|", page, re.MULTILINE))
+    assert {path.relative_to(ROOT).as_posix() for path in folders if "kernels" not in path.parts} <= named
+    places = set(re.findall(rf"`((?:{'|'.join(PACKAGES)})/[\w/.]+)`", page))
+    assert len(places) > 50  # it does find them
+    homes = [(ROOT / place, (ROOT / place).with_suffix(".py")) for place in places]
+    assert not [str(place) for place, module in homes if not place.exists() and not module.exists()]

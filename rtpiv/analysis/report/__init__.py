@@ -5,6 +5,10 @@ figures.py          what is drawn for it, as matplotlib figures
 tables.py           figures of an evaluation as rows of text
 pair.py             the chapters of one evaluated pair
 series.py, mean.py   the chapters of a flow run: its frames and one pair; its mean
-flow.py, flow_figures.py   whether that mean can be true: rims, lines, mass, convergence
+flow.py             whether that mean can be true: rims, lines, mass, convergence
+time_series.py      what velocity does at a place over time, and its spectrum
+readings.py         what gauges of the lab showed meanwhile
+calibration.py, focus.py   the pages of a scene fit and of a focus scan
+pair_folder.py      the folder that one evaluated pair is written to
 run.py              the chapters of a run: target, books, what moved, provenance
 """
