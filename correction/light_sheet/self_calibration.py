@@ -87,7 +87,7 @@ class PlaneFit:
     @property
     def kinds_disagree(self) -> bool:
         """Whether some kind of views sees another height than the plane of all."""
-        limit = float(np.sqrt(scipy.stats.chi2.isf(FALSE_ALARMS / max(len(self.kinds_mm), 1), 1)))
+        limit = float(np.sqrt(scipy.special.chdtri(1, FALSE_ALARMS / max(len(self.kinds_mm), 1))))
         return len(self.kinds_mm) > 1 and any(
             abs(off) > max(limit * sigma, LEAST_APART_MM) for off, sigma in self.kinds_mm.values()
         )
@@ -135,7 +135,7 @@ def _across(found: Disparities, share: NDArray[np.float64]) -> float:
     """Disparity across D beyond what chance makes [px], of cells that count."""
     off, sigma = found.across_px[share > 0.0], found.across_sigma_px[share > 0.0]
     unsure = (BLOCKS - 1.0) / (BLOCKS - 3.0)  # of sigmas that ten parts of the frames have told
-    if np.sum((off / sigma) ** 2) < unsure * scipy.stats.chi2.isf(FALSE_ALARMS, len(off)):
+    if np.sum((off / sigma) ** 2) < unsure * scipy.special.chdtri(len(off), FALSE_ALARMS):
         return 0.0
     weight = sigma**-2.0
     excess = float(np.sum(weight * (off**2 - sigma**2)) / weight.sum())
