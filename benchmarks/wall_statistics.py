@@ -34,6 +34,7 @@ from piv.correlation.settings import PivSettings
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.preprocessing.series_light import series_mean, series_minimum, without_light
 from piv.preprocessing.sliding_minimum import without_sliding_minimum
+from piv.preprocessing.still_light import across_pairs, still_light
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field, next_sweep
 from piv.statistics.moments import Moments
@@ -209,18 +210,22 @@ class Found:
     share: Array
 
 
-def by_vectors(frames: list[tuple[Array, Array]], valid: Array | None, side: int) -> tuple[Found, list[Any]]:
-    """Statistics of vectors, as `mean` makes them (independent pairs)."""
-    settings = PivSettings(windows_px=(64, 32, 32) if side == 32 else (64, 32, side, side))
-    grid = window_grid(SHAPE, side, settings.overlap)
+def by_vectors(
+    frames: list[tuple[Array, Array]], valid: Array | None, side: int, still: Array | None = None
+) -> tuple[Found, list[Any]]:
+    """Statistics of vectors, as `mean` makes them (independent pairs); a side of 0: each place finds its own."""
+    settings = PivSettings(finest_px=16)
+    if side:
+        settings = PivSettings(windows_px=(64, 32, 32) if side == 32 else (64, 32, side, side))
+    grid = settings.result_grid(SHAPE)
     moments, looked, vectors = Moments.nothing(grid.shape), np.zeros(grid.shape, np.int64), []
     missing = Unresolved.nothing(grid.shape, 1)
     for a, b in frames:
-        field = evaluate_pair(a, b, valid, settings)
+        field = evaluate_pair(a, b, valid, settings, still=still)
         uv, sigma = (np.stack(p, -1) for p in ((field.u_px, field.v_px), (field.sigma_u_px, field.sigma_v_px)))
         moments = moments.add(uv, field.valid, sigma)
         missing = missing.merged(Unresolved.of(uv, field.valid, field.resolution_px, 1))
-        looked += field.flags != 3
+        looked += field.asked
         vectors.append((uv, sigma, field.valid))
     often = measured_often(moments, looked)
     total = moments.only(often)
@@ -238,7 +243,7 @@ def by_vectors(frames: list[tuple[Array, Array]], valid: Array | None, side: int
 
 
 def by_ensemble(
-    frames: list[tuple[Array, Array]], valid: Array | None, begun: list[Any], own: bool
+    frames: list[tuple[Array, Array]], valid: Array | None, begun: list[Any], own: bool, still: Array | None = None
 ) -> dict[int, Found]:
     """Both sweeps of the verb; `own`: frames deformed by the fields of their pairs."""
     moments, vectors = begun
@@ -247,6 +252,8 @@ def by_ensemble(
     spread = prepared(*frames[len(frames) // 2], valid, 32).spread_px2
     sweep = sweep_with(SHAPE, known, moments.reynolds_stresses, grid, spread)
     found: dict[int, Found] = {}
+    if still is not None:
+        valid = ~still if valid is None else valid & ~still
     for number in (1, 2):
         sums = EnsembleSums(sweep)
         for (a, b), (uv, sigma, good) in zip(frames, vectors, strict=True):
@@ -316,7 +323,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--told", action="store_true", help="the wall is given as a mask")
     parser.add_argument("--background", default="none", choices=("none", "mean", "minimum", "sliding-minimum"))
-    parser.add_argument("--vectors", type=int, nargs="*", default=[32, 16], help="windows of single pairs")
+    parser.add_argument("--vectors", type=int, nargs="*", default=[32, 16, 0], help="windows of single pairs")
+    parser.add_argument("--alone", action="store_true", help="each pair finds the wall for itself, not the series")
     parser.add_argument("--no-ensemble", action="store_true")
     parser.add_argument("--steady", action="store_true", help="the ensemble without fields of pairs as well")
     parser.add_argument("-o", "--out", type=Path)
@@ -324,15 +332,20 @@ def main() -> None:
     series = Series.of(given.pairs, given.seed)
     frames = series.cleaned(given.background)
     valid = (np.arange(SHAPE[0])[:, None] < WALL) & np.ones(SHAPE, bool) if given.told else None
+    still = None
+    if not given.alone:  # as the verb does, in frames as they are
+        found_still = still_light(across_pairs(series.frames), np.ones(SHAPE, bool))
+        still = np.zeros(SHAPE, bool) if found_still is None or given.told else found_still
     tables: dict[str, Any] = {}
     for side in given.vectors:
-        found, begun = by_vectors(frames, valid, side)
-        tables[f"vectors {side}"] = judged(found, series)
-        shown(f"vectors {side}", tables[f"vectors {side}"])
+        found, begun = by_vectors(frames, valid, side, still)
+        name = f"vectors {side or 'found'}"
+        tables[name] = judged(found, series)
+        shown(name, tables[name])
         if side != 32 or given.no_ensemble:
             continue
         for own in (True, False) if given.steady else (True,):
-            for size, one in by_ensemble(frames, valid, begun, own).items():
+            for size, one in by_ensemble(frames, valid, begun, own, still).items():
                 name = f"ensemble {size}{'' if own else ', one field for all'}"
                 tables[name] = judged(one, series)
                 shown(name, tables[name])

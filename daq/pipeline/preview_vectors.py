@@ -21,7 +21,7 @@ from daq.pipeline.priority import lower_priority
 from daq.pipeline.stats import LiveVectors, PipelineStats
 from daq.plans.steps import Step
 from piv.correlation.live import live_vectors
-from piv.correlation.vector_field import STATIC_SHARE, VectorField, VectorFlag
+from piv.correlation.vector_field import STATIC_SHARE, VectorField
 from piv.errors import PivError
 
 MOST_PER_S = 4.0
@@ -122,7 +122,7 @@ def _measured(pair: _Pair) -> LiveVectors:
     try:
         valid = np.isfinite(pair.a) & np.isfinite(pair.b)
         field = live_vectors(pair.a, pair.b, valid, threads=1)
-        asked = int((field.flags != VectorFlag.MASKED).sum())
+        asked = int(field.asked.sum())
         good = field.valid
         if good.any():
             u, v = field.u_px[good], field.v_px[good]

@@ -14,8 +14,10 @@ windows of the deformed frames, and adds the displacement that is left:
 * Detail that is no stronger than noise is taken off the result (`piv.correlation.denoise`).
 
 **What stands still** (background, reflections, dirt on the glass) draws every vector to zero, and no uncertainty
-sees it. Where particles have moved by more than their own size, frames that show nothing else do not match at no
-displacement; what matches there all the same, as a share of what the window holds, stands still.
+sees it. A wall or a reflection that is far brighter than the flow is found (`piv.preprocessing.still_light`), in
+the two frames or beforehand in a whole series, and belongs to no window. Of the rest, where particles have moved
+by more than their own size, frames that show nothing else do not match at no displacement; what matches there all
+the same, as a share of what the window holds, stands still.
 
 Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 233 (2005).
 Sign and axis conventions: see `piv.correlation.vector_field`.
@@ -30,13 +32,14 @@ from numpy.typing import NDArray
 from ground.memory import require_memory
 from piv.correlation.agreement import LEAST_BLOCKS, agreed, resolution_of
 from piv.correlation.correlate import peak_ratios
+from piv.correlation.cut_windows import cut_px
 from piv.correlation.deform import DeformedPair, Frames
 from piv.correlation.denoise import Denoised, denoised
 from piv.correlation.evidence import by_chance, unproven
 from piv.correlation.halving import find_sizes
 from piv.correlation.passes import Course, Measured, search
 from piv.correlation.planes import filled
-from piv.correlation.prepare import Pair, prepared
+from piv.correlation.prepare import Pair, checked, prepared
 from piv.correlation.refine import refine, window_weights
 from piv.correlation.resolution import Window, matched_share, unmatched_px, unresolved_px
 from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
@@ -52,6 +55,7 @@ from piv.correlation.uncertainty import (
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import PairError
+from piv.preprocessing.still_light import still_light
 
 FAR_MOVED = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
 FEWEST_MOVED = 12  # windows, for a median
@@ -96,6 +100,7 @@ def evaluate_pair(
     valid: NDArray[np.bool_] | None = None,
     settings: PivSettings | None = None,
     threads: int | None = None,
+    still: NDArray[np.bool_] | None = None,
 ) -> VectorField:
     """Measure the displacement from frame A to frame B.
 
@@ -109,6 +114,8 @@ def evaluate_pair(
         How to evaluate.
     threads : int, optional
         Threads to use; default all cores of the process.
+    still : ndarray of bool, shape (H, W), optional
+        True where light stands still, as others have found it; default what these two frames show of that.
 
     Returns
     -------
@@ -129,6 +136,13 @@ def evaluate_pair(
     require_memory(
         BYTES_PER_PX * float(np.prod(size)), f"evaluating a pair of {' x '.join(map(str, size[::-1]))} px"
     )
+    frames, _, seen = checked(frame_a, frame_b, valid)
+    if still is None:
+        still = still_light([(frames[0], frames[1])], seen)
+    del frames, seen
+    told = valid
+    if still is not None:
+        valid = ~still if told is None else told & ~still
     sides = list(settings.windows_px)
     # Frames are prepared anew for each trial: nobody holds them while one goes on.
     field = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
@@ -141,6 +155,8 @@ def evaluate_pair(
         if _share(again) < GAIN * _share(field):
             break  # it is not for want of size
         field = again
+    if still is not None and still.any():
+        field = _without_still(field, told, still, settings.min_valid)
     return replace(field, is_one_picture=_are_one(frame_a, frame_b))
 
 
@@ -151,8 +167,40 @@ def _are_one(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
 
 def _share(field: VectorField) -> float:
     """Share of the windows with something to see that have a vector."""
-    counts = field.counts
-    return counts["valid"] / max(field.flags.size - counts["masked"], 1)
+    return field.counts["valid"] / max(int(np.count_nonzero(field.asked)), 1)
+
+
+def _without_still(
+    field: VectorField, told: NDArray[np.bool_] | None, still: NDArray[np.bool_], min_valid: float
+) -> VectorField:
+    """The field without vectors whose middle stands still; what is masked by that alone says so."""
+    row, column = (
+        np.clip(np.rint(place), 0, side - 1).astype(np.int64)
+        for place, side in zip((field.y_px, field.x_px), still.shape, strict=True)
+    )
+    at = np.ix_(row, column)
+    seen = 1.0 if told is None else _share_around(told, field.window_px)[at]
+    of_still = (field.flags == VectorFlag.MASKED) & (seen >= min_valid)
+    of_still &= _share_around(still, field.window_px)[at] > 0.0
+    gone = still[at] | of_still
+    flags = np.where(gone, np.uint8(VectorFlag.STILL), field.flags)
+    names = (
+        "u_px",
+        "v_px",
+        "sigma_u_px",
+        "sigma_v_px",
+        *(() if field.resolution_px is None else ("resolution_px",)),
+    )
+    without: dict[str, Any] = {name: np.where(gone, np.nan, getattr(field, name)) for name in names}
+    return replace(field, flags=flags, **without)
+
+
+def _share_around(which: NDArray[np.bool_], side_px: int) -> NDArray[np.float32]:
+    """Share (H, W) of pixels within windows around each."""
+    import cv2
+
+    found: Any = cv2.blur(which.astype(np.float32), (side_px, side_px), borderType=cv2.BORDER_REFLECT)
+    return np.asarray(found, np.float32)
 
 
 def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int | None) -> VectorField:
@@ -232,6 +280,8 @@ def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) ->
         resolution = resolution_of(measured, resolution, sigma, one)
         # Blocks tell displacements of less than a pixel; what moves farther from the vector matches nothing.
         resolution = np.maximum(resolution, unmatched_px(vectors, found.seen_px, found.correlation, good))
+        cut = (cut_px(final, course.frames.valid, grid, side, settings.window_sigma) for side in sizes.sides_px)
+        resolution = np.hypot(resolution, sizes.picked(list(cut)))
     fill, near = filled(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED

@@ -113,16 +113,7 @@ def prepared(
     PairError
         Two frames that are no pair, or a mask that is none of theirs.
     """
-    frames, usable = zip(*(_numbers(frame) for frame in (frame_a, frame_b)), strict=True)
-    shape = frames[0].shape
-    if shape != frames[1].shape:
-        raise PairError(f"frame A is {shape} and frame B {frames[1].shape} (rows, columns); pair equal sizes")
-    mask = np.ones(shape, bool) if valid is None else np.asarray(valid)
-    if mask.dtype != np.bool_ or mask.shape != shape:
-        raise PairError(f"the mask is {mask.dtype} {mask.shape}; pass bool {shape}, True where valid")
-    seen = mask & usable[0] & usable[1]
-    if not seen.any():
-        raise PairError("no pixel is valid in both frames; check the mask (True = valid) and the frames for NaN")
+    frames, mask, seen = checked(frame_a, frame_b, valid)
     whole = bool(seen.all())
     weight = seen.astype(np.float32)
     side_px = window_px | 1
@@ -135,6 +126,23 @@ def prepared(
             weight[doubt.variance > 0.0] = 1.0
     nan_pixels = int(np.count_nonzero(mask & ~seen))
     return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, doubt)
+
+
+def checked(
+    frame_a: NDArray[Any], frame_b: NDArray[Any], valid: NDArray[np.bool_] | None
+) -> tuple[tuple[NDArray[Any], ...], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Two frames of plain numbers, where their mask is True, and where both count; raises as `prepared`."""
+    frames, usable = zip(*(_numbers(frame) for frame in (frame_a, frame_b)), strict=True)
+    shape = frames[0].shape
+    if shape != frames[1].shape:
+        raise PairError(f"frame A is {shape} and frame B {frames[1].shape} (rows, columns); pair equal sizes")
+    mask = np.ones(shape, bool) if valid is None else np.asarray(valid)
+    if mask.dtype != np.bool_ or mask.shape != shape:
+        raise PairError(f"the mask is {mask.dtype} {mask.shape}; pass bool {shape}, True where valid")
+    seen = mask & usable[0] & usable[1]
+    if not seen.any():
+        raise PairError("no pixel is valid in both frames; check the mask (True = valid) and the frames for NaN")
+    return frames, mask, seen
 
 
 def _numbers(frame: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:

@@ -33,6 +33,15 @@ class VectorFlag(IntEnum):
     MASKED = 1  # too few valid pixels in the window: not a vector, NaN
     REPLACED = 2  # rejected as an outlier, the value is interpolated from valid neighbours
     REJECTED = 3  # rejected, or a window without texture, and no neighbour to interpolate from: NaN
+    STILL = 4  # a wall or a reflection, whose light stands still beside a flow: not a vector, NaN
+
+
+NOT_ASKED = (VectorFlag.MASKED, VectorFlag.STILL)  # where nothing could be measured
+
+
+def could_be_measured(flags: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Flags (ny, nx) of places where windows saw a flow, whatever became of their vectors."""
+    return np.asarray(~np.isin(flags, NOT_ASKED))
 
 
 @short_repr
@@ -107,13 +116,18 @@ class VectorField:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of vectors by flag, {"valid": ..., "masked": ..., "replaced": ..., "rejected": ...}."""
+        """Number of vectors by flag, {"valid": ..., "masked": ..., "replaced": ..., "rejected", "still": ...}."""
         return {flag.name.lower(): int(np.count_nonzero(self.flags == flag)) for flag in VectorFlag}
+
+    @property
+    def asked(self) -> NDArray[np.bool_]:
+        """Where (ny, nx) a vector could be measured: neither masked nor in light that stands still."""
+        return could_be_measured(self.flags)
 
     @property
     def doubt(self) -> str:
         """Why the field as a whole is not to be trusted, in a sentence; empty if nothing speaks against it."""
-        asked = int(np.count_nonzero(self.flags != VectorFlag.MASKED))
+        asked = int(np.count_nonzero(self.asked))
         share = self.counts["valid"] / max(asked, 1)
         if self.is_one_picture:
             return ONE_PICTURE

@@ -40,6 +40,7 @@ from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput, keep_scene, series_input
 from rtpiv.analysis.series.series_pairs import CHECKSUMS
 from rtpiv.analysis.series.series_plan import ChunkJob, jobs_of
+from rtpiv.analysis.series.still_frames import still_of
 from rtpiv.analysis.series.workers import worker_processes
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.scene.scene_file import load_scene
@@ -269,7 +270,8 @@ def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
     if background == SLIDING_MINIMUM and len(given.given.pairs) < 2:
         raise PairError(f"{asked['path']}: a sliding minimum compares frames of several pairs, and it has one")
     light = light_of(out, background, given.given.pairs, given.given.unseeded)
-    jobs = jobs_of(out, given.given.pairs, given.method, light, about["chunk_pairs"])
+    still = still_of(out, given.given.pairs, given.method)
+    jobs = jobs_of(out, given.given.pairs, given.method, light, about["chunk_pairs"], still)
     said = about_series(Path(asked["path"]).name, given.given, given.method, jobs, about["chunk_pairs"])
     series = SeriesFolder(out)
     if differences := series.unlike(said).differences:

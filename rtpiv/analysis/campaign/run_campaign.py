@@ -306,8 +306,9 @@ def _tasks(folder: CampaignFolder, kernels: Path | None) -> Iterator[ChunkTask]:
 
 
 def _make_shared(planned: PlannedRun) -> None:
-    """Trace the scene once and gather the background once, before any worker asks for them."""
+    """Trace the scene once and gather the light of the series once, before any worker asks for them."""
     planned.given.light()
+    planned.given.still()
     correction_of(planned.jobs[0].maps, planned.given.method)
 
 

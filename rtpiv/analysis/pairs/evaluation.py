@@ -29,6 +29,7 @@ from piv.correlation.vector_field import VectorField
 from piv.errors import FrameError, PairError
 from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import Preparation
+from piv.preprocessing.still_light import still_light
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.pair_vectors import PairResult, quality_of, vectors_of_pairs
 from rtpiv.analysis.pairs.slanted import Slanted, slanted
@@ -258,10 +259,19 @@ def correlated(
     corrector: Corrector,
     settings: PivSettings,
     preparation: Preparation,
+    still: NDArray[np.bool_] | None = None,
 ) -> Correlated:
-    """Correlate a pair of corrected frames; PairError or FrameError if they are no pair."""
-    ready_a, ready_b = (preparation.finished(each, corrector.recovered) for each in corrected)
-    return Correlated(raw, corrected[0], evaluate_pair(ready_a, ready_b, corrector.recovered, settings))
+    """Correlate a pair of corrected frames; PairError or FrameError if they are no pair.
+
+    `still` (h, w) is what others have found of light that stands still; without it these frames show it, as they
+    are before any step that brings light to one height.
+    """
+    seen = corrector.recovered
+    if still is None and preparation.steps:
+        found = still_light([corrected], seen & np.isfinite(corrected[0]) & np.isfinite(corrected[1]))
+        still = np.zeros(seen.shape, bool) if found is None else found
+    ready_a, ready_b = (preparation.finished(each, seen) for each in corrected)
+    return Correlated(raw, corrected[0], evaluate_pair(ready_a, ready_b, seen, settings, still=still))
 
 
 def evaluate_task(task: Task, prepared: PreparedCorrection, how: PairMethod) -> Evaluation:

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from correction.evaluate.carried_vectors import PlaneVectors
 from correction.fitted.map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
-from piv.correlation.vector_field import VectorField, VectorFlag
+from piv.correlation.vector_field import VectorField, VectorFlag, could_be_measured
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.files.vector_file import LENGTH, SPEED, Vectors, read_vectors
@@ -134,7 +134,7 @@ class SeriesField:
     @property
     def valid_share(self) -> float:
         """Measured vectors of those outside the mask, 0 to 1."""
-        return float(self.valid.sum() / max(int((self.flags != VectorFlag.MASKED).sum()), 1))
+        return float(self.valid.sum() / max(int(could_be_measured(self.flags).sum()), 1))
 
 
 @dataclass(frozen=True, eq=False)

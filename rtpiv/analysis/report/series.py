@@ -27,6 +27,7 @@ from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.run_series import Evaluated
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_plan import ChunkJob
+from rtpiv.analysis.series.still_frames import still_in
 from tracer.scene.scene_file import load_scene
 
 SHOWN_PAIRS = 60
@@ -99,7 +100,7 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
     if isinstance(raw, str) or isinstance(a, str) or isinstance(b, str):
         return None
     both = corrector(a), corrector(b)
-    field = field or correlated((a, b), both, corrector, method.settings, method.preparation).field
+    field = field or correlated((a, b), both, corrector, method.settings, method.preparation, still_in(job)).field
     corrected = both[0]
     seen = before_after(raw, corrected, corrector, method.scene, full_scale(pair.frames[0], raw))
     pictures: list[tuple[str, NDArray[Any]]] = [("as acquired", raw)]
@@ -149,8 +150,7 @@ def series_tiles(given: SeriesInput, books: Evaluated, shown: Preview | None) ->
         spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
         tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
     if shown is not None:
-        counts = shown.field.counts
-        asked = shown.field.flags.size - counts["masked"]
+        counts, asked = shown.field.counts, int(shown.field.asked.sum())
         tiles.append((f"{counts['valid']}", "valid vectors in one pair", f"of {asked} that the glass shows"))
     return tiles
 

@@ -23,7 +23,7 @@ from correction.evaluate.routes import Claim, Routes, claim_of, independent_shar
 from correction.node_status import MEANING, NodeStatus
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
-from piv.correlation.vector_field import VectorField, VectorFlag
+from piv.correlation.vector_field import VectorField
 from piv.preprocessing.image_figures import ImageFigures
 from rtpiv.analysis.digits import two_digits
 from rtpiv.analysis.pairs.evaluation import Evaluation
@@ -62,11 +62,7 @@ class Total:
     def nodes(self, evaluation: Evaluation) -> int:
         """Nodes of the region that are not masked: how many vectors could be measured there."""
         field = evaluation.field
-        return int(
-            np.count_nonzero(
-                (evaluation.regions.region == REGIONS[self.region]) & (field.flags != VectorFlag.MASKED)
-            )
-        )
+        return int(np.count_nonzero((evaluation.regions.region == REGIONS[self.region]) & field.asked))
 
     def where(self, evaluation: Evaluation) -> NDArray[np.bool_]:
         """Its vectors (ny, nx)."""

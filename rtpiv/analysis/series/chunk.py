@@ -25,6 +25,7 @@ from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.series_folder import Marker, sound_content, write_marker
 from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair
+from rtpiv.analysis.series.still_frames import still_in
 
 
 def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None) -> Marker:
@@ -104,14 +105,14 @@ def results_of(job: ChunkJob, most: int) -> Iterator[PairResult]:
 
 def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
     """Each pair of a chunk correlated, or why it is not."""
-    corrector, method = correction_of(job.maps, job.method).corrector, job.method
+    corrector, method, still = correction_of(job.maps, job.method).corrector, job.method, still_in(job)
     for pair, a, b in zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True):
         if isinstance(a, str) or isinstance(b, str):
             yield pair, a if isinstance(a, str) else str(b)
             continue
         try:
             both = corrector(a), corrector(b)
-            seen = correlated((a, b), both, corrector, method.settings, method.preparation)
+            seen = correlated((a, b), both, corrector, method.settings, method.preparation, still)
         except (PairError, FrameError) as error:  # dark frames are alike too, and that they are dark says more
             yield pair, str(error)
             continue

@@ -36,6 +36,7 @@ from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, left_out_beca
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, digest
+from rtpiv.analysis.series.still_frames import still_in
 from rtpiv.analysis.series.workers import carried_out, workers_for
 
 Floats = NDArray[np.float64]
@@ -100,6 +101,8 @@ def sum_part(job: PartJob) -> None:
     method = job.frames.method
     prepared = correction_of(job.frames.maps, method)
     corrector, windows = prepared.corrector, windows_of(prepared, method)
+    still = still_in(job.frames)
+    seen = corrector.recovered if still is None else corrector.recovered & ~still
     sums, folder = EnsembleSums(job.sweep), SeriesFolder(job.frames.folder)
     fields = (field for number, key in job.chunks for field in folder.chunk(number, key).fields)
     frames = zip(fields, clean_frames(job.frames, 0), clean_frames(job.frames, 1), strict=True)
@@ -108,7 +111,7 @@ def sum_part(job: PartJob) -> None:
             continue
         try:
             one, two = (method.preparation.finished(corrector(frame), corrector.recovered) for frame in (a, b))
-            sums.add(one, two, corrector.recovered, _own_field(field, job.sweep, windows))
+            sums.add(one, two, seen, _own_field(field, job.sweep, windows))
         except (PairError, FrameError):
             continue  # it gave vectors, so this does not happen; if it does, one pair is not worth the sweep
     job.path.parent.mkdir(parents=True, exist_ok=True)

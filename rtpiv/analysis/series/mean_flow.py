@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
-from piv.correlation.vector_field import VectorField, VectorFlag
+from piv.correlation.vector_field import VectorField, VectorFlag, could_be_measured
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.files.vector_file import Vectors
@@ -270,7 +270,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
                 unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
             else:
                 used += 1
-                seen = (field.flags != VectorFlag.MASKED).astype(np.int64)
+                seen = could_be_measured(field.flags).astype(np.int64)
                 looked = seen if looked is None else looked + seen
                 moments.add(number, Moments.of(field.velocity_m_s, field.valid, field.sigma_m_s))
                 blocks.add(number, Blocking.of(field.velocity_m_s, field.valid))

@@ -5,6 +5,7 @@ scene.yaml    what the camera looked through; fit.npz, what its fit is unsure of
 chunks/       00042.nc vectors, 00042.json their marker
 maps/         correction maps that all workers share; can be made again at any time
 background.npz   if one of the whole series was taken off
+still.npz     where light stands still in all pairs: walls and reflections, which belong to no window
 mean.nc       statistics, by `rtpiv mean`
 
 The marker of a chunk says what its file was made from, and the hash of its bytes.  A file without a marker is

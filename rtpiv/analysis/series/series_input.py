@@ -25,9 +25,11 @@ from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE, scene_sigma_beside
 from rtpiv.analysis.pairs.evaluation import Task
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Light, Method, jobs_of
+from rtpiv.analysis.series.still_frames import make_still
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene
 
@@ -180,9 +182,14 @@ class SeriesInput:
         background, shape = self.method.preparation.background, self.method.scene.camera.shape
         return make_light(self.out, background, self.given.pairs, self.given.unseeded, shape)
 
+    def still(self) -> Light:
+        """The light that stands still in all pairs, looked for if that is not done yet; raises as `make_still`."""
+        corrector = correction_of(self.out / "maps", self.method).corrector
+        return make_still(self.out, self.given.pairs, self.method, corrector)
+
     def jobs(self, chunk: int = CHUNK_PAIRS) -> list[ChunkJob]:
-        """Cut it into chunks of `chunk` pairs, a power of two, with the background that they need."""
-        return jobs_of(self.out, self.given.pairs, self.method, self.light(), chunk)
+        """Cut it into chunks of `chunk` pairs, a power of two, with the light that they share."""
+        return jobs_of(self.out, self.given.pairs, self.method, self.light(), chunk, self.still())
 
 
 def series_input(

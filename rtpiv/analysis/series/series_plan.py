@@ -68,7 +68,7 @@ class SeriesPair:
 
 @dataclass(frozen=True)
 class Light:
-    """Background of a whole series, in a file that its jobs share; `key` says what it was made from."""
+    """Light of a whole series, in a file that its jobs share; `key` says what it was made from."""
 
     path: Path
     key: str
@@ -141,6 +141,8 @@ class ChunkJob:
         Neighbours whose frames a sliding minimum looks at.
     light : Light or None
         Background of the whole series, if one is taken off.
+    still : Light or None
+        Light that stands still in all its pairs; None: each pair looks for itself.
     """
 
     folder: Path
@@ -150,6 +152,7 @@ class ChunkJob:
     before: tuple[SeriesPair, ...] = ()
     after: tuple[SeriesPair, ...] = ()
     light: Light | None = None
+    still: Light | None = None
 
     @property
     def path(self) -> Path:
@@ -173,6 +176,7 @@ class ChunkJob:
         tree = {
             **self.method.recipe,
             "light": None if self.light is None else self.light.key,
+            "still": None if self.still is None else self.still.key,
             "first": self.number,
             "pairs": [[p.tag, p.crc32, p.dt_s, p.dt_sigma_s, p.time_s] for p in self.pairs],
             "near": [[p.crc32 for p in side] for side in (self.before, self.after)],
@@ -182,16 +186,20 @@ class ChunkJob:
 
 
 def jobs_of(
-    folder: Path, pairs: Sequence[SeriesPair], method: Method, light: Light | None, chunk: int = CHUNK_PAIRS
+    folder: Path,
+    pairs: Sequence[SeriesPair],
+    method: Method,
+    light: Light | None,
+    chunk: int = CHUNK_PAIRS,
+    still: Light | None = None,
 ) -> list[ChunkJob]:
     """Cut a series into chunks of `chunk` pairs, a power of two."""
     reach = REACH_STEPS if method.preparation.background == SLIDING_MINIMUM else 0
     jobs = []
     for number, part in enumerate(chunks_of(len(pairs), chunk)):
         own, before = tuple(pairs[part.start : part.stop]), tuple(pairs[max(0, part.start - reach) : part.start])
-        jobs.append(
-            ChunkJob(folder, number, method, own, before, tuple(pairs[part.stop : part.stop + reach]), light)
-        )
+        after = tuple(pairs[part.stop : part.stop + reach])
+        jobs.append(ChunkJob(folder, number, method, own, before, after, light, still))
     return jobs
 
 

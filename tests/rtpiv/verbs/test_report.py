@@ -148,7 +148,7 @@ def test_errors_are_stated_where_one_shift_is_true_for_all(shift_run):
         shift = summaries[tag]["shift"]
         assert shift["shift_px"] == pytest.approx([SHIFT_MM[0] / pitch, -SHIFT_MM[1] / pitch])
         assert np.abs(shift["regions"]["seen directly"]["bias_px"]).max() < 0.03
-    assert set(summaries["glass_b"]["vectors"]) == {"valid", "masked", "replaced", "rejected"}
+    assert set(summaries["glass_b"]["vectors"]) == {"valid", "masked", "replaced", "rejected", "still"}
     assert summaries["glass_b"]["routes"][0]["better"] in ("image", "velocity", "equal")
     assert summaries["glass_b"]["no_map_sigma"].startswith("there is no fit")
 

@@ -68,7 +68,7 @@ def test_two_workers_write_the_same_bytes_as_one(runs, whole, tmp_path):
     assert run_campaign(folder, Threads(2)).made == CHUNKS
     merge_campaign(folder)
     assert content_of(folder.path) == content_of(whole.path)
-    assert len(content_of(whole.path)) == 2 * CHUNKS + 2 * 4 + 3  # series, scene, map and mean a run
+    assert len(content_of(whole.path)) == 2 * CHUNKS + 2 * 5 + 3  # series, scene, map, still light and mean a run
 
 
 @pytest.mark.slow

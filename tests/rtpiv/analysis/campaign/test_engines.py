@@ -108,7 +108,9 @@ from rtpiv.analysis.campaign.campaign_plan import planned_runs
 from rtpiv.analysis.campaign.chunk_task import ChunkTask
 from rtpiv.analysis.campaign.worker_setup import carry_out_elsewhere
 folder, kernels = Path(sys.argv[1]), Path(sys.argv[2])
-job = next(planned_runs(CampaignFolder(folder))).jobs[0]
+run = next(planned_runs(CampaignFolder(folder)))
+run.given.still()
+job = run.jobs[0]
 found = carry_out_elsewhere(kernels, ChunkTask("one", job, folder / "lease.json"))
 place = Path(os.environ["RTPIV_CACHE"])
 print(found.what, place, sum(1 for file in place.rglob("*.nb*")), os.environ["OMP_NUM_THREADS"])

@@ -148,6 +148,7 @@ def test_a_campaign_says_it_of_all_steps_and_of_each_run(tmp_path):
         gauged(run, (0, {"flow": showed(value)}))
     folder = planned_campaign(tmp_path / "week", runs)
     for run in planned_runs(folder):
+        run.given.still()
         for job in run.jobs:
             evaluate_chunk(job)
     merge_campaign(folder)

@@ -1,0 +1,68 @@
+"""A wall that nobody told, in a series: found once in raw frames, and given to every pair and to the ensemble."""
+
+import numpy as np
+import pytest
+import tifffile
+import xarray
+
+from ground.map_file import load_arrays
+from rtpiv.analysis.series.series_plan import Light
+from rtpiv.analysis.series.still_frames import KIND, load_still
+from rtpiv.command_line.cli import DONE, main
+from tests.piv.preprocessing.test_still_light import SHAPE, WALL, over_a_wall
+
+MM = 0.04
+TOLD = ("--mm-per-px", str(MM), "--dt-us", "200", "--workers", "1", "--prepare", "sliding-minimum")
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory):
+    folder, rng = tmp_path_factory.mktemp("day"), np.random.default_rng(4)
+    for number in range(10):
+        light = rng.uniform(0.7, 1.3)
+        for pulse, frame in enumerate(over_a_wall(number, (light, light))):
+            tifffile.imwrite(folder / f"im{2 * number + pulse:04d}.tif", frame)
+    return folder
+
+
+def kept(out):
+    """Mask of a series."""
+    header, _ = load_arrays(out / "still.npz", KIND)
+    return load_still(Light(out / "still.npz", header["key"]))
+
+
+@pytest.mark.usefixtures("no_mean_page")
+def test_what_flickers_in_both_pulses_has_no_vector_and_no_mean(day, tmp_path):
+    out = tmp_path / "out"
+    assert main(["mean", str(day), *TOLD, "--ensemble", "16", "-o", str(out)]) == DONE
+    still = kept(out)
+    assert still.shape == SHAPE
+    assert still[WALL + 2 :].mean() > 0.99
+    assert not still[: WALL - 16].any()
+    with xarray.open_dataset(out / "chunks" / "00000.nc") as file:
+        solid = file["y"].values < (SHAPE[0] - 1) / 2 * MM - MM * WALL
+        assert solid.sum() > 5
+        assert (file["flag"].values[:, solid] == 4).all()
+        assert np.isnan(file["u"].values[:, solid]).all()
+        assert (file["flag"].values[:, ~solid][:, 6:] == 0).mean() > 0.95
+        assert "4 still" in file.attrs["flag_meanings"]
+    for name in ("mean.nc", "mean_ensemble.nc"):
+        with xarray.open_dataset(out / name) as file:
+            solid = file["y"].values < (SHAPE[0] - 1) / 2 * MM - MM * WALL
+            assert solid.any()
+            assert not file["chc"].values[:, solid].any(), name
+            assert file["chc"].values[:, ~solid][:, 4:].mean() > 0.95, name
+
+
+def test_it_is_looked_for_once_and_again_if_its_file_is_lost(day, tmp_path):
+    words = ["evaluate", str(day), *TOLD, "--no-pictures", "-o", str(tmp_path / "out")]
+    assert main(words) == DONE
+    file, chunk = tmp_path / "out" / "still.npz", tmp_path / "out" / "chunks" / "00000.nc"
+    before, vectors = file.stat().st_mtime_ns, chunk.stat().st_mtime_ns
+    assert main(words) == DONE
+    assert (file.stat().st_mtime_ns, chunk.stat().st_mtime_ns) == (before, vectors)
+    content = file.read_bytes()
+    file.write_bytes(content[:-40])
+    assert main(words) == DONE
+    assert kept(tmp_path / "out")[WALL + 2 :].mean() > 0.99
+    assert chunk.stat().st_mtime_ns == vectors  # a function of its frames, not of when it was found
