@@ -215,6 +215,21 @@ def _shown(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
     return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
+def in_words(seconds: float) -> str:
+    """Return a time as a person says it: 8 s, 3 min 20 s, 25 min, 2 h 10 min."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 10:
+        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
+    minutes = round(whole / 60)
+    if minutes < 60:
+        return f"{minutes} min"
+    hours, rest = divmod(minutes, 60)
+    return f"{hours} h {rest} min" if rest else f"{hours} h"
+
+
 def near(word: str, others: Sequence[str]) -> str:
     """Return a question after the nearest of some words; empty if none is near."""
     same = [other for other in others if other.casefold() == word.casefold() and other != word]

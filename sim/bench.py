@@ -6,7 +6,7 @@ the loopback.  `bench_table` says what can be chosen, `world` what is true.
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -35,6 +35,7 @@ from sim.camera.wires import Wires
 from sim.devices import connect, recorded_reading
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
+from sim.expected import expected_s
 from sim.happened import Happened
 from sim.mechanics.clock import PacedClock, ScaledClock
 from sim.stages import SimulatedStages
@@ -146,6 +147,11 @@ class SimulatedBench:
         """Refuse a plan that cannot be shown, before anything runs."""
         check_views(bench, steps)
 
+    @staticmethod
+    def expected_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
+        """Seconds that each of some steps will take, most of which draws pictures."""
+        return expected_s(bench, steps)
+
     def true_mm(self) -> dict[str, float]:
         """Where every axis really is, in its own coordinate."""
         return self.world.true_mm()
@@ -167,6 +173,10 @@ class SimulatedBench:
     def happened(self) -> Happened:
         """What has happened so far, if the bench file's section keeps it."""
         return Happened(()) if self._watched is None else self._watched.happened(self.witness.judge())
+
+    def drawn_s(self) -> float:
+        """Seconds in which pictures were drawn, up to now: time of this computer, not of the cameras."""
+        return self.world.drawing.so_far_s
 
     def secrets(self) -> dict[str, str]:
         """The true scene, and the flow if one was shown: to score a run by."""
@@ -230,7 +240,7 @@ class SimulatedBench:
         own = table.cameras.get(name, FurtherCameraTable())
         flow = table.flow.model_copy(update={"prepared": None})  # pairs of another view
         its = table.model_copy(update={"aperture": own.aperture, "ring": None, "faults": own.faults, "flow": flow})
-        world = World(beside, its, stages, self._shows, exposures_before, self.world.lit)
+        world = World(beside, its, stages, self._shows, exposures_before, self.world.lit, self.world.drawing)
         width, height = beside.scene.camera.sensor_px
         config = CameraConfig(
             width,

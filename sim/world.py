@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from daq.bench.bench_table import Bench
 from sim.arranged import arranged, sheet_mm, true_scene
 from sim.bench_table import SimulationTable
+from sim.drawing_time import DrawingTime
 from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.light import Colours, LitFlow, colours_of, in_each_colour, target_light
@@ -59,6 +60,8 @@ class World:
         Exposures made before this process began.
     lit : LitFlow, optional
         Of the world that another camera sees: both see the same light and the same flow.
+    drawing : DrawingTime, optional
+        Of the bench, which has other worlds as well.
     """
 
     def __init__(
@@ -69,7 +72,9 @@ class World:
         shows: str,
         exposures_before: int,
         lit: LitFlow | None = None,
+        drawing: DrawingTime | None = None,
     ) -> None:
+        self.drawing = drawing or DrawingTime()
         self.timing: list[SimulatedTiming] = []  # units that have power; who hangs on one listens to it
         self._bench = bench
         self._table = table
@@ -107,7 +112,7 @@ class World:
 
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """One exposure of the world as it stands (H, W) uint16."""
-        with self._lock:
+        with self.drawing.counted(), self._lock:
             true_mm = self.true_mm()
             light = self._light(true_mm) * np.float32(self._dimmed)
             number, self._exposures = self._exposures, self._exposures + 1
@@ -123,7 +128,7 @@ class World:
         """One exposure (H, W) uint16; a flow is seen by the light that falls while the shutter is open."""
         if self.lit is None:
             return self.frame(trigger_index, start_ns)
-        with self._lock:
+        with self.drawing.counted(), self._lock:
             true_mm = self.true_mm()
             image = self.lit.exposed(self._flow_camera(true_mm), start_ns, end_ns, self._prepared)
             number, self._exposures = self._exposures, self._exposures + 1

@@ -65,6 +65,10 @@ class Simulation(Protocol):
         """Hear that a step of a run begins, 1 first."""
         ...
 
+    def drawn_s(self) -> float:
+        """Seconds in which its pictures were drawn, up to now; no camera's time, so no timeout counts them."""
+        ...
+
     def happened(self) -> Any:  # noqa: ANN401 - `sim.happened.Happened`, which stands above us
         """What has happened in the simulated world, if that is kept; its `text()` is "" if it is not."""
         ...
@@ -107,6 +111,10 @@ class OpenBench:
     def camera(self) -> Camera:
         """Open, not configured."""
         return cast("Camera", self.devices[CAMERA])
+
+    def drawn_s(self) -> float:
+        """Seconds in which a simulation drew pictures, up to now; 0 at hardware."""
+        return 0.0 if self.simulation is None else self.simulation.drawn_s()
 
     @property
     def camera_section(self) -> CameraSection:

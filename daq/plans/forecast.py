@@ -21,6 +21,7 @@ from daq.cameras.camera import Setting
 from daq.plans.link_budget import link_excess, link_said
 from daq.plans.steps import Step, frame_count, route
 from daq.timing.timing_table import TimingTable
+from ground.plain_words import in_words
 from stages.errors import StageUsageError
 from stages.stage import Stage
 
@@ -58,6 +59,10 @@ class Forecast:
         What is not allowed; empty if the plan may be carried out.
     link : str
         What the plan needs of the camera's link; "" if it has no rate.
+    steps_s : tuple of float
+        Estimate of each step.
+    is_from_scene : bool
+        Whether it begins at the scene's place because nobody has stated where homing leaves the axes.
     """
 
     frames: int
@@ -67,6 +72,8 @@ class Forecast:
     corrected_bytes: int
     violations: tuple[Violation, ...]
     link: str = ""
+    steps_s: tuple[float, ...] = ()
+    is_from_scene: bool = False
 
 
 def forecast(
@@ -87,8 +94,10 @@ def forecast(
     """
     here = dict(bench.home_mm if start_mm is None else start_mm)
     travel = dict.fromkeys(here, 0.0)
-    duration_s, violations = 0.0, []
+    steps_s: list[float] = []
+    violations = []
     for step in steps:
+        step_s = 0.0
         for move in route(bench, here, step.targets_mm):
             try:
                 stage.check(here, move)
@@ -96,17 +105,19 @@ def forecast(
                 violations.append(Violation(step.index, step.tag, str(error)))
             for piece in stage.way(here, move):
                 travel[piece.axis] += abs(piece.end_mm - piece.start_mm)
-            duration_s += stage.duration_s(here, move)
+            step_s += stage.duration_s(here, move)
             here |= move
         for said in (link_excess(bench, step), _sheet_blocked(bench, step)):
             if said:
                 violations.append(Violation(step.index, step.tag, said))
-        duration_s += step.settle_s + STEP_OVERHEAD_S + _frames_s(bench, step)
-    duration_s += max((step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0)
+        steps_s.append(step_s + step.settle_s + STEP_OVERHEAD_S + _frames_s(bench, step))
+    duration_s = sum(steps_s) + max(
+        (step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0
+    )
     frames, frame_bytes = frame_count(steps), _frame_bytes(bench)
     on_plane = sum(step.frames for step in steps if step.on_plane)
     disk = frames * frame_bytes, on_plane * frame_bytes
-    return Forecast(frames, travel, duration_s, *disk, tuple(violations), link_said(bench, steps))
+    return Forecast(frames, travel, duration_s, *disk, tuple(violations), link_said(bench, steps), tuple(steps_s))
 
 
 def _sheet_blocked(bench: Bench, step: Step) -> str:
@@ -164,6 +175,26 @@ def check_views(bench: Bench, steps: Iterable[Step]) -> None:
         judge(bench, steps)
 
 
+def simulated_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
+    """Return what the simulation of a bench file expects each step to take [s]; [] if it does not tell.
+
+    Raises
+    ------
+    ConfigError
+        There is no such section, or it is wrong.
+    """
+    tells = getattr(simulation_class(bench), "expected_s", None)
+    return [] if tells is None else [float(each_s) for each_s in tells(bench, steps)]
+
+
+def time_said(bench: Bench, steps: Sequence[Step], said: Forecast, simulate: bool = True) -> str:
+    """How long a plan takes, as a person says it: at hardware, and where its pictures have to be drawn."""
+    hardware = in_words(said.duration_s)
+    if not simulate or bench.table.simulation is None or not (drawn_s := simulated_s(bench, steps)):
+        return hardware
+    return f"{hardware} on hardware, {in_words(sum(drawn_s))} simulated"
+
+
 @dataclass(frozen=True)
 class RetractPath:
     """What is known about the way out of the homed place.
@@ -208,7 +239,7 @@ def retract_path(bench: Bench, stage: Stage) -> RetractPath:
     if unknown:
         text = (
             f"note: where homing leaves {', '.join(unknown)} is not stated (homed_at_mm), so the way out of the "
-            "homed place is judged only when it is driven; harmless in simulation"
+            "homed place is judged only when it is driven"
         )
     elif problems:
         text = f"after_home does not lead out of the homed place: move {problems[0][0]}: {problems[0][1]}"
@@ -226,4 +257,5 @@ def forecast_from_home(bench: Bench, stage: Stage, steps: Sequence[Step]) -> tup
     said = forecast(bench, stage, steps, out.start_mm)
     first = steps[0].index if steps else 0
     more = [Violation(first, f"move {number} of after_home", text) for number, text in out.problems]
-    return replace(said, violations=(*more, *said.violations)), out.sentence
+    here = replace(said, violations=(*more, *said.violations), is_from_scene=out.start_mm is None)
+    return here, out.sentence

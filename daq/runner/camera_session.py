@@ -17,10 +17,14 @@ refused.
     PayloadSize                 [byte], over DeviceLinkThroughputLimit, or DeviceLinkSpeed, or GevLinkSpeed
     1 / ResultingFrameRate      a frame takes that long at least, whatever limits it
     1 / AcquisitionFrameRate    of a camera that runs by itself: the next frame may be that far away
+
+A simulated camera has to draw what it sees, which takes this computer a second or minutes. That is not the
+camera's time: the timeout counts what has passed less what was drawn (`now_s`).
 """
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
 from typing import Any, NoReturn
@@ -44,6 +48,9 @@ from daq.runner.exposures import single_frames, stream
 from daq.runner.trigger_match import UNCONFIRMED, TriggerMatch
 from daq.runs.frame_accounting import FrameAccounting, FrameCounters
 from stages.stop_latch import StopLatch
+
+LATE, UNASKED = "came after timeout_s of the bench file had passed", "came unasked"
+OTHER = "came in another format than the camera was set to"
 
 
 class FrameFormat:
@@ -90,6 +97,8 @@ class CameraSession:
         The bench's stop, which ends exposures too; None where nothing can be stopped.
     tell_doubt : callable, optional
         Called at once with everything that makes frames doubtful; it is also kept in `doubts`.
+    drawn_s : callable, optional
+        Seconds in which a simulation drew pictures, up to now.
     """
 
     def __init__(
@@ -98,17 +107,20 @@ class CameraSession:
         section: CameraSection,
         latch: StopLatch | None = None,
         tell_doubt: Callable[[str], None] = lambda text: None,
+        drawn_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self.camera = camera
         self.section = section
         self.software = trigger_is_software(section.settings)
         self.match = TriggerMatch(1e9 * section.timeout_s)
         self.counts = FrameCounters(self.software)
+        self.why_rejected: Counter[str] = Counter()  # frames that came whole, by reason
         self.discarded = 0  # frames that were written and are not wanted after all
         self.doubts: list[str] = []
         self.settings: dict[str, Setting] = {}  # as the camera read them back
         self._latch = latch
         self._tell_doubt = tell_doubt
+        self._drawn_s = drawn_s
         self._token = 0
         self._format = FrameFormat({})
         self._is_armed = False
@@ -276,8 +288,17 @@ class CameraSession:
         except CameraError:
             return None
 
+    def now_s(self) -> float:
+        """The computer's clock [s] as a timeout sees it: without what a simulation took to draw pictures."""
+        return time.monotonic() - self._drawn_s()
+
     def wait_until(self, deadline_s: float) -> Frame:
         """Next whole frame.
+
+        Parameters
+        ----------
+        deadline_s : float
+            When to give up, on `now_s`.
 
         Raises
         ------
@@ -288,7 +309,7 @@ class CameraSession:
         """
         while True:
             self.ask()
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - self.now_s()
             frame = self.camera.poll(max(0.0, min(SLICE_S, left_s)))
             if frame is not None:
                 return frame
@@ -325,15 +346,19 @@ class CameraSession:
         """
         said = self._format.contradiction(frame)
         if said:
-            self.reject(frame, True)
+            self.reject(frame, True, OTHER)
             self.verify()
             raise OtherFormat(f"the camera {said}")
         self.counts.handed += 1
         return frame
 
-    def reject(self, frame: Frame, was_asked_for: bool) -> None:
-        """Count a frame that arrived whole and is not wanted; its memory is given back."""
+    def reject(self, frame: Frame, was_asked_for: bool, why: str = "") -> None:
+        """Count a frame that arrived whole and is not wanted; its memory is given back.
+
+        Without a reason it is `LATE` if it was asked for, and `UNASKED` if not.
+        """
         frame.release()
+        self.why_rejected[why or (LATE if was_asked_for else UNASKED)] += 1
         self.counts.rejected += 1
         self.counts.unasked += not was_asked_for
 

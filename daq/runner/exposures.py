@@ -29,7 +29,7 @@ from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import BadFrame, CameraError, CameraTimeout, FrameIncomplete, FramesLost, OtherFormat
 from daq.runner.clock_calibration import PAUSES_S, Shot, explain
 from daq.runner.trigger_match import Place
-from daq.runs.frame_accounting import FrameAccounting
+from daq.runs.frame_accounting import SURPLUS, FrameAccounting
 
 if TYPE_CHECKING:
     from daq.runner.camera_session import CameraSession
@@ -121,7 +121,7 @@ def _waiting(taken_by: "CameraSession") -> Iterator[Shot]:
 
 def _await(taken_by: "CameraSession") -> Frame:
     """Wait for the frame of this trigger, past those of others."""
-    match, deadline_s = taken_by.match, time.monotonic() + taken_by.section.timeout_s
+    match, deadline_s = taken_by.match, taken_by.now_s() + taken_by.section.timeout_s
     while True:
         try:
             frame = taken_by.wait_until(deadline_s)
@@ -135,7 +135,7 @@ def _await(taken_by: "CameraSession") -> Frame:
         if place is Place.STALE:
             taken_by.reject(frame, match.was_owed(frame.meta))
             continue
-        taken_by.reject(frame, True)
+        taken_by.reject(frame, True, "had a time stamp that fits no trigger")
         if not match.by_time:
             taken_by.doubt("after a wait in vain a frame came that tells neither its time nor its id")
         raise StampsUnclear("the time stamp of its frame fits no trigger")
@@ -173,9 +173,9 @@ def _try(taken_by: "CameraSession") -> tuple[list[Shot], list[FrameMeta]]:
         metas += taken_by.drain()
         with suppress(CameraTimeout, FrameIncomplete), _waiting(taken_by) as shot:
             shots.append(shot)
-            frame = taken_by.wait_until(time.monotonic() + taken_by.section.timeout_s)
+            frame = taken_by.wait_until(taken_by.now_s() + taken_by.section.timeout_s)
             metas.append(frame.meta)
-            taken_by.reject(frame, True)
+            taken_by.reject(frame, True, "were taken only to learn what time stamps mean")
     return shots, metas
 
 
@@ -215,12 +215,12 @@ def stream(taken_by: "CameraSession", places: range, may_lose: int) -> Generator
                 dried_up = error
                 break
             if first is None and not taken_by.match.is_of_arm(frame.meta, arm):
-                taken_by.reject(frame, True)
+                taken_by.reject(frame, True, "were exposed before the stream began")
                 continue
             first = frame.meta.sequence if first is None else first
             place = places.start + frame.meta.sequence - first
             if place < next_place:  # its id was there before
-                taken_by.reject(frame, True)
+                taken_by.reject(frame, True, "came twice")
                 continue
             lost += min(place, places.stop) - next_place
             next_place = min(place + 1, places.stop)
@@ -228,7 +228,7 @@ def stream(taken_by: "CameraSession", places: range, may_lose: int) -> Generator
             if place < places.stop:
                 yield place, taken_by.hand_over(frame)
             else:  # the last one that was wanted is gone
-                taken_by.reject(frame, True)
+                taken_by.reject(frame, True, SURPLUS)
     finally:
         taken_by.end()
     why = _where(before, taken_by.counts.accounting())
@@ -249,7 +249,7 @@ def _arm(taken_by: "CameraSession") -> Shot:
 
 
 def _deadline_s(taken_by: "CameraSession") -> float:
-    return time.monotonic() + taken_by.section.timeout_s
+    return taken_by.now_s() + taken_by.section.timeout_s
 
 
 def _where(before: FrameAccounting, after: FrameAccounting) -> str:

@@ -197,7 +197,7 @@ class FlowStep:
         """Give the pairs of one trigger to the threads."""
         for side, pair in zip(self._sides, pairs, strict=True):
             side.keep(step, record, place, number, pair)
-        self._progress.frames += 2
+        self._progress.took(2, step.index)
         self._progress.waiting = self._sides[0].pipeline.waiting
         self._tell("exposing")
 

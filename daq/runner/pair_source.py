@@ -51,6 +51,7 @@ class Chunk:
 
 
 SLICE_S = 0.05
+PAIRLESS = "are in no pair"  # the line of the chunk says why
 ROUNDED_NS = 2_000_000  # by which a stamp on the computer's clock may be off, and a little more
 Pair = tuple[Frame, Frame]
 
@@ -121,10 +122,13 @@ class PairSource:
         """Pairs that are sure, None now and then, until the burst has ended and no frame comes."""
         exposures = self.exposures
         finder: PairFinder[Frame] = PairFinder(
-            self.section, order.rate_hz, light.exposure_a_us + light.gap_us, lambda f: exposures.reject(f, True)
+            self.section,
+            order.rate_hz,
+            light.exposure_a_us + light.gap_us,
+            lambda f: exposures.reject(f, True, PAIRLESS),
         )
         timeout_s = exposures.section.timeout_s + 1.0 / order.rate_hz
-        heard_s, is_first, seen = time.monotonic(), True, 0
+        heard_s, is_first, seen = exposures.now_s(), True, 0
         try:
             while True:
                 try:
@@ -132,20 +136,20 @@ class PairSource:
                 except OtherFormat:
                     raise
                 except BadFrame:  # counted by the camera; its partner finds no pair
-                    seen, heard_s = seen + 1, time.monotonic()
+                    seen, heard_s = seen + 1, exposures.now_s()
                     continue
                 if frame is None:
                     is_over = laser.state not in EMITS
-                    if is_over and (seen >= 2 * chunk.fired or time.monotonic() - heard_s > timeout_s):
+                    if is_over and (seen >= 2 * chunk.fired or exposures.now_s() - heard_s > timeout_s):
                         break
-                    heard_s = heard_s if seen or is_over else time.monotonic()  # the first light may be far
-                    if not is_over and time.monotonic() - heard_s > timeout_s:
+                    heard_s = heard_s if seen or is_over else exposures.now_s()  # the first light may be far
+                    if not is_over and exposures.now_s() - heard_s > timeout_s:
                         raise CameraTimeout(f"no frame within {timeout_s:.1f} s; look at the camera's trigger")
                     yield None
                     continue
-                heard_s = time.monotonic()
+                heard_s = exposures.now_s()
                 if is_first and not exposures.match.is_of_arm(frame.meta, self._arm):
-                    exposures.reject(frame, True)  # no trigger of this chunk made it
+                    exposures.reject(frame, True, PAIRLESS)  # no trigger of this chunk made it
                     continue
                 is_first, seen = False, seen + 1
                 yield finder.add(frame.meta, frame)
@@ -177,7 +181,7 @@ class PairSource:
         """Give frames back that are in no pair that is kept."""
         chunk.dropped[why] += len(frames)
         for frame in frames:
-            self.exposures.reject(frame, True)
+            self.exposures.reject(frame, True, PAIRLESS)
 
     def trust_marker(self, is_final: bool) -> None:
         """End the run in doubt where the marker calls exposure B an A."""

@@ -1,7 +1,7 @@
 """What a person wants to know while a run goes on, and sees: a panel that is drawn anew, or lines of a log."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -12,10 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from daq.pipeline.stats import PipelineStats
+from daq.plans.steps import Step
 from daq.runs.frame_accounting import FrameAccounting
 from daq.timing.states import LaserState
-from ground.plain_words import counted
+from ground.plain_words import counted, in_words
 from ground.terminal import drawn_anew
+
+TRUST, LEAST_TRUST_S = 0.03, 1.0  # share of the expected time that has to be measured to weigh as much as it
 
 
 @dataclass
@@ -54,18 +57,55 @@ class Progress:
     laser: LaserState | None = None
     readings: dict[str, str] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
+    _frame_s: dict[int, float] = field(default_factory=dict)  # that are expected of a frame, by step
+    _ahead_s: float = 0.0  # that are expected of the frames to come
+    _trust_s: float = 1.0  # measured seconds that weigh as much as what was expected
+    _paced_s: float = 0.0  # that were expected of the frames whose time was measured, and what they took
+    _measured_s: float = 0.0
+    _last_s: float | None = None
 
     @property
     def elapsed_s(self) -> float:
         """Time since the session began."""
         return max(1e-9, time.monotonic() - self.begun_s)
 
+    def expect(self, steps: Sequence[Step], missing: Sequence[int], steps_s: Sequence[float]) -> None:
+        """Learn what is to be done: for each step how many frames, and the seconds that are expected of it."""
+        self.planned = sum(missing)
+        self._frame_s = {step.index: each_s / step.frames for step, each_s in zip(steps, steps_s, strict=True)}
+        self._ahead_s = sum(self._frame_s[step.index] * some for step, some in zip(steps, missing, strict=True))
+        self._trust_s = max(LEAST_TRUST_S, TRUST * self._ahead_s)
+
+    def took(self, frames: int, step: int) -> None:
+        """Count frames of a step that have been taken; a negative number is to be taken again."""
+        now_s, expected_s = time.monotonic(), frames * self._frame_s.get(step, 0.0)
+        if self._last_s is not None:  # the first one waits for homing and compiling, which come once
+            self._measured_s += now_s - self._last_s
+            self._paced_s += max(0.0, expected_s)
+        self._last_s = now_s
+        self._ahead_s -= expected_s
+        self.frames += frames
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Do not take the time of this block, in which a person does something, for that of a frame."""
+        begun_s = time.monotonic()
+        try:
+            yield
+        finally:
+            if self._last_s is not None:
+                self._last_s += time.monotonic() - begun_s
+
     def left(self) -> str:
-        """Time left as a person says it; "" while nobody can know."""
+        """Time left as a person says it; "" before the first frame and behind the last.
+
+        Expected seconds of what is left, times what frames have taken here for each second that was expected of
+        them. That begins at 1 and follows the measured more and more, so that a single frame says little.
+        """
         if not self.frames or self.planned <= self.frames:
             return ""
-        left_s = round(self.elapsed_s / self.frames * (self.planned - self.frames))
-        return f"about {left_s // 60} min {left_s % 60} s left" if left_s >= 60 else f"about {left_s} s left"
+        pace = (self._measured_s + self._trust_s) / (self._paced_s + self._trust_s)
+        return f"about {in_words(pace * max(0.0, self._ahead_s))} left"
 
 
 Watcher = Callable[[Progress], None]

@@ -77,7 +77,9 @@ class RunCamera:
         self._pipeline: Pipeline | None = None
         self._finished: frozenset[int] = frozenset()  # steps that were, when the session began
         latch = self.hardware.stage.latch
-        self.session = CameraSession(self.hardware.camera, self.hardware.camera_section, latch, self._write_doubt)
+        self.session = CameraSession(
+            self.hardware.camera, self.hardware.camera_section, latch, self._write_doubt, hardware.drawn_s
+        )
 
     @property
     def corrects(self) -> bool:
@@ -200,9 +202,11 @@ class RunCamera:
         accounting = self.session.conclude(flow.written)
         doubt = "; ".join(self.session.doubts)
         about: dict[str, Any] = {"doubt": doubt} if doubt else {}
+        rejected = dict(self.session.why_rejected)
+        reasons: dict[str, Any] = {"why_rejected": rejected} if rejected else {}
         if doubt and why == "finished":
             why, error = BadBalance.__name__, doubt
-        self.journal.append("counts", books=accounting.to_dict(), flow=flow.summary(), **about)
+        self.journal.append("counts", books=accounting.to_dict(), flow=flow.summary(), **reasons, **about)
         self.journal.append("end", sync=True, utc=utc_now(), why=why, error=error, **about)
         return accounting, doubt
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from daq.bench.opened import OpenBench, known_positions
 from daq.errors import BadBalance, PlanError, RunInterrupted
 from daq.pipeline.preview_vectors import warm_up
+from daq.plans.forecast import forecast, simulated_s
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest
@@ -118,7 +119,8 @@ class Runner:
             for camera in used:
                 camera.open(left, self._again)
             present = frame_entries(self._first.folder.entries())
-            self.progress.planned = sum(number not in present for step in left for number in step.numbers)
+            missing = [sum(number not in present for number in step.numbers) for step in left]
+            self.progress.expect(left, missing, self._expected_s(left))
             if self._first.corrects and any(step.group == 2 and step.on_plane for step in left):
                 warm_up()
             with self.interrupts:
@@ -126,6 +128,13 @@ class Runner:
             for camera in self._first_last:
                 done = camera.complete(self._steps, self._tell)
             return done
+
+    def _expected_s(self, left: Sequence[Step]) -> Sequence[float]:
+        """Seconds that each step will take, as they are known before anything was measured."""
+        bench = self._hardware.bench
+        if self._hardware.simulation is not None and (drawn_s := simulated_s(bench, left)):
+            return drawn_s
+        return forecast(bench, self._hardware.stage, left).steps_s
 
     @property
     def _first_last(self) -> list[RunCamera]:
@@ -178,7 +187,8 @@ class Runner:
     def _between_steps(self, left: int) -> None:
         if self.interrupts.paused:
             self._tell("paused")
-            self.interrupts.wait()
+            with self.progress.aside():
+                self.interrupts.wait()
         if self.interrupts.wanted:
             raise RunInterrupted(f"ended on request with {left} of {len(self._steps)} steps left")
 
@@ -222,7 +232,8 @@ class Runner:
         before = self._steps[step.index - 1].pulses if step.index else None
         if not pulses.is_background and before is not None and before.is_background:
             self._tell("waiting for the seeding to be opened, then Enter")
-            self._operator.open_seeding()
+            with self.progress.aside():
+                self._operator.open_seeding()
         if self._hardware.simulation is not None:
             self._hardware.simulation.seed(not pulses.is_background)
 
@@ -264,7 +275,8 @@ class Runner:
     def _turned(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Have the operator turn an axis; whoever asks for the end of the run is not asked for a reading first."""
         self._tell(f"waiting for {question.axis}, which is moved by hand")
-        return self._operator.reads(question, lambda: given_up() or self.interrupts.wanted)
+        with self.progress.aside():
+            return self._operator.reads(question, lambda: given_up() or self.interrupts.wanted)
 
     def _tell(self, doing: str, accounting: FrameAccounting | None = None) -> None:
         self.progress.doing, self.progress.laser = doing, self._laser_session.state

@@ -113,7 +113,7 @@ class StepFrames:
         if numbers:
             self._camera.journal.append("discard", sync=True, frames=numbers, why=DISCARDED)
             self._camera.session.discarded += len(numbers)
-            self._progress.frames -= len(numbers)
+            self._progress.took(-len(numbers), step.index)
         for number in numbers:
             self._camera.folder.frame_path(number).unlink(missing_ok=True)
             self._camera.folder.corrected_path(number).unlink(missing_ok=True)
@@ -129,7 +129,7 @@ class StepFrames:
                 self._camera.pipeline.submit(
                     Job(step, step.first_frame + place, placed, {**record, **self._camera.session.facts(frame)})
                 )
-                self._progress.frames += 1
+                self._progress.took(1, step.index)
                 self._progress.waiting = self._camera.pipeline.waiting
                 self._tell("exposing")
                 if step.may_have_gaps and self._interrupts.wanted:

@@ -205,6 +205,29 @@ def doubts(entries: Sequence[Entry]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
+def rejected_sentence(entries: Sequence[Entry]) -> str:
+    """Say why frames of a run were rejected, as one sentence without full stop; "" if none were.
+
+    Of a run with chunks `chunk_sentences` says it.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+        The journal.
+    """
+    rejected = total_accounting(entries)[0].rejected
+    if rejected <= 0 or any(entry["kind"] == "chunk" for entry in entries):
+        return ""
+    why: Counter[str] = Counter()
+    for entry in entries:
+        why.update(entry.get("why_rejected", {}))
+        if entry["kind"] == "discard":
+            why["are of steps that were taken again"] += len(entry["frames"])
+    why["were left when the camera was stopped"] += max(0, rejected - why.total())
+    told = ", ".join(f"{number} {reason}" for reason, number in why.items() if number)
+    return f"frames rejected: {told}; nothing of the run shows them"
+
+
 ELSEWHERE = "of pairs that another camera has not"
 SURPLUS, LEFT = "more than wanted", "left when the chunk ended"
 

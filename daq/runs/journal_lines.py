@@ -218,6 +218,7 @@ class CountsLine(TypedDict):
     kind: Literal["counts"]
     books: Books
     flow: FlowFigures
+    why_rejected: NotRequired[dict[Text, Count]]
     doubt: NotRequired[Text]
 
 

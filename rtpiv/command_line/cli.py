@@ -173,7 +173,7 @@ def print_compiling(functions: int, seconds: float) -> None:
     else:
         left = getattr(compile_news.helper, "seconds_left", lambda: None)()
         text = f"compiling: {functions} functions, {seconds:.0f} s"
-        text += "" if left is None else f", about {left:.0f} s left"
+        text += "" if left is None else f", {max(5, 5 * round(left / 5))} s more at least"
     print(text, file=sys.stderr, flush=True)
 
 

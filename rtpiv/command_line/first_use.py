@@ -18,6 +18,7 @@ from typing import Any
 from daq.child import child
 from ground.rows import thread_count
 
+TRUST_S = 10.0
 MOST_HELPERS = 3  # beside the verb's own process; kernels share callees, and each compiles those it needs first
 ALSO = {  # verbs that call what others call
     "init": ("trace",),
@@ -49,6 +50,7 @@ class FirstUse:
 
     def __init__(self, verb: str) -> None:
         self._verb = verb
+        self._last_s = 0.0  # when the last kernel was compiled
         self._left: dict[str, float] = {}  # kernels that are not compiled yet -> their share of the seconds
         self._whole = 0.0
         self._begun_s = 0.0
@@ -77,15 +79,22 @@ class FirstUse:
 
     def done(self, place: str) -> None:
         """One kernel is compiled."""
-        self._left.pop(place, None)
+        if self._left.pop(place, None) is not None:
+            self._last_s = time.monotonic()
 
     def seconds_left(self) -> float | None:
-        """How long it will take still, of what is known; None before the first kernel is compiled."""
+        """How long the list will take still; what a scene has of its own comes on top of it.  None before the first kernel is compiled.
+
+        The first kernels wait for the compiler itself, and one of a tenth of a second says nothing of those of
+        ten: what was measured weighs as much as the list when it comes to `TRUST_S`.
+        """
         share = self._whole / (len(self._helpers) + 1)
         through = self._whole - sum(self._left.values())
         if not through or through >= share:
             return None
-        return (time.monotonic() - self._begun_s) * (share - through) / through
+        pace = (self._last_s - self._begun_s + TRUST_S) / (through + TRUST_S)
+        whole_s, since_s = pace * (share - through), time.monotonic() - self._last_s
+        return whole_s - min(since_s, 0.9 * whole_s)
 
     def end(self) -> None:
         """Let the helpers go: each ends as soon as its other end is closed."""

@@ -26,7 +26,7 @@ HARDWARE = """\
 FRAMES = """\
   settings: {PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerSelector: FrameStart, TriggerMode: "On",
              TriggerSource: Software}
-  timeout_s: 60.0                  # yours needs less: 5.0; the simulated one draws its pictures with rays"""
+  timeout_s: 60.0                  # yours needs less: 5.0"""
 
 PAIRS = """\
   settings: {PixelFormat: Mono12p, ExposureTime: 1000.0, DoubleFrameEnable: true, DoubleFrameInterval: 1005.0,

@@ -80,10 +80,10 @@ def flow_plan(lab: Lab, dt_us: float) -> str:
 experiment: flow
 view: glass
 laser: laser               # name of the device in bench-flow.yaml
-pairs: 100                 # 1000 or more for Reynolds stresses
+pairs: 20                  # enough to look at; a mean flow wants 100 or more, Reynolds stresses 1000
 dt_us: {dt_us:g}              # between the pulses: about 8 px of the fastest flow
 rate_hz: 10.0
 chunk: 100                 # fired in one go: no more follow a computer that dies
-background: {{pairs: 20}}
+background: {{pairs: 10}}
 target_z_mm: -30.0         # the board waits here, out of the sheet
 {glass if off_mm > 0.0 else ""}"""

@@ -19,14 +19,14 @@ from daq.bench.rehearsal import Rehearsal
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
-from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home
+from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home, time_said
 from daq.plans.plan import Plan, load_plan, read_plan
 from daq.runner.laser_session import Operator
 from daq.runner.progress import watch
 from daq.runner.session import Request, Run, begin, check_disk, run_session
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import Moved, read_displacements
-from daq.runs.frame_accounting import chunk_sentences
+from daq.runs.frame_accounting import chunk_sentences, rejected_sentence
 from daq.runs.gaps import gap_sentence
 from daq.runs.run_folder import RunFolder
 from ground.errors import ConfigError
@@ -264,7 +264,8 @@ def forecast_said(
     stage = idle_stage(bench)
     if home:
         said, sentence = forecast_from_home(bench, stage, plan.steps)
-        screen.print(sentence, soft_wrap=True)
+        if not (simulate and said.is_from_scene):  # it concerns hardware alone
+            screen.print(sentence, soft_wrap=True)
     else:
         said = forecast(bench, stage, plan.steps)
     print_forecast(screen, bench, plan, said, with_steps, simulate)
@@ -287,7 +288,7 @@ def print_forecast(
         screen.print(table)
         if len(plan.steps) > SHOWN_STEPS:
             screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
-    time = f"about {said.duration_s:.0f} s{' on hardware (simulated pictures take longer)' if simulate else ''}"
+    time = f"about {time_said(bench, plan.steps, said, simulate)}"
     travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
     screen.print(
         f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}, {time}; "
@@ -302,13 +303,13 @@ def print_forecast(
 
 def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:
     """Say what a finished run has brought."""
-    books = done["conservation"]
+    books, entries = done["conservation"], folder.entries()
     screen.print(
         f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
         f"+ {books['rejected']} rejected + {books['lost']} lost"
     )
-    for sentence in chunk_sentences(folder.entries()):
-        screen.print(sentence)
+    for sentence in filter(None, (rejected_sentence(entries), *chunk_sentences(entries))):
+        screen.print(sentence, soft_wrap=True, highlight=False)
     for step in done.get("gaps", ()):
         frames = sum(planned["frames"] for planned in folder.about["steps"] if planned["index"] == step["step"])
         screen.print(f"{step['tag']}: {gap_sentence(step['gaps'], frames)}", style="bold")

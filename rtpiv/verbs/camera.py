@@ -58,7 +58,7 @@ def camera(
         if action == "test":
             _say(try_trigger(hardware.camera, hardware.camera_section))
             return None
-        exposures = CameraSession(hardware.camera, hardware.camera_section)
+        exposures = CameraSession(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s)
         settings = exposures.set_up()
         if action == "list":
             for name in sorted(settings):

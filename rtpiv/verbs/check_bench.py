@@ -9,7 +9,7 @@ from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, check_simulation
 from daq.bench.unusual import bench_questions
 from daq.errors import PlanError
-from daq.plans.forecast import forecast_from_home
+from daq.plans.forecast import forecast_from_home, time_said
 from daq.plans.plan import Plan, load_plan, plan_questions, read_plan
 from daq.plans.plan_table import px_per_mm
 from ground.plain_words import counted
@@ -75,5 +75,5 @@ def _plan_said(path: Path, plan: Plan, bench: Bench) -> str:
         ]
         raise PlanError("\n".join(lines))
     size = f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}"
-    steps = f"{plan.table.experiment}, {size}, about {said.duration_s:.0f} s"
+    steps = f"{plan.table.experiment}, {size}, about {time_said(bench, plan.steps, said)}"
     return f"{steps}; {said.link}" if said.link else steps

@@ -84,7 +84,7 @@ def live(
         shown = None if corrector is None else _through(believed, corrector)
         page.say("opening the camera")
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
-        exposures = CameraSession(hardware.camera, hardware.camera_section)
+        exposures = CameraSession(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s)
         exposures.set_up()
         away = _away(loaded, hardware)
         if away and corrector is not None:

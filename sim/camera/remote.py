@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sim.camera.source import FrameSource, image_of
 
 SOCKET_NAME, FRAME_NAME = "frames.sock", "frame.bin"
-DEADLINE_S = 120.0  # a renderer may think for a while
+DEADLINE_S = 3600.0  # a renderer may think for minutes on a busy computer; a server that ends says so at once
 MAX_LINE_BYTES = 4096
 ASKED = ("trigger_index", "start_ns", "end_ns")
 GONE = "the frame server is gone"
