@@ -108,9 +108,8 @@ def _pair(work: Progress, coarse: Unknowns, candidates: Candidates) -> None:
     best = found[0]
     work.explained = best.share
     work.full = coarse.full(best.solution.x)
-    remark = f"{best.candidates - best.inliers} saddles unmatched; starts: {len(found)}"
     name = f"pairing on {work.glass_frames[0].name}"
-    work.note(FitStep(name, best.inliers, float(np.sqrt(0.5)) * best.rms_px, remark))
+    work.note(FitStep(name, best.inliers, float(np.sqrt(0.5)) * best.rms_px))
 
 
 def _fit_glass(work: Progress, unknowns: Unknowns, name: str, only_behind: bool) -> None:

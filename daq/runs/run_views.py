@@ -296,7 +296,7 @@ def where_lit(scene: Scene) -> str:
     scale = ""
     if not scene.bodies:
         shown = f"{grid_of(scene.camera).pitch_mm:.4g} mm"
-        scale = f"Nothing stands before the plane; a pixel shows {shown} of it, an error of which is in no sigma. "
+        scale = f"A pixel was taken to show {shown}, an error of which is in no sigma. "
     if tells_a_scale_alone(scene):
         return f"{scale}How steeply the camera looks at it is not known: what flows through it is in none either."
     if scene.sheet is not None:

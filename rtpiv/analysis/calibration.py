@@ -106,6 +106,25 @@ class Calibration:
             return f"known only together (worth at most {two_digits(worth_px)} px in the map): {weakness.sentence}"
         return f"not determined: {weakness.sentence}"
 
+    def costs_nothing(self, weakness: Weakness) -> bool:
+        """Whether a weakness of numbers that were fitted is in the map's sigma, and that is small everywhere."""
+        largest_px = max((values["largest"] for values in self.percentiles.values()), default=float("inf"))
+        is_of_numbers = weakness.together or "known no better than before" in weakness.sentence
+        return is_of_numbers and bool(weakness.names) and largest_px < HARMLESS_PX
+
+    @property
+    def harmless_said(self) -> str:
+        """How many weaknesses cost the map nothing, in a sentence; "" if none."""
+        count = sum(self.costs_nothing(weakness) for weakness in self.weak)
+        if not count:
+            return ""
+        largest_px = max(values["largest"] for values in self.percentiles.values())
+        what = "group of numbers is" if count == 1 else "groups of numbers are"
+        return (
+            f"{count} {what} known only together, or no better than before: that is in the sigma of the map, which"
+            f" is {two_digits(largest_px)} px at most"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Everything a later reader needs, JSON-able."""
         fit, corners = self.fit, self.fit.corners

@@ -26,6 +26,7 @@ from rtpiv.command_line.exit_codes import INTERRUPTED as INTERRUPTED
 from rtpiv.command_line.exit_codes import USAGE as USAGE
 from rtpiv.command_line.exit_codes import exit_code, sentence
 from rtpiv.options import call_of, parser
+from rtpiv.options.near import near_option
 
 THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
 # Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
@@ -53,7 +54,8 @@ def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
         options["axes"] = [*options["axes"], *left]
     elif left:
         several = "one is wanted here, and more are given: " if all(map(os.path.exists, left)) else ""
-        refuse(printable(f"{several or 'unrecognized arguments: '}{' '.join(left)}"))
+        hint = "" if several else near_option(getattr(refuse, "__self__", words), left[0])
+        refuse(printable(f"{several or 'unrecognized arguments: '}{' '.join(left)}{hint}"))
     return options
 
 

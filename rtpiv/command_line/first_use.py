@@ -83,7 +83,7 @@ class FirstUse:
             self._last_s = time.monotonic()
 
     def seconds_left(self) -> float | None:
-        """How long the list will take still; what a scene has of its own comes on top of it.  None before the first kernel is compiled.
+        """How long the list will take still, to which a scene may add kernels; None before the first is compiled.
 
         The first kernels wait for the compiler itself, and one of a tenth of a second says nothing of those of
         ten: what was measured weighs as much as the list when it comes to `TRUST_S`.

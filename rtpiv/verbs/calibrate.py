@@ -103,7 +103,7 @@ def calibrate(
         sigma.save(out / "map_sigma.npz")
         write_json(out / "calibration.json", found.to_dict())
         write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
-        show_calibration(console(), found)
+        show_calibration(console(), found, pictures)
         if pictures:
             _draw(out, found, nominal.camera.shape, folder.resolve().name)
         console().print(

@@ -65,7 +65,7 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
             )
         )
     if evaluation.shift is not None:
-        tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
+        tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation)))
     if evaluation.map_sigma is not None:
         tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
         tables.append(("errors against their sigma; it claims 68 and 95 %", CLAIM_HEAD, claim_rows(evaluation)))
@@ -206,7 +206,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
         screen.print(f"look at {page}")
 
 
-def show_calibration(screen: Console, found: "Calibration") -> None:
+def show_calibration(screen: Console, found: "Calibration", page: bool = True) -> None:
     """Say what a fit has found, and what the frames left open."""
     if (through := found.through) is not None:
         from rtpiv.analysis.views.arranged import little
@@ -230,7 +230,10 @@ def show_calibration(screen: Console, found: "Calibration") -> None:
     for sentence in fit.verdict.sentences:
         screen.print(f"model: {sentence}", style="" if fit.verdict.is_right else "bold red")
     for weakness in found.weak:
-        screen.print(found.said_of(weakness))
+        if not found.costs_nothing(weakness):
+            screen.print(found.said_of(weakness))
+    if said := found.harmless_said:
+        screen.print(f"{said}; {'calibration.html' if page else 'calibration.json'} names them")
 
 
 def _number_table(found: "Calibration") -> Table:
@@ -248,7 +251,7 @@ def _number_table(found: "Calibration") -> Table:
 
 
 def _error_table(found: "Calibration") -> Table:
-    table = Table(title="position error of target points [px] (Table 2)")
+    table = Table(title="position error of target points [px] ")
     for name in ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest"):
         table.add_column(name, justify="left" if name in ("sense", "scene", "region") else "right")
     for name, regions in found.senses.items():

@@ -164,3 +164,27 @@ def test_a_kernel_that_no_cache_holds_is_news(monkeypatch):
 def test_what_turns_something_off_says_what_is_not_done():
     text = " ".join(parser({"init"})._subparsers._group_actions[0].choices["init"].format_help().split())
     assert "--yes do not ask at the terminal for what is not given" in text
+
+
+@pytest.mark.parametrize(
+    ("verb", "given", "meant"),
+    [
+        ("init", "--f-mm", "--lens-mm"),
+        ("init", "--focal-length-mm", "--lens-mm"),
+        ("init", "--lense-mm", "--lens-mm"),
+        ("init", "--pixel-size-um", "--pixel-pitch-um"),
+        ("init", "--diameter-mm", "--ball-mm"),
+        ("evaluate", "--dt_us", "--dt-us"),
+        ("evaluate", "--mm-pr-px=0.1", "--mm-per-px"),
+        ("acquire", "--simulated", "--simulate"),
+        ("init", "--xyzzy", ""),
+        ("init", "-q", ""),
+    ],
+)
+def test_an_option_that_nearly_exists_is_named(verb, given, meant, capsys):
+    """A stranger says the focal length as other programs do."""
+    with pytest.raises(SystemExit):
+        main([verb, "place", given, "3"])
+    said = " ".join(capsys.readouterr().err.split())
+    assert (f"did you mean {meant}?" in said) == bool(meant), said
+    assert ("did you mean" in said) == bool(meant)

@@ -13,6 +13,8 @@ from rtpiv.analysis.pictures.rasters import covered, embedded, grey, mask_pictur
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 from tracer.scene.scene import Scene
 
+CORRECTED, PLAIN = "corrected", "evaluated"
+
 
 @dataclass(frozen=True)
 class BeforeAfter:
@@ -22,13 +24,13 @@ class BeforeAfter:
     ----------
     layers : tuple of (str, str)
         Name and data address of pictures that lie over each other: acquired (if of the same size), corrected,
-        mask.
+        mask. Where nothing stands before the camera what is evaluated, and a mask only where something is masked.
     shares : dict
         Status -> share of the nodes, 0 to 1, of those that occur.
     full_scale : float
         Grey level at which a pixel counts as saturated.
     figures : dict
-        ``acquired`` and ``corrected`` -> figures of merit.
+        ``acquired`` and ``corrected`` (or ``evaluated``) -> figures of merit.
     through : ThroughGlass or None
         How much of what the balls hide is recovered; None if they hide nothing.
     """
@@ -51,12 +53,14 @@ def before_after(
     """Look at a frame (H, W) as acquired, with its full scale, and (h, w) as corrected, NaN where nothing is."""
     limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
     shown = tinted(grey(corrected, limits), covered(corrector.status))
-    layers = [("corrected", embedded(shown)), ("mask", embedded(mask_picture(corrector.status)))]
+    layers = [(CORRECTED if scene.bodies else PLAIN, embedded(shown))]
+    if scene.bodies or (corrector.status != NodeStatus.RECOVERED).any():
+        layers.append(("mask", embedded(mask_picture(corrector.status))))
     if frame.shape == corrected.shape:
         layers.insert(0, ("acquired", embedded(grey(frame, limits))))
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
-    named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
+    named = {"acquired": (frame, None), CORRECTED if scene.bodies else PLAIN: (corrected, corrector.recovered)}
     figures = {name: image_figures(image, full_scale, which) for name, (image, which) in named.items()}
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
     return BeforeAfter(tuple(layers), shares, full_scale, figures, through)

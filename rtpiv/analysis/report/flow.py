@@ -34,6 +34,7 @@ from rtpiv.analysis.pictures.plane_axes import (
 )
 from rtpiv.analysis.report.figures import HEAT, SERIES, plain_decades
 from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.tables import ALL
 from rtpiv.analysis.series.history import BINS, History, history
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.series_folder import Chunks
@@ -223,8 +224,9 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     """
     field = mean.field
     axis = jet_axis(field)
-    _along_lines(page, field, regions, axis)
-    rim_chapter(page, mean, scene, regions)
+    _along_lines(page, field, regions, axis, bool(scene.bodies))
+    if scene.bodies:
+        rim_chapter(page, mean, scene, regions)
     page.heading("Where it flows")
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)
     page.figure("streamlines", streamlines_figure(mean, scene, speed), "Streamlines of the mean.", dense=True)
@@ -234,7 +236,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     maps.append(("vorticity of the mean [1/s]", turning))
     said = "Reynolds stresses without the noise of the correlation, and the vorticity of the mean."
     page.figure("stresses", maps_figure(mean, scene, maps), said, dense=True)
-    _mass(page, field, regions, axis)
+    _mass(page, field, regions, axis, bool(scene.bodies))
     page.heading("Are these enough pairs?")
     if len(found.pairs):
         said = (
@@ -248,7 +250,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     page.figure("fractions", fractions_figure(found), said)
 
 
-def _along_lines(page: Page, field: PlaneField, regions: Regions, axis: Axis | None) -> None:
+def _along_lines(page: Page, field: PlaneField, regions: Regions, axis: Axis | None, behind: bool) -> None:
     """Profiles across the flow, at heights that are spread over what is seen."""
     known = np.isfinite(field.uv).all(axis=-1)
     rows = np.flatnonzero(known.mean(axis=1) > 0.2)
@@ -262,7 +264,7 @@ def _along_lines(page: Page, field: PlaneField, regions: Regions, axis: Axis | N
         height = float(field.y[row])
         found = profile(field, (float(field.x[0]), height), (float(field.x[-1]), height))
         lines.append((f"y = {height:.1f} mm", found, glass[row]))
-    said = "Heavy: behind glass; bands: 2 sigma of the mean."
+    said = "Heavy: behind glass; bands: 2 sigma of the mean." if behind else "Bands: 2 sigma of the mean."
     for component, name in ((1, "v, up"), (0, "u, to the right")):
         figure = profiles_figure(lines, component, f"mean {name} [m/s]")
         page.figure(f"profiles_{'uv'[component]}", figure, f"Mean {name}, along lines of constant height. {said}")
@@ -306,13 +308,13 @@ def rim_chapter(page: Page, mean: MeanFlow, scene: Scene, regions: Regions) -> N
     page.table(STEPS_HEAD, rows, "A smooth surface through the vectors of both sides, and a step of the inner one")
 
 
-def _mass(page: Page, field: PlaneField, regions: Regions, axis: Axis | None) -> None:
+def _mass(page: Page, field: PlaneField, regions: Regions, axis: Axis | None, behind: bool) -> None:
     """Divergence of the mean against its own sigma, by region."""
     page.heading("Is mass conserved?")
     value, sigma = (1e3 * part for part in divergence(field, axis))
     glass = regions.region == Region.GLASS
     wheres = {
-        "seen directly": regions.region == Region.DIRECT,
+        "seen directly" if behind else ALL: regions.region == Region.DIRECT,
         f"behind glass, r < {MIDDLE} R": regions.middle,
         f"behind glass, r > {MIDDLE} R": glass & ~regions.middle,
         "across a rim": regions.region == Region.RIM,
@@ -332,10 +334,7 @@ def _mass(page: Page, field: PlaneField, regions: Regions, axis: Axis | None) ->
         return
     how = "of a flow that is round about its axis" if axis is not None else "in the plane"
     page.table(REGIONS_HEAD, rows, f"Divergence of the mean {how}, and what its sigma expects (chance: 68 %)")
-    said = (
-        "Divergence over its sigma. A correction that is wrong at the rim shows there; a flow that is not round"
-        " shows everywhere."
-        if axis is not None
-        else "Divergence over its sigma; a flow through the sheet shows everywhere, a wrong correction at the rim."
-    )
+    what = "a flow that is not round" if axis is not None else "a flow through the sheet"
+    at_rim = ", a correction that is wrong at the rim shows there" if behind else ""
+    said = f"Divergence over its sigma; {what} shows everywhere{at_rim}."
     page.figure("divergence", divergence_figure(ratios), said)

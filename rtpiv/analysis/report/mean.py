@@ -15,6 +15,7 @@ from correction.evaluate.regions import Region, Regions
 from correction.self_check.moved_sphere import FALSE_ALARMS, SelfCheck, check_spheres
 from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import tells_a_scale_alone
 from piv.errors import PairError
 from rtpiv.analysis.digits import two_digits, with_sigma
 from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
@@ -23,7 +24,7 @@ from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
-from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter, slant_figure, slant_lines
+from rtpiv.analysis.report.pair import NO_SCALE_SIGMA, light_sheet_line, scene_chapter, slant_figure, slant_lines
 from rtpiv.analysis.report.readings import readings_chapter
 from rtpiv.analysis.report.run import books_chapter, notes_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
@@ -72,7 +73,7 @@ def write_mean_page(
     corrector, regions = view.correction.corrector, regions_of_mean(view, mean)
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
     through_lead(page, through, scene, float(corrector.recovered.mean()))
-    page.lead(*mean_lead(mean, regions))
+    page.lead(*mean_lead(mean, regions, bool(scene.bodies)))
     _velocity_figures(page, view, mean)
     page.tiles(mean_tiles(mean))
     mean_chapters(page, view, mean)
@@ -101,26 +102,33 @@ def write_mean_page(
     light_sheet_line(page, view.standing)
     calibration_chapter(page, folder / FIT_FILE, scene)
     page.heading("Files")
-    names = ("mean.nc", "mean_ensemble.nc", "scene.yaml", "series.json")
+    names = (
+        "mean.nc",
+        "mean_ensemble.nc",
+        *(() if tells_a_scale_alone(scene) else ("scene.yaml",)),
+        "series.json",
+    )
     page.links([Link(name, name) for name in names if (folder / name).is_file()])
     page.heading("Provenance")
     content = about["content"]
     page.facts([
         ("run", about["run"]), ("frames", ", ".join(content["preparation"]) or "as acquired"),
         ("correlation", ", ".join(f"{name} {value}" for name, value in content["settings"].items())),
-        ("scene", scene.content_hash()), ("rtpiv", version("rtpiv")),
+        *([] if tells_a_scale_alone(scene) else [("scene", scene.content_hash())]), ("rtpiv", version("rtpiv")),
     ])  # fmt: skip
     page.write(path)
 
 
-def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
+def mean_lead(
+    mean: MeanFlow, regions: Regions, behind_any: bool = True
+) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
     """The highest mean velocity, behind glass if anything is, and the parts of its uncertainty, along itself."""
     known = (mean.count > 0) & np.isfinite(mean.total_sigma_m_s).all(axis=-1)
     behind = known & (regions.region == Region.GLASS)
-    where, name = (behind, "behind glass") if behind.any() else (known, "seen directly")
+    where, name = (behind, " behind glass") if behind.any() else (known, " seen directly" if behind_any else "")
     head = ("parts of its uncertainty", "m/s", "px")
     if not where.any():
-        return "-", f"highest mean velocity {name}", head, []
+        return "-", f"highest mean velocity{name}", head, []
     speed = np.where(where, np.linalg.norm(mean.mean_m_s, axis=-1), -1.0)
     top = np.unravel_index(int(np.argmax(speed)), speed.shape)
     along = mean.mean_m_s[top] / max(float(speed[top]), 1e-300)
@@ -130,7 +138,8 @@ def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str]
 
     unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
     asked = (("scatter of the pairs", mean.sigma_m_s), ("not resolved by the windows", unresolved),
-             ("timing error of dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s),
+             ("timing error of dt", mean.dt_sigma_m_s),
+             ("correction map" if behind_any else "scale", mean.map_sigma_m_s),
              ("flow through the sheet", mean.slant_sigma_m_s))  # fmt: skip
     rows: list[tuple[str, ...]] = []
     for what, part in (*asked, ("total", mean.total_sigma_m_s)):
@@ -140,7 +149,8 @@ def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str]
             "",
         ]
         rows.append((what, *numbers))
-    said = f"highest mean velocity {name}, one vector of {int(where.sum())} there, and its standard uncertainty"
+    there = " there" if name else ""
+    said = f"highest mean velocity{name}, one vector of {int(where.sum())}{there}, and its standard uncertainty"
     return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} m/s", said, head, rows
 
 
@@ -165,7 +175,7 @@ def _velocity_figures(page: Page, view: SeriesView, mean: MeanFlow) -> None:
         said = "Mean velocity; its magnitude in colour."
         page.figure("mean", vector_figure(field, grid, scene, speed, "mean speed [m/s]"), said, dense=True)
         said = f"Random standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
-        figure = vector_figure(field, grid, scene, sigma, "sigma of the mean [m/s]")
+        figure = vector_figure(field, grid, scene, sigma, "random sigma of the mean [m/s]")
         page.figure("mean_sigma", figure, said, dense=True)
 
 
@@ -178,7 +188,8 @@ def mean_chapters(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     if np.isnan(mean.dt_sigma_share):
         page.text("Timing error of dt: not stated (dt_sigma_us in the plan).")
     if mean.no_map_sigma:
-        page.text(f"The uncertainty of the correction map is not known: {mean.no_map_sigma}.")
+        what = "The uncertainty of the correction map is not known"
+        page.text(f"{what if scene.bodies else NO_SCALE_SIGMA}: {mean.no_map_sigma}.")
     page.heading("Fluctuations")
     energy = np.maximum(mean.stresses_m2_s2[..., :2].sum(axis=-1), 0.0)[::-1]
     page.figure(

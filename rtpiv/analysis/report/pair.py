@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, shift_errors
 from correction.grid import PlaneGrid
-from daq.runs.run_views import where_lit
+from daq.runs.run_views import tells_a_scale_alone, where_lit
 from piv.correlation.vector_field import VectorField
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import per_px
@@ -36,6 +36,7 @@ from rtpiv.analysis.report.tables import (
     claim_rows,
     coverage_of,
     image_rows,
+    is_plain,
     lead_of,
     mask_swatches,
     moved_head,
@@ -51,6 +52,10 @@ from rtpiv.analysis.report.tables import (
 )
 from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
+
+AS_USED = {True: "corrected", False: "evaluated"}
+NO_SCALE_SIGMA = "What the scale of the picture is off by is in no sigma"
+PLAIN_CAPTION = "To scale; thick line: the plane."
 
 
 def pair_summary(page: Page, evaluation: Evaluation) -> None:
@@ -68,23 +73,30 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
             page.text(said)
         page.tiles(_region_tiles(evaluation, totals[0]))
     with page.row():
-        page.slider(seen.layers, "Frame A, as acquired and corrected. Drag to compare.")
+        page.slider(seen.layers, f"Frame A, as acquired and {AS_USED[not is_plain(evaluation)]}. Drag to compare.")
         _vector_figure(page, evaluation)
-    page.swatches(mask_swatches(seen.shares))
+    if not is_plain(evaluation) or len(seen.shares) > 1:
+        page.swatches(mask_swatches(seen.shares))
 
 
 def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, str]]:
     """Figures of the vectors of the region that the page is about: value, name, what it is measured against."""
     where = total.where(evaluation)
     asked = total.nodes(evaluation)
-    tiles = [(str(total.count), f"valid vectors {total.region}", f"of {asked} nodes there")]
+    tiles = [
+        (
+            str(total.count),
+            f"valid vectors{total.where_said}",
+            f"of {asked} nodes{'' if total.is_plain else ' there'}",
+        )
+    ]
     found = coverage_of(evaluation, where)
     if found is not None:
         inside = "{:.0f}, {:.0f} %".format(*(100 * share for share in found.within_1))
         tiles.append(
             (
                 inside,
-                "of their errors u, v within 1 sigma, after removing the common offset",
+                "of their errors u, v within 1 sigma, random and map, after removing the common offset",
                 f"68 % claimed: sigma is {found.claim}",
             )
         )
@@ -124,9 +136,11 @@ def pair_chapters(page: Page, evaluation: Evaluation) -> None:
 
 
 def scene_chapter(page: Page, scene: Scene) -> None:
-    """What stood before the camera."""
+    """What stood before the camera; nothing of frames of which a scale alone was told."""
+    if tells_a_scale_alone(scene):
+        return
     page.heading("Scene")
-    page.figure("scene", scene_figure(scene), CAPTION)
+    page.figure("scene", scene_figure(scene), CAPTION if scene.bodies else PLAIN_CAPTION)
     rows = [
         (s.name, ", ".join(f"{c:.4f}" for c in s.centre_mm), f"{s.radius_mm:.4f}",
          "opaque" if s.medium is None else ", ".join(
@@ -168,7 +182,8 @@ def _vector_figure(page: Page, evaluation: Evaluation) -> None:
         if evaluation.task.dt_s is not None:
             colour = colour * per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
             label = "speed [m/s]"
-        said = "Vectors, their length in colour; lines: outlines of the bodies on the plane."
+        said = "Vectors, their length in colour"
+        said += "." if is_plain(evaluation) else "; lines: outlines of the bodies on the plane."
     else:
         colour, label = (
             np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1),
@@ -201,8 +216,8 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
             limit = _limit(evaluation, error)
         page.figure(
             "uncertainty",
-            vector_figure(field, grid, scene, sigma, "estimated sigma [px]", limit),
-            "The vectors before the uncertainty that the evaluation itself estimates, without any truth.",
+            vector_figure(field, grid, scene, sigma, "random sigma [px]", limit),
+            "The vectors before their random uncertainty, as the correlation estimates it, without any truth.",
             dense=True,
         )
     if evaluation.task.dt_s is not None:
@@ -215,9 +230,10 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
             "Medians of what moved: u right, v down; x right, y up",
         )
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
+    use = "may be used" if is_plain(evaluation) else "are recovered"
     rule = (
         f"Windows of {evaluation.settings.windows_said}; {field.step_px} px apart. A window is masked if less "
-        "than 30 % of its pixels are recovered in both frames; replaced vectors are interpolated and count "
+        f"than 30 % of its pixels {use} in both frames; replaced vectors are interpolated and count "
         "nowhere as measured."
     )
     page.text(rule + (f" NaN pixels inside the mask, left out: {field.nan_pixels}." if field.nan_pixels else ""))
@@ -227,19 +243,24 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
     result = evaluation.shift
     assert result is not None
     page.heading("Errors against the known shift")
-    page.table(SHIFT_HEAD, shift_rows(result), "Errors of the vectors [px of the corrected frame], v down")
+    page.table(SHIFT_HEAD, shift_rows(evaluation), f"Errors of the vectors [{_px(evaluation)}], v down")
     scale = evaluation.grid.px_per_mm
     shift_mm = (result.shift_px[0] / scale, -result.shift_px[1] / scale)
     facts = [("known shift x, y", f"{shift_mm[0]:+.4f}, {shift_mm[1]:+.4f} mm")]
-    facts.append(("in corrected pixels", f"{np.hypot(*result.shift_px):.4f} px"))
+    facts.append(("in pixels", f"{np.hypot(*result.shift_px):.4f} px"))
     if evaluation.task.commanded_mm is not None:
         facts.insert(0, ("commanded x, y", "{:+.4f}, {:+.4f} mm".format(*evaluation.task.commanded_mm)))
     direct = result.regions.get("seen directly")
     if direct is not None:
         found = [(b + s) / scale for b, s in zip(direct.bias_px, result.shift_px, strict=True)]
-        facts.append(("found beside the glass", f"{found[0]:+.4f}, {-found[1]:+.4f} mm"))
+        where = "found" if is_plain(evaluation) else "found beside the glass"
+        facts.append((where, f"{found[0]:+.4f}, {-found[1]:+.4f} mm"))
     page.facts(facts)
-    page.table(BUDGET_HEAD, budget_rows(evaluation), "Budget of the comparison, behind the glass")
+    page.table(
+        BUDGET_HEAD,
+        budget_rows(evaluation),
+        f"Budget of the comparison{'' if is_plain(evaluation) else ', behind the glass'}",
+    )
     field = evaluation.field
     errors = shift_errors(field, result.shift_px)
     spread = {name: errors[where] for name, where in region_masks(evaluation).items()}
@@ -248,20 +269,28 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
         page.figure("radius", radius_figure(result.rings, {}), "Behind the glass, by radius on the plane.")
 
 
+def _px(evaluation: Evaluation) -> str:
+    """Whose pixels errors are told in."""
+    return "px" if is_plain(evaluation) else "px of the corrected frame"
+
+
 def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     page.heading("Uncertainty")
-    caption = "Root mean square of the standard uncertainty [px of the corrected frame]"
+    caption = f"Root mean square of the standard uncertainty [{_px(evaluation)}]"
     page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
     if claims := claim_rows(evaluation):
         caption = (
-            "How the errors keep to it, the common error of the stage taken off; sigma claims 68 % within 1 sigma "
-            "and 95 % within 2. As claimed: what chance does in 95 of 100 cases to errors of vectors whose "
-            "windows do not overlap, or within 10 %"
+            "How the errors keep to random and map sigma together, the common error of the stage taken off; sigma "
+            "claims 68 % within 1 sigma and 95 % within 2. As claimed: what chance does in 95 of 100 cases to "
+            "errors of vectors whose windows do not overlap, or within 10 %"
         )
         page.table(CLAIM_HEAD, claims, caption)
     caption = (
-        f"Share of a wave along one axis that windows of {evaluation.settings.windows_said} show, by the "
-        "linear theory of the passes: smaller windows show more and are noisier (--final-window)"
+        f"How much of a flow that changes over short distances is seen with windows of "
+        f"{evaluation.settings.windows_said}: the share of its amplitude that vectors show, for a velocity that "
+        "goes up and down along one axis like a wave, by the length of that wave; where it is far above the noise "
+        "and where it is below. By the linear theory of the passes; smaller windows show more and are noisier "
+        "(--final-window)"
     )
     page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
     if evaluation.slant is not None:
@@ -272,7 +301,11 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
             sigma = np.linalg.norm(evaluation.slant.sigma_px, axis=-1)
             slant_figure(page, evaluation.field, evaluation.grid, evaluation.task.scene, sigma, "px")
     if evaluation.map_sigma is None:
-        page.text(f"The uncertainty of the correction map is not known: {evaluation.no_map_sigma}.")
+        page.text(
+            f"{NO_SCALE_SIGMA}: {evaluation.no_map_sigma}."
+            if is_plain(evaluation)
+            else f"The uncertainty of the correction map is not known: {evaluation.no_map_sigma}."
+        )
         return
     page.text(
         "Random: from the correlation statistics of each vector. Map: the covariance of the scene fit, carried "

@@ -59,6 +59,7 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
 
 def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     """Write the page of a pair, with the figures on request also as files; it names what is there."""
+    from daq.runs.run_views import tells_a_scale_alone
     from rtpiv.analysis.report.page import Link, Page, behind_glass
     from rtpiv.analysis.report.pair import pair_chapters, pair_summary
 
@@ -70,5 +71,9 @@ def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     page.heading("Files")
     page.links([Link(name, name) for name in names if (out / name).is_file()])
     page.heading("Provenance")
-    page.facts([*about.items(), ("bodies", ", ".join(body.name for body in task.scene.bodies) or "none")])
+    bodies = ", ".join(body.name for body in task.scene.bodies)
+    known = {
+        name: value for name, value in about.items() if name != "scene_hash" or not tells_a_scale_alone(task.scene)
+    }
+    page.facts([*known.items(), *([("bodies", bodies)] if bodies else [])])
     page.write(out / "report.html")

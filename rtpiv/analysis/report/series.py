@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from daq.runs.acquired import full_scale
+from daq.runs.run_views import tells_a_scale_alone
 from piv.correlation.vector_field import VectorField
-from piv.preprocessing.preparation import CORRECTED, RAW, Preparation
+from piv.preprocessing import preparation
+from piv.preprocessing.preparation import RAW, Preparation
 from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.evaluation import correlated
 from rtpiv.analysis.pairs.pair_vectors import per_px
-from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
+from rtpiv.analysis.pictures.before_after import CORRECTED, PLAIN, BeforeAfter, before_after
 from rtpiv.analysis.pictures.rasters import embedded, grey
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, behind_glass, through_lead
@@ -109,13 +111,13 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
         pictures.append(("without background", a))
     if raw.shape != corrected.shape:
         pictures = []
-    pictures.append(("corrected", corrected))
+    pictures.append((CORRECTED if method.scene.bodies else PLAIN, corrected))
     for name in method.preparation.steps:
-        if name in CORRECTED:
+        if name in preparation.CORRECTED:
             corrected = Preparation((name,)).finished(corrected, corrector.recovered)
             pictures.append((name, corrected))
     layers = [(name, embedded(grey(picture, _limits(picture)))) for name, picture in pictures]
-    named = {**RAW, **CORRECTED}
+    named = {**RAW, **preparation.CORRECTED}
     steps = tuple((name, named[name]) for name in method.preparation.steps)
     mask = [layer for layer in seen.layers if layer[0] == "mask"]
     return Preview(pair.tag, pair.dt_s, replace(seen, layers=(*layers, *mask)), steps, field, corrector.map.grid)
@@ -151,7 +153,8 @@ def series_tiles(given: SeriesInput, books: Evaluated, shown: Preview | None) ->
         tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
     if shown is not None:
         counts, asked = shown.field.counts, int(shown.field.asked.sum())
-        tiles.append((f"{counts['valid']}", "valid vectors in one pair", f"of {asked} that the glass shows"))
+        of_them = f"of {asked} {'that the glass shows' if given.method.scene.bodies else 'windows'}"
+        tiles.append((f"{counts['valid']}", "valid vectors in one pair", of_them))
     return tiles
 
 
@@ -169,15 +172,15 @@ def series_chapters(page: Page, given: SeriesInput, books: Evaluated, shown: Pre
 def frames_chapter(page: Page, shown: Preview) -> None:
     """Frame A of a pair after every step."""
     page.heading("Frames, step by step")
-    said = f"Frame A of {shown.tag}. Drag to compare; the colours of the mask, and their share of the nodes:"
-    page.slider(shown.seen.layers, said)
-    page.swatches(mask_swatches(shown.seen.shares))
+    named = any(name == "mask" for name, _ in shown.seen.layers)
+    colours = "; the colours of the mask, and their share of the nodes:" if named else "."
+    page.slider(shown.seen.layers, f"Frame A of {shown.tag}. Drag to compare{colours}")
+    if named:
+        page.swatches(mask_swatches(shown.seen.shares))
     if shown.steps:
-        page.table(
-            ("step", "what it does"), shown.steps, "In this order; the background goes before the correction"
-        )
+        page.table(("step", "what it does"), shown.steps, "In this order; the background goes off first")
     else:
-        page.text("Nothing was done to the frames but the correction.")
+        page.text("Nothing else was done to the frames.")
     image_table(page, shown.seen)
 
 
@@ -195,7 +198,7 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
         figure = vector_figure(field, grid, given.method.scene, speed, f"{what} [{unit}]")
         page.figure("pair", figure, f"Pair {shown.tag}: vectors, their {what} in colour.", dense=True)
         if np.isfinite(sigma).any():
-            figure = vector_figure(field, grid, given.method.scene, sigma, f"estimated sigma [{unit}]")
+            figure = vector_figure(field, grid, given.method.scene, sigma, f"random sigma [{unit}]")
             page.figure("pair_sigma", figure, "The same before their own random uncertainty.", dense=True)
     facts = [] if shown.dt_s is None else [("time between the frames", f"{shown.dt_s * 1e6:.3f} us")]
     page.facts([*facts, ("1 px of displacement is", f"{scale:.6g} {unit}")])
@@ -216,7 +219,8 @@ def _left_out(page: Page, given: SeriesInput, books: Evaluated) -> None:
 
 def _provenance(page: Page, given: SeriesInput) -> None:
     page.heading("Provenance")
-    content = given.method.content
+    content, scene = given.method.content, given.method.scene
+    of_scene = [] if tells_a_scale_alone(scene) else [("scene", scene.content_hash())]
     settings = ", ".join(f"{name} {value}" for name, value in content["settings"].items())
-    page.facts([("run", given.run.resolve().name), ("scene", given.method.scene.content_hash()),
+    page.facts([("run", given.run.resolve().name), *of_scene,
                 ("correlation", settings), ("rtpiv", version("rtpiv"))])  # fmt: skip

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.regions import MIDDLE, Region, ShiftResult, shift_errors
+from correction.evaluate.regions import MIDDLE, Region, shift_errors
 from correction.evaluate.routes import Claim, Routes, claim_of, independent_share
 from correction.node_status import MEANING, NodeStatus
 from piv.correlation.response import response_of
@@ -31,6 +31,7 @@ from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.pictures.rasters import COLOURS, web
 
 GLASS, DIRECT = "behind glass", "seen directly"
+ALL = "all"  # where nothing stands before the camera
 REGIONS = {GLASS: Region.GLASS, DIRECT: Region.DIRECT}
 Pair = tuple[float, float]
 
@@ -51,6 +52,8 @@ class Total:
         What it is made of, in squares: none is larger than the total.
     is_error : bool
         True of an error against a known shift, False of an uncertainty.
+    is_plain : bool
+        Whether nothing stands before the camera, so that there are no regions.
     """
 
     region: str
@@ -58,6 +61,7 @@ class Total:
     total_px: Pair
     parts: tuple[tuple[str, Pair], ...]
     is_error: bool
+    is_plain: bool = False
 
     def nodes(self, evaluation: Evaluation) -> int:
         """Nodes of the region that are not masked: how many vectors could be measured there."""
@@ -77,7 +81,12 @@ class Total:
     def said(self) -> str:
         """What that is."""
         what = "scatter of the errors" if self.is_error else "total standard uncertainty"
-        return f"{what} u, v of the {self.count} vectors {self.region}"
+        return f"{what} u, v of the {self.count} vectors{self.where_said}"
+
+    @property
+    def where_said(self) -> str:
+        """Which vectors, behind the word; nothing where there are no regions."""
+        return "" if self.is_plain else f" {self.region}"
 
 
 @dataclass(frozen=True)
@@ -88,6 +97,16 @@ class Coverage:
     within_2: Pair
     ratio: Pair
     claim: Claim
+
+
+def is_plain(evaluation: Evaluation) -> bool:
+    """Whether nothing stands before the camera, so that nobody asks what is behind glass and what beside it."""
+    return not evaluation.task.scene.bodies
+
+
+def shown_region(name: str, evaluation: Evaluation) -> str:
+    """What a region is called; all is one where nothing stands before the camera."""
+    return ALL if is_plain(evaluation) else name
 
 
 def totals_of(evaluation: Evaluation) -> list[Total]:
@@ -106,7 +125,12 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
     if result is not None:
         found = result.regions[name]
         return Total(
-            name, count, found.total_px, (("bias", found.bias_px), ("scatter", found.std_px)), is_error=True
+            name,
+            count,
+            found.total_px,
+            (("bias", found.bias_px), ("scatter", found.std_px)),
+            True,
+            is_plain(evaluation),
         )
     parts = [("random sigma", _rms_uv(_random(field)[where]))]
     if field.resolution_px is not None:
@@ -118,7 +142,7 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
     total = parts[0][1]
     for _, part in parts[1:]:
         total = _hypot(total, part)
-    return Total(name, count, total, tuple(parts), is_error=False)
+    return Total(name, count, total, tuple(parts), False, is_plain(evaluation))
 
 
 def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | None:
@@ -173,8 +197,8 @@ def _hypot(one: Pair, other: Pair) -> Pair:
     return float(np.hypot(one[0], other[0])), float(np.hypot(one[1], other[1]))
 
 
-SHIFT_HEAD = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "estimated sigma u, v")
-RESPONSE_HEAD = ("wavelength in windows", "clear wave", "wave below the noise")
+SHIFT_HEAD = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "random sigma u, v")
+RESPONSE_HEAD = ("length of the wave, in windows", "far above the noise", "below the noise")
 SIGMA_HEAD = (
     "region",
     "vectors",
@@ -212,7 +236,7 @@ def moved_head(evaluation: Evaluation) -> Row:
         "vectors",
         "displacement u, v [px]",
         f"{'displacement' if evaluation.task.dt_s is None else 'velocity'} x, y [{unit}]",
-        f"its median sigma [{unit}]",
+        f"its total sigma, median [{unit}]",
     )
 
 
@@ -229,15 +253,19 @@ def moved_rows(evaluation: Evaluation) -> list[Row]:
         u, v = float(np.median(field.u_px[where])), float(np.median(field.v_px[where]))
         on_plane = ", ".join(f"{part * scale:+z.4f}" for part in (u, -v))
         unsure = ", ".join(f"{part * scale:.2g}" for part in np.median(sigma[where], axis=0))
-        rows.append((total.region, str(total.count), f"{u:+z.3f}, {v:+z.3f}", on_plane, unsure))
+        rows.append(
+            (shown_region(total.region, evaluation), str(total.count), f"{u:+z.3f}, {v:+z.3f}", on_plane, unsure)
+        )
     return rows
 
 
-def shift_rows(result: ShiftResult) -> list[Row]:
+def shift_rows(evaluation: Evaluation) -> list[Row]:
     """Rows under SHIFT_HEAD."""
+    result = evaluation.shift
+    assert result is not None
     return [
         (
-            name,
+            shown_region(name, evaluation),
             str(found.count),
             *(_pair(found.total_px), _signed(found.bias_px), _pair(found.std_px), _pair(found.sigma_px)),
         )
@@ -252,7 +280,11 @@ def sigma_rows(evaluation: Evaluation) -> list[Row]:
     nothing = np.full_like(random, np.nan)
     place, moved = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
     return [
-        (name, str(int(where.sum())), *(_rms_pair(sigma[where]) for sigma in (random, unresolved, moved, place)))
+        (
+            shown_region(name, evaluation),
+            str(int(where.sum())),
+            *(_rms_pair(sigma[where]) for sigma in (random, unresolved, moved, place)),
+        )
         for name, where in region_masks(evaluation).items()
     ]
 
@@ -272,7 +304,7 @@ def claim_rows(evaluation: Evaluation) -> list[Row]:
         if found is not None:
             inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
             ratio = "{:.2f}, {:.2f}".format(*found.ratio)
-            rows.append((name, str(int(where.sum())), *inside, ratio, found.claim))
+            rows.append((shown_region(name, evaluation), str(int(where.sum())), *inside, ratio, found.claim))
     return rows
 
 

@@ -77,7 +77,7 @@ def test_bad_files_are_named_in_one_sentence(tmp_path, frame, name, words):
 def test_a_frame_of_the_wrong_size_is_named(tmp_path, frame):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, frame)
-    with pytest.raises(FrameError, match="50 x 40 px, the scene's camera 60 x 40"):
+    with pytest.raises(FrameError, match="50 x 40 px, and 60 x 40 px are expected"):
         read_frame(path, (40, 60))
 
 

@@ -145,5 +145,5 @@ def test_pgms_that_cannot_be_read_are_one_sentence(tmp_path):
             read_frame(tmp_path / "a.pgm")
         assert "\n" not in str(caught.value)
     (tmp_path / "a.pgm").write_bytes(b"P5 50 40 255\n" + pixels)
-    with pytest.raises(FrameError, match="is 50 x 40 px, the scene's camera 10 x 20 px"):
+    with pytest.raises(FrameError, match="is 50 x 40 px, and 10 x 20 px are expected"):
         read_frame(tmp_path / "a.pgm", (20, 10))

@@ -53,8 +53,8 @@ def spoiled(frames, kind):
 
 
 SENTENCES = {
-    "sizes": "b.tif: is 224 x 222 px, the scene's camera 224 x 224 px",
-    "smaller than the scene": "a.tif: is 100 x 100 px, the scene's camera 224 x 224 px",
+    "sizes": "b.tif: is 224 x 222 px, and 224 x 224 px are expected",
+    "smaller than the scene": "a.tif: is 100 x 100 px, and 224 x 224 px are expected",
     "whole numbers": "a.tif: holds int32; uint8, uint16 or float32 is needed",
     "constant": "frame B is constant",
     "stack": "a.tif: holds 2 pages; say which",

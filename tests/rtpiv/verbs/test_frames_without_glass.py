@@ -1,5 +1,8 @@
 """Frames without glass and without a scene: what a pixel shows is told, and vectors are in m/s."""
 
+import html
+import re
+
 import numpy as np
 import pytest
 import tifffile
@@ -48,7 +51,7 @@ def test_two_frames_are_evaluated_in_metres_a_second(day, tmp_path, capsys):
     assert main(["evaluate", *frames, *TOLD, "-o", str(tmp_path / "out"), "--no-pictures"]) == DONE
     assert right(tmp_path / "out")
     said = " ".join(capsys.readouterr().out.split())
-    assert "a pixel shows 0.04 mm of it, an error of which is in no sigma" in said
+    assert "A pixel was taken to show 0.04 mm, an error of which is in no sigma" in said
     assert "rtpiv calibrate" not in said
 
 
@@ -106,3 +109,42 @@ def test_two_at_once_do_not_mix_their_files(day, tmp_path, verb, capsys):
         assert main([verb, *given, *TOLD, "-o", str(out)]) == USAGE
     assert "another process puts results there; let it finish" in " ".join(capsys.readouterr().err.split())
     assert not list(out.iterdir())
+
+
+WORDS_OF_GLASS = (
+    r"\b(glass|scene|camera'?s?|ball|sphere|bod(y|ies)|rim|seen directly|recovered|correction|corrected)\b"
+)
+BY_NAME = r"nothing of the camera|How steeply the camera looks at it"  # what is told instead of them
+
+
+def words_of(page):
+    """What a person reads on a page."""
+    text = re.sub(r"(?s)<style.*?</style>|<[^>]*>", " ", page.read_text())
+    return re.sub(BY_NAME, "", html.unescape(" ".join(text.split())))
+
+
+@pytest.mark.draws
+def test_pages_of_frames_without_glass_do_not_speak_of_it(day, tmp_path, capsys):
+    frames = [str(day / f"im{n:04d}.tif") for n in (0, 1)]
+    told = [*TOLD[:4], "--final-window", "16", "--workers", "1"]
+    assert main(["evaluate", *frames, *told, "-o", str(tmp_path / "one")]) == DONE
+    known = ["--mm-per-px", str(MM), "--shift-mm", str(SHIFT[0] * MM), str(-SHIFT[1] * MM)]
+    assert main(["evaluate", *frames, *known, "-o", str(tmp_path / "known")]) == DONE
+    assert main(["evaluate", str(day), *told, "-o", str(tmp_path / "many")]) == DONE
+    assert main(["mean", str(tmp_path / "many")]) == DONE
+    pages = [
+        *(tmp_path / name / "report.html" for name in ("one", "known", "many")),
+        tmp_path / "many" / "mean.html",
+    ]
+    for said in [*map(words_of, pages), re.sub(BY_NAME, "", " ".join(capsys.readouterr().out.split()))]:
+        found = re.search(f".{{0,60}}{WORDS_OF_GLASS}.{{0,60}}", said)
+        assert found is None, found[0]
+
+
+def test_a_frame_of_another_size_is_told_without_a_scene(day, tmp_path, capsys):
+    tifffile.imwrite(tmp_path / "other.tif", np.zeros((80, 140), np.uint8))
+    words = ["evaluate", str(day / "im0000.tif"), str(tmp_path / "other.tif"), *TOLD, "-o", str(tmp_path / "out")]
+    assert main(words) == USAGE
+    said = " ".join(capsys.readouterr().err.split())
+    assert "is 140 x 80 px, and 140 x 96 px are expected" in said
+    assert "scene" not in said

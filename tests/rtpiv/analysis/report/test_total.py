@@ -37,7 +37,8 @@ def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=Tru
     if moved is not None:
         joined = SimpleNamespace(displacement_px=np.full((*field.flags.shape, 2), moved))
     slant = None if slanted is None else SimpleNamespace(sigma_px=np.full((*field.flags.shape, 2), slanted))
-    return SimpleNamespace(field=field, regions=regions, shift=shift, map_sigma=joined, slant=slant)
+    task = SimpleNamespace(scene=SimpleNamespace(bodies=("ball",)))
+    return SimpleNamespace(task=task, field=field, regions=regions, shift=shift, map_sigma=joined, slant=slant)
 
 
 def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
@@ -138,7 +139,7 @@ def test_without_a_known_shift_what_moved_is_said_beside_and_behind_the_glass(dt
     made = evaluation(known=False, sigma=0.03)
     made.field = replace(made.field, resolution_px=np.full(made.field.flags.shape, 0.04))
     made.field.sigma_u_px[::5, ::5] = 9.0  # a few vectors that noise has taken are not what is usual
-    made.grid, made.task = SimpleNamespace(pitch_mm=0.5), SimpleNamespace(dt_s=dt_s)
+    made.grid, made.task.dt_s = SimpleNamespace(pitch_mm=0.5), dt_s
     rows = moved_rows(made)
     assert f"[{unit}]" in moved_head(made)[-1]
     assert [row[:2] for row in rows] == [("behind glass", "400"), ("seen directly", "1121")]

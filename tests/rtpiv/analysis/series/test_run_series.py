@@ -374,7 +374,7 @@ def test_frames_of_another_size_cost_their_own_pair(tmp_path):
     run = flow_run(tmp_path, 4, spoiled={2: lambda a, b: (a[:-8], b)})
     books = run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum")), 1)
     assert list(books.failed) == [given_of(run).pairs[2].tag]
-    assert "is 96 x 88 px, the scene's camera 96 x 96 px" in next(iter(books.failed.values()))
+    assert "is 96 x 88 px, and 96 x 96 px are expected" in next(iter(books.failed.values()))
 
 
 def test_pairs_of_different_exposure_are_refused_by_name(tmp_path):
