@@ -192,7 +192,7 @@ def time_said(bench: Bench, steps: Sequence[Step], said: Forecast, simulate: boo
     hardware = in_words(said.duration_s)
     if not simulate or bench.table.simulation is None or not (drawn_s := simulated_s(bench, steps)):
         return hardware
-    return f"{hardware} on hardware, {in_words(sum(drawn_s))} simulated"
+    return f"{hardware} on hardware, {in_words(sum(drawn_s))} simulated on an idle computer"
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from ground.plain_words import counted, in_words
 from ground.terminal import drawn_anew
 
 TRUST, LEAST_TRUST_S = 0.03, 1.0  # share of the expected time that has to be measured to weigh as much as it
+LEAP = 4.0  # times what it should take is the most that a single frame may slow the others down by
 
 
 @dataclass
@@ -80,7 +81,10 @@ class Progress:
         """Count frames of a step that have been taken; a negative number is to be taken again."""
         now_s, expected_s = time.monotonic(), frames * self._frame_s.get(step, 0.0)
         if self._last_s is not None:  # the first one waits for homing and compiling, which come once
-            self._measured_s += now_s - self._last_s
+            took_s = now_s - self._last_s
+            if expected_s > 0.0:  # one that waited for a motor or a compiler is no measure of the others
+                took_s = min(took_s, LEAP * self._pace * expected_s)
+            self._measured_s += took_s
             self._paced_s += max(0.0, expected_s)
         self._last_s = now_s
         self._ahead_s -= expected_s
@@ -104,8 +108,12 @@ class Progress:
         """
         if not self.frames or self.planned <= self.frames:
             return ""
-        pace = (self._measured_s + self._trust_s) / (self._paced_s + self._trust_s)
-        return f"about {in_words(pace * max(0.0, self._ahead_s))} left"
+        return f"about {in_words(self._pace * max(0.0, self._ahead_s))} left"
+
+    @property
+    def _pace(self) -> float:
+        """Seconds here for each that was expected."""
+        return (self._measured_s + self._trust_s) / (self._paced_s + self._trust_s)
 
 
 Watcher = Callable[[Progress], None]

@@ -167,8 +167,10 @@ def acquire(
     require_folder(out).mkdir(parents=True, exist_ok=True)
     check_disk(out, said.raw_bytes + (said.corrected_bytes if frames.correct else 0))
     folder = begin(request, loaded, steps, out)
-    screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
-    screen.print(ENDS_IN_LIGHT if any(step.pulses is not None for step in steps.steps) else ENDS)
+    is_lit = any(step.pulses is not None for step in steps.steps)
+    hangs = "" if is_lit else f"; the target's stage should hold: {steps.table.shows}"
+    screen.print(f"run {folder.path}{hangs}")
+    screen.print(ENDS_IN_LIGHT if is_lit else ENDS)
     run_and_report(screen, Run(request, rehearsed, steps, folder), home, person, live=frames.live)
     return folder.path
 
@@ -304,11 +306,12 @@ def print_forecast(
 def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:
     """Say what a finished run has brought."""
     books, entries = done["conservation"], folder.entries()
+    chunks = chunk_sentences(entries)
     screen.print(
         f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
-        f"+ {books['rejected']} rejected + {books['lost']} lost"
+        f"+ {books['rejected']} {'dark or surplus' if chunks else 'rejected'} + {books['lost']} lost"
     )
-    for sentence in filter(None, (rejected_sentence(entries), *chunk_sentences(entries))):
+    for sentence in filter(None, (rejected_sentence(entries), *chunks)):
         screen.print(sentence, soft_wrap=True, highlight=False)
     for step in done.get("gaps", ()):
         frames = sum(planned["frames"] for planned in folder.about["steps"] if planned["index"] == step["step"])

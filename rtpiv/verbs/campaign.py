@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal, Unpack
 
 from daq.errors import RunUsageError, Unfinished
+from daq.runs.names import is_run
 from ground.plain_words import counted
 from ground.rows import thread_count
 from ground.terminal import console
@@ -122,7 +123,12 @@ def campaign(
     folder, screen = CampaignFolder(Path(out)), console()
     asked = settings != AS_EACH_RUN or any(value is not None for value in options.values())
     if runs and action not in ("plan", "run"):
-        raise RunUsageError(f"{action} takes no runs; {folder.path} knows its own")
+        raise RunUsageError(f"{action} takes no runs, as the campaign knows its own; its folder is said with -o")
+    for path in paths_of(runs):
+        if not is_run(path):
+            raise RunUsageError(
+                "is no run", place=path, cure=f"name runs; a campaign's own folder is said with -o {path}"
+            )
     if not runs and asked:
         raise RunUsageError("scenes and settings belong to runs; name the runs as well")
     if not runs and action == "plan":

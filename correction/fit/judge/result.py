@@ -48,7 +48,8 @@ class FitStep:
         """Return one line."""
         if not self.corners:
             return self.name
-        return f"{self.name}: {self.corners} corners, rms {self.rms_px:.3f} px, {self.remark}"
+        said = f"{self.name}: {self.corners} corners, rms {self.rms_px:.3f} px"
+        return f"{said}, {self.remark}" if self.remark else said
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from correction.maps.corrector import Corrector
 from correction.node_status import NodeStatus
+from daq.runs.run_views import tells_a_scale_alone
 from piv.preprocessing.image_figures import ImageFigures, image_figures
 from rtpiv.analysis.pictures.rasters import covered, embedded, grey, mask_picture, tinted
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
@@ -24,7 +25,7 @@ class BeforeAfter:
     ----------
     layers : tuple of (str, str)
         Name and data address of pictures that lie over each other: acquired (if of the same size), corrected,
-        mask. Where nothing stands before the camera what is evaluated, and a mask only where something is masked.
+        mask. Of frames of which a scale alone is known what is evaluated, and a mask only where some is.
     shares : dict
         Status -> share of the nodes, 0 to 1, of those that occur.
     full_scale : float
@@ -53,14 +54,15 @@ def before_after(
     """Look at a frame (H, W) as acquired, with its full scale, and (h, w) as corrected, NaN where nothing is."""
     limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
     shown = tinted(grey(corrected, limits), covered(corrector.status))
-    layers = [(CORRECTED if scene.bodies else PLAIN, embedded(shown))]
-    if scene.bodies or (corrector.status != NodeStatus.RECOVERED).any():
+    name = PLAIN if tells_a_scale_alone(scene) else CORRECTED
+    layers = [(name, embedded(shown))]
+    if name == CORRECTED or (corrector.status != NodeStatus.RECOVERED).any():
         layers.append(("mask", embedded(mask_picture(corrector.status))))
     if frame.shape == corrected.shape:
         layers.insert(0, ("acquired", embedded(grey(frame, limits))))
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
-    named = {"acquired": (frame, None), CORRECTED if scene.bodies else PLAIN: (corrected, corrector.recovered)}
+    named = {"acquired": (frame, None), name: (corrected, corrector.recovered)}
     figures = {name: image_figures(image, full_scale, which) for name, (image, which) in named.items()}
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
     return BeforeAfter(tuple(layers), shares, full_scale, figures, through)

@@ -9,7 +9,7 @@ from daq.runs.run_views import tells_a_scale_alone, where_lit
 from piv.correlation.vector_field import VectorField
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import per_px
-from rtpiv.analysis.pictures.before_after import BeforeAfter
+from rtpiv.analysis.pictures.before_after import CORRECTED, PLAIN, BeforeAfter
 from rtpiv.analysis.pictures.drawing import CAPTION, scene_figure
 from rtpiv.analysis.pictures.traced import CAPTION as BLUR_CAPTION
 from rtpiv.analysis.pictures.traced import blur_figure, blur_of
@@ -53,7 +53,6 @@ from rtpiv.analysis.report.tables import (
 from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
 
-AS_USED = {True: "corrected", False: "evaluated"}
 NO_SCALE_SIGMA = "What the scale of the picture is off by is in no sigma"
 PLAIN_CAPTION = "To scale; thick line: the plane."
 
@@ -73,9 +72,10 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
             page.text(said)
         page.tiles(_region_tiles(evaluation, totals[0]))
     with page.row():
-        page.slider(seen.layers, f"Frame A, as acquired and {AS_USED[not is_plain(evaluation)]}. Drag to compare.")
+        used = PLAIN if PLAIN in seen.figures else CORRECTED
+        page.slider(seen.layers, f"Frame A, as acquired and {used}. Drag to compare.")
         _vector_figure(page, evaluation)
-    if not is_plain(evaluation) or len(seen.shares) > 1:
+    if any(name == "mask" for name, _ in seen.layers):
         page.swatches(mask_swatches(seen.shares))
 
 

@@ -50,14 +50,17 @@ def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
 def books_chapter(page: Page, folder: RunFolder) -> None:
     """What became of every frame."""
     page.heading("Every frame accounted for")
-    for sentence in chunk_sentences(folder.entries()):
+    chunks = chunk_sentences(folder.entries())
+    for sentence in chunks:
         page.text(f"{sentence[:1].upper()}{sentence[1:]}.")
     done = read_done(folder)
     if done is None:
         page.text("The run is not finished: resume it, or what follows is a part of the plan.")
         return
     books = FrameAccounting.from_dict(done["conservation"])
-    page.text(books.sentence() + ("." if books.imbalance == 0 else f", out by {books.imbalance}."))
+    said = books.sentence()
+    said = said.replace("rejected", "dark or surplus") if chunks else said
+    page.text(said + ("." if books.imbalance == 0 else f", out by {books.imbalance}."))
     if said := rejected_sentence(folder.entries()):
         page.text(f"{said[:1].upper()}{said[1:]}.")
     counts = [(name, str(count)) for name, count in books.to_dict().items()]

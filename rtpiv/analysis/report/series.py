@@ -111,7 +111,7 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
         pictures.append(("without background", a))
     if raw.shape != corrected.shape:
         pictures = []
-    pictures.append((CORRECTED if method.scene.bodies else PLAIN, corrected))
+    pictures.append((PLAIN if tells_a_scale_alone(method.scene) else CORRECTED, corrected))
     for name in method.preparation.steps:
         if name in preparation.CORRECTED:
             corrected = Preparation((name,)).finished(corrected, corrector.recovered)

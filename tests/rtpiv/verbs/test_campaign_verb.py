@@ -155,6 +155,7 @@ def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
         (("plan", "RUN", "RUN"), "named twice"),
         (("plan", "RUN", "--dewarp-order", "3"), "give both"),
         (("plan", "nowhere"), "nowhere"),
+        (("plan", "week", "RUN"), "own folder is said with -o week"),
         (("plan", "RUN", "--scene", "nowhere.yaml"), "nowhere.yaml"),
     ],
 )
