@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from correction.errors import SheetError
 from correction.light_sheet.double_views import ACROSS, UNIT, DoubleViews, some_of_each
 from correction.light_sheet.kernels.lagged import add_products
 from correction.light_sheet.layers import SIZES, Match, Model, layers
@@ -53,8 +54,8 @@ class Light:
     scale: NDArray[np.float32]
 
     @classmethod
-    def of(cls, pairs: Pairs) -> tuple["Light", int]:
-        """Gather it; also how many pairs there are."""
+    def of(cls, pairs: Pairs, fewest: int, question: str) -> tuple["Light", int]:
+        """Gather it; also how many pairs there are; SheetError if they are too few to answer the question."""
         total: list[NDArray[np.float64]] = []
         count = 0
         for pair in pairs():
@@ -65,8 +66,10 @@ class Light:
                 total[pulse] += frame
                 total[2 + pulse] += frame * frame
             count += 1
-        mean = np.array(total[:2]) / max(count, 1)
-        variance = np.maximum(np.array(total[2:]) / max(count, 1) - mean**2, 0.0)
+        if count < fewest:
+            raise SheetError(f"{count} pairs of frames do not tell {question}; give {fewest} or more, best 50")
+        mean = np.array(total[:2]) / count
+        variance = np.maximum(np.array(total[2:]) / count - mean**2, 0.0)
         evened = np.array([scipy.ndimage.uniform_filter(each, EVENED_PX) for each in variance])
         scale = 1.0 / np.sqrt(np.maximum(evened, 1e-3 * max(float(evened.mean()), 1e-12)))
         return cls(np.asarray(mean, np.float32), np.asarray(scale, np.float32)), count

@@ -30,7 +30,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.errors import SheetError
 from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import BLOCKS, Disparities, Light, Pairs, disparities
 from correction.light_sheet.double_views import AROUND, DoubleViews, double_views, some_of_each
@@ -225,9 +224,7 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
         The sheet runs through a body.
     """
     known = scene.lit
-    light, count = Light.of(pairs)
-    if count < BLOCKS:
-        raise SheetError(f"{count} pairs of frames do not tell where the sheet is; give {BLOCKS} or more, best 50")
+    light, count = Light.of(pairs, BLOCKS, "where the sheet is")
     now, cells, fit, rounds = known, None, None, 0
     for rounds in range(1, ROUNDS + 1):
         # Views are traced anew for the sheet as it is known by now.

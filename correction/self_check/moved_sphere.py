@@ -26,7 +26,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.errors import SheetError
 from correction.light_sheet.disparities import Light
 from correction.self_check.seen_twice import Finder, SeenTwice, joined
 from tracer.light_sheet import LightSheet
@@ -138,11 +137,7 @@ def check_spheres(scene: Scene, pairs: Pairs) -> SelfCheck:
         There are too few pairs.
     """
     finder = Finder(scene.in_light_sheet())
-    light, count = Light.of(pairs)
-    if count < FEWEST_PAIRS:
-        raise SheetError(
-            f"{count} pairs of frames do not tell whether a sphere has moved; give {FEWEST_PAIRS} or more"
-        )
+    light, count = Light.of(pairs, FEWEST_PAIRS, "whether a sphere has moved")
     found = [
         finder.find(frame - light.mean[pulse], number)
         for number, pair in enumerate(pairs())

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, fields
+from multiprocessing import get_context
 from pathlib import Path
 from unittest import mock
 
@@ -99,7 +100,7 @@ def found(number: int, z_mm: float, *tilts_deg: float) -> Row:
 def found_sheets(count: int, workers: int, out: Path | None = None) -> list[Row]:
     """So many sheets, written as they are found."""
     rows: list[Row] = []
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), max_tasks_per_child=1) as pool:
         waiting = [pool.submit(found, number, *sheet) for number, sheet in enumerate(drawn_sheets(count))]
         for done in as_completed(waiting):
             rows.append(done.result())

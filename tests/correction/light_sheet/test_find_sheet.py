@@ -128,7 +128,8 @@ def test_frames_without_particles_tell_nothing(three):
     assert found.sheet == LightSheet()
 
 
-def test_few_pairs_are_refused(three):
+@pytest.mark.parametrize("count", [0, 4])
+def test_few_pairs_are_refused(three, count):
     scene, pairs = three
-    with pytest.raises(SheetError, match="give 10 or more"):
-        find_sheet(scene, lambda: iter(list(pairs())[:4]))
+    with pytest.raises(SheetError, match=f"{count} pairs of frames .* give 10 or more"):
+        find_sheet(scene, lambda: iter(list(pairs())[:count]))
