@@ -140,7 +140,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     return EnsembleField(
         grid,
         kept(mean),
-        kept(covariance - own_covariance + _of_fields(sums, window_px, back, fluid)),
+        kept(covariance - own_covariance + _of_fields(sums, window_px, back, covariance, fluid)),
         kept(sigma),
         kept(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
         kept(volume),
@@ -260,28 +260,48 @@ def _parameter_covariance(sums: EnsembleSums, window_px: int, back: Floats) -> F
     return result
 
 
-def _of_fields(sums: EnsembleSums, window_px: int, back: Floats, fluid: NDArray[np.bool_]) -> Floats:
+def _of_fields(
+    sums: EnsembleSums, window_px: int, back: Floats, covariance: Floats, fluid: NDArray[np.bool_]
+) -> Floats:
     """Stresses (ny, nx, 3) of the fields that have deformed the frames, and of them with what was left."""
     total, n = sums.cells, sums.pairs
     d, q = total["fields"], total["templates"]
-    mixed = total["mixed"].reshape(2, TEMPLATES, *d.shape[1:]) - d[:, None] * q[None] / n
-    left = n / (n - 1) * np.einsum("...km,am...->...ak", back[..., 1:3, :], windows_of(mixed * fluid, window_px))
+    mixed = total["mixed"].reshape(2, len(q), *d.shape[1:]) - d[:, None] * q[None] / n
+    turned = windows_of(_derivatives(mixed, sums.sweep.variance_px2) * fluid, window_px)
+    change = np.einsum("...km,m...->...k", back[..., 3:6, :], turned)  # of the peak's P = C^-1
+    left = -n / (n - 1) * np.einsum("...km,...m->...k", _turn(covariance), change)
     cells = np.maximum(windows_of(fluid.astype(np.float64), window_px), 1.0)
     stresses = []
     for number, (a, b) in enumerate(PRODUCTS_OF_FIELDS):  # field a with what is left of b
         own = (total["field_products"][number] - d[a] * d[b] / n) / (n - 1)
-        stresses.append(windows_of(own * fluid, window_px) / cells + left[..., a, b] + left[..., b, a])
-    return np.stack(stresses, axis=-1)
+        stresses.append(windows_of(own * fluid, window_px) / cells)
+    return np.asarray(np.stack(stresses, axis=-1) + left)
+
+
+def _derivatives(mixed: Floats, variance: Singles) -> Floats:
+    """Sums (TEMPLATES, ny, nx) of M_u and M_v times the derivatives of templates by u and by v, added.
+
+    `mixed` (2, TEMPLATES + CUBIC, ny, nx) are those times the templates, whose Gaussians have a variance (ny, nx).
+    """
+    (u, v), per = mixed, 1.0 / variance.astype(np.float64)
+    by_u = (-u[1] * per, u[0] - u[3] * per, -u[5] * per, 2.0 * u[1] - u[7] * per, -u[9] * per, u[2] - u[8] * per)
+    by_v = (-v[2] * per, -v[5] * per, v[0] - v[4] * per, -v[8] * per, 2.0 * v[2] - v[10] * per, v[1] - v[9] * per)
+    return np.stack([*(one + other for one, other in zip(by_u, by_v, strict=True)), 0.0 * u[0]])
 
 
 def _stress_sigma(covariance: Floats, inverse_spread: Floats) -> Floats:
-    """Sigma (ny, nx, 3) of a covariance C from that of P = C^-1 (ny, nx, 3, 3): dC = -C dP C."""
-    uu, vv, uv = covariance[..., 0], covariance[..., 1], covariance[..., 2]
-    rows = [[uu**2, uv**2, 2 * uu * uv], [uv**2, vv**2, 2 * vv * uv], [uu * uv, vv * uv, uu * vv + uv**2]]
-    turn = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    """Sigma (ny, nx, 3) of a covariance C from that of P = C^-1 (ny, nx, 3, 3)."""
+    turn = _turn(covariance)
     variance = np.einsum("...kl,...lm,...km->...k", turn, inverse_spread, turn)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(variance), np.float64)
+
+
+def _turn(covariance: Floats) -> Floats:
+    """Matrices (ny, nx, 3, 3) by which -dP becomes dC: dC = -C dP C, of uu, vv and uv."""
+    uu, vv, uv = covariance[..., 0], covariance[..., 1], covariance[..., 2]
+    rows = [[uu**2, uv**2, 2 * uu * uv], [uv**2, vv**2, 2 * vv * uv], [uu * uv, vv * uv, uu * vv + uv**2]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def solid_cells(sums: EnsembleSums, planes: Planes) -> NDArray[np.bool_]:

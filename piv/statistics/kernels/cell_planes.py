@@ -10,6 +10,7 @@ from ground.jit import Array, kernel
 from piv.correlation.kernels.lags import add_product
 
 TEMPLATES = 7  # 1, x, y, x x, y y, x y, each with a Gaussian, and 1 without
+CUBIC = 4  # and x x x, x x y, x y y, y y y with it, for derivatives of these
 
 
 @kernel
@@ -47,16 +48,16 @@ def cell_products(
 
 @kernel
 def template_sums(plane: Array, lags: Array, variance: Array, weight: Array, out: Array) -> None:
-    """Sums of a plane times the templates of TEMPLATES.
+    """Sums of a plane times the templates of TEMPLATES and of CUBIC.
 
     plane (L, nx) float32; lags (L, 2) int; variance (nx,) float32 of the Gaussians [px^2]; weight (reach + 1, nx)
-    float32 is scratch; out (TEMPLATES, nx) float32.
+    float32 is scratch; out (TEMPLATES + CUBIC, nx) float32.
     """
     half, zero = np.float32(0.5), np.float32(0.0)
     for k in range(weight.shape[0]):
         for i in range(variance.size):
             weight[k, i] = np.exp(-half * np.float32(k * k) / variance[i])
-    for k in range(TEMPLATES):
+    for k in range(TEMPLATES + CUBIC):
         for i in range(variance.size):
             out[k, i] = zero
     for n in range(lags.shape[0]):
@@ -73,3 +74,7 @@ def template_sums(plane: Array, lags: Array, variance: Array, weight: Array, out
             out[4, i] += y * y * g
             out[5, i] += x * y * g
             out[6, i] += value
+            out[7, i] += x * x * x * g
+            out[8, i] += x * x * y * g
+            out[9, i] += x * y * y * g
+            out[10, i] += y * y * y * g

@@ -322,6 +322,44 @@ def test_fields_of_pairs_lead_to_the_same_stresses_with_less_noise():
     assert np.nanstd(two.stress_px2[..., 0]) < 0.6 * np.nanstd(one.stress_px2[..., 0])
 
 
+def test_fields_that_follow_the_noise_of_their_pairs_add_nothing_to_stresses():
+    """Fields that take all of their pairs' noise: twice the variance of vectors was left in a steady flow."""
+    shape, rng = (128, 128), np.random.default_rng(8)
+    off = rng.normal(size=(PAIRS, 2)) * 0.05
+    pairs = [
+        frames(
+            lambda u, v, k=k: (1.5 + off[k, 0] + 0 * u, off[k, 1] + 0 * v),
+            k,
+            shape,
+            ppp=0.03,
+            loss=0.3,
+            noise=25.0,
+        )
+        for k in range(PAIRS)
+    ]
+    grid = window_grid(shape, 32, 0.5)
+    mean, stress = (
+        np.broadcast_to([1.5, 0.0], (*grid.shape, 2)),
+        np.broadcast_to([1.0, 1.0, 0.0], (*grid.shape, 3)),
+    )
+    sweep = sweep_with(shape, mean, stress, grid, prepared(*pairs[0], None, 32).spread_px2)
+    steady, driven, noise = EnsembleSums(sweep), EnsembleSums(sweep), []
+    for k, (a, b) in enumerate(pairs):
+        found = evaluate_pair(a, b, None, PivSettings(denoise=0.0), threads=1)
+        vectors = np.stack((found.u_px, found.v_px), axis=-1)
+        noise.append((vectors - [1.5 + off[k, 0], off[k, 1]])[found.valid])
+        steady.add(a, b)
+        sigma = np.full((*grid.shape, 2), 1e-3)  # nothing is taken off the noise
+        driven.add(
+            a, b, field_px=sweep.of_pair(np.where(found.valid[..., None], vectors, 0.0), sigma, found.valid, grid)
+        )
+    left = np.mean(np.square(np.concatenate(noise)))
+    assert left > 0.02  # there is something to follow
+    for side in (16, 32):
+        one, two = (np.nanmean(ensemble_field(sums, side).stress_px2, axis=(0, 1)) for sums in (steady, driven))
+        assert np.abs(two - one).max() < 0.6 * left, (side, one, two, left)
+
+
 def test_what_a_field_takes_from_its_pair_within_a_window_is_put_back():
     """Fields of pairs that show half of a wave of 40 px: 0.4 of its stress was lost in windows of 32 px."""
     rng = np.random.default_rng(6)
