@@ -86,7 +86,8 @@ def map_sigma_figure(sigma: MapSigma, scene: Scene) -> Figure:
         interpolation="nearest",
     )  # fmt: skip
     bar = colour_bar(shown, axes, "sigma [corrected px]")
-    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    within = MaxNLocator(3, steps=[1, 2, 5, 10])  # of less than a decade a logarithmic one finds a dozen
+    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 5.0 * low else within)
     bar.ax.yaxis.set_major_formatter("{x:g}")
     bar.ax.yaxis.set_minor_formatter("")
     draw_outlines(axes, scene)

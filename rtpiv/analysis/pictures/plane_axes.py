@@ -3,6 +3,7 @@
 All who draw take `Figure` from here; nothing else waits for matplotlib.
 """
 
+import textwrap
 from collections.abc import Iterable
 
 import matplotlib
@@ -12,6 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure as Figure
+from matplotlib.ticker import AutoLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from rtpiv.analysis.pictures.saved import short
@@ -24,16 +26,36 @@ matplotlib.rcParams["text.parse_math"] = False  # a $ in the name of a file or b
 INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
 MOST_NAMES = 12
 ROUND_STEPS = 72
+LETTER_IN, LEAST_LETTERS = 0.085, 12  # of a label of 10 points; what a line holds at least
+TICK_IN = 0.28  # apart, so that numbers do not touch
+BEYOND_IN = 0.4  # that a label may be taller than its bar
 
 Floats = NDArray[np.float64]
 
 
 def colour_bar(shown: ScalarMappable, axes: Axes, label: str, extend: str = "neither") -> Colorbar:
-    """Add a colour bar exactly as tall as the axes are, whatever their aspect."""
+    """Add a colour bar exactly as tall as the axes are, its label in lines that are no longer than it is tall."""
     beside = axes.inset_axes((1.03, 0.0, 0.045, 1.0))
-    bar = axes.figure.colorbar(shown, cax=beside, label=label, extend=extend)
+    bar = axes.figure.colorbar(shown, cax=beside, extend=extend)
+    tall_in = _height_in(axes)
+    lines = textwrap.wrap(label, max(LEAST_LETTERS, int((tall_in + BEYOND_IN) / LETTER_IN)))
+    bar.set_label("\n".join(lines), fontsize=10.0 if len(lines) < 2 else 8.0, labelpad=2.0)
+    if type(bar.locator) is AutoLocator:
+        bar.locator = MaxNLocator(min(9, max(2, int(tall_in / TICK_IN))), steps=[1, 2, 2.5, 5, 10])
+        bar.update_ticks()
     bar.outline.set_visible(False)
     return bar
+
+
+def _height_in(axes: Axes) -> float:
+    """How tall a picture will be, in inches: its panel, or less where it keeps its shape within that."""
+    assert isinstance(axes.figure, Figure)  # nothing here has figures within figures
+    place, (wide, tall) = axes.get_position(), axes.figure.get_size_inches()
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    of_panel = float(tall * place.height)
+    if axes.get_aspect() == "auto" or left == right:
+        return of_panel
+    return min(of_panel, float(wide * place.width * abs((high - low) / (right - left))))
 
 
 def outline_mm(body: Body, pinhole_mm: Iterable[float]) -> Floats | None:
@@ -104,7 +126,7 @@ def plane_panels(
     """
     wide = width_in / max(1.0, ratio)
     tall = max(wide * ratio, 0.3 * wide)
-    left, right, below, above = 0.8, 1.25, 0.6, 0.3
+    left, right, below, above = 0.8, 1.4, 0.6, 0.3
     rows = -(-count // columns)
     width, height = columns * (left + wide + right), rows * (below + tall + above)
     figure = Figure(figsize=(width, height))
