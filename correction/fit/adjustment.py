@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.judge.result import FitStep, FittedCorners, SceneFit
-from correction.fit.judge.verdict import judge_model
-from correction.fit.seen.measurement import MeasuredFrame, whitening
+from correction.fit.judge.verdict import Left, judge_model
+from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors, whitening
 from correction.fit.seen.pixel_lock import NAMES as LOCK
 from correction.fit.seen.pixel_lock import unlocked, with_lock, without_lock
 from correction.fit.solve.contact import largest_overlap_mm
@@ -33,6 +33,7 @@ from correction.fit.solve.solver import (
     Corners,
     Residuals,
     Solution,
+    cleared,
     minimise,
     newton_step,
     normal_equations,
@@ -41,12 +42,10 @@ from correction.fit.solve.solver import (
 )
 from correction.fit.solve.unknowns import Unknowns
 from tracer.scene.scene import Scene
-from tracer.strategies.sensitivity import SPHERE
 
 KNEE = 3.0  # sigmas beyond which a corner weighs less and less
 OUTLIER = 5.0  # sigmas beyond which it weighs nothing
 FULL_WEIGHT = 1e6
-ENOUGH = 20  # corners from which a region's sigma can be judged
 
 
 class Adjustment:
@@ -86,17 +85,12 @@ class Adjustment:
 
     def weighted(self, frame: MeasuredFrame) -> Corners:
         """Corners with their present sigmas."""
-        scale = np.where(frame.behind, self.scales[True], self.scales[False])
-        return replace(frame.corners, whiten=whitening(frame.sigma_px, scale))
+        return replace(frame.corners, whiten=whitening(frame.sigma_px, by_region(frame.behind, self.scales)))
 
     def rescale(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> None:
-        """Let the median residual of each region be what its sigmas say (Rayleigh: median r^2 = 2 ln 2)."""
-        square = np.concatenate([(part.value**2).sum(axis=1) for part in parts])
-        behind = np.concatenate([frame.behind for frame in frames])
-        for region in (False, True):
-            chosen = square[(behind == region) & np.isfinite(square)]
-            if len(chosen) > ENOUGH:
-                self.scales[region] *= float(np.sqrt(np.median(chosen) / (2.0 * np.log(2.0))))
+        """Let the median residual of each region be what its sigmas say."""
+        factors = region_factors([frame.behind for frame in frames], [part.value for part in parts])
+        self.scales = {region: scale * factors[region] for region, scale in self.scales.items()}
 
     def reprojection(
         self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
@@ -188,29 +182,34 @@ class Adjustment:
         wide, free = with_shapes(doubted(locked), balls), len(locked.names)
         at = np.concatenate((solution.x, self.lock, np.zeros(len(wide.names) - free)))
         parts = [self.doubted_part(unknowns, wide, at, frame) for frame in used]
-        _, slope, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
-        slope = pull_of_doubted(slope, normal, free)
         weighted = [self.weighted(frame) for frame in measured]
         left = [self.doubted_part(unknowns, wide, at, frame) for frame in measured]
-        verdict, lattices = judge_model(locked, wide, at, measured, weighted, left)
+        verdict, rest = judge_model(locked, wide, at, measured, weighted, left)
+        weights = self
+        if verdict.unexplained is not None:
+            weights, used, parts = self.explained(measured, left, rest)
+        _, slope, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
+        slope = pull_of_doubted(slope, normal, free)
         of_shapes = np.tile(SIZES_MM, len(balls))
         unit = np.ones(len(at))
         unit[len(at) - len(of_shapes) :] = 0.0 if verdict.alarms else likely_scale(normal, slope, len(of_shapes))
         slope, normal = slope * unit, normal * np.outer(unit, unit)
         alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
-        alike = [replace(lattice, rate=lattice.rate * unit) for lattice in lattices]
-        printed = print_errors([self.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)])
-        covariance = with_correlation(alone, alike, verdict.correlation)
+        alike = [replace(lattice, rate=lattice.rate * unit) for lattice in rest.lattices]
+        on_print = [weights.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)]
+        printed = print_errors(on_print)
+        covariance = with_correlation(alone, alike, rest.correlation)
         covariance = covariance + alone @ printed.spread @ alone
         draws = root_of(covariance)
         if len(at) > free:
             draws = np.column_stack((draws, newton_step(wide, at, slope, normal)))
-        draws = np.column_stack((draws, alone @ (unit[:, None] * self.pulled_alike(used, parts))))
+        draws = np.column_stack((draws, alone @ (unit[:, None] * weights.pulled_alike(used, parts))))
         root = wide.columns @ draws
         sizes = (unit[len(at) - len(of_shapes) :] * of_shapes)[:, None]
         shapes = ShapeRoot(balls, sizes * draws[len(at) - len(of_shapes) :])
-        for change in verdict.changes:
+        for change, (ball, shape) in zip(verdict.changes, verdict.shapes, strict=True):
             root, shapes = np.column_stack((root, change)), shapes.with_columns(change.shape[1])
+            shapes = shapes.with_change(ball, shape)
         scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
         corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(
@@ -234,6 +233,22 @@ class Adjustment:
             ),
             shapes=shapes,
         )
+
+    def explained(
+        self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], rest: Left
+    ) -> tuple["Adjustment", list[MeasuredFrame], list[Residuals]]:
+        """Weights, frames and residuals as they would be if the cause of an alarm had been known."""
+        weights = Adjustment()
+        weights.scales = {region: scale * rest.factors[region] for region, scale in self.scales.items()}
+        weights.lock = self.lock
+        used, left = [], []
+        for frame, part, value in zip(measured, parts, rest.values, strict=True):
+            scale = by_region(frame.behind, rest.factors)[:, None]
+            value = value / scale
+            near = np.linalg.norm(value, axis=1) < OUTLIER  # False for NaN
+            used.append(frame.taken(near))
+            left.append(Residuals(value[near], (part.rate / scale[:, :, None])[near]))
+        return weights, used, left
 
     def on_print(self, frame: MeasuredFrame, part: Residuals, unit: NDArray[np.float64]) -> OnPrint:
         """Corners of a frame as the print moves them, their derivatives in units (P,)."""
@@ -268,10 +283,7 @@ def root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 def legal_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:
     """Return the scene of a full vector with overlaps pushed apart, and the largest overlap [mm]."""
     overlap = largest_overlap_mm(unknowns.spheres(full), unknowns.shapes(full))
-    pushed, cut = pushed_clear(unknowns, full)
-    moved = np.array(full)
-    moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed[:, :3]
-    return unknowns.moved(moved), max(overlap, cut)
+    return unknowns.moved(cleared(unknowns, full)), max(overlap, pushed_clear(unknowns, full)[1])
 
 
 def _summed(counts: Sequence[dict[str, int]]) -> dict[str, int]:

@@ -12,23 +12,39 @@ of J and K of their own.  A large fault is no small step: the RIVALS that do bes
 a board that is bent or has moved, are then fitted with what was free, one at a time, and g is by how much that
 truly lowers the squares.  The suspect of the largest g, less ln M for each number (Schwarz's criterion, M
 residuals), is named, if it explains EXPLAINS of what noise does not, or ALONE of it with a LEAD over every other;
-else it is said that nothing on the list does.  Had it been known, the fit would have gone elsewhere by
--A^-1 J^T K a: with a itself, and with what the frames leave open of a, the `change`, an error of the map.
+else it is said that nothing on the list does.
+
+Had it been known, the fit would have gone elsewhere: with a itself the `change`, an error of the map, and so is
+what the frames leave open of a.  How well they know it, what the cause leaves of the residuals says (`left`), not
+what is left without it: RIVALS are fitted ROUNDS times, with the sigmas that their own residuals ask for.  Nor are
+numbers of one kind, such as those of a bent board, ordinarily larger than those of them that the frames show
+(`likely_scales`): else a board that is seen to be bent by 0.1 mm might be bent by 1 mm in the one way that the
+lens can follow, unseen.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.judge.model_test import CLIP
-from correction.fit.seen.measurement import MeasuredFrame
+from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
 from correction.fit.seen.pixel_lock import unlocked
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
-from correction.fit.solve.doubted import WALL
-from correction.fit.solve.solver import Residuals, free_rates, landed, minimise, pushed_step, residuals, touching
+from correction.fit.solve.doubted import SCALES, WALL, doubted_shapes, likely_scales
+from correction.fit.solve.solver import (
+    Corners,
+    Residuals,
+    cleared,
+    free_rates,
+    landed,
+    minimise,
+    pushed_step,
+    residuals,
+    touching,
+)
 from correction.fit.solve.unknowns import LENS, Unknowns, unit_of
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST
 from tracer.strategies.sensitivity import TARGET
@@ -36,14 +52,16 @@ from tracer.strategies.sensitivity import TARGET
 EXPLAINS = 0.5
 ALONE, LEAD = 0.2, 4.0  # or so much, if no other explains a quarter of it: large faults are cut off with outliers
 RIVALS = 4
-REFIT_STEPS, KNEE = 8, 3.0  # sigmas beyond which a corner weighs less
+REFIT_STEPS, KNEE = 40, 3.0  # sigmas beyond which a corner weighs less
+ROUNDS = 2
+ASKED_BESIDE, ASKED, NEGLIGIBLE = 16, 48, 0.02  # pixels each way; of a difference of maps
 UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
 CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
 LENS_TERM = 1.0
 BALL_ORDINARY = {"radius": 0.1, "n": 0.01}
 CLEAR = 4.0  # sigmas from which a lens term is named
-PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 1.0
+PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 4.0
 
 
 @dataclass(frozen=True)
@@ -62,7 +80,11 @@ class Suspect:
         Of the squares that noise does not explain.
     change : (F, 1 + q) float64 or None
         Of the full vector, if it is what is wrong, and what its q numbers leave open once they are free; None if
-        no vector can say it: a ball's shape.
+        no map can follow it: the shape of a ball seen through walls.
+    shape : (5, 1 + q) float64
+        The same of the ball's `SHAPES` [mm], if they are what is wrong; (0, 0) if not.
+    left : tuple of (N, 2) float64
+        What it leaves of the residuals, frame by frame, in the sigmas of the fit.
     """
 
     ball: str
@@ -70,6 +92,8 @@ class Suspect:
     gain: float
     share: float
     change: NDArray[np.float64] | None
+    shape: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    left: tuple[NDArray[np.float64], ...] = ()
 
     def to_dict(self) -> dict[str, object]:
         """JSON-able."""
@@ -114,21 +138,37 @@ Say = Callable[[NDArray[np.float64], NDArray[np.float64]], str]
 class _Candidate:
     """A change: the ball concerned, ordinary sizes (q,), derivatives, and words for values (q,) with sigmas.
 
-    `moves` (F, q) is what it does to the full vector: all zero if it is no change of the map by itself, None if it
-    is one that the vector cannot say. `by_hand`: the fit section held it, which it need not. `board`: how it moves
-    each corner's piece of the board (N, 6, q), for each frame, if that is what it moves.
+    `moves` (F, q) is what it does to the full vector: all zero if it is no change of the map by itself, or one
+    that the vector cannot say, `is_shape`. `by_hand`: the fit section held it, which it need not. `board`: how it
+    moves each corner's piece of the board (N, 6, q), for each frame, if that is what it moves. `is_alike`: its
+    numbers are of one kind and size.
     """
 
     ball: str
     ordinary: NDArray[np.float64]
     columns: Columns
     say: Say
-    moves: NDArray[np.float64] | None
+    moves: NDArray[np.float64]
     by_hand: bool = False
     board: Columns | None = None
+    is_shape: bool = False
+    is_alike: bool = False
 
 
-_Found = tuple[float, _Candidate, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]
+@dataclass(frozen=True)
+class _Found:
+    """What a candidate is worth: gain less what its numbers cost, values (q,) and sigmas (q,) in ordinary sizes.
+
+    `change`, `of_own` (q, 1 + q) of its own numbers, and `left` as in `Suspect`.
+    """
+
+    gain: float
+    one: _Candidate
+    values: NDArray[np.float64]
+    spreads: NDArray[np.float64]
+    change: NDArray[np.float64]
+    of_own: NDArray[np.float64]
+    left: Columns
 
 
 def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float) -> list[Suspect]:
@@ -155,14 +195,13 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
         size = len(one.ordinary)
         normal, gradient = np.eye(free + size), np.concatenate((slope, np.zeros(size)))
         normal[:free, :free] = own
-        for columns, j, r in zip(one.columns, flat, left, strict=True):
-            k = np.nan_to_num(columns.reshape(-1, size)) * one.ordinary
+        every = [np.nan_to_num(columns.reshape(-1, size)) * one.ordinary for columns in one.columns]
+        for k, j, r in zip(every, flat, left, strict=True):
             normal[free:, free:] += k.T @ k
             normal[:free, free:] += j.T @ k
             gradient[free:] += k.T @ r
         normal[free:, :free] = normal[:free, free:].T
-        direct = np.zeros((len(full), size)) if one.moves is None else one.moves * one.ordinary
-        moves = np.column_stack((unknowns.columns, direct))
+        moves = np.column_stack((unknowns.columns, one.moves * one.ordinary))
         step, inverse, gain = pushed_step(gradient, normal, depth, wall @ moves)
         spread = inverse[free:, free:]
         if np.linalg.inv(spread).diagonal().max() - 1.0 < NOTHING_NEW * normal.diagonal()[free:].max():
@@ -170,72 +209,137 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
         gain -= already + size * np.log(count)
         if gain > 0.0:
             spreads = np.sqrt(np.diag(spread)) * one.ordinary
-            change = None if one.moves is None else (moves @ step)[:, None]
-            found.append((gain, one, step[free:], spreads, change))
+            rest = [
+                (r + j @ step[:free] + k @ step[free:]).reshape(-1, 2)
+                for k, j, r in zip(every, flat, left, strict=True)
+            ]
+            of_own = (step[free:] * one.ordinary)[:, None]
+            if one.is_alike:
+                scales = likely_scales(normal - np.eye(len(normal)), gradient, size)
+                likely = float(np.sqrt(scales @ SCALES**2))
+                one = replace(one, ordinary=likely * one.ordinary)
+                step[free:] /= likely
+            found.append(_Found(gain, one, step[free:], spreads, (moves @ step)[:, None], of_own, rest))
     found.sort(key=_rank)
-    for number, (_, one, values, spreads, _) in enumerate(found[:RIVALS]):
-        if one.moves is not None:
-            gain, values, change = _refitted(unknowns, full, seen, one)
-            found[number] = (gain - len(values) * np.log(count), one, values, spreads, change)
+    for number, before in enumerate(found[:RIVALS]):
+        found[number] = _refitted(unknowns, full, seen, before, count)
+    round_or_not = doubted_shapes(unknowns)
     return [
         Suspect(
-            one.ball,
-            one.say(values * one.ordinary, spreads),
-            gain,
-            min(gain / max(excess, 1e-12), 1.0),
-            change,
+            rival.one.ball,
+            rival.one.say(rival.values * rival.one.ordinary, rival.spreads),
+            rival.gain,
+            min(rival.gain / max(excess, 1e-12), 1.0),
+            None if rival.one.is_shape and rival.one.ball not in round_or_not else rival.change,
+            rival.of_own if rival.one.is_shape else np.zeros((0, 0)),
+            tuple(rival.left),
         )
-        for gain, one, values, spreads, change in sorted(found, key=_rank)
-        if gain > 0.0
+        for rival in sorted(found, key=_rank)
+        if rival.gain > 0.0
     ]
 
 
 def _rank(found: _Found) -> float:
     """What suspects are sorted by, the most likely first."""
-    gain, one = found[:2]
-    return -gain if one.by_hand else -UNTOUCHED * gain
+    return -found.gain if found.one.by_hand else -UNTOUCHED * found.gain
 
 
-def _refitted(
-    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, one: _Candidate
-) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Gain once a suspect's numbers are free, its values (q,), and the changes of the full vector (F, 1 + q).
+def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, before: _Found, count: int) -> _Found:
+    """Return what a suspect is worth once its numbers are free, for `count` residuals.
 
     What moves board, not scene, moves residuals by derivatives of their own, those where the scene then stands: a
     camera aside sees a bent board otherwise.
     """
+    one = before.one
     size, free = len(one.ordinary), len(seen.x)
-    still = np.zeros((len(full), size)) if one.moves is None else one.moves * one.ordinary
     names = (*unknowns.names, *(f"suspect {number}" for number in range(size)))
-    wider = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, still)))
-    every = np.eye(len(full))
+    wider = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, one.moves * one.ordinary)))
+    every, factors = np.eye(len(full)), {False: 1.0, True: 1.0}
 
-    def by_board(at: NDArray[np.float64], frame: MeasuredFrame, ways: NDArray[np.float64]) -> Residuals:
-        pose = every[:, unknowns.place(frame.corners.height_number)]
-        posed = replace(
-            unknowns, names=(*unknowns.names, *TARGET), columns=np.column_stack((unknowns.columns, pose))
-        )
-        part = residuals(posed, np.concatenate((at[:free], np.zeros(len(TARGET)))), frame.corners)
-        beyond = part.rate[:, :, free:] @ ways * one.ordinary
-        return Residuals(part.value + beyond @ at[free:], np.concatenate((part.rate[:, :, :free], beyond), axis=2))
+    def moved(at: NDArray[np.float64], corners: Corners, number: int) -> Residuals:
+        if one.board is None:
+            part = residuals(wider, at, corners)
+            if not one.is_shape:
+                return part
+            to_scale = np.asarray(corners.whiten) @ np.linalg.inv(np.asarray(seen.frames[number].corners.whiten))
+            beyond = to_scale @ one.columns[number] * one.ordinary
+        else:
+            pose = every[:, unknowns.place(corners.height_number)]
+            names = (*unknowns.names, *TARGET)
+            posed = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, pose)))
+            part = residuals(posed, np.concatenate((at[:free], np.zeros(len(TARGET)))), corners)
+            beyond = part.rate[:, :, free:] @ one.board[number] * one.ordinary
+        rate = np.concatenate((part.rate[:, :, :free], beyond), axis=2)
+        return Residuals(part.value + beyond @ at[free:], rate)
 
     def evaluate(at: NDArray[np.float64]) -> list[Residuals]:
-        if one.board is None:
-            parts = [residuals(wider, at, frame.corners) for frame in seen.frames]
-        else:
-            parts = [by_board(at, frame, ways) for frame, ways in zip(seen.frames, one.board, strict=True)]
-        return [unlocked(wider, at, f.corners, f, part) for f, part in zip(seen.frames, parts, strict=True)]
+        parts = []
+        for number, frame in enumerate(seen.frames):
+            scale = by_region(frame.behind, factors)[:, None, None]
+            corners = replace(frame.corners, whiten=np.asarray(frame.corners.whiten) / scale)
+            parts.append(unlocked(wider, at, corners, frame, moved(at, corners, number)))
+        return parts
 
-    def squares(at: NDArray[np.float64]) -> float:
-        lengths = [np.linalg.norm(part.value, axis=1) for part in evaluate(at)]
+    def squares(at: NDArray[np.float64], parts: Sequence[Residuals]) -> float:
+        lengths = [np.linalg.norm(part.value, axis=1) for part in parts]
         return float(sum(np.sum(np.fmin(length, CLIP) ** 2) for length in lengths) + at @ at)
 
-    start = np.concatenate((seen.x, np.zeros(size)))
-    found = minimise(wider, evaluate, start, knee=KNEE, steps=REFIT_STEPS)
-    inverse = np.linalg.inv(found.normal + np.eye(len(start)))[:, free:]
-    open_still = wider.columns @ inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
-    change = np.column_stack((wider.full(found.x) - full, open_still))
-    return squares(start) - squares(found.x), found.x[free:], change
+    at = np.concatenate((seen.x, np.zeros(size)))
+    gain, behind = squares(at, evaluate(at)), [frame.behind for frame in seen.frames]
+    for turn in range(ROUNDS):
+        found = minimise(wider, evaluate, at, knee=KNEE, steps=REFIT_STEPS)
+        at, parts = found.x, evaluate(found.x)
+        gain -= squares(at, parts) * (not turn)
+        left = [part.value * by_region(own, factors)[:, None] for own, part in zip(behind, parts, strict=True)]
+        factors = region_factors(behind, left)
+    inverse = np.linalg.inv(found.normal + np.eye(len(at)))[:, free:]
+    open_still = inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
+    moving = wider.columns[:, : free if one.board is not None or one.is_shape else None]
+    stands, other = cleared(unknowns, full), wider.full(at)
+    change = other - stands + _as_linear(unknowns, stands, other, moving)
+    change = np.column_stack((change, wider.columns @ open_still))
+    of_own = one.ordinary[:, None] * np.column_stack((at[free:], open_still[free:]))
+    worth = gain - size * np.log(count)
+    return replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
+
+
+def _as_linear(
+    unknowns: Unknowns, full: NDArray[np.float64], other: NDArray[np.float64], moving: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What is to be added to a change (F,), from a full vector to another, that derivatives say what it does.
+
+    Sigma follows changes by derivatives of the map; a lens that is far off makes other differences, which are zero
+    elsewhere.  All of the view is asked, since what fits corners may go anywhere beside them.
+
+    Parameters
+    ----------
+    unknowns, full, other
+        Of the fit, and the two vectors.
+    moving : (F, K) float64
+        Columns along which to add, by as little as does.
+    """
+    normal, slope = np.eye(moving.shape[1]), np.zeros(moving.shape[1])
+    every = replace(unknowns, columns=np.eye(len(full)), names=unknowns.full_names)
+    width, height = unknowns.scene.camera.sensor_px
+    for glass, count in ((False, ASKED_BESIDE), (True, ASKED)):
+        grid = np.meshgrid(np.linspace(0.0, width - 1.0, count), np.linspace(0.0, height - 1.0, count))
+        pixels = np.stack(grid, axis=-1).reshape(-1, 2)
+        asked = Corners(0, glass, pixels, np.zeros_like(pixels), 1.0)
+        before, after = landed(every, full, asked), landed(every, other, asked)
+        same = before.recovered & after.recovered & (before.key == after.key)
+        if glass:  # differences beside the glass, often a hundred times larger, have been asked
+            same &= before.key != landed(every, full, replace(asked, glass=False)).key
+        rate = free_rates(every, full, asked, before)[same]
+        differ = (after.point_mm - before.point_mm)[same]
+        size = np.linalg.norm(differ, axis=1)
+        if not len(size) or not np.median(size) > 0.0:
+            continue
+        weight = 1.0 / (NEGLIGIBLE * (size + np.median(size)))
+        flat = (weight[:, None, None] * (rate @ moving)).reshape(-1, moving.shape[1])
+        off = weight[:, None] * (differ - rate @ (other - full))
+        normal += flat.T @ flat
+        slope += flat.T @ off.ravel()
+    return np.asarray(moving @ np.linalg.solve(normal, slope))
 
 
 def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:
@@ -250,16 +354,19 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
         rates.append(whitened[-1] @ free_rates(every, full, frame.corners, rays))
     yield from _held_numbers(unknowns, full, rates)
     for ball, columns in _shape_columns(unknowns, full, seen, whitened).items():
-        yield _Candidate(ball, np.full(len(SHAPES), SHAPE_MM), columns, partial(_not_round, ball), None)
+        still = np.zeros((len(full), len(SHAPES)))
+        not_round, size = partial(_not_round, ball), np.full(len(SHAPES), SHAPE_MM)
+        yield _Candidate(ball, size, columns, not_round, still, is_shape=True, is_alike=True)
     still = np.zeros((len(full), len(TARGET)))
     places = [unknowns.place(frame.corners.height_number) for frame in seen.frames]
     posed = [rate[:, :, place] for rate, place in zip(rates, places, strict=True)]
-    for ordinary, say, board in (
-        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), _moved, _moved_ways(seen)),
-        (np.full(3, SAG_MM), _bent, _bent_ways(seen)),
-    ):
+    moves: tuple[tuple[NDArray[np.float64], Say, Columns, bool], ...] = (
+        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), _moved, _moved_ways(seen), False),
+        (np.full(3, SAG_MM), _bent, _bent_ways(seen), True),
+    )
+    for ordinary, say, board, alike in moves:
         columns = [rate @ ways for rate, ways in zip(posed, board, strict=True)]
-        yield _Candidate("", ordinary, columns, say, still[:, : len(ordinary)], board=board)
+        yield _Candidate("", ordinary, columns, say, still[:, : len(ordinary)], board=board, is_alike=alike)
 
 
 def _held_numbers(

@@ -6,6 +6,11 @@ finds is an error of the map of its own, `systematic_px`, on every way whose res
 even where that is too little for an alarm: corners or model may be to blame, and the map is not taken for better.
 Behind glass it may be worse than residuals show, for balls follow what is wrong with the camera: so the suspects
 are asked as soon as residuals bend more than noise would, and their changes of the scene are counted.
+
+A cause that is named explains its field of residuals.  What the map is off by is then the difference that the
+cause makes, and what a fit that knew the cause would leave open: its corners err, and err alike, by what the cause
+leaves (`Left`).  Counted by all residuals, the field would be in sigma three times, as noise, as what neighbours
+have in common and as the difference: ten times too much behind glass for a board that is bent.
 """
 
 from collections.abc import Sequence
@@ -18,7 +23,7 @@ from numpy.typing import NDArray
 from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
 from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
 from correction.fit.seen.masked_parts import Hidden, Unconfirmed, Unlisted, hidden_patches
-from correction.fit.seen.measurement import MeasuredFrame
+from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
 from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
 from correction.fit.solve.correlation import Correlation, Lattice, correlation_of
 from correction.fit.solve.solver import Corners, Residuals, landed
@@ -55,6 +60,8 @@ class Verdict:
         Colours that smear corners beyond what is told; None where too few corners tell.
     wrong_light : str
         What glass says of the light of the target frames, where that cannot be the told one.
+    unexplained : tuple of WayTest or None
+        The test of every way once the cause of an alarm is known; None where there is no such cause.
     """
 
     ways: tuple[WayTest, ...]
@@ -66,6 +73,7 @@ class Verdict:
     unconfirmed: tuple[Unconfirmed, ...] = ()
     smear: ColourSmear | None = None
     wrong_light: str = ""
+    unexplained: tuple[WayTest, ...] | None = None
 
     @property
     def alarms(self) -> tuple[WayTest, ...]:
@@ -85,8 +93,19 @@ class Verdict:
     @property
     def changes(self) -> tuple[NDArray[np.float64], ...]:
         """Errors (F, .) of the fitted full vector: by the cause, or else by all that may be, as far as likely."""
-        likely = [(1.0, self.cause)] if self.cause is not None else [(one.share, one) for one in self.suspects]
-        return tuple(np.sqrt(share) * one.change for share, one in likely if one.change is not None)
+        return tuple(np.sqrt(share) * one.change for share, one in self._likely if one.change is not None)
+
+    @property
+    def shapes(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
+        """Ball and error (5, .) of its shape with each of `changes`; (0, 0) where that is no shape."""
+        return tuple(
+            (one.ball, np.sqrt(share) * one.shape) for share, one in self._likely if one.change is not None
+        )
+
+    @property
+    def _likely(self) -> list[tuple[float, Suspect]]:
+        """What may be wrong, with its share."""
+        return [(1.0, self.cause)] if self.cause is not None else [(one.share, one) for one in self.suspects]
 
     @property
     def systematic_px(self) -> dict[str, float]:
@@ -94,6 +113,9 @@ class Verdict:
 
         What the cause explains is counted as its change of the scene (`SceneFit.root`).
         """
+        if self.unexplained is not None:
+            bent = unlike_noise(self.unexplained)
+            return {way.way: way.smooth_px if way in bent else 0.0 for way in self.unexplained}
         known = self.cause.share if self.cause is not None and self.cause.change is not None else 0.0
         left = float(np.sqrt(1.0 - known))
         bent = unlike_noise(self.ways)
@@ -194,6 +216,28 @@ def unlike_noise(ways: Sequence[WayTest]) -> list[WayTest]:
     return [way for way in ways if way.chance_of_noise < COUNTED / len(ways)]
 
 
+@dataclass(frozen=True)
+class Left:
+    """What is left of all corners, as the covariance takes them to err: once the cause is known, if one is named.
+
+    Parameters
+    ----------
+    values : sequence of (N, 2) float64
+        Residuals frame by frame, in the sigmas of the fit.
+    factors : dict
+        Behind glass or not -> what these sigmas are to be multiplied with.
+    lattices : sequence of Lattice
+        The same in multiplied sigmas, with derivatives.
+    correlation : dict
+        Behind glass or not -> how neighbours err alike.
+    """
+
+    values: Sequence[NDArray[np.float64]]
+    factors: dict[bool, float]
+    lattices: Sequence[Lattice]
+    correlation: dict[bool, Correlation]
+
+
 def judge_model(
     unknowns: Unknowns,
     wide: Unknowns,
@@ -201,7 +245,7 @@ def judge_model(
     frames: Sequence[MeasuredFrame],
     weighted: Sequence[Corners],
     parts: Sequence[Residuals],
-) -> tuple[Verdict, list[Lattice]]:
+) -> tuple[Verdict, Left]:
     """Test the model.
 
     Parameters
@@ -218,22 +262,19 @@ def judge_model(
     Returns
     -------
     verdict : Verdict
-    lattices : list of Lattice
-        What is left of the corners, by which the covariance is enlarged (`with_correlation`).
+    left : Left
     """
     full, free = wide.full(x), len(unknowns.names)
     pitch_mm = grid_of(unknowns.camera(full)).pitch_mm
-    rests, lattices, sighted = [], [], []
+    rests, rates, sighted = [], [], []
     views: list[SmearedView] = []
     for frame, corners, part in zip(frames, weighted, parts, strict=True):
         sigma = 1.0 / np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)
         rays = landed(unknowns, full, corners)
         shown = np.nan_to_num(rays.pixel_rate) / pitch_mm
         off = part.value * sigma
-        rest = Remainder(frame.branch_name, corners.pixel, off, sigma, shown, frame.doubt_px)
-        rests.append(rest)
-        rate = np.nan_to_num(part.rate)
-        lattices.append(Lattice(frame.index, frame.branch_name, rest.clipped, rate))
+        rests.append(Remainder(frame.branch_name, corners.pixel, off, sigma, shown, frame.doubt_px))
+        rates.append(np.nan_to_num(part.rate))
         sighted.append(replace(frame, corners=corners))
         if frame.corners.glass and len(frame.spread.variance_px2):
             camera = unknowns.camera(full)
@@ -242,16 +283,48 @@ def judge_model(
             )
     smooth_parts = [smooth_part(rest) for rest in rests]
     ways = tuple(ways_tested(rests, smooth_parts))
-    correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
+    left = _left(frames, rests, rates, [part.value for part in parts], {False: 1.0, True: 1.0})
     found: list[Suspect] = []
     pulled = float(np.abs(x[:free]).max(initial=0.0)) > PRIOR_LIMIT  # what is free may hide what is wrong
     if pulled or any(way.alarm for way in ways) or unlike_noise(ways):
-        values, rates = [one.value for one in lattices], [one.rate[:, :, :free] for one in lattices]
-        seen = Evidence(sighted, values, rates, x[:free])
+        values = [one.value for one in left.lattices]
+        seen = Evidence(sighted, values, [rate[:, :, :free] for rate in rates], x[:free])
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways) + float(x @ x) * pulled)
     smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
-    verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames), smear=colour_smear(views))
-    return verdict, lattices
+    verdict = Verdict(
+        ways, left.correlation, tuple(found), smooth, hidden_patches(frames), smear=colour_smear(views)
+    )
+    if not verdict.alarms or verdict.cause is None or verdict.cause.change is None:
+        return verdict, left
+    factors = region_factors([frame.behind for frame in frames], verdict.cause.left)
+    rests = [
+        replace(
+            rest,
+            residual_px=value * rest.sigma_px,
+            sigma_px=rest.sigma_px * by_region(frame.behind, factors)[:, None],
+        )
+        for frame, rest, value in zip(frames, rests, verdict.cause.left, strict=True)
+    ]
+    left = _left(frames, rests, rates, verdict.cause.left, factors)
+    return replace(verdict, unexplained=tuple(ways_tested(rests))), left
+
+
+def _left(
+    frames: Sequence[MeasuredFrame],
+    rests: Sequence[Remainder],
+    rates: Sequence[NDArray[np.float64]],
+    values: Sequence[NDArray[np.float64]],
+    factors: dict[bool, float],
+) -> Left:
+    """What is left, of remainders in multiplied sigmas and derivatives in those of the fit."""
+    lattices = [
+        Lattice(
+            frame.index, frame.branch_name, rest.clipped, rate / by_region(frame.behind, factors)[:, None, None]
+        )
+        for frame, rest, rate in zip(frames, rests, rates, strict=True)
+    ]
+    correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
+    return Left(values, factors, lattices, correlation)
 
 
 def _where(way: str) -> str:

@@ -4,6 +4,7 @@ A bare target seen through a tube is measured again from the prediction: beside 
 corners that the wall has cut or bent for whole ones, and a fit to them ends beside the truth, well within noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,6 +38,7 @@ from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 
 NOT_ASKED = (CornerReason.EDGE, CornerReason.MASKED, CornerReason.SMALL)  # no window, so nothing is lost
+ENOUGH = 20  # corners from which a region's sigma can be judged
 FLOOR_PX = 0.01  # no corner is better than this: lens, print and model are not
 
 
@@ -174,6 +176,33 @@ def whitening(sigma_px: NDArray[np.float64], scale: NDArray[np.float64] | float 
     """W (N, 2, 2) of corners with standard deviations (N, 2), floored and scaled by (N,) or a number."""
     spread = np.hypot(sigma_px, FLOOR_PX) * np.reshape(scale, (-1, 1))
     return np.asarray(np.eye(2) / spread[:, :, None])
+
+
+def region_factors(
+    behind: Sequence[NDArray[np.bool_]], values: Sequence[NDArray[np.float64]]
+) -> dict[bool, float]:
+    """By what sigmas beside glass and behind it are to be multiplied, that the median residual is what they say.
+
+    Parameters
+    ----------
+    behind : sequence of (N,) bool
+        Corners seen through glass, frame by frame.
+    values : sequence of (N, 2) float64
+        Their residuals in sigmas; by Rayleigh the median of the squares of their lengths is 2 ln 2.
+    """
+    square = np.concatenate([(value**2).sum(axis=1) for value in values])
+    region = np.concatenate(list(behind))
+    factors = {}
+    for glass in (False, True):
+        chosen = square[(region == glass) & np.isfinite(square)]
+        known = len(chosen) > ENOUGH
+        factors[glass] = float(np.sqrt(np.median(chosen) / (2.0 * np.log(2.0)))) if known else 1.0
+    return factors
+
+
+def by_region(behind: NDArray[np.bool_], factors: dict[bool, float]) -> NDArray[np.float64]:
+    """Factors (N,) of corners, by whether they are seen through glass (N,)."""
+    return np.where(behind, factors[True], factors[False])
 
 
 def bare_frame(

@@ -113,6 +113,14 @@ class ShapeRoot:
         """Return the same with more draws, which do nothing to shapes."""
         return replace(self, root=np.column_stack((self.root, np.zeros((len(self.root), count)))))
 
+    def with_change(self, ball: str, change: NDArray[np.float64]) -> "ShapeRoot":
+        """Return the same, the last draws (5, K) of a ball's shape being these; as it is if K is 0."""
+        if not change.size:
+            return self
+        root, first = self.root.copy(), len(SHAPES) * self.balls.index(ball)
+        root[first : first + len(SHAPES), -change.shape[1] :] += change
+        return replace(self, root=root)
+
     def turned(self, axes: NDArray[np.float64]) -> "ShapeRoot":
         """Return the same as seen in other axes (3, 3), rows."""
         turn = np.array([[np.sum(one * (axes @ other @ axes.T)) for other in SHAPES] for one in SHAPES])
@@ -130,19 +138,24 @@ def doubted_shapes(unknowns: Unknowns) -> tuple[str, ...]:
 
 
 def likely_scale(normal: NDArray[np.float64], slope: NDArray[np.float64] | None, numbers: int) -> float:
-    """How large the shapes are, as a share of LARGEST_UM.
+    """How large the shapes are, as a share of LARGEST_UM; arguments are those of `likely_scales`."""
+    return float(np.exp(likely_scales(normal, slope, numbers) @ np.log(SCALES))) if numbers else 1.0
+
+
+def likely_scales(
+    normal: NDArray[np.float64], slope: NDArray[np.float64] | None, numbers: int
+) -> NDArray[np.float64]:
+    """How likely each of SCALES (S,) is to be the size of numbers of one kind, in sum 1.
 
     Parameters
     ----------
     normal : (P, P) float64
-        Normal matrix of the data, priors not counted; the numbers of the shapes, at LARGEST_UM, are the last.
+        Normal matrix of the data, priors not counted; the numbers, at the largest size, are the last.
     slope : (P,) float64 or None
-        Half the gradient of the squares, priors counted; None: as round balls leave it on average.
+        Half the gradient of the squares, priors counted; None: as numbers that are 0 leave it on average.
     numbers : int
-        Of the shapes.
+        Of the kind.
     """
-    if not numbers:
-        return 1.0
     free = len(normal) - numbers
     followed = np.linalg.solve(normal[:free, :free] + np.eye(free), normal[:free, free:])
     known, vectors = np.linalg.eigh(normal[free:, free:] - normal[free:, :free] @ followed)
@@ -151,7 +164,7 @@ def likely_scale(normal: NDArray[np.float64], slope: NDArray[np.float64] | None,
     large = SCALES[:, None] ** 2
     likely = 0.5 * np.sum(large * square / (1.0 + large * known) - np.log1p(large * known), axis=1)
     weight = np.exp(likely - likely.max())
-    return float(np.exp(weight @ np.log(SCALES) / weight.sum()))
+    return np.asarray(weight / weight.sum())
 
 
 def with_shapes(wide: Unknowns, balls: Sequence[str]) -> Unknowns:

@@ -87,6 +87,13 @@ def pushed_clear(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray
     return table, max(deepest, 0.0)
 
 
+def cleared(unknowns: Unknowns, full: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Full vector (F,) with balls pushed clear: what a scene can be made of, and a map is."""
+    moved = np.array(full)
+    moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed_clear(unknowns, full)[0][:, :3]
+    return moved
+
+
 def _moved(unknowns: Unknowns, full: NDArray[np.float64], at: int, by: float) -> dict[str, Body]:
     """Walls with one number of the full vector changed."""
     return unknowns.other_bodies.moved((full + by * _one(full.shape, (at,)))[unknowns.others])

@@ -114,7 +114,7 @@ def test_a_flint_ball_whose_index_is_held_wrong_is_named_and_not_the_radius_that
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     assert np.abs(fit.x).max() > 5.0  # the radius of an innocent ball
     assert fit.verdict.cause.ball == "sphere1"
-    words = "sphere1.n was held at 1.63 and seems to be off by -0.0099"
+    words = "sphere1.n was held at 1.63 and seems to be off by -0.01 "
     assert words in fit.verdict.cause.sentence
     with pytest.raises(FitFailed, match=words):
         check(fit)
