@@ -254,7 +254,8 @@ class Adjustment:
         """Corners of a frame as the print moves them, their derivatives in units (P,)."""
         per_square = np.asarray(self.weighted(frame).whiten) @ frame.axes_px
         rate = np.nan_to_num(part.rate) * unit
-        return OnPrint(frame.index, frame.behind, np.nan_to_num(part.value), per_square, rate)
+        way, height = frame.branch_name, frame.corners.height_number
+        return OnPrint(frame.index, way, height, np.nan_to_num(part.value), per_square, rate)
 
     def doubted_part(
         self, unknowns: Unknowns, wide: Unknowns, at: NDArray[np.float64], frame: MeasuredFrame

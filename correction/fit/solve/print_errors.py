@@ -12,10 +12,23 @@ say
     s^2 = sum over lines (u^2 - sum p^2) / sum over lines ((sum g^2)^2 - sum over points (sum g^2)^2)
 
 the variance of lines, whose expectation is 0 if lines are where they were drawn.  It counts if it stands out of
-its noise by SIGNIFICANT.  A line that lies off by s pulls the free vector by s G, G = sum J^T g, and the
-covariance of the fit, which takes corners as independent, lacks A^-1 (s^2 sum over lines G G^T) A^-1.  Points of
-the board, each seen in several frames, are counted alike, by the pairs of their views, for what they share beyond
-their lines.
+its noise by SIGNIFICANT.  Points of the board are counted alike, by the pairs of their views, for what they share
+beyond their lines.
+
+Not all that views of a point share is the print's.  Camera and board stand still between the frame without glass
+and that with it, so that a corner beside the glass falls on the same place of its pixels in both, and errs in both
+by what these do to it.  Only views from elsewhere, through glass or at another height, tell the two apart: the
+print errs there alike, the pixels do not.  So the variance of points is that of pairs of such views; where it does
+not stand out, the mean of what they leave likely, a Gaussian between 0 and the variance of all pairs.  What views
+on the same place share beyond it is theirs alone.  Taken for the print's, what a camera did to corners beside the
+glass was in the sigma behind it, which it doubled.
+
+What corners share by the standard deviation s pulls the free vector by s G, G = sum J^T g.  The covariance of the
+fit takes corners as independent, each with all its error, so what it lacks is A^-1 E A^-1 with
+
+    E = sum over groups s^2 (G G^T - sum over their corners (J^T g)(J^T g)^T),
+
+less what E has of negative eigenvalues.
 
 The variances are those of the print, so corners beside the glass tell them, where there are some: a ball has a few
 corners and six numbers of its own, which follow the print and leave little in their residuals, and weigh much.
@@ -25,6 +38,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 SIGNIFICANT = 3.0  # sigmas of a variance of zero
@@ -39,8 +53,10 @@ class OnPrint:
     ----------
     index : (N, 2) int64
         Corner of the board.
-    behind : (N,) bool
-        Seen through glass.
+    way : (N,) str
+        Through the glass; empty beside it.
+    height_number : int
+        Of the target: corners that are seen at one height on one way lie on the same pixels in all frames.
     value : (N, 2) float64
         Residual in sigmas.
     per_square : (N, 2, 2) float64
@@ -50,7 +66,8 @@ class OnPrint:
     """
 
     index: NDArray[np.int64]
-    behind: NDArray[np.bool_]
+    way: NDArray[np.str_]
+    height_number: int
     value: NDArray[np.float64]
     per_square: NDArray[np.float64]
     rate: NDArray[np.float64]
@@ -66,12 +83,15 @@ class PrintErrors:
         Standard deviation of its columns along x, and of its rows along y; 0 if nothing stands out.
     points : (float, float)
         The same of single points, from where their lines are.
+    pixels : (float, float)
+        The same of what no print does: pixels, to corners that lie on the same ones in several frames.
     spread : (P, P) float64
         Covariance of what that pulls at the free vector with: between A^-1 and A^-1 it is that of the vector.
     """
 
     lines: tuple[float, float]
     points: tuple[float, float]
+    pixels: tuple[float, float]
     spread: NDArray[np.float64]
 
     def __str__(self) -> str:
@@ -89,37 +109,70 @@ def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
     index = np.concatenate([frame.index for frame in frames])
     value = np.concatenate([frame.value for frame in frames])
     per_square = np.concatenate([frame.per_square for frame in frames])
-    told = ~np.concatenate([frame.behind for frame in frames])
+    way = np.concatenate([frame.way for frame in frames])
+    height = np.concatenate([np.full(len(frame.way), frame.height_number) for frame in frames])
+    told = way == ""
     told = told if told.any() else ~told
     spread = np.zeros((frames[0].rate.shape[2],) * 2)
     point = np.unique(index, axis=0, return_inverse=True)[1].ravel()
-    lines, points = list[float](), list[float]()
+    on_way = np.unique(way, return_inverse=True)[1]
+    sight = np.unique(np.column_stack((point, height, on_way)), axis=0, return_inverse=True)[1].ravel()
+    own, found = np.arange(len(index)), []
     for axis in range(2):
         g = per_square[:, :, axis]
         pull = np.concatenate(
             [np.einsum("nip,ni->np", f.rate, f.per_square[:, :, axis], optimize=True) for f in frames]
         )
-        along = np.sum(g * value, axis=1)
+        along, weight = np.sum(g * value, axis=1), np.sum(g * g, axis=1)
+        of_told = along * told, weight * told
         _, line = np.unique(index[:, axis], return_inverse=True)
-        own, variance = np.arange(len(index)), 0.0
-        for kind, member, part in ((lines, line, point), (points, point, own)):
-            variance = _variance(member, part, along * told, np.sum(g * g, axis=1) * told, variance)
-            kind.append(float(np.sqrt(variance)))
+        lines = _shared(line, point, *of_told).counted
+        points = _shared(point, own, *of_told, lines).counted
+        elsewhere = _shared(point, sight, along, weight, lines)
+        points = elsewhere.counted or elsewhere.likely(points)
+        pixels = _shared(sight, own, *of_told, lines + points).counted
+        for variance, member in ((lines, line), (points, point), (pixels, sight)):
             if variance:
                 together = np.zeros((member.max() + 1, pull.shape[1]))
                 np.add.at(together, member, pull)
-                spread += variance * together.T @ together
-    return PrintErrors((lines[0], lines[1]), (points[0], points[1]), spread)
+                spread += variance * (together.T @ together - pull.T @ pull)
+        found.append((lines, points, pixels))
+    values, vectors = np.linalg.eigh(spread)
+    spread = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    (x, y) = np.sqrt(found).tolist()
+    lines_, points_, pixels_ = zip(x, y, strict=True)
+    return PrintErrors(lines_, points_, pixels_, spread)
 
 
-def _variance(
+@dataclass(frozen=True)
+class _Shared:
+    """A variance that members of groups share, its standard deviation if it is 0, and how many groups tell."""
+
+    variance: float
+    noise: float
+    groups: int
+
+    @property
+    def counted(self) -> float:
+        """The variance; 0 if it does not stand out."""
+        return self.variance if self.groups >= ENOUGH and self.variance > SIGNIFICANT * self.noise > 0.0 else 0.0
+
+    def likely(self, most: float) -> float:
+        """Mean of what is likely between 0 and the most that it can be; that, where nothing tells."""
+        if not self.noise > 0.0 or not most > 0.0:
+            return most
+        ends = (np.array((0.0, most)) - self.variance) / self.noise
+        return float(scipy.stats.truncnorm.mean(*ends, loc=self.variance, scale=self.noise))
+
+
+def _shared(
     member: NDArray[np.intp],
     part: NDArray[np.intp],
     along: NDArray[np.float64],
     weight: NDArray[np.float64],
-    known: float,
-) -> float:
-    """Variance that the members of each group share beyond one that is known; 0 if it does not stand out.
+    known: float = 0.0,
+) -> _Shared:
+    """Variance that the members of each group share beyond one that is known.
 
     member (N,) number of the group; part (N,) of the part of it, in which pairs are not counted; along (N,) g . r;
     weight (N,) g . g.
@@ -130,5 +183,7 @@ def _variance(
     alike = np.sum(np.bincount(member, along) ** 2) - np.sum(own)
     pairs = np.sum(np.bincount(member, weight) ** 2) - np.sum(np.bincount(part, weight) ** 2)
     noise = np.sqrt(max(2.0 * (np.sum(np.bincount(whose, own) ** 2) - np.sum(own**2)), 0.0))  # of a sum over pairs
-    beyond, several = float(alike - known * pairs), int(np.count_nonzero(np.bincount(whose) > 1))
-    return beyond / float(pairs) if several >= ENOUGH and beyond > SIGNIFICANT * noise > 0.0 else 0.0
+    groups = int(np.count_nonzero(np.bincount(whose) > 1))
+    if not pairs > 0.0:
+        return _Shared(0.0, 0.0, groups)
+    return _Shared(float(alike / pairs - known), float(noise / pairs), groups)

@@ -35,11 +35,12 @@ def fitted(rng, line, point):
     per_square = np.broadcast_to(PER_SQUARE, (len(index), 2, 2))
     printed = print_errors(
         [
-            OnPrint(index, np.zeros(len(index), bool), rest, per_square, rate)
-            for rest, (_, rate) in zip(left, frames, strict=True)
+            OnPrint(index, np.full(len(index), ""), height, rest, per_square, rate)
+            for height, (rest, (_, rate)) in enumerate(zip(left, frames, strict=True))
         ]
     )
-    ours = covariance + covariance @ printed.spread @ covariance
+    own = np.mean(np.square(left)) * covariance  # a fit has all errors of its corners in their sigmas
+    ours = own + covariance @ printed.spread @ covariance
     return found / np.sqrt(np.diag(covariance)), found / np.sqrt(np.diag(ours)), printed
 
 
@@ -72,9 +73,30 @@ def test_a_ball_whose_numbers_follow_the_print_hides_nothing():
         size=index.shape
     )
     per_square, rate = np.broadcast_to(PER_SQUARE, (len(index), 2, 2)), np.zeros((len(index), 2, 1))
-    beside = OnPrint(index, np.zeros(len(index), bool), value, per_square, rate)
+    beside = OnPrint(index, np.full(len(index), ""), 0, value, per_square, rate)
     near = (np.abs(index) < 4).all(axis=1)
-    through = OnPrint(index[near], near[near], 0.1 * value[near], -8.0 * per_square[near], rate[near])
+    way = np.full(np.count_nonzero(near), "ball")
+    through = OnPrint(index[near], way, 0, 0.1 * value[near], -8.0 * per_square[near], rate[near])
     alone, both = (print_errors(frames).lines for frames in ([beside], [beside, through]))
     assert alone == pytest.approx(both)
     assert np.mean(both) == pytest.approx(LINE, rel=0.25)
+
+
+def test_what_pixels_do_to_corners_on_the_same_place_in_two_frames_is_not_the_prints():
+    """Corners beside the glass lie on the same pixels with and without it, those behind it on others."""
+    index, rng = corners(), np.random.default_rng(6)
+    beside, through = np.full(len(index), ""), np.full(len(index), "ball")
+    per_square, rate = np.broadcast_to(PER_SQUARE, (len(index), 2, 2)), np.ones((len(index), 2, 1))
+    near = (np.abs(index) < 7).all(axis=1)
+    for of_print in (True, False):
+        alike = 2.0 * LINE * rng.normal(size=index.shape) @ PER_SQUARE.T
+        bare, clear, glass = (rng.normal(size=index.shape) + alike * shared for shared in (1.0, 1.0, of_print))
+        frames = [
+            OnPrint(index, beside, 0, bare, per_square, rate),
+            OnPrint(index[~near], beside[~near], 0, clear[~near], per_square[~near], rate[~near]),
+            OnPrint(index[near], through[near], 0, glass[near], per_square[near], rate[near]),
+        ]
+        found = print_errors(frames)
+        first, second = (found.points, found.pixels) if of_print else (found.pixels, found.points)
+        assert np.mean(first) == pytest.approx(2.0 * LINE, rel=0.25)
+        assert np.mean(second) < 0.4 * np.mean(first)
