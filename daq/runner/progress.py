@@ -158,7 +158,7 @@ def panel(progress: Progress) -> Table:
 
 def line(progress: Progress) -> str:
     """Return the state of a run as one line of a log."""
-    words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}", progress.doing, progress.left()]
+    words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}".rstrip(), progress.doing, progress.left()]
     if progress.stats.vectors is not None:
         words.append(f"vectors {progress.stats.vectors.sentence()}")
     return "; ".join([*filter(None, words), books(progress)])

@@ -8,13 +8,14 @@ back is only what it was told; a camera that sends no such chunk leaves it open,
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 
 from daq.bench.bench_table import CameraSection
 from daq.cameras.camera import Camera
-from daq.cameras.frame import FrameMeta
+from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import CameraTimeout, FrameIncomplete, SettingRefused
 from daq.runner.camera_session import CameraSession
 
@@ -33,7 +34,9 @@ class TriggerCheck:
     said: str
 
 
-def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) -> list[TriggerCheck]:
+def try_trigger(
+    camera: Camera, section: CameraSection, frames: int = FRAMES, drawn_s: Callable[[], float] = lambda: 0.0
+) -> list[TriggerCheck]:
     """Take a few frames as the bench file sets the camera up, and judge them.
 
     Parameters
@@ -44,6 +47,8 @@ def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) ->
         How it is set up.
     frames : int
         How many.
+    drawn_s : callable, optional
+        Seconds in which a simulation drew pictures, up to now.
 
     Raises
     ------
@@ -52,7 +57,7 @@ def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) ->
     """
     sends = _sends_exposures(camera, section)
     asked = [*section.chunks, *([CHUNK] if sends and CHUNK not in section.chunks else [])]
-    exposures = CameraSession(camera, section.model_copy(update={"chunks": asked}))
+    exposures = CameraSession(camera, section.model_copy(update={"chunks": asked}), drawn_s=drawn_s)
     settings = exposures.set_up()
     found = [TriggerCheck("settings", True, f"{len(section.settings)} read back as they were set")]
     metas: list[FrameMeta] = []
@@ -63,7 +68,7 @@ def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) ->
         for _ in range(frames):
             if exposures.software:
                 camera.trigger()
-            with camera.next_frame(section.timeout_s) as frame:
+            with _next(exposures) as frame:
                 metas.append(frame.meta)
     except (CameraTimeout, FrameIncomplete) as error:
         why = str(error)
@@ -82,6 +87,14 @@ def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) ->
     found.append(TriggerCheck("trigger", True, said))
     second_us = None if section.pairs is None else section.pairs.second_exposure_us
     return [*found, *_exposures(metas, settings.get(CHUNK, settings.get("ExposureTimeAbs")), second_us)]
+
+
+def _next(exposures: CameraSession) -> Frame:
+    """Next whole frame; one with pixels missing is left to the camera's counters."""
+    deadline_s = exposures.now_s() + exposures.section.timeout_s
+    while True:
+        with suppress(FrameIncomplete):
+            return exposures.wait_until(deadline_s)
 
 
 def _sends_exposures(camera: Camera, section: CameraSection) -> bool:

@@ -56,7 +56,7 @@ def camera(
         info = hardware.camera.info
         screen.print(f"{info.vendor} {info.model}, serial {info.serial}, {info.backend} at {info.address}")
         if action == "test":
-            _say(try_trigger(hardware.camera, hardware.camera_section))
+            _say(try_trigger(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s))
             return None
         exposures = CameraSession(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s)
         settings = exposures.set_up()

@@ -24,7 +24,9 @@ from correction.maps.dewarp import Dewarp
 from correction.node_status import MEANING, NodeStatus
 from correction.target import Chessboard
 from daq.atomic_write import write_json
+from daq.errors import RunUsageError
 from daq.runs.acquired import ReadAhead
+from daq.runs.names import is_run
 from daq.runs.run_views import shows_light_sheet, where_lit
 from ground.terminal import console, progress
 from piv.errors import FrameError
@@ -145,6 +147,8 @@ def correct(
         The scene file is wrong.
     FrameError
         A frame is missing, damaged, colour, or of another size.
+    RunUsageError
+        A run is given in place of its frames.
     BoardError
         A run's board is another one.
     TargetNotFound
@@ -152,6 +156,10 @@ def correct(
     """
     screen = console()
     frames = paths_of(frames)
+    for path in frames:
+        if is_run(path):
+            cure = f"give some of its frames, as in {path / 'frames' / '*.tif'}, or evaluate the run"
+            raise RunUsageError("is a run", place=path, cure=cure)
     if recipe.mm_per_px is not None:
         raise MapUsageError("a scene says what its pixels show; leave --mm-per-px out")
     fitted = recipe.masked(scene if isinstance(scene, Scene) else load_scene(scene))

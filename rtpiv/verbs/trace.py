@@ -222,17 +222,20 @@ def _body_row(body: BodyShare) -> tuple[str, ...]:
 def _radial_table(view: FieldOfView) -> Table:
     """Figures of spheres in a row, as Martins et al. (2018) give them."""
     radius = view.radius_mm
-    table = Table(title="spheres in a row")
+    table = Table(title="balls in a row; lengths in radii R of the balls")
     table.add_column("")
     table.add_column("value", justify="right")
     rows = [
-        ("FOV_in = (r_b/R)^2, of the ball's cross-section", f"{100.0 * view.inside:.1f} %"),
-        ("FOV_total, of the square round its silhouette", f"{100.0 * view.total:.1f} %"),
-        ("largest recovered r_o/R", f"{view.edge_mm / radius:.3f}"),
-        ("fold at r_i/R" if view.folds else "branch ends at r_i/R", f"{view.fold_mm / radius:.3f}"),
-        ("silhouette r_red/R", f"{view.silhouette_mm / radius:.3f}"),
-        ("r_i/r_o at the centre", f"{view.centre_magnification:+.3f}"),
-        ("L/R", f"{view.distance_mm / radius:.3g}"),
+        ("share of a ball's cross-section seen through it (FOV_in)", f"{100.0 * view.inside:.1f} %"),
+        ("share of the square around its silhouette (FOV_total)", f"{100.0 * view.total:.1f} %"),
+        ("recovered up to, from the axis on the plane (r_o/R)", f"{view.edge_mm / radius:.3f}"),
+        (
+            "where that is seen: at a fold (r_i/R)" if view.folds else "where that is seen: at the edge (r_i/R)",
+            f"{view.fold_mm / radius:.3f}",
+        ),
+        ("silhouette of the balls (r_red/R)", f"{view.silhouette_mm / radius:.3f}"),
+        ("enlarged at the centre by (r_i/r_o)", f"{view.centre_magnification:+.3f}"),
+        ("distance of the camera (L/R)", f"{view.distance_mm / radius:.3g}"),
     ]
     for name, value in rows:
         table.add_row(name, value)

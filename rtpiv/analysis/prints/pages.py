@@ -139,7 +139,7 @@ def _middle(side_mm: float, low_mm: float, high_mm: float) -> float:
 
 
 def _draw(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:
-    """What of a sheet lies within some bounds."""
+    """What of a sheet lies within some bounds; as artists: nobody asks for the limits of so many squares."""
     from matplotlib.patches import PathPatch, Rectangle
     from matplotlib.path import Path as Outline
 
@@ -153,7 +153,7 @@ def _draw(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:
         outline = Outline.make_compound_path(
             *(Outline(np.vstack((shape, shape[:1])), closed=True) for shape in flat)
         )
-        axes.add_patch(PathPatch(outline, facecolor="black", linewidth=0.0, clip_path=clip))
+        axes.add_artist(PathPatch(outline, facecolor="black", linewidth=0.0, clip_path=clip))
     for dark in (True, False):
         discs = [
             Outline.circle((x, y), 0.5 * wide)
@@ -162,7 +162,7 @@ def _draw(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:
         ]
         if discs:
             ring = Outline.make_compound_path(*discs)
-            axes.add_patch(PathPatch(ring, facecolor="black" if dark else "white", linewidth=0.0, clip_path=clip))
+            axes.add_artist(PathPatch(ring, facecolor="black" if dark else "white", linewidth=0.0, clip_path=clip))
 
 
 def _meets(low: NDArray[np.float64], high: NDArray[np.float64], bounds: Bounds) -> bool:

@@ -124,3 +124,13 @@ def test_a_scene_goes_where_its_file_goes_and_two_calls_keep_both_results(tmp_pa
     for verb in (lambda: evaluate(["a.tif", "a.tif"], scene=scene), lambda: calibrate(".", scene)):
         with pytest.raises(RunUsageError, match="give the scene's file"):
             verb()
+
+
+def test_a_run_in_place_of_its_frames_is_refused_with_what_to_give(tmp_path, capsys):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text("{}")
+    (tmp_path / "scene.yaml").write_text("bodies: []\n")
+    assert main(["correct", str(tmp_path / "run"), "--scene", str(tmp_path / "scene.yaml")]) == USAGE
+    said = " ".join(capsys.readouterr().err.split())
+    assert "run: is a run; give some of its frames, as in" in said
+    assert "*.tif, or evaluate the run" in said
