@@ -1,6 +1,6 @@
 """`rtpiv check`: whether files say what can be done, and whether runs on the disk are what was acquired."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -90,14 +90,9 @@ def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "lis
     checks: list[FileCheck | RunCheck] = []
     wrong: Exception | None = None
     try:
-        checks += check_files(files, None if bench is None else Path(bench))
+        checks += check_files(files, None if bench is None else Path(bench), _show)
     except RunUsageError as error:
         wrong = error
-    for file in checks:
-        if isinstance(file, FileCheck):
-            console().print(f"{file.path}  ok  {file.kind}: {file.said}", soft_wrap=True)
-            for question in file.questions:
-                console().print(f"  {question}", soft_wrap=True, highlight=False)
     if runs:
         checks += _check_runs(runs)
     if wrong is not None:
@@ -105,8 +100,17 @@ def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "lis
     return checks
 
 
-def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCheck]:
-    """Check files without printing anything; parameters and errors as for `check`."""
+def _show(file: FileCheck) -> None:
+    """Say what a file says, as soon as it is known: the next one may have kernels to compile."""
+    console().print(f"{file.path}  ok  {file.kind}: {file.said}", soft_wrap=True)
+    for question in file.questions:
+        console().print(f"  {question}", soft_wrap=True, highlight=False)
+
+
+def check_files(
+    paths: Iterable[Path], bench: Path | None = None, tell: Callable[[FileCheck], None] = lambda file: None
+) -> list[FileCheck]:
+    """Check files without printing anything, and tell of each that is right; else as `check`."""
     found: list[FileCheck] = []
     problems: list[str] = []
     kinds: dict[Path, str] = {}
@@ -122,6 +126,7 @@ def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCh
         try:
             said, questions = _said(path, kind, benches, named or [beside] * beside.is_file())
             found.append(FileCheck(path, kind, said, tuple(questions)))
+            tell(found[-1])
         except UntrustedProgram:  # a person may be asked
             raise
         except WRONG as error:

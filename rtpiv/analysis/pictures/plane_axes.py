@@ -39,7 +39,7 @@ def colour_bar(shown: ScalarMappable, axes: Axes, label: str, extend: str = "nei
     bar = axes.figure.colorbar(shown, cax=beside, extend=extend)
     tall_in = _height_in(axes)
     lines = textwrap.wrap(label, max(LEAST_LETTERS, int((tall_in + BEYOND_IN) / LETTER_IN)))
-    bar.set_label("\n".join(lines), fontsize=10.0 if len(lines) < 2 else 8.0, labelpad=2.0)
+    bar.set_label("\n".join(lines), fontsize=10.0 if len(lines) < 2 else 8.0, labelpad=4.0 / len(lines))
     if type(bar.locator) is AutoLocator:
         bar.locator = MaxNLocator(min(9, max(2, int(tall_in / TICK_IN))), steps=[1, 2, 2.5, 5, 10])
         bar.update_ticks()

@@ -1,5 +1,6 @@
 """`rtpiv check FILE...`: every problem of every file at once, plans tried on their bench, nothing opened."""
 
+import importlib
 import re
 
 import pytest
@@ -155,3 +156,17 @@ def test_settings_of_piv(tmp_path):
     (tmp_path / "piv.yaml").write_text("overlap: 2\n")
     with pytest.raises(RunUsageError, match="overlap: should be less than 1, not 2"):
         check(tmp_path / "piv.yaml")
+
+
+def test_a_file_is_told_before_the_next_one_is_looked_at(lab, capsys, monkeypatch):
+    """A scene may have kernels to compile for minutes; what is right stands there by then, whatever comes."""
+    said, check_verb = [], importlib.import_module("rtpiv.verbs.check")  # the verb has its module's name
+    looked = check_verb.load_scene
+
+    def slow(path):
+        said.append(capsys.readouterr().out)
+        return looked(path)
+
+    monkeypatch.setattr(check_verb, "load_scene", slow)
+    assert main(["check", str(lab / "plan-target.yaml"), str(lab / "scene.yaml")]) == DONE
+    assert "plan-target.yaml  ok" in said[0]
