@@ -105,6 +105,13 @@ class Course:
         predictor, self.grid = moved(predictor, before, grid), grid
         self.found = refine_pass(self.deformed, grid, predictor, self.number == 1, settings, self.threads, sizes)
 
+    def read_again(self, predictor: Floats, sizes: Sizes) -> None:
+        """Read the last pass with the sizes that its nodes have: of the frames that `predictor` has deformed."""
+        found = self.found.own
+        self.found = refine_pass(
+            self.deformed, self.grid, predictor, self.number == 1, self.settings, self.threads, sizes, found
+        )
+
 
 def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | None) -> Measured:
     """Look at whole windows; large ones at half the resolution, since only whole pixels count yet."""
@@ -126,14 +133,17 @@ def refine_pass(
     settings: PivSettings,
     threads: int | None,
     sizes: Sizes | None = None,
+    own: Refined | None = None,
 ) -> Measured:
     """Look within a pixel, and at whole windows where no peak is there or little correlates.
+
+    `own` is what windows of the grid show, where that is known already.
 
     What is little depends on the frames, but in the first pass of this kind nothing is known of them: a predictor
     may be wrong everywhere.
     """
-    raw = refine(pair, grid, settings.window_sigma, threads)
-    own = raw
+    own = refine(pair, grid, settings.window_sigma, threads) if own is None else own
+    raw = own
     if sizes is not None:
         raw = chosen(own, sizes, grid, settings.window_sigma, pair.floor)
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)

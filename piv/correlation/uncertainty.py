@@ -44,8 +44,8 @@ LOST = 3.0  # pieces that go with what is left to find: neighbours share particl
 LARGEST_PX = 3.0**-0.5  # one pixel to either side, all places alike
 LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
 SAMPLING = (  # variance of a particle image [px^2], and the error that it leaves [px]
-    (0.17, 0.18, 0.222, 0.331, 0.642, 1.1),
-    (0.011, 0.008, 0.004, 0.0016, 0.0016, 0.0008),
+    (0.17, 0.18, 0.222, 0.331, 0.47, 0.642, 0.85, 1.1, 2.2),
+    (0.011, 0.008, 0.004, 0.0017, 0.0018, 0.0017, 0.0014, 0.001, 0.0008),
 )
 
 

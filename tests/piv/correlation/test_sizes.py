@@ -7,6 +7,7 @@ from scipy.interpolate import RegularGridInterpolator
 from piv.correlation.deform import DeformedPair
 from piv.correlation.halving import pieces_of
 from piv.correlation.pair import evaluate_pair
+from piv.correlation.passes import Course
 from piv.correlation.prepare import prepared
 from piv.correlation.refine import refine
 from piv.correlation.settings import PivSettings, settings_of
@@ -65,6 +66,38 @@ def test_where_nothing_is_finer_no_noise_of_small_windows_comes_in(particle_pair
     before = errors(evaluate_pair(*pair, threads=1), flows.mix)[0]
     assert np.median(sides) == 32
     assert rms(off) < most * rms(before)
+
+
+def passes_of(pair, monkeypatch, never_ends_early=False):
+    """Vectors, and passes with frames deformed anew."""
+    looks = []
+    look = Course.look
+    with monkeypatch.context() as patch:
+        patch.setattr(Course, "look", lambda course, *told: (looks.append(1), look(course, *told))[1])
+        if never_ends_early:
+            patch.setattr("piv.correlation.halving._promises", lambda *told: True)
+        return evaluate_pair(*pair, settings=FOUND, threads=1), len(looks)
+
+
+def test_a_flow_that_promises_nothing_finer_is_tried_once(particle_pair, monkeypatch):
+    """Two passes less, for the same vectors."""
+    pair = particle_pair(lambda u, v: (0.02 * (v - 256) + 2.0, -0.02 * (u - 256)), SHAPE, seed=3, ppp=0.04)
+    early, passes = passes_of(pair, monkeypatch)
+    whole, more = passes_of(pair, monkeypatch, never_ends_early=True)
+    assert passes == more - 2
+    both = early.valid & whole.valid
+    assert both.mean() > 0.99
+    for name in ("u_px", "v_px"):
+        assert np.abs(getattr(early, name) - getattr(whole, name))[both].max() < 0.01, name
+    assert (early.side_px == 32).all()
+
+
+def test_one_small_vortex_in_a_large_quiet_frame_still_finds_its_windows(particle_pair, monkeypatch):
+    pair = particle_pair(flows.vortex(250.0, 12.0, 0.15), SHAPE, seed=4, ppp=0.04)
+    field, _ = passes_of(pair, monkeypatch)
+    x, y = np.meshgrid(field.x_px, field.y_px)
+    near = np.hypot(x - 250.0, y - 250.0) < 20
+    assert (field.side_px[near] == 16).mean() > 0.7
 
 
 def test_under_noise_a_bent_flow_is_no_worse_than_by_usual_windows(particle_pair):
