@@ -6,7 +6,9 @@ its origin, and how long its bars are, is measured on the dots, as a person does
 board lies drops out, as long as its lines lie between dots of the printer.
 
 How well the bars are read is what is left of the map where balls stand beside the axis: with 0.1 mm the three
-balls have 0.014 px of 0.056 px sigma, of which all but 0.0014 px is one scale.  They are read to 0.01 mm here.
+balls have 0.014 px of 0.056 px sigma, of which all but 0.0014 px is one scale.  They are read to 0.01 mm here, and
+that is drawn: where they were read to the last dot, the map was 0.0017 px off where sigma said 0.0080, of which
+the scale, which nobody had misread, was 0.0079.
 """
 
 import shlex
@@ -87,6 +89,12 @@ def photographs(lab, paper, folder):
             number += 1
 
 
+def misread_mm(lab, kind):
+    """By how much a person misreads the two bars, of every lab and target anew."""
+    seed = (len(lab.truth.spheres), lab.truth.camera.sensor_px[0], list(SQUARE_MM).index(kind))
+    return READ_MM * np.random.default_rng(seed).normal(size=2)
+
+
 def calibrated(lab, kind, folder):
     """Print, measure, photograph, calibrate: the fit, which lies in folder / "fit"."""
     scene, square = (lab.path, None) if lab.by_init else (None, SQUARE_MM[kind])
@@ -97,6 +105,7 @@ def calibrated(lab, kind, folder):
     board = folder / "target" / "board.yaml"
     target(board, measured_mm=page.bars_mm())
     assert read_board(board).scale == pytest.approx((1.0, 1.0), abs=2e-5)
+    target(board, measured_mm=tuple((np.array(page.bars_mm()) + misread_mm(lab, kind)).tolist()))
     write_board(board, read_board(board).model_copy(update={"read_sigma_mm": READ_MM}))
     frames = folder / "frames"
     frames.mkdir()
@@ -120,7 +129,8 @@ def test_a_target_from_the_printer_makes_a_map_that_is_right_behind_glass(tmp_pa
         f" {np.sqrt(np.mean(sigma**2)):.4f} px, {100.0 * compared:.1f} % compared"
     )
     assert compared > 0.99
-    assert rms < 0.01
+    assert np.sqrt(np.mean(sigma**2)) < 0.01
+    assert rms < 2.5 * np.sqrt(np.mean(sigma**2))  # nearly all is one scale, drawn once
 
 
 @pytest.mark.slow
