@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Literal, Unpack
 
 from daq.errors import RunUsageError, Unfinished
-from daq.runs.names import is_run
 from ground.plain_words import counted
 from ground.rows import thread_count
 from ground.terminal import console
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, RunStatus, campaign_status
+from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunStatus, campaign_status
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, ask_for
 from rtpiv.analysis.campaign.campaign_trial import adopt, trial
 from rtpiv.analysis.campaign.engines import DaskWorkers, Engine, LocalProcesses, SlurmArrays
@@ -125,10 +124,8 @@ def campaign(
     if runs and action not in ("plan", "run"):
         raise RunUsageError(f"{action} takes no runs, as the campaign knows its own; its folder is said with -o")
     for path in paths_of(runs):
-        if not is_run(path):
-            raise RunUsageError(
-                "is no run", place=path, cure=f"name runs; a campaign's own folder is said with -o {path}"
-            )
+        if (path / FILE).exists():
+            raise RunUsageError("is a campaign", place=path, cure=f"its own folder is said with -o {path}")
     if not runs and asked:
         raise RunUsageError("scenes and settings belong to runs; name the runs as well")
     if not runs and action == "plan":

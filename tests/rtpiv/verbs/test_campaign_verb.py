@@ -123,7 +123,7 @@ def test_other_versions_are_refused_too(finished, monkeypatch, capsys):
 
 
 def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
-    """Of a run with more pairs the chunks near its old end are made again; the plan says so, the others stay."""
+    """Of a run with more pairs chunks are made again, as they share what stands still in all; the plan says so."""
     monkeypatch.setattr(LocalProcesses, "opened", lambda self: Threads(self.slots).opened())
     out, runs = ("-o", str(tmp_path / "out")), [str(tmp_path / "one"), str(tmp_path / "two")]
     flow_run(tmp_path / "x", 3).rename(runs[0])
@@ -136,10 +136,10 @@ def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert main(["campaign", "plan", *runs, *out, *none]) == DONE
     said = capsys.readouterr().out
-    assert "one: 1 finished chunk is made again" in " ".join(said.split())
+    assert "one: 2 finished chunks are made again" in " ".join(said.split())
     assert (tmp_path / "out" / "runs" / "one" / "mean.nc").exists()
     assert main(["campaign", "run", *runs, *out, *none]) == DONE
-    assert "4 chunks made, 1 was there" in capsys.readouterr().out
+    assert "5 chunks made, 0 were there" in capsys.readouterr().out
     assert not (tmp_path / "out" / "runs" / "one" / "mean.nc").exists()  # that of other chunks
 
 
@@ -155,11 +155,14 @@ def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
         (("plan", "RUN", "RUN"), "named twice"),
         (("plan", "RUN", "--dewarp-order", "3"), "give both"),
         (("plan", "nowhere"), "nowhere"),
-        (("plan", "week", "RUN"), "own folder is said with -o week"),
+        (("plan", "week", "RUN"), "week: is a campaign; its own folder is said with -o week"),
         (("plan", "RUN", "--scene", "nowhere.yaml"), "nowhere.yaml"),
     ],
 )
-def test_what_cannot_be_meant_is_one_sentence(runs, tmp_path, capsys, words, said):
+def test_what_cannot_be_meant_is_one_sentence(runs, tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    Path("week").mkdir()
+    Path("week", "campaign.json").touch()
     words = [runs[0] if word == "RUN" else word for word in words]
     assert main(["campaign", *words, "-o", str(tmp_path / "out")]) == USAGE
     error = capsys.readouterr().err
