@@ -14,6 +14,7 @@ with its reference, and with what is displaced from it.  A step that keeps what 
 on, finished or not.
 """
 
+import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -171,7 +172,7 @@ class Request:
     def to_dict(self) -> dict[str, Any]:
         """As plain data, paths made absolute; a run that is no rehearsal says nothing of one."""
         said = {name: v for name, v in vars(self).items() if self.rehearsed or name not in ("rehearsed", "seed")}
-        return {name: str(v.resolve()) if isinstance(v, Path) else v for name, v in said.items()}
+        return {name: os.path.realpath(v) if isinstance(v, Path) else v for name, v in said.items()}
 
     @classmethod
     def from_dict(cls, tree: Mapping[str, Any]) -> "Request":

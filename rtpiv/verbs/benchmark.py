@@ -1,5 +1,6 @@
 """`rtpiv benchmark`: run time against error on this machine, for one scene; the project's own benchmark."""
 
+import os
 import subprocess
 from importlib.util import find_spec
 from pathlib import Path
@@ -45,7 +46,7 @@ def benchmark(scene: Named, /, out: Named = "benchmark", rounds: Count = 9) -> P
     load_scene(scene)
     if find_spec("benchmarks") is None:
         raise RunUsageError("the benchmarks are not installed: run this in a checkout of the sources of rtpiv")
-    options = ["-o", str(out.resolve()), "--rounds", str(rounds), "--scenes", str(scene.resolve())]
+    options = ["-o", os.path.realpath(out), "--rounds", str(rounds), "--scenes", os.path.realpath(scene)]
     command, environment = child("benchmarks", *options)
     with results_in(out):
         if subprocess.run(command, env=environment, check=False).returncode:

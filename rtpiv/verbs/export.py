@@ -3,6 +3,7 @@
 PIVPy and xarray read the NetCDF files of vectors as they are.
 """
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -95,7 +96,7 @@ def export(
 
 def _names(sources: Sequence[Path]) -> list[str]:
     """Names of the results: those of the files, and of as many folders above them as tell all apart."""
-    places = [source.resolve().with_suffix("").parts[1:] for source in sources]
+    places = [Path(os.path.realpath(source)).with_suffix("").parts[1:] for source in sources]
     for depth in range(1, max(map(len, places), default=0) + 1):
         names = ["_".join(place[-depth:]) for place in places]
         if len(set(names)) == len(names):

@@ -5,6 +5,7 @@ scene beside the scene of the other.
 """
 
 import errno
+import os
 import tempfile
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -84,7 +85,7 @@ def _is_free(folder: Path) -> bool:
 @contextmanager
 def _alone_in(folder: Path, copies: Collection[str]) -> Iterator[None]:
     """Hold a folder, made if it is not there; BlockingIOError if another process does."""
-    place = folder.resolve()
+    place = Path(os.path.realpath(folder))
     if place in _held.get():
         yield
         return

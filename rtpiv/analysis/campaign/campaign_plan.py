@@ -4,6 +4,7 @@ A run is planned anew whenever its chunks are made: keys come from its journal, 
 versions as they are then, and nothing that was planned before is believed.
 """
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -167,7 +168,7 @@ def ask_for(
     RunUnsuitable, ConfigError, DiskError
         What a run or its scene make impossible, or the folder cannot hold.
     """
-    if len({run.resolve() for run in runs}) < len(runs):
+    if len({os.path.realpath(run) for run in runs}) < len(runs):
         raise SeriesError("a run is named twice; its pairs would count twice")
     scenes = [Path(scene) for scene in settings.scenes]
     if len(scenes) not in (0, 1, len(runs)):
@@ -190,7 +191,7 @@ def ask_for(
     how: HowAsked = {
         "settings": {n: list(v) if isinstance(v, tuple) else v for n, v in asdict(choice.settings).items()},
         "prepare": None if choice.preparation is None else list(choice.preparation.steps),
-        "target_clear": None if settings.target_clear is None else str(Path(settings.target_clear).resolve()),
+        "target_clear": None if settings.target_clear is None else os.path.realpath(settings.target_clear),
         "dewarp_order": settings.dewarp_order or 2,
         "dt_us": settings.dt_us,
         "sigma_limit_px": settings.sigma_limit_px,
@@ -199,7 +200,7 @@ def ask_for(
     asked: CampaignFile = {
         "layout": LAYOUT,
         "chunk_pairs": settings.chunk or CHUNK_PAIRS,
-        "runs": [{"name": name, "path": str(run.resolve())} for name, run in zip(names, runs, strict=True)],
+        "runs": [{"name": name, "path": os.path.realpath(run)} for name, run in zip(names, runs, strict=True)],
         "how": how,
     }
     write_json(folder.path / FILE, asked)
@@ -317,7 +318,7 @@ def _names(runs: Sequence[Path]) -> list[str]:
     """A name for each run: that of its folder, with a number where several share it."""
     names: list[str] = []
     for run in runs:
-        name, number = re.sub(r"[^\w.+-]+", "-", run.resolve().name).strip("-."), 1
+        name, number = re.sub(r"[^\w.+-]+", "-", Path(os.path.realpath(run)).name).strip("-."), 1
         if not name:
             raise RunUnsuitable(f"{run}: a run needs a folder with a name")
         own = name
