@@ -37,7 +37,6 @@ from correction.fit.solve.solver import (
     minimise,
     newton_step,
     normal_equations,
-    pushed_clear,
     residuals,
 )
 from correction.fit.solve.unknowns import Unknowns
@@ -284,7 +283,8 @@ def root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 def legal_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:
     """Return the scene of a full vector with overlaps pushed apart, and the largest overlap [mm]."""
     overlap = largest_overlap_mm(unknowns.spheres(full), unknowns.shapes(full))
-    return unknowns.moved(cleared(unknowns, full)), max(overlap, pushed_clear(unknowns, full)[1])
+    moved, cut = cleared(unknowns, full)
+    return unknowns.moved(moved), max(overlap, cut)
 
 
 def _summed(counts: Sequence[dict[str, int]]) -> dict[str, int]:

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.errors import FitFailed
+from correction.errors import FitFailed, GlassNotSeen
 from correction.fit.camera_stage import find_camera, size_told
 from correction.fit.glass_stage import find_glass
 from correction.fit.judge.light_of_glass import light_of_glass
@@ -80,7 +80,10 @@ def fit_scene(
         work.dispersion = Dispersion.of(nominal, light)
     find_camera(work)
     if work.glass_frames:
-        find_glass(work)
+        try:
+            find_glass(work)
+        except GlassNotSeen as missing:  # a board of another size is seen elsewhere than the scene shows it
+            raise GlassNotSeen("; ".join(filter(None, (size_told(work), str(missing))))) from None
     fit = _looked_through(
         work, work.fits.estimate(work.unknowns, work.full, [*work.bare, *work.behind], work.history)
     )

@@ -57,7 +57,7 @@ class BenchSession:
         self._stack = ExitStack()
         try:
             opened = self._stack.enter_context(open_bench(bench, simulate, only={STAGES}))
-            self.stage, self.simulation = opened.stage, opened.simulation
+            self.stage, self.simulation, self.drawn_s = opened.stage, opened.simulation, opened.drawn_s
             self._opened, self._devices = opened, dict(opened.devices)
         except BaseException:
             self._stack.close()

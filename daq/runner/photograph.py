@@ -45,8 +45,7 @@ def photograph(bench: BenchSession, camera: str = CAMERA) -> NDArray[np.uint16]:
     if not hasattr(device, "next_frame"):
         raise RunUsageError(f"{camera} takes no frames; name a camera of the bench")
     section = bench.camera_section(camera)
-    drawn_s = bench.simulation.drawn_s if bench.simulation is not None else lambda: 0.0
-    exposures = CameraSession(cast("Camera", device), section, bench.stage.latch, drawn_s=drawn_s)
+    exposures = CameraSession(cast("Camera", device), section, bench.stage.latch, drawn_s=bench.drawn_s)
     exposures.set_up()
     try:
         for _, frame in exposures.frames(1):

@@ -34,6 +34,7 @@ from correction.fit.seen.measurement import MeasuredFrame, by_region, region_fac
 from correction.fit.seen.pixel_lock import unlocked
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.solve.doubted import SCALES, WALL, doubted_shapes, likely_scales
+from correction.fit.solve.linear_change import as_linear
 from correction.fit.solve.solver import (
     Corners,
     Residuals,
@@ -54,7 +55,6 @@ ALONE, LEAD = 0.2, 4.0  # or so much, if no other explains a quarter of it: larg
 RIVALS = 4
 REFIT_STEPS, KNEE = 40, 3.0  # sigmas beyond which a corner weighs less
 ROUNDS = 2
-ASKED_BESIDE, ASKED, NEGLIGIBLE = 16, 48, 0.02  # pixels each way; of a difference of maps
 UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
 CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
@@ -295,51 +295,12 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     inverse = np.linalg.inv(found.normal + np.eye(len(at)))[:, free:]
     open_still = inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
     moving = wider.columns[:, : free if one.board is not None or one.is_shape else None]
-    stands, other = cleared(unknowns, full), wider.full(at)
-    change = other - stands + _as_linear(unknowns, stands, other, moving)
+    stands, other = cleared(unknowns, full)[0], wider.full(at)
+    change = other - stands + as_linear(unknowns, stands, other, moving)
     change = np.column_stack((change, wider.columns @ open_still))
     of_own = one.ordinary[:, None] * np.column_stack((at[free:], open_still[free:]))
     worth = gain - size * np.log(count)
     return replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
-
-
-def _as_linear(
-    unknowns: Unknowns, full: NDArray[np.float64], other: NDArray[np.float64], moving: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """What is to be added to a change (F,), from a full vector to another, that derivatives say what it does.
-
-    Sigma follows changes by derivatives of the map; a lens that is far off makes other differences, which are zero
-    elsewhere.  All of the view is asked, since what fits corners may go anywhere beside them.
-
-    Parameters
-    ----------
-    unknowns, full, other
-        Of the fit, and the two vectors.
-    moving : (F, K) float64
-        Columns along which to add, by as little as does.
-    """
-    normal, slope = np.eye(moving.shape[1]), np.zeros(moving.shape[1])
-    every = replace(unknowns, columns=np.eye(len(full)), names=unknowns.full_names)
-    width, height = unknowns.scene.camera.sensor_px
-    for glass, count in ((False, ASKED_BESIDE), (True, ASKED)):
-        grid = np.meshgrid(np.linspace(0.0, width - 1.0, count), np.linspace(0.0, height - 1.0, count))
-        pixels = np.stack(grid, axis=-1).reshape(-1, 2)
-        asked = Corners(0, glass, pixels, np.zeros_like(pixels), 1.0)
-        before, after = landed(every, full, asked), landed(every, other, asked)
-        same = before.recovered & after.recovered & (before.key == after.key)
-        if glass:  # differences beside the glass, often a hundred times larger, have been asked
-            same &= before.key != landed(every, full, replace(asked, glass=False)).key
-        rate = free_rates(every, full, asked, before)[same]
-        differ = (after.point_mm - before.point_mm)[same]
-        size = np.linalg.norm(differ, axis=1)
-        if not len(size) or not np.median(size) > 0.0:
-            continue
-        weight = 1.0 / (NEGLIGIBLE * (size + np.median(size)))
-        flat = (weight[:, None, None] * (rate @ moving)).reshape(-1, moving.shape[1])
-        off = weight[:, None] * (differ - rate @ (other - full))
-        normal += flat.T @ flat
-        slope += flat.T @ off.ravel()
-    return np.asarray(moving @ np.linalg.solve(normal, slope))
 
 
 def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:

@@ -87,11 +87,11 @@ def pushed_clear(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray
     return table, max(deepest, 0.0)
 
 
-def cleared(unknowns: Unknowns, full: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Full vector (F,) with balls pushed clear: what a scene can be made of, and a map is."""
-    moved = np.array(full)
-    moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed_clear(unknowns, full)[0][:, :3]
-    return moved
+def cleared(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Full vector (F,) with balls pushed clear, of which scenes can be made, and the deepest overlap [mm]."""
+    moved, (pushed, deepest) = np.array(full), pushed_clear(unknowns, full)
+    moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed[:, :3]
+    return moved, deepest
 
 
 def _moved(unknowns: Unknowns, full: NDArray[np.float64], at: int, by: float) -> dict[str, Body]:

@@ -20,11 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.atomic_write import why
-from daq.errors import DiskError, RunDamaged
+from daq.errors import RunDamaged
 from daq.runs.acquired import read_promised
-from ground.errors import MapFileError
-from ground.map_file import load_arrays, save_arrays
 from ground.plain_file import open_plain
 from ground.terminal import progress_if_long
 from piv.errors import FrameError, PairError
@@ -32,7 +29,8 @@ from piv.preprocessing.pod import pod_patterns, without_patterns
 from piv.preprocessing.preparation import MINIMUM, POD, SLIDING_MINIMUM, UNSEEDED
 from piv.preprocessing.series_light import series_mean, series_minimum, without_light
 from piv.preprocessing.sliding_minimum import DARK_SHARE, REACH_STEPS, without_sliding_minimum
-from rtpiv.analysis.series.series_plan import ChunkJob, Light, SeriesPair, digest
+from rtpiv.analysis.series.light_file import Light
+from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair, digest
 
 Frame = NDArray[Any]
 AHEAD = 2  # pairs
@@ -99,18 +97,9 @@ def make_light(
     light, used = light_of(folder, background, pairs, unseeded), _used(background, pairs, unseeded)
     if light is None or used is None or background is None:
         return None
-    try:
-        header, _ = load_arrays(light.path, KIND)
-        if header.get("key") == light.key:
-            return light
-    except MapFileError:
-        pass  # none yet, or damaged: made below
-    arrays = {name: _made(background, used, pulse, shape) for pulse, name in enumerate("ab")}
-    try:
-        save_arrays(light.path, KIND, {"key": light.key}, arrays)
-    except OSError as error:
-        raise DiskError(f"{light.path}: {why(error)}; make room, then try again") from error
-    return light
+    return light.made(
+        KIND, lambda: {name: _made(background, used, pulse, shape) for pulse, name in enumerate("ab")}
+    )
 
 
 def _used(
@@ -138,9 +127,7 @@ def load_light(light: Light) -> tuple[NDArray[Any], NDArray[Any]]:
     MapFileError
         The file is missing, damaged, or of another series.
     """
-    header, arrays = load_arrays(light.path, KIND)
-    if header.get("key") != light.key:
-        raise MapFileError(f"{light.path}: belongs to other frames; evaluate the run again")
+    arrays = light.arrays(KIND)
     return arrays["a"], arrays["b"]
 
 

@@ -27,8 +27,9 @@ from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.clean_frames import make_light
+from rtpiv.analysis.series.light_file import Light
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
-from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Light, Method, jobs_of
+from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method, jobs_of
 from rtpiv.analysis.series.still_frames import make_still
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene

@@ -28,6 +28,7 @@ from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from piv.preprocessing.sliding_minimum import REACH_STEPS
 from piv.statistics.merge_tree import chunks_of
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
+from rtpiv.analysis.series.light_file import Light
 from tracer.scene.scene import Scene
 
 LAYOUT = 2
@@ -64,14 +65,6 @@ class SeriesPair:
     dt_sigma_s: float | None = None
     time_s: float | None = None
     gauges: Mapping[int, Mapping[str, ReadingRecord]] = field(default_factory=dict, hash=False)
-
-
-@dataclass(frozen=True)
-class Light:
-    """Light of a whole series, in a file that its jobs share; `key` says what it was made from."""
-
-    path: Path
-    key: str
 
 
 @dataclass(frozen=True)

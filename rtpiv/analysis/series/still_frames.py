@@ -13,18 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.maps.corrector import Corrector
-from daq.atomic_write import why
-from daq.errors import DiskError, RunDamaged
+from daq.errors import RunDamaged
 from daq.runs.acquired import read_promised
-from ground.errors import MapFileError
-from ground.map_file import load_arrays, save_arrays
 from piv.errors import FrameError
 from piv.preprocessing.still_light import across_pairs, still_light
-from rtpiv.analysis.series.series_plan import ChunkJob, Light, Method, SeriesPair, digest
+from rtpiv.analysis.series.light_file import Arrays, Light
+from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair, digest
 
 KIND = "light that stands still in a series"
 PAIRS = 24  # that are compared, spread over the series
-LAYOUT = 1
+LAYOUT = 2
 
 
 def still_of(folder: Path, pairs: Sequence[SeriesPair], method: Method) -> Light:
@@ -35,23 +33,14 @@ def still_of(folder: Path, pairs: Sequence[SeriesPair], method: Method) -> Light
 
 def make_still(folder: Path, pairs: Sequence[SeriesPair], method: Method, corrector: Corrector) -> Light:
     """Make the file of the mask, unless it is there; DiskError if it cannot be written."""
-    light = still_of(folder, pairs, method)
-    try:
-        header, _ = load_arrays(light.path, KIND)
-        if header.get("key") == light.key:
-            return light
-    except MapFileError:
-        pass  # none yet, or damaged: made below
-    shape = method.scene.camera.shape
-    sound = (both for pair in _some(pairs) if (both := _read(pair, shape, corrector)) is not None)
-    found = still_light(across_pairs(sound), corrector.recovered)
-    shape = corrector.recovered.shape
-    bits = np.packbits(np.zeros(shape, bool) if found is None else found)
-    try:
-        save_arrays(light.path, KIND, {"key": light.key, "shape": list(shape)}, {"still": bits})
-    except OSError as error:
-        raise DiskError(f"{light.path}: {why(error)}; make room, then try again") from error
-    return light
+    shape, nodes = method.scene.camera.shape, corrector.recovered.shape
+
+    def make() -> Arrays:
+        sound = (both for pair in _some(pairs) if (both := _read(pair, shape, corrector)) is not None)
+        found = still_light(across_pairs(sound), corrector.recovered)
+        return {"still": np.packbits(np.zeros(nodes, bool) if found is None else found), "shape": np.array(nodes)}
+
+    return still_of(folder, pairs, method).made(KIND, make)
 
 
 def still_in(job: ChunkJob) -> NDArray[np.bool_] | None:
@@ -62,10 +51,8 @@ def still_in(job: ChunkJob) -> NDArray[np.bool_] | None:
 @lru_cache(maxsize=1)
 def load_still(light: Light) -> NDArray[np.bool_]:
     """Mask (h, w), True where light stands still; MapFileError if its file is missing, damaged or of others."""
-    header, arrays = load_arrays(light.path, KIND)
-    if header.get("key") != light.key:
-        raise MapFileError(f"{light.path}: belongs to other frames; evaluate the run again")
-    rows, columns = header["shape"]
+    arrays = light.arrays(KIND)
+    rows, columns = arrays["shape"].tolist()
     return np.unpackbits(arrays["still"], count=rows * columns).reshape(rows, columns).astype(bool)
 
 

@@ -6,7 +6,7 @@ import tifffile
 import xarray
 
 from ground.map_file import load_arrays
-from rtpiv.analysis.series.series_plan import Light
+from rtpiv.analysis.series.light_file import Light
 from rtpiv.analysis.series.still_frames import KIND, load_still
 from rtpiv.command_line.cli import DONE, main
 from tests.piv.preprocessing.test_still_light import SHAPE, WALL, over_a_wall
