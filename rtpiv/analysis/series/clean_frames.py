@@ -29,8 +29,8 @@ from piv.preprocessing.pod import pod_patterns, without_patterns
 from piv.preprocessing.preparation import MINIMUM, POD, SLIDING_MINIMUM, UNSEEDED
 from piv.preprocessing.series_light import series_mean, series_minimum, without_light
 from piv.preprocessing.sliding_minimum import DARK_SHARE, REACH_STEPS, without_sliding_minimum
-from rtpiv.analysis.series.light_file import Light
 from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair, digest
+from rtpiv.analysis.series.shared_file import SharedFile
 
 Frame = NDArray[Any]
 AHEAD = 2  # pairs
@@ -48,7 +48,7 @@ POD_FRAMES = 100  # of a pulse, spread over the series: patterns need no more
 
 def light_of(
     folder: Path, background: str | None, pairs: Sequence[SeriesPair], unseeded: Sequence[SeriesPair]
-) -> Light | None:
+) -> SharedFile | None:
     """Background file that a series needs, which may not be there yet; None where it needs none.
 
     Raises
@@ -58,7 +58,9 @@ def light_of(
     """
     used = _used(background, pairs, unseeded)
     return (
-        None if used is None else Light(folder / "background.npz", digest([background, [p.crc32 for p in used]]))
+        None
+        if used is None
+        else SharedFile(folder / "background.npz", digest([background, [p.crc32 for p in used]]))
     )
 
 
@@ -68,7 +70,7 @@ def make_light(
     pairs: Sequence[SeriesPair],
     unseeded: Sequence[SeriesPair],
     shape: tuple[int, int],
-) -> Light | None:
+) -> SharedFile | None:
     """Make the background file of a series, if it has none yet that was made from the same frames.
 
     Parameters
@@ -84,7 +86,7 @@ def make_light(
 
     Returns
     -------
-    Light or None
+    SharedFile or None
         None where no background of the whole series is taken off.
 
     Raises
@@ -119,7 +121,7 @@ def _used(
 
 
 @lru_cache(maxsize=1)
-def load_light(light: Light) -> tuple[NDArray[Any], NDArray[Any]]:
+def load_light(light: SharedFile) -> tuple[NDArray[Any], NDArray[Any]]:
     """Background of pulse A and of pulse B: (H, W), or patterns (r, H, W).
 
     Raises

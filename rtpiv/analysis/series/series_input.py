@@ -27,9 +27,9 @@ from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.clean_frames import make_light
-from rtpiv.analysis.series.light_file import Light
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method, jobs_of
+from rtpiv.analysis.series.shared_file import SharedFile
 from rtpiv.analysis.series.still_frames import make_still
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene
@@ -178,12 +178,12 @@ class SeriesInput:
         """Of the run."""
         return self.run.resolve().name
 
-    def light(self) -> Light | None:
+    def light(self) -> SharedFile | None:
         """The background of the whole series, made if it is not there yet; raises as `make_light`."""
         background, shape = self.method.preparation.background, self.method.scene.camera.shape
         return make_light(self.out, background, self.given.pairs, self.given.unseeded, shape)
 
-    def still(self) -> Light:
+    def still(self) -> SharedFile:
         """The light that stands still in all pairs, looked for if that is not done yet; raises as `make_still`."""
         corrector = correction_of(self.out / "maps", self.method).corrector
         return make_still(self.out, self.given.pairs, self.method, corrector)

@@ -28,7 +28,7 @@ from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from piv.preprocessing.sliding_minimum import REACH_STEPS
 from piv.statistics.merge_tree import chunks_of
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
-from rtpiv.analysis.series.light_file import Light
+from rtpiv.analysis.series.shared_file import SharedFile
 from tracer.scene.scene import Scene
 
 LAYOUT = 2
@@ -132,9 +132,9 @@ class ChunkJob:
         Pairs of this chunk.
     before, after : tuple of SeriesPair
         Neighbours whose frames a sliding minimum looks at.
-    light : Light or None
+    light : SharedFile or None
         Background of the whole series, if one is taken off.
-    still : Light or None
+    still : SharedFile or None
         Light that stands still in all its pairs; None: each pair looks for itself.
     """
 
@@ -144,8 +144,8 @@ class ChunkJob:
     pairs: tuple[SeriesPair, ...]
     before: tuple[SeriesPair, ...] = ()
     after: tuple[SeriesPair, ...] = ()
-    light: Light | None = None
-    still: Light | None = None
+    light: SharedFile | None = None
+    still: SharedFile | None = None
 
     @property
     def path(self) -> Path:
@@ -182,9 +182,9 @@ def jobs_of(
     folder: Path,
     pairs: Sequence[SeriesPair],
     method: Method,
-    light: Light | None,
+    light: SharedFile | None,
     chunk: int = CHUNK_PAIRS,
-    still: Light | None = None,
+    still: SharedFile | None = None,
 ) -> list[ChunkJob]:
     """Cut a series into chunks of `chunk` pairs, a power of two."""
     reach = REACH_STEPS if method.preparation.background == SLIDING_MINIMUM else 0

@@ -17,21 +17,21 @@ from daq.errors import RunDamaged
 from daq.runs.acquired import read_promised
 from piv.errors import FrameError
 from piv.preprocessing.still_light import across_pairs, still_light
-from rtpiv.analysis.series.light_file import Arrays, Light
 from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair, digest
+from rtpiv.analysis.series.shared_file import Arrays, SharedFile
 
 KIND = "light that stands still in a series"
 PAIRS = 24  # that are compared, spread over the series
 LAYOUT = 2
 
 
-def still_of(folder: Path, pairs: Sequence[SeriesPair], method: Method) -> Light:
+def still_of(folder: Path, pairs: Sequence[SeriesPair], method: Method) -> SharedFile:
     """File of the mask of a series, which may not be there yet."""
     told = [LAYOUT, method.recipe["correction"], method.recipe.get("grid"), [pair.crc32 for pair in _some(pairs)]]
-    return Light(folder / "still.npz", digest(told))
+    return SharedFile(folder / "still.npz", digest(told))
 
 
-def make_still(folder: Path, pairs: Sequence[SeriesPair], method: Method, corrector: Corrector) -> Light:
+def make_still(folder: Path, pairs: Sequence[SeriesPair], method: Method, corrector: Corrector) -> SharedFile:
     """Make the file of the mask, unless it is there; DiskError if it cannot be written."""
     shape, nodes = method.scene.camera.shape, corrector.recovered.shape
 
@@ -49,7 +49,7 @@ def still_in(job: ChunkJob) -> NDArray[np.bool_] | None:
 
 
 @lru_cache(maxsize=1)
-def load_still(light: Light) -> NDArray[np.bool_]:
+def load_still(light: SharedFile) -> NDArray[np.bool_]:
     """Mask (h, w), True where light stands still; MapFileError if its file is missing, damaged or of others."""
     arrays = light.arrays(KIND)
     rows, columns = arrays["shape"].tolist()

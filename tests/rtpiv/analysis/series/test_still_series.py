@@ -6,7 +6,7 @@ import tifffile
 import xarray
 
 from ground.map_file import load_arrays
-from rtpiv.analysis.series.light_file import Light
+from rtpiv.analysis.series.shared_file import SharedFile
 from rtpiv.analysis.series.still_frames import KIND, load_still
 from rtpiv.command_line.cli import DONE, main
 from tests.piv.preprocessing.test_still_light import SHAPE, WALL, over_a_wall
@@ -28,7 +28,7 @@ def day(tmp_path_factory):
 def kept(out):
     """Mask of a series."""
     header, _ = load_arrays(out / "still.npz", KIND)
-    return load_still(Light(out / "still.npz", header["key"]))
+    return load_still(SharedFile(out / "still.npz", header["key"]))
 
 
 @pytest.mark.usefixtures("no_mean_page")

@@ -16,13 +16,13 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Light:
-    """Light of a whole series, in a file that its jobs share; `key` says what it was made from."""
+class SharedFile:
+    """A file of a whole series; `key` says what it was made from."""
 
     path: Path
     key: str
 
-    def made(self, kind: str, make: Callable[[], Arrays]) -> "Light":
+    def made(self, kind: str, make: Callable[[], Arrays]) -> "SharedFile":
         """Make the file unless it is there; DiskError if it cannot be written."""
         try:
             self.arrays(kind)
