@@ -217,12 +217,10 @@ def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable
 
 def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder:
     """Make the folder of a new run, and in it those of its further cameras."""
-    beside = list(plan.table.further_cameras)
-    about = _about(request, bench, plan)
-    folder = RunFolder.create(parent, plan.name, {**about, **({"cameras": beside} if beside else {})})
-    for name in beside:
-        folder.create_camera(name, _about(_asked_of(name, request), _seen_by(name, bench), plan))
-    return folder
+    beside = {
+        name: _about(_asked_of(name, request), _seen_by(name, bench), plan) for name in plan.table.further_cameras
+    }
+    return RunFolder.create(parent, plan.name, _about(request, bench, plan), beside)
 
 
 def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:

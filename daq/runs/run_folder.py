@@ -14,6 +14,7 @@ carry checksums, and what they name must be of the plan and lie inside the folde
 Layout and reasons: docs/adr/0007-run-folder.md.
 """
 
+import errno
 import platform
 import shutil
 from collections.abc import Container, Iterable, Mapping, Sequence
@@ -22,6 +23,7 @@ from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 from daq.atomic_write import sync_folder
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
@@ -63,8 +65,28 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def create(cls, parent: Path, plan: str, about: Mapping[str, Any]) -> "RunFolder":
-        """Make a new folder and write run.json; a name that is taken gets a number.
+    def create(
+        cls,
+        parent: Path,
+        plan: str,
+        about: Mapping[str, Any],
+        cameras: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> "RunFolder":
+        """Make a new folder with its run.json, and in it those of further cameras; a taken name gets a number.
+
+        It is made under a hidden name and gets its own when all of it is on the disk: whoever finds a run folder,
+        whatever became of the program that made it, can open it.
+
+        Parameters
+        ----------
+        parent : Path
+            Where it is made.
+        plan : str
+            Name of the plan.
+        about : mapping
+            What run.json says.
+        cameras : mapping of str to mapping, optional
+            The same for each further camera, by name.
 
         Raises
         ------
@@ -73,21 +95,19 @@ class RunFolder:
         """
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         safe = "".join(c if c.isalnum() or c in "-_" else "-" for c in plan)[:60] or "plan"
+        name = f"{stamp}_{safe}"
+        hidden = parent / f".{name}.{uuid4().hex}.part"
+        beside = dict(cameras or {})
         try:
-            parent.mkdir(parents=True, exist_ok=True)
-            for number in range(1000):
-                path = parent / (f"{stamp}_{safe}" + (f"_{number}" if number else ""))
-                try:
-                    path.mkdir()
-                    break
-                except FileExistsError:
-                    continue
-            (path / "frames").mkdir()
-            (path / "corrected").mkdir()
+            _make(hidden, {**about, **({"cameras": list(beside)} if beside else {})})
+            for camera, its_own in beside.items():
+                _make(hidden / CAMERAS / camera, its_own)
+            path = _renamed(hidden, parent, name)
+            sync_folder(parent)
         except OSError as error:
             raise DiskError(f"{parent}: {error.strerror}; choose another folder with -o") from error
-        write_record(path / FILE, {"layout": LAYOUT, **about})
-        sync_folder(parent)
+        finally:
+            shutil.rmtree(hidden, ignore_errors=True)
         return cls(path)
 
     def remove_if_empty(self) -> bool:
@@ -96,20 +116,10 @@ class RunFolder:
         happened = any(line["kind"] not in IDLE or line.get("books", {}).get("triggered") for line in lines)
         if happened or any((self.path / "frames").iterdir()):
             return False
-        shutil.rmtree(self.path)
+        hidden = self.path.with_name(f".{self.path.name}.{uuid4().hex}.part")
+        self.path.rename(hidden)  # killed meanwhile, it leaves no half of a run
+        shutil.rmtree(hidden)
         return True
-
-    def create_camera(self, name: str, about: Mapping[str, Any]) -> "RunFolder":
-        """Make the folder of a further camera of this run; DiskError if that cannot be."""
-        path = self.path / CAMERAS / name
-        try:
-            for inner in ("frames", "corrected"):
-                (path / inner).mkdir(parents=True)
-        except OSError as error:
-            raise DiskError(f"{path}: {error.strerror}; choose another folder with -o") from error
-        write_record(path / FILE, {"layout": LAYOUT, **about})
-        sync_folder(path.parent)
-        return RunFolder(path)
 
     def cameras(self) -> "dict[str, RunFolder]":
         """Folders of the further cameras of this run, by name; RunUnsuitable or RunDamaged as for `open`."""
@@ -203,6 +213,27 @@ class RunFolder:
         if not path.is_relative_to(self.path.resolve()):
             raise RunUnsuitable(f"{self.path}: {name!r} lies outside the run, so it is not touched; see -o")
         return path
+
+
+def _make(folder: Path, about: Mapping[str, Any]) -> None:
+    """Make the folder of one camera and write its run.json; OSError or DiskError if that cannot be."""
+    for inner in ("frames", "corrected"):
+        (folder / inner).mkdir(parents=True)
+    write_record(folder / FILE, {"layout": LAYOUT, **about})
+
+
+def _renamed(hidden: Path, parent: Path, name: str) -> Path:
+    """Give a folder its own name, or that with the first number that is free; OSError if there is none."""
+    for number in range(1000):
+        path = parent / (f"{name}_{number}" if number else name)
+        if path.exists():
+            continue
+        try:
+            return hidden.rename(path)
+        except OSError:
+            if not path.exists():  # else another program was faster: its folder is not empty, so it stays
+                raise
+    raise FileExistsError(errno.EEXIST, f"a thousand runs have the name {name}", str(parent))
 
 
 def _against_plan(entry: Entry, steps: Sequence[PlannedStep]) -> str:

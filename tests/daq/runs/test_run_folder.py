@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 import zlib
 
 import numpy as np
@@ -155,3 +157,47 @@ def test_no_run_folder_no_resume(tmp_path):
     (tmp_path / "run.json").write_text('{"layout": 99}')
     with pytest.raises(RunUnsuitable, match=r"layout 99, known are \(1, 2\)"):
         RunFolder.open(tmp_path)
+
+
+KILLED = """
+import itertools, os, sys
+from pathlib import Path
+from daq.runs.run_folder import RunFolder
+
+CHANGES = ("os.mkdir", "os.rename", "open", "os.remove", "os.rmdir")
+
+
+def make_and_remove(runs, last):
+    calls = itertools.count(1)
+
+    def ended_at(event, _):
+        if event in CHANGES and next(calls) == last:
+            os._exit(9)
+
+    sys.addaudithook(ended_at)
+    RunFolder.create(runs, "shift", {"name": "shift"}, {"side": {"name": "side"}}).remove_if_empty()
+    os._exit(0)
+
+
+for last in range(1, 300):
+    if not (child := os.fork()):
+        make_and_remove(Path(sys.argv[1]) / str(last), last)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, 9), code
+    if code == 0:
+        break
+"""
+
+
+@pytest.mark.posix("os.fork")
+def test_a_run_that_is_seen_can_be_opened_whenever_its_program_was_killed(tmp_path):
+    """Killed before each change of the disk in turn: what is named as a run has run.json, and its cameras have."""
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=True)
+    found = [path for runs in tmp_path.iterdir() for path in runs.glob("2*_shift")]
+    for path in found:
+        assert json.loads((path / "run.json").read_text())["cameras"] == ["side"]
+        assert json.loads((path / "cameras" / "side" / "run.json").read_text())["name"] == "side"
+    assert found
+    last = max(int(runs.name) for runs in tmp_path.iterdir())
+    assert last > 10
+    assert list((tmp_path / str(last)).iterdir()) == []
