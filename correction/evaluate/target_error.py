@@ -4,8 +4,8 @@
 2. corrected against the regular grid: where the corner stands in the corrected frame, and where it should.
 
 The paper aligned its camera with the bare target and believed the stages for the glass; "nominal" here
-means the same: fitted camera, nominal glass.  Regions: outside (seen directly), inside (behind glass), rim
-(behind glass, within RIM_PX of the border of its branch).
+means the same: fitted camera, nominal glass.  Behind glass, "at a rim" is within RIM_PX of the border of a
+branch, "off the rims" the rest.
 
 In a perfectly corrected frame of the target, corner (i, j) stands at ((i a - x0), (y0 - j a)) / pitch.  Every
 corner whose window lies in recovered nodes is measured, and its distance from there is an error of the
@@ -288,7 +288,10 @@ def computed_against_acquired(
     mine, theirs = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
     error = expected.pixel[theirs] - corners.pixel[mine]
     behind, rim = corners.behind[mine], corners.rim_px[mine] < RIM_PX
-    regions = {"all": behind | True, "outside": ~behind, "inside": behind & ~rim, "rim": behind & rim}
+    regions = {
+        "all": behind | True, "seen directly": ~behind,
+        "behind glass, off the rims": behind & ~rim, "behind glass, at a rim": behind & rim,
+    }  # fmt: skip
     figures = [_figures(name, error[which]) for name, which in regions.items() if which.any()]
     return figures, corners.pixel[mine], error
 

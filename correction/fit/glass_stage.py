@@ -108,7 +108,7 @@ def _pair(work: Progress, coarse: Unknowns, candidates: Candidates) -> None:
     best = found[0]
     work.explained = best.share
     work.full = coarse.full(best.solution.x)
-    name = f"pairing on {work.glass_frames[0].name}"
+    name = f"which corner is which on {work.glass_frames[0].name}"
     work.note(FitStep(name, best.inliers, float(np.sqrt(0.5)) * best.rms_px))
 
 

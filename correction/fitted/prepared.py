@@ -101,7 +101,7 @@ def prepare(
     method : {"quintic", "bilinear"}
         Interpolation.
     layers : int
-        Views joined a node; 1 takes the best.
+        Views of a node that are joined, where several paths through the glass show it; 1 takes the best.
     maps : Path, optional
         Folder of stored correction maps, by the hash of their scene; a map that is missing or damaged is made and
         put there.

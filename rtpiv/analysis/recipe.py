@@ -144,7 +144,7 @@ class Resampling:
     method : {"quintic", "bilinear"}
         Interpolation.
     blend : int
-        Views joined a node; 1 takes the best.
+        Views of a node that are joined, where several paths through the glass show it; 1 takes the best.
     """
 
     method: Method = "quintic"

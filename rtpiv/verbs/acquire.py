@@ -113,7 +113,7 @@ def acquire(
         Home every axis first, in the configured order; the plan is then judged from the homed place, if the bench
         file says where that is.
     operator : str, optional
-        Who answers for the light of a flow run where nobody sits at a terminal; see `verbs.operator`.
+        Who answers for the light of a flow run where nobody sits at a terminal (docs/laser.md).
     frames : LiveFrames
         What is done with frames as they arrive.
 

@@ -120,7 +120,7 @@ def correct(
     frames : list of path, or path
         Acquired frames; all are looked at before the first result is written.
     scene : path or Scene
-        scene.yaml, as known or as fitted, or what `load_scene` made of it.
+        scene.yaml, as known or as fitted, or in Python what `load_scene` made of it.
     out : path, optional
         Folder, default ``corrected`` (or ``corrected-2`` ... where that has results): one TIFF a frame,
         ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame, ``correction.json``.

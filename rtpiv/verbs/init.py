@@ -90,8 +90,8 @@ class GivenLab:
     distance_mm : float, optional
         From the lens to the plane (default 500).
     arrangement : str, optional
-        How the balls stand: one behind the other, beside each other, ...; sc, bcc, hcp: packed beds (default:
-        behind; triangle of 3, pyramid of 4 or 5).
+        How the balls stand: one behind the other (behind, row), beside each other (beside, side), ...; sc, bcc,
+        hcp: packed beds (default: behind; triangle of 3, pyramid of 4 or 5).
     balls : int, optional
         How many (default 2).
     ball_mm : float or sequence of float, optional

@@ -67,7 +67,7 @@ def target(
     size_mm : (float, float), optional
         Width and height of the target; what a page does not hold goes on several.  Default: one page.
     seed : int
-        Of particles: the same seed prints the same sheet.
+        Of particles: the same seed prints the same page.
     out : path, optional
         Folder, default ``target`` (or ``target-2`` ... where that has results): ``target.pdf`` and ``board.yaml``,
         which says what is printed.

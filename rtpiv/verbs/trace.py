@@ -67,7 +67,7 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
     Parameters
     ----------
     scene : path or Scene
-        scene.yaml, or what `load_scene` made of it.
+        scene.yaml, or in Python what `load_scene` made of it.
     out : path, optional
         Folder, default ``trace`` (or ``trace-2`` ... where that has results), for ``plane.png`` (what is recovered
         of the plane, why the rest is not, and the magnification), ``camera_view.png`` (a board with markers as

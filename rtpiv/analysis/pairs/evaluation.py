@@ -181,8 +181,8 @@ class PairDetails:
         True displacement of the particles, x to the right and y UP: errors are stated against it.  For a run
         the displacement measured by the stages is taken.
     stage_sigma_um : float
-        Standard error of a position of the motor that moved the sheet, for the error budget; along an axis that
-        a hand moved, how well its scale is read counts, as the bench file says it.
+        Standard error of a position of the motor that moved the printed particles, for the error budget; along an
+        axis that a hand moved, how well its scale is read counts, as the bench file says it.
     route : {"image", "compare", "best"}
         Correct, then correlate; also carry raw vectors through the glass and compare; or take in each region the
         better of both (the scene must hold the camera's true pose; no dewarp).

@@ -21,7 +21,14 @@ from correction.fit.judge.result import FitStep, SceneFit
 from correction.fitted.map_sigma import MapSigma
 from correction.fitted.scene_sigma import StoredVerdict
 from rtpiv.analysis.calibration import Panel
-from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, colour_bar, draw_outlines, plane_panels
+from rtpiv.analysis.pictures.plane_axes import (
+    NOTHING,
+    Figure,
+    colour_bar,
+    draw_outlines,
+    plain_decades,
+    plane_panels,
+)
 from rtpiv.analysis.pictures.saved import save_picture, short
 from tracer.scene.scene import Scene
 
@@ -108,6 +115,7 @@ def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:
     axes.set_yticks(places, [step.name for step in steps], fontsize=8)
     axes.set(xscale="log", xlabel="rms per axis [px], with the number of corners", title="convergence of the fit")
     axes.invert_yaxis()
+    plain_decades(axes.xaxis)
     axes.grid(alpha=0.3)
     save_picture(figure, path, 100)
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
@@ -29,6 +30,7 @@ ROUND_STEPS = 72
 LETTER_IN, LEAST_LETTERS = 0.085, 12  # of a label of 10 points; what a line holds at least
 TICK_IN = 0.28  # apart, so that numbers do not touch
 BEYOND_IN = 0.4  # that a label may be taller than its bar
+FEW_DECADES = 1000.0  # from the lowest to the highest: with more of them there is no room for labels between
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +47,14 @@ def colour_bar(shown: ScalarMappable, axes: Axes, label: str, extend: str = "nei
         bar.update_ticks()
     bar.outline.set_visible(False)
     return bar
+
+
+def plain_decades(axis: Axis) -> None:
+    """Label decades, and 2 and 5 between few, as plain numbers: formulas would take longer than the curves."""
+    axis.set_major_formatter("{x:g}")
+    low, high = axis.get_view_interval()
+    between = "25" if high < FEW_DECADES * low else ""
+    axis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in between else "")
 
 
 def _height_in(axes: Axes) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
@@ -25,6 +24,7 @@ from rtpiv.analysis.pictures.plane_axes import (
     bare_figure,
     colour_bar,
     draw_outlines,
+    plain_decades,
     plane_panels,
 )
 from tracer.scene.scene import Scene
@@ -32,7 +32,6 @@ from tracer.scene.scene import Scene
 ARROWS = 30  # drawn along the longer side, at most
 REACH = 1.6  # an arrow's length over that of the 98th percentile, at most: an outlier must not cross the picture
 MOST_TRACKS = 4000  # drawn, evenly chosen
-FEW_DECADES = 1000.0  # from the lowest to the highest: with more of them there is no room for labels between
 SERIES = ("#2b6a99", "#b4472f", "#6a8f3c", "#8a5a9e")
 CUT = "#c2185b"  # arrows that are longer than drawn
 HEAT = LinearSegmentedColormap.from_list(
@@ -191,14 +190,6 @@ def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
     plain_decades(axes.yaxis)
     axes.legend(frameon=False, fontsize=8)
     return figure
-
-
-def plain_decades(axis: Axis) -> None:
-    """Label decades, and 2 and 5 between few, as plain numbers: formulas would take longer than the curves."""
-    axis.set_major_formatter("{x:g}")
-    low, high = axis.get_view_interval()
-    between = "25" if high < FEW_DECADES * low else ""
-    axis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in between else "")
 
 
 def _axes_mm(field: VectorField, grid: PlaneGrid) -> tuple[Floats, Floats]:

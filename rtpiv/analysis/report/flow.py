@@ -30,9 +30,10 @@ from rtpiv.analysis.pictures.plane_axes import (
     bare_figure,
     colour_bar,
     draw_outlines,
+    plain_decades,
     plane_panels,
 )
-from rtpiv.analysis.report.figures import HEAT, SERIES, plain_decades
+from rtpiv.analysis.report.figures import HEAT, SERIES
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.tables import ALL
 from rtpiv.analysis.series.history import BINS, History, history

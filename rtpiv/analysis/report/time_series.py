@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rtpiv.analysis.pictures.plane_axes import SOFT, Figure
-from rtpiv.analysis.report.figures import HEAT, SERIES, plain_decades
+from rtpiv.analysis.pictures.plane_axes import SOFT, Figure, plain_decades
+from rtpiv.analysis.report.figures import HEAT, SERIES
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.time_series import TimeSeries
 

@@ -66,7 +66,10 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
     before = summary["table2_computed_minus_acquired_px"]["nominal glass"]
     after = summary["table2_computed_minus_acquired_px"]["fitted"]
     inside = [
-        max(region["rms_px"]) for regions in (before, after) for region in regions if region["region"] == "inside"
+        max(region["rms_px"])
+        for regions in (before, after)
+        for region in regions
+        if region["region"] == "behind glass, off the rims"
     ]
     assert inside[0] > 5.0 * inside[1]
     grid = summary["table2_corrected_minus_grid_px"]
