@@ -1,0 +1,56 @@
+"""The difference of two scenes as one change: derivatives of the map say with it what the two maps differ by."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.fit.solve.linear_change import as_linear
+from correction.fit.solve.solver import Corners, free_rates, landed
+from correction.fit.solve.unknowns import unknowns_of
+from correction.grid import PlaneGrid, grid_of
+from correction.maps.correction_map import build_correction_map
+from sim.demo.scenes import at_size, misaligned, named_scene
+from tests.correction.fit.drawn_labs import drawn_lab
+from tracer.scene.fit_section import FitTable
+from tracer.strategies.ray_map import build_ray_map
+
+LIFTED_MM = 1.6
+OF_A_DIFFERENCE = 0.02  # how exactly derivatives can say it, at nine nodes of ten
+
+
+@pytest.mark.parametrize("name", ["pair_off_axis", "two_spheres_500", "three_spheres_500"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_derivatives_say_the_difference_where_the_map_shows_anything(name, seed):
+    """A lifted ball: pixels at its rim, where derivatives say hundreds of px, must not have the say everywhere."""
+    scene = misaligned(at_size(named_scene(name), 1008), seed)
+    unknowns = unknowns_of(scene, [0.0], FitTable())
+    full = unknowns.start
+    other = full.copy()
+    other[unknowns.full_names.index(f"{scene.spheres[-1].name}.z")] += LIFTED_MM
+    grid = grid_of(scene.camera)
+    coarse = PlaneGrid(grid.origin_mm, 8 * grid.pitch_mm, (grid.shape[0] // 8, grid.shape[1] // 8))
+    shown = build_correction_map(scene, build_ray_map(scene), coarse, min_magnification=4.0, max_magnification=128)
+    pixels = shown.pixel[0][shown.behind_glass].astype(float)
+    asked = Corners(0, True, pixels, np.zeros_like(pixels), 1.0)
+    before, after = landed(unknowns, full, asked), landed(unknowns, other, asked)
+    same = before.recovered & after.recovered & (before.key == after.key)
+    truly = (after.point_mm - before.point_mm)[same]
+    every = replace(unknowns, columns=np.eye(len(full)), names=unknowns.full_names)
+    change = other - full + as_linear(unknowns, full, other, unknowns.columns)
+    said = free_rates(every, full, asked, before)[same] @ change
+    size = np.linalg.norm(truly, axis=1)
+    off = np.linalg.norm(said - truly, axis=1) / (size + np.median(size))
+    print(f"\n{name}: {np.median(size) / grid.pitch_mm:.2f} px, off {np.quantile(off, [0.5, 0.9])}")
+    assert np.count_nonzero(same) > 100
+    assert np.quantile(off, 0.9) < OF_A_DIFFERENCE
+
+
+@pytest.mark.parametrize(("seed", "fault"), [(131016, "ball off"), (101014, "ellipsoid")])
+def test_sigma_of_a_named_fault_is_the_error_at_every_node(seed, fault):
+    """Sigma was 0.02 px where the map was 1.15 px off along x, and 0.001 px where it was 0.05 px off along y."""
+    lab = drawn_lab(seed, fault, pulled=float(np.random.default_rng((18, seed)).normal()))
+    assert fault == "ellipsoid" or "does not stand where it was held" in lab.fit.verdict.sentences[0]
+    chi = np.abs(lab.error_px / lab.sigma_px)
+    assert 0.7 < np.sqrt(np.mean(chi**2)) < 1.3
+    assert chi.max() < 4.0
