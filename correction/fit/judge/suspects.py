@@ -35,6 +35,7 @@ from correction.fit.seen.pixel_lock import unlocked
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.solve.doubted import SCALES, WALL, doubted_shapes, likely_scales
 from correction.fit.solve.linear_change import as_linear
+from correction.fit.solve.moved_board import on_moved_board
 from correction.fit.solve.solver import (
     Corners,
     Residuals,
@@ -247,28 +248,23 @@ def _rank(found: _Found) -> float:
 def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, before: _Found, count: int) -> _Found:
     """Return what a suspect is worth once its numbers are free, for `count` residuals.
 
-    What moves board, not scene, moves residuals by derivatives of their own, those where the scene then stands: a
-    camera aside sees a bent board otherwise.
+    What moves board, not scene, moves residuals as the scene then shows the board: a camera aside sees a bent one
+    otherwise.
     """
     one = before.one
     size, free = len(one.ordinary), len(seen.x)
     names = (*unknowns.names, *(f"suspect {number}" for number in range(size)))
     wider = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, one.moves * one.ordinary)))
-    every, factors = np.eye(len(full)), {False: 1.0, True: 1.0}
+    factors = {False: 1.0, True: 1.0}
 
     def moved(at: NDArray[np.float64], corners: Corners, number: int) -> Residuals:
-        if one.board is None:
-            part = residuals(wider, at, corners)
-            if not one.is_shape:
-                return part
-            to_scale = np.asarray(corners.whiten) @ np.linalg.inv(np.asarray(seen.frames[number].corners.whiten))
-            beyond = to_scale @ one.columns[number] * one.ordinary
-        else:
-            pose = every[:, unknowns.place(corners.height_number)]
-            names = (*unknowns.names, *TARGET)
-            posed = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, pose)))
-            part = residuals(posed, np.concatenate((at[:free], np.zeros(len(TARGET)))), corners)
-            beyond = part.rate[:, :, free:] @ one.board[number] * one.ordinary
+        if one.board is not None:
+            return on_moved_board(unknowns, at[:free], at[free:], one.board[number] * one.ordinary, corners)
+        part = residuals(wider, at, corners)
+        if not one.is_shape:
+            return part
+        to_scale = np.asarray(corners.whiten) @ np.linalg.inv(np.asarray(seen.frames[number].corners.whiten))
+        beyond = to_scale @ one.columns[number] * one.ordinary
         rate = np.concatenate((part.rate[:, :, :free], beyond), axis=2)
         return Residuals(part.value + beyond @ at[free:], rate)
 
@@ -321,9 +317,10 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     still = np.zeros((len(full), len(TARGET)))
     places = [unknowns.place(frame.corners.height_number) for frame in seen.frames]
     posed = [rate[:, :, place] for rate, place in zip(rates, places, strict=True)]
+    nodes_mm = np.concatenate([frame.corners.node_mm for frame in seen.frames])
     moves: tuple[tuple[NDArray[np.float64], Say, Columns, bool], ...] = (
         (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), _moved, _moved_ways(seen), False),
-        (np.full(3, SAG_MM), _bent, _bent_ways(seen), True),
+        (np.full(3, SAG_MM), partial(_bent, nodes_mm), _bent_ways(seen), True),
     )
     for ordinary, say, board, alike in moves:
         columns = [rate @ ways for rate, ways in zip(posed, board, strict=True)]
@@ -472,7 +469,10 @@ def _moved(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
     return f"board or camera seem to have moved between the bare frames and those with glass, by {by} mm"
 
 
-def _bent(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 21))
+def _bent(nodes_mm: NDArray[np.float64], value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    """Say a bend over the corners (N, 2) that are seen: what is left of it beside the plane nearest to it."""
+    x, y = (nodes_mm / np.abs(nodes_mm).max(initial=1.0)).T
     z = value[0] * x * x + value[1] * x * y + value[2] * y * y
+    plane = np.stack((np.ones_like(x), x, y), axis=1)
+    z -= plane @ np.linalg.lstsq(plane, z, rcond=None)[0]
     return f"the board is not flat: over what is seen of it, it seems to bend by {1e3 * np.ptp(z):.0f} um"
