@@ -74,6 +74,17 @@ def lasers_of(path: Path) -> list[KnownLaser]:
     ]
 
 
+def is_unreadable(path: Path) -> bool:
+    """Whether there is such a file, and nobody can tell which lasers it names."""
+    try:
+        read_plain(path, MAX_BYTES)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
 def open_lasers() -> list[KnownLaser]:
     """Return the lasers that any process of this user has open."""
     return [KnownLaser(f"laser of process {process}", None, table) for process, table in lasers_in_use()]

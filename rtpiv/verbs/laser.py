@@ -11,7 +11,7 @@ from typing import Literal
 
 from daq.bench.bench_file import load_bench
 from daq.bench.elements import CAMERA
-from daq.bench.known_lasers import KIND, KnownLaser, each_once, lasers_near, lasers_of, open_lasers
+from daq.bench.known_lasers import KIND, KnownLaser, each_once, is_unreadable, lasers_near, lasers_of, open_lasers
 from daq.bench.opened import OpenBench, open_bench
 from daq.errors import RunUsageError
 from daq.timing.errors import LaserDoubt
@@ -90,6 +90,8 @@ def _known(file: Path | None, name: str | None, anywhere: bool = False) -> list[
     folder = Path.cwd() if file is None else file.parent
     found = lasers_near(folder) if file is None or anywhere else lasers_of(file)
     found += open_lasers() if anywhere else []
+    if file is not None and is_unreadable(file):
+        found.insert(0, KnownLaser("laser", file, None))
     meant = [laser for laser in each_once(found) if name is None or laser.name == name]
     if meant:
         return meant
@@ -125,7 +127,10 @@ def _switch_off(lasers: list[KnownLaser]) -> None:
 
 def _off(laser: KnownLaser) -> SwitchedOff:
     if laser.table is None:
-        return SwitchedOff(False, "NOT reached, its bench file does not say box and port: use the laser's own key")
+        return SwitchedOff(
+            False,
+            "NOT reached, its bench file cannot be read, or does not say box and port: use the laser's own key",
+        )
     try:
         return switch_off(laser.table)
     except Exception as error:  # one that cannot be reached must not hide what became of the others

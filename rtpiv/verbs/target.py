@@ -116,7 +116,7 @@ def target(
             sheet = {"chessboard": sheets.chessboard, "charuco": sheets.charuco, "dots": sheets.dots}[kind](
                 size, square_mm
             )
-            words = f"rtpiv {kind}, {square_mm:g} mm."
+            words = f"rtpiv {kind}, {square_mm:.4g} mm."
         path = folder / "target.pdf"
         printed = pages.write_pages(path, sheet, paper, words)
         board = PrintedBoard(kind=kind, bars_mm=list(printed.bars_mm), **sheet.about)

@@ -55,9 +55,9 @@ class Corners:
     def sentence(self) -> str:
         """How many corners are seen, and where."""
         if not self.behind:
-            return f"squares of {self.square_mm:g} mm: {self.direct} corners"
+            return f"squares of {self.square_mm:.4g} mm: {self.direct} corners"
         each = ", ".join(f"{count} through {name}" for name, count in self.behind.items())
-        return f"squares of {self.square_mm:g} mm: {self.direct} corners beside the glass, {each}"
+        return f"squares of {self.square_mm:.4g} mm: {self.direct} corners beside the glass, {each}"
 
 
 def corners_of(scene: Scene, square_mm: float, size_mm: tuple[float, float]) -> Corners:

@@ -143,6 +143,20 @@ def test_off_by_a_bench_file_without_a_laser_goes_to_those_beside_it(folder, box
     assert not any(box.is_on_at(number) for number in range(9))
 
 
+@pytest.mark.posix("links, which Windows lets administrators make")
+def test_off_says_that_the_named_file_cannot_be_read_and_still_goes_to_those_beside_it(
+    folder, box, monkeypatch, capsys
+):
+    box.set_inside(2, "STAT", "1")
+    (folder / "loop.yaml").symlink_to(folder / "loop.yaml")
+    monkeypatch.chdir(folder)
+    assert main(["laser", "off", "--bench", "loop.yaml"]) == DEVICE
+    assert not any(box.is_on_at(number) for number in range(9))
+    said = capsys.readouterr()
+    assert "loop.yaml, no port): NOT reached, its bench file cannot be read" in said.out
+    assert f"{box.path}): off" in said.out
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [
