@@ -36,6 +36,7 @@ from piv.correlation.cut_windows import cut_px
 from piv.correlation.deform import DeformedPair, Frames
 from piv.correlation.denoise import Denoised, denoised
 from piv.correlation.evidence import by_chance, unproven
+from piv.correlation.finer_waves import Evaluated, finer_px
 from piv.correlation.halving import find_sizes
 from piv.correlation.passes import Course, Measured, search
 from piv.correlation.planes import filled
@@ -276,6 +277,9 @@ def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) ->
         resolution = np.maximum(_unresolved(course, sizes, final, taken, pieces), missed_px)
         beyond = np.clip(final - filled(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
+        if not large.all():  # blocks tell nothing there
+            finer = _finer(course, good, one, added)
+            resolution = np.where(large, resolution, np.hypot(resolution, finer))
         measured = agreed(blocks, grid, beyond, good * large * found.refined.gain, settings.windows_px[-1])
         resolution = resolution_of(measured, resolution, sigma, one)
         # Blocks tell displacements of less than a pixel; what moves farther from the vector matches nothing.
@@ -354,6 +358,14 @@ def _denoised(course: Course, sizes: Sizes, good: NDArray[np.bool_], sigma: Floa
     if not levels:
         return Denoised(vectors, sigma * growths[0][..., None], np.zeros(good.shape))
     return denoised(vectors, good, sigma, growths, levels, settings.denoise)
+
+
+def _finer(course: Course, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:
+    """What waves make of vectors (ny, nx) that the smallest windows there are do not show."""
+    settings, grid = course.settings, course.grid
+    vectors, noise = (filled(part, good)[0] for part in (course.found.vectors_px, sigma))
+    between = smoothings_of(settings, grid.size_px, grid.step_px, added)
+    return finer_px(vectors, noise, Evaluated(grid.size_px, grid.step_px, settings.window_sigma, between))
 
 
 def _unresolved(course: Course, sizes: Sizes, vectors: Floats, taken: Floats, pieces: Floats) -> Floats:

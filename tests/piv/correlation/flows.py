@@ -45,7 +45,11 @@ def turbulence(seed, rms_px=3.0, largest_px=300.0, smallest_px=40.0, modes=400, 
     angle, phase = rng.uniform(0, 2 * np.pi, (2, modes))
     amplitude = k ** ((1 + slope) / 2) * rng.normal(size=modes)  # E(k) dk = k^slope k d(ln k)
     amplitude *= rms_px * np.sqrt(2.0) / np.sqrt(0.5 * (amplitude**2).sum())
-    kx, ky = k * np.cos(angle), k * np.sin(angle)
+    return _waves(k * np.cos(angle), k * np.sin(angle), amplitude, phase, angle)
+
+
+def _waves(kx, ky, amplitude, phase, angle):
+    """Sum of plane waves, the velocity of each normal to its wave vector."""
 
     def field(u, v):
         u, v = np.asarray(u, float), np.asarray(v, float)
@@ -57,6 +61,20 @@ def turbulence(seed, rms_px=3.0, largest_px=300.0, smallest_px=40.0, modes=400, 
         return du, dv
 
     return field
+
+
+def endless(seed, rms_px=1.0, bend_px=40.0, slope=-4.0, largest_px=250.0, smallest_px=6.0, modes=500):
+    """The same with a spectrum that goes on below all windows: k^-5/3, from waves of `bend_px` on k^slope.
+
+    Below a few windows the spectrum of turbulence is steep but has no end (Pope, Turbulent Flows (2000), 6.5).
+    """
+    rng = np.random.default_rng(seed)
+    k = 2 * np.pi / largest_px * (largest_px / smallest_px) ** rng.uniform(size=modes)
+    angle, phase = rng.uniform(0, 2 * np.pi, (2, modes))
+    energy = k ** (-5 / 3) * (1.0 + (k * bend_px / (2 * np.pi)) ** 2) ** (0.5 * (slope + 5 / 3))
+    amplitude = np.sqrt(k * energy) * rng.normal(size=modes)
+    amplitude *= rms_px * np.sqrt(2.0) / np.sqrt(0.5 * (amplitude**2).sum())
+    return _waves(k * np.cos(angle), k * np.sin(angle), amplitude, phase, angle)
 
 
 def vortices(seed, cores_px=(20.0, 60.0), number=12, turn=0.2, side_px=384.0):

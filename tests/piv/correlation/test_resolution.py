@@ -9,7 +9,7 @@ from piv.correlation.resolution import UNEVEN, Window, second_differences, unres
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
-from tests.piv.correlation.flows import mix, turbulence, vortex, wave
+from tests.piv.correlation.flows import endless, mix, turbulence, vortex, wave
 from tests.slow_cases import slow
 
 MARGIN = 3
@@ -101,3 +101,20 @@ def test_the_parts_add_as_squares_and_fall_with_the_pieces():
     assert few > 3.0 * many
     taken = unresolved_px(field, np.full(grid.shape, few), np.full(grid.shape, 4.0), windows)[middle]
     assert taken == pytest.approx(np.sqrt(2.0) * few, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("seed", "told"),
+    [
+        pytest.param(1, {"bend_px": 40.0, "slope": -4.0}, id="k^-4 below 40 px"),
+        slow(2, {"bend_px": 60.0, "slope": -3.0}, name="k^-3 below 60 px"),
+        slow(3, {"bend_px": 45.0, "slope": -5.0}, name="k^-5 below 45 px"),
+    ],
+)
+def test_waves_shorter_than_every_window_are_in_sigma(particle_pair, seed, told):
+    """A spectrum that goes on below the finest windows: no vector shows it, and errors were 1.2 to 1.5 sigma."""
+    truth, image = endless(seed, **told), {"shape": (384, 384), "ppp": 0.05, "noise": 0.0}
+    off, total, random = judged(particle_pair, truth, PivSettings(finest_px=16), (seed,), **image)
+    assert rms(off) > 1.1 * rms(random)
+    assert 0.85 <= rms(off / total) <= 1.15
+    assert 0.62 <= np.mean(np.abs(off) < total) <= 0.80

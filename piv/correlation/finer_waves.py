@@ -1,0 +1,151 @@
+"""What no window of a size shows: waves shorter than two of it, as long as the flow has them.
+
+Passes restore a wave of two windows whole, and of one of half a window nothing is left. A flow whose spectrum goes
+on there has an error that its vectors do not show, that its frames hardly show (blocks of the frames that share no
+particle are as far apart as such a wave is long, `piv.correlation.agreement`), and that does not go with more
+particles. So a spectrum that has fallen as k^-p until there is taken to go on like that. With that energy per
+logarithm of the wave number, the same in all directions, and the gain G of the evaluation
+(`piv.correlation.response`), mean squares are tables over p:
+
+    sixth differences over h:     D6^2 = sum (2 sin(k_x h/2))^12 G^2 k^-p,
+    fourth differences over 2 h:  D4^2 = sum (2 sin(k_x h))^8 G^2 k^-p,
+    what is missed:               M^2 = sum (1 - G)^2 k^-p over waves shorter than two windows,
+
+h half a window. Of high orders, since lower ones do not tell spectra apart that fall steeply. So D6/D4 around a
+place tells p, and with it D6 there tells M.
+
+**Noise** is in differences as well, N^2, as correlation statistics expect it. It is taken off both; and of what is
+left, S = D^2 - N^2, the share S^2/(S^2 + N^2) counts, at the place and around it.
+
+Nothing in it is fitted to a flow. A spectrum that ends between one window and one and a half, as none of a fluid
+does, is said to miss what it does not have (ADR 41).
+"""
+
+from collections.abc import Sequence
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from piv.correlation.refine import window_weights
+from piv.correlation.response import Transfer, gain, noise_growth
+
+EXPONENTS = np.linspace(0.5, 8.0, 31)
+LONGEST, SHORTEST = 20.0, 0.25  # waves that are added up, in windows
+WAVES, DIRECTIONS = 160, 12
+AROUND = 1.0  # of a window: standard deviation of what tells an exponent
+Floats = NDArray[np.float64]
+
+
+class Evaluated(NamedTuple):
+    """How windows of one size were evaluated.
+
+    `side_px`, `step_px` and `window_sigma` of the windows, `between` the smoothings between their passes.
+    """
+
+    side_px: int
+    step_px: int
+    window_sigma: float
+    between: Sequence[Transfer]
+
+    @property
+    def apart(self) -> int:
+        """Nodes that are half a window apart."""
+        return max(1, round(0.5 * self.side_px / self.step_px))
+
+
+class Tail(NamedTuple):
+    """What a spectrum that goes on makes of vectors, over its exponents (`EXPONENTS`).
+
+    `steepness` is D6(h)/D4(2 h), `missed` M/D6(h); `noise` is D6(h) and D4(2 h) of the noise of vectors, as
+    factors of that of one correlation.
+    """
+
+    steepness: Floats
+    missed: Floats
+    noise: tuple[float, float]
+
+
+def finer_px(vectors: Floats, one_px: Floats, how: Evaluated) -> Floats:
+    """Standard deviation (ny, nx) of a component by waves that no window of one size shows.
+
+    Parameters
+    ----------
+    vectors : ndarray of float64, shape (ny, nx, 2)
+        Displacements [px] before the last filter, finite everywhere.
+    one_px : ndarray of float64, shape (ny, nx, 2)
+        Standard deviation of the noise of one correlation, finite everywhere.
+    how : Evaluated
+        By which windows.
+    """
+    tail, noise = tail_of(how), np.square(one_px).mean(axis=-1)
+    sixth, fourth = differences(vectors, 6, how.apart), differences(vectors, 4, 2 * how.apart)
+    by_chance = [np.square(growth) * noise for growth in tail.noise]
+    reach = AROUND * how.side_px / how.step_px
+    flow, wider = (
+        np.maximum(scipy.ndimage.gaussian_filter(part - chance, reach, mode="nearest"), 1e-30)
+        for part, chance in zip((sixth, fourth), by_chance, strict=True)
+    )
+    exponent = np.interp(-0.5 * np.log(flow / wider), -np.log(tail.steepness), EXPONENTS)
+    here, chance = (
+        scipy.ndimage.uniform_filter(part, 2 * how.apart + 1, mode="nearest") for part in (sixth, by_chance[0])
+    )
+    left = np.maximum(here - chance, 0.0)
+    around = scipy.ndimage.gaussian_filter(by_chance[0], reach, mode="nearest")
+    share = _clear(left, chance) * _clear(flow, around)
+    found: Floats = np.exp(np.interp(exponent, EXPONENTS, np.log(tail.missed))) * np.sqrt(share * left)
+    return found
+
+
+def _clear(flow: Floats, noise: Floats) -> Floats:
+    """Share (ny, nx) of the square of a flow that counts beside noise of that square."""
+    share: Floats = np.square(flow) / np.maximum(np.square(flow) + np.square(noise), 1e-30)
+    return share
+
+
+def differences(vectors: Floats, order: int, apart: int) -> Floats:
+    """Mean square (ny, nx) of a component's differences of an even order over `apart` nodes, along both axes.
+
+    Near an edge stands what is found farther inside; an axis that is too short has none.
+    """
+    factors = [(-1) ** k * comb(order, k) for k in range(order + 1)]
+    square, axes, reach = np.zeros(vectors.shape[:2]), 0, order * apart // 2
+    for axis in range(2):
+        field = np.moveaxis(vectors, axis, 0)
+        inner = len(field) - 2 * reach
+        if inner < 1:
+            continue
+        apart_px = np.zeros((inner, *field.shape[1:]))
+        for k, factor in enumerate(factors):
+            apart_px += factor * field[k * apart : k * apart + inner]
+        whole = np.pad(np.square(apart_px).mean(axis=-1), ((reach, reach), (0, 0)), mode="edge")
+        square += np.moveaxis(whole, 0, axis)
+        axes += 1
+    return square / max(axes, 1)
+
+
+def tail_of(how: Evaluated) -> Tail:
+    """What a spectrum without an end makes of differences of vectors."""
+    longest, shortest = (np.log(2.0 * np.pi / (share * how.side_px)) for share in (LONGEST, SHORTEST))
+    number = np.exp(np.linspace(longest, shortest, WAVES))
+    angle = (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS * np.pi
+    wave = number[:, None, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    weights = window_weights(how.side_px, how.window_sigma)
+    shown = gain(weights, how.step_px, how.between, wave)
+    energy = number ** -EXPONENTS[:, None]
+    orders = (6, how.apart), (4, 2 * how.apart)
+    sixth, fourth = (
+        energy @ np.square(shown * _transfer(order, apart)(how.step_px * wave)).mean(axis=-1)
+        for order, apart in orders
+    )
+    finer = number > np.pi / how.side_px
+    missed = energy[:, finer] @ np.square(1.0 - shown[finer]).mean(axis=-1)
+    noise = [noise_growth(weights, how.step_px, how.between, _transfer(order, apart)) for order, apart in orders]
+    return Tail(np.sqrt(sixth / fourth), np.sqrt(missed / sixth), (noise[0], noise[1]))
+
+
+def _transfer(order: int, apart: int) -> Transfer:
+    """Transfer of differences along one axis."""
+    return lambda wave: (2.0 * np.sin(0.5 * apart * wave[..., 0])) ** order
