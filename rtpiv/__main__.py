@@ -2,6 +2,6 @@
 
 import sys
 
-from rtpiv.command import main
+from rtpiv.command import run
 
-sys.exit(main())
+sys.exit(run())

@@ -1,10 +1,43 @@
 """The command `rtpiv`, also as ``python -m rtpiv``; its verbs are in ``rtpiv.command_line.cli``."""
 
+import atexit
 import gc
+import os
 import signal
 import sys
 
 GARBAGE = 50_000  # new objects before Python looks for rings among them; modules and kernels bring five times that
+NO_DEVICES = (  # verbs that open none, whose libraries might have an end of their own
+    "init", "examples", "schema", "compare", "trace", "target", "calibrate", "mask", "correct", "evaluate",
+    "focus", "sheet", "join", "mean", "timeseries", "report", "export", "check",
+)  # fmt: skip
+
+
+def run() -> int:
+    """Be the whole process: run one verb, and end at once when it is done; return the exit code.
+
+    When a process ends, Python takes every object apart, which is a third of a second after kernels or pictures.
+    That alone is left out: threads are joined, what was to be called at the end is called, streams are flushed.
+    """
+    if atexit._ncallbacks() or not set(NO_DEVICES).intersection(sys.argv[1:2]):  # coverage is there before us
+        return main()
+    done: list[int] = []
+    atexit.register(_leave, done)  # first in, last called
+    done.append(main())
+    return done[0]
+
+
+def _leave(done: list[int]) -> None:
+    """End the process with the exit code of a verb that has come to its end; else let Python end it."""
+    if not done:
+        return
+    try:
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+    except (OSError, ValueError):  # Python says it
+        return
+    os._exit(done[0])
 
 
 def main() -> int:
@@ -13,10 +46,10 @@ def main() -> int:
         gc.set_threshold(GARBAGE)  # by Python's own threshold a tenth of a short command's time was such looking
         sys.excepthook = sys.__excepthook__  # from here on it is answered below
         from rtpiv.command_line.cli import (
-            main as run,  # found by now, whatever lies beside it: rtpiv has made room
+            main as carry_out,  # found by now, whatever lies beside it: rtpiv has made room
         )
 
-        return run(sys.argv[1:])
+        return carry_out(sys.argv[1:])
     except KeyboardInterrupt:  # before a verb has begun, or after its end: modules load
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # it may be pressed twice
         from rtpiv.command_line.exit_codes import INTERRUPTED
