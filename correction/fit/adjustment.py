@@ -16,7 +16,7 @@ from correction.fit.judge.result import FitStep, FittedCorners, SceneFit
 from correction.fit.judge.verdict import Left, judge_model
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors, whitening
 from correction.fit.seen.pixel_lock import NAMES as LOCK
-from correction.fit.seen.pixel_lock import unlocked, with_lock, without_lock
+from correction.fit.seen.pixel_lock import PixelLock, unlocked, with_lock, without_lock
 from correction.fit.solve.contact import largest_overlap_mm
 from correction.fit.solve.correlation import with_correlation
 from correction.fit.solve.doubted import (
@@ -57,12 +57,13 @@ class Adjustment:
     def solve(self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> Solution:
         """Fit measured corners; then again with the sigmas that their residuals ask for."""
         locked, at = with_lock(unknowns), np.concatenate((x, self.lock))
+        locks = [PixelLock.of(frame) for frame in frames]
         for _ in range(2):
             data = [self.weighted(frame) for frame in frames]
 
             def evaluate(at: NDArray[np.float64], data: list[Corners] = data) -> list[Residuals]:
-                pairs = zip(data, frames, strict=True)
-                return [unlocked(locked, at, one, frame, residuals(locked, at, one)) for one, frame in pairs]
+                pairs = zip(data, locks, strict=True)
+                return [unlocked(locked, at, one, lock, residuals(locked, at, one)) for one, lock in pairs]
 
             solution = minimise(locked, evaluate, at, knee=KNEE)
             at = solution.x
@@ -80,7 +81,7 @@ class Adjustment:
         """Residuals of a frame as weighted, or of its corners with other weights, the lock on pixels taken off."""
         locked, at = with_lock(unknowns), np.concatenate((x, self.lock))
         corners = corners or self.weighted(frame)
-        return unlocked(locked, at, corners, frame, residuals(locked, at, corners))
+        return unlocked(locked, at, corners, PixelLock.of(frame), residuals(locked, at, corners))
 
     def weighted(self, frame: MeasuredFrame) -> Corners:
         """Corners with their present sigmas."""
@@ -261,7 +262,7 @@ class Adjustment:
     ) -> Residuals:
         """Residuals of a frame with derivatives by what is free, held and doubted, shapes of balls the last."""
         corners = self.weighted(frame)
-        part = unlocked(wide, at, corners, frame, residuals(wide, at, corners))
+        part = unlocked(wide, at, corners, PixelLock.of(frame), residuals(wide, at, corners))
         return shape_parts(unknowns, wide.full(at), corners, frame.branch_name, part)
 
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from correction.fit.judge.model_test import CLIP
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
-from correction.fit.seen.pixel_lock import unlocked
+from correction.fit.seen.pixel_lock import PixelLock, unlocked
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.solve.doubted import SCALES, WALL, doubted_shapes, likely_scales
 from correction.fit.solve.linear_change import as_linear
@@ -256,6 +256,7 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     names = (*unknowns.names, *(f"suspect {number}" for number in range(size)))
     wider = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, one.moves * one.ordinary)))
     factors = {False: 1.0, True: 1.0}
+    locks = [PixelLock.of(frame) for frame in seen.frames]
 
     def moved(at: NDArray[np.float64], corners: Corners, number: int) -> Residuals:
         if one.board is not None:
@@ -273,7 +274,7 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
         for number, frame in enumerate(seen.frames):
             scale = by_region(frame.behind, factors)[:, None, None]
             corners = replace(frame.corners, whiten=np.asarray(frame.corners.whiten) / scale)
-            parts.append(unlocked(wider, at, corners, frame, moved(at, corners, number)))
+            parts.append(unlocked(wider, at, corners, locks[number], moved(at, corners, number)))
         return parts
 
     def squares(at: NDArray[np.float64], parts: Sequence[Residuals]) -> float:

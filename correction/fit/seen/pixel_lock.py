@@ -28,7 +28,7 @@ A lock whose slope along u comes near -1 would undo whatever the scene does: the
 board of pure noise is fitted best far from its place.  Sines as small as they are believed do not reach it.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,38 +62,67 @@ def believed_px(frame: MeasuredFrame) -> NDArray[np.float64]:
     return np.tile([sine, EVEN_PX, sine / 3.0, EVEN_PX], len(NAMES) // 4)
 
 
+def fade_of(axes_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How much of the lock is left where edges lean: sinc(m L) (N, 2, M) along u and v, for every harmonic m.
+
+    Parameters
+    ----------
+    axes_px : (N, 2, 2) float64
+        Columns: displacement by one square along the board's +x and +y.
+    """
+    lean = np.empty(axes_px.shape[:2])
+    for axis in range(2):  # u is held by the edge that runs more along v, and the other way round
+        along, across = np.abs(axes_px[:, 1 - axis]), np.abs(axes_px[:, axis])
+        edge = np.argmin(across / np.maximum(along, 1e-9), axis=1)
+        lean[:, axis] = ARMS * np.take_along_axis(across, edge[:, None], 1)[:, 0]
+    return np.asarray(np.sinc(lean[:, :, None] * HARMONICS))
+
+
 def lock_terms(
-    pixel: NDArray[np.float64], axes_px: NDArray[np.float64], behind: NDArray[np.bool_]
+    pixel: NDArray[np.float64], fade: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pull of corners by a unit of every term, those beside glass first, and its derivative along u and v.
+    """Pull of corners along u and v by a unit of every term of their own axis, and its derivative along that axis.
 
     Parameters
     ----------
     pixel : (N, 2) float64
         u, v.
-    axes_px : (N, 2, 2) float64
-        Columns: displacement by one square along the board's +x and +y.
-    behind : (N,) bool
-        Seen through glass.
+    fade : (N, 2, M) float64
+        From `fade_of`.
 
     Returns
     -------
-    pull, slope : (N, 2, 2 TERMS) float64
+    pull, slope : (N, 2, M, 2) float64
+        Of sine and cosine, the last axis.
     """
-    out = np.zeros((2, len(pixel), 2, 2 * TERMS))
-    for axis in range(2):  # u is held by the edge that runs more along v, and the other way round
-        along, across = np.abs(axes_px[:, 1 - axis]), np.abs(axes_px[:, axis])
-        edge = np.argmin(across / np.maximum(along, 1e-9), axis=1)
-        lean = ARMS * np.take_along_axis(across, edge[:, None], 1)[:, 0]
-        for number, m in enumerate(HARMONICS):
-            turn, first = 2.0 * np.pi * m * pixel[:, axis], TERMS // 2 * axis + 2 * number
-            sine, cosine = np.sinc(m * lean) * np.sin(turn), np.sinc(m * lean) * np.cos(turn)
-            out[0, :, axis, first], out[0, :, axis, first + 1] = sine, cosine
-            out[1, :, axis, first], out[1, :, axis, first + 1] = cosine, -sine
-            out[1, :, axis, first : first + 2] *= 2.0 * np.pi * m
-    out[..., TERMS:] = out[..., :TERMS] * behind[:, None, None]
-    out[..., :TERMS] *= ~behind[:, None, None]
-    return out[0], out[1]
+    per_px = 2.0 * np.pi * np.array(HARMONICS)
+    turn = pixel[:, :, None] * per_px
+    sine, cosine = fade * np.sin(turn), fade * np.cos(turn)
+    return np.stack((sine, cosine), axis=-1), np.stack((per_px * cosine, -per_px * sine), axis=-1)
+
+
+@dataclass(frozen=True)
+class PixelLock:
+    """What of the lock of a frame with N corners stays as it is while the scene is fitted.
+
+    Parameters
+    ----------
+    fade : (N, 2, M) float64
+        How much of it is left where edges lean.
+    behind : (N,) bool
+        Corners seen through glass.
+    sizes_px : (2 TERMS,) float64
+        What is believed of every term.
+    """
+
+    fade: NDArray[np.float64]
+    behind: NDArray[np.bool_]
+    sizes_px: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, frame: MeasuredFrame) -> "PixelLock":
+        """Return that of a frame."""
+        return cls(fade_of(frame.axes_px), frame.behind, believed_px(frame))
 
 
 def with_lock(unknowns: Unknowns) -> Unknowns:
@@ -103,7 +132,7 @@ def with_lock(unknowns: Unknowns) -> Unknowns:
 
 
 def unlocked(
-    locked: Unknowns, x: NDArray[np.float64], corners: Corners, frame: MeasuredFrame, part: Residuals
+    locked: Unknowns, x: NDArray[np.float64], corners: Corners, lock: PixelLock, part: Residuals
 ) -> Residuals:
     """Return residuals with the lock taken off, and with the derivatives by its terms.
 
@@ -115,8 +144,8 @@ def unlocked(
         Free vector.
     corners : Corners
         N of them, with their weights.
-    frame : MeasuredFrame
-        That shows them.
+    lock : PixelLock
+        Of the frame that shows them.
     part : Residuals
         Theirs, as if there was no lock.
     """
@@ -124,12 +153,17 @@ def unlocked(
     here = slice(first, first + len(NAMES))
     per_sigma = np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)  # u and v are weighed apart
     shown = corners.pixel - np.nan_to_num(part.value / per_sigma)
-    pull, slope = lock_terms(shown, frame.axes_px, frame.behind)
-    sizes = believed_px(frame)
-    lock = sizes * x[here]
-    rate = part.rate * (1.0 + slope @ lock)[:, :, None]
-    rate[:, :, here] = -per_sigma[:, :, None] * pull * sizes
-    return Residuals(part.value - per_sigma * (pull @ lock), rate)
+    pull, slope = lock_terms(shown, lock.fade)
+    by_region = (2, *pull.shape[1:])  # beside and behind glass, as NAMES has them
+    region = lock.behind.astype(np.intp)
+    found = (lock.sizes_px * x[here]).reshape(by_region)[region]
+    rate = part.rate * (1.0 + np.sum(slope * found, axis=(2, 3)))[:, :, None]
+    of_terms = np.zeros((len(region), 2, *by_region))
+    own = -per_sigma[:, :, None, None] * pull * lock.sizes_px.reshape(by_region)[region]
+    for axis in range(2):
+        of_terms[np.arange(len(region)), axis, region, axis] = own[:, axis]
+    rate[:, :, here] = of_terms.reshape(len(region), 2, len(NAMES))
+    return Residuals(part.value - per_sigma * np.sum(pull * found, axis=(2, 3)), rate)
 
 
 def without_lock(locked: Unknowns, normal: NDArray[np.float64]) -> NDArray[np.float64]:

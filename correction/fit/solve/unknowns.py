@@ -75,7 +75,7 @@ class Unknowns:
     start: NDArray[np.float64]
     columns: NDArray[np.float64]
 
-    @property
+    @cached_property
     def glass(self) -> slice:
         """Place of the spheres' numbers in the full vector."""
         return slice(len(CAMERA), len(CAMERA) + len(SPHERE) * len(self.scene.spheres))
@@ -85,7 +85,7 @@ class Unknowns:
         """Windows and tubes, and which numbers of theirs there are."""
         return OtherBodies(self.scene)
 
-    @property
+    @cached_property
     def others(self) -> slice:
         """Place of the numbers of windows and tubes in the full vector."""
         return slice(self.glass.stop, self.glass.stop + len(self.other_bodies.names))
@@ -100,12 +100,12 @@ class Unknowns:
         }
         return {number: slice(at, at + COUNT) for number, at in first.items()}
 
-    @property
+    @cached_property
     def all_shapes(self) -> slice:
         """Place of all harmonics in the full vector."""
         return slice(self.others.stop, self.others.stop + COUNT * len(self.uneven))
 
-    @property
+    @cached_property
     def printed(self) -> slice:
         """Place of the print's width and height in the full vector."""
         first = self.full_names.index(f"print.{PRINT[0]}")

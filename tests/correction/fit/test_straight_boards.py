@@ -14,7 +14,7 @@ from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import MeasuredFrame, TargetFrame, whitening
-from correction.fit.seen.pixel_lock import NAMES, believed_px, lock_terms, with_lock, without_lock
+from correction.fit.seen.pixel_lock import NAMES, believed_px, fade_of, lock_terms, with_lock, without_lock
 from correction.fit.seen.smear_test import EdgeSpread
 from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import unknowns_of
@@ -182,9 +182,8 @@ def bare_of(blurs_px: np.ndarray) -> MeasuredFrame:
 def test_the_lock_fades_where_edges_lean():
     pixel = np.random.default_rng(6).uniform(0.0, 500.0, (200, 2))
     straight, leaning = (22.0 * np.array([[1.0, lean], [lean, -1.0]]) for lean in (0.01, 0.3))
-    behind = np.zeros(200, bool)
     pulls = [
-        np.abs(lock_terms(pixel, np.tile(axes, (200, 1, 1)), behind)[0]).max() for axes in (straight, leaning)
+        np.abs(lock_terms(pixel, fade_of(np.tile(axes, (200, 1, 1))))[0]).max() for axes in (straight, leaning)
     ]
     assert pulls[1] < 0.1 * pulls[0]
     assert pulls[0] > 0.9
@@ -193,9 +192,9 @@ def test_the_lock_fades_where_edges_lean():
 def test_the_pull_of_the_lock_has_the_slope_that_it_says():
     rng = np.random.default_rng(7)
     pixel, axes = rng.uniform(0.0, 500.0, (50, 2)), rng.uniform(-20.0, 20.0, (50, 2, 2))
-    behind, step = rng.random(50) < 0.5, 1e-5
-    slope = lock_terms(pixel, axes, behind)[1]
-    ends = [lock_terms(pixel + side, axes, behind)[0] for side in (step, -step)]
+    fade, step = fade_of(axes), 1e-5
+    slope = lock_terms(pixel, fade)[1]
+    ends = [lock_terms(pixel + side, fade)[0] for side in (step, -step)]
     np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2.0 * step), atol=1e-6)
 
 
