@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.bodies import Sphere
@@ -113,9 +112,7 @@ def field_of_view(scene: Scene) -> FieldOfView:
     fold = outer
     for low, high in pairwise(inner):
         if curve(high)[2] * rising <= 0.0:
-            fold = float(
-                scipy.optimize.brentq(lambda r: curve(r)[2], low, high, xtol=1e-14 * silhouette, rtol=1e-14)
-            )
+            fold = _last(low, high, lambda r: curve(r)[2] * rising > 0.0)
             break
     return FieldOfView(
         radius_mm=max(sphere.radius_mm for sphere in spheres),
@@ -211,8 +208,13 @@ def _last_on_branch(curve: Callable[[float], Sample], silhouette: float, key: in
         if belongs(high):
             inside.append(high)
             continue
-        while low < (middle := 0.5 * (low + high)) < high:
-            low, high = (middle, high) if belongs(middle) else (low, middle)
-        inside.append(low)
+        inside.append(_last(low, high, belongs))
         break
     return inside, inside[-1]
+
+
+def _last(low: float, high: float, holds: Callable[[float], bool]) -> float:
+    """Last number between `low`, where something holds, and `high`, where it does no more: by halving."""
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low

@@ -162,7 +162,7 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
         excess = max(energy - k * rough_square, 0.0)
         ratio = energy / k / rough_square
         allowed = 2.0 * count * SHARE + known / rough_square
-        chance = float(np.nan_to_num(scipy.stats.ncf.sf(ratio, k, m, allowed), nan=0.0))
+        chance = float(np.nan_to_num(1.0 - scipy.special.ncfdtr(k, m, allowed, ratio), nan=0.0))
         shrink = np.sqrt(excess / max(energy, 1e-300))
         tests.append(
             WayTest(
@@ -175,7 +175,7 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
                 excess,
                 rough_square,
                 chance,
-                float(scipy.stats.f.sf(ratio, k, m)),
+                float(scipy.special.fdtrc(k, m, ratio)),
                 False,
             )
         )

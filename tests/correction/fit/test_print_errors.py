@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import scipy
 
-from correction.fit.solve.print_errors import OnPrint, print_errors
+from correction.fit.solve.print_errors import OnPrint, _mean_between, print_errors
 
 FRAMES, SIDE, LINE, DRAWS = 4, 20, 0.01, 40
 PER_SQUARE = np.array([[60.0, 8.0], [-5.0, 55.0]])  # sigmas a square: edges of 20 px, found to a third of a pixel
@@ -100,3 +101,13 @@ def test_what_pixels_do_to_corners_on_the_same_place_in_two_frames_is_not_the_pr
         first, second = (found.points, found.pixels) if of_print else (found.pixels, found.points)
         assert np.mean(first) == pytest.approx(2.0 * LINE, rel=0.25)
         assert np.mean(second) < 0.4 * np.mean(first)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(-1.0, 2.0), (-0.0, 0.3), (-9.0, -4.0), (3.0, 3.5), (45.0, 50.0), (-60.0, -50.0), (-50.0, 50.0)],
+)
+def test_the_mean_of_what_lies_between_is_that_of_scipy(low, high):
+    exact = scipy.stats.truncnorm.mean(low, high)
+    assert _mean_between(low, high) == pytest.approx(exact, rel=1e-9, abs=1e-15)
+    assert low <= exact <= high

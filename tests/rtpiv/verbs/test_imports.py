@@ -61,6 +61,7 @@ def test_help_waits_for_nothing_that_draws():
     [
         (["check", "bare.yaml"], DRAWN | TRACED | SOLVED | OTHERS),
         (["check", "scene.yaml"], DRAWN | SOLVED | OTHERS | BENCHES | FITTED),
+        (["trace", "scene.yaml", "--no-pictures"], DRAWN | SOLVED | OTHERS | FITTED),
         (["correct", "frame.tif", "--scene", "scene.yaml", "--no-pictures"], DRAWN | SOLVED | OTHERS),
     ],
 )
