@@ -91,6 +91,15 @@ class Landings:
         """Derivatives (N, 2, len(names)) by the parameters asked for."""
         return self.rate[:, :, [self.names.index(name) for name in names]]
 
+    def where(self, chosen: NDArray[np.bool_], other: "Landings") -> "Landings":
+        """Return these landings for the chosen pixels (N,), and others of the same pixels for the rest."""
+
+        def of(name: str) -> NDArray[Any]:
+            mine, theirs = getattr(self, name), getattr(other, name)
+            return np.asarray(np.where(chosen.reshape(-1, *(1,) * (mine.ndim - 1)), mine, theirs))
+
+        return Landings(of("status"), of("key"), of("point_mm"), of("pixel_rate"), of("rate"), self.names)
+
     def nowhere(self) -> "Landings":
         """Return the same pixels as they would be if none of them landed."""
         point, by_pixel, rate = (np.full_like(v, np.nan) for v in (self.point_mm, self.pixel_rate, self.rate))

@@ -146,10 +146,9 @@ def nearest_marks(
         return found[0]
     away = np.stack([np.linalg.norm(rays.point_mm - node, axis=1) for _, rays, node in found])
     nearest = np.where(np.isfinite(away), away, np.inf).argmin(axis=0)
-    depth = np.array(board.depths_mm)[nearest]
-    corners = replace(found[0][0], depth_mm=depth)
-    node = np.where((nearest == 0)[:, None], found[0][2], found[1][2])
-    return corners, landed(unknowns, full, corners), node
+    corners = replace(found[0][0], depth_mm=np.array(board.depths_mm)[nearest])
+    (_, rays, node), (_, lower_rays, lower_node) = found
+    return corners, rays.where(nearest == 0, lower_rays), np.where((nearest == 0)[:, None], node, lower_node)
 
 
 def _nearest_nodes(

@@ -23,7 +23,7 @@ arXiv:1812.01537, eq. 145):
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -159,19 +159,7 @@ class Unknowns:
 
     def camera(self, full: NDArray[np.float64]) -> Camera:
         """Return the camera of a full vector."""
-        x, y, z, *turn, focal, cu, cv = full[:9].tolist()
-        rotation = (
-            self.scene.camera.rotation_matrix @ scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T
-        )
-        lens = Lens(*full[9:14].tolist())
-        return replace(
-            self.scene.camera,
-            position_mm=(x, y, z),
-            rotation=_rows(rotation),
-            focal_px=focal,
-            principal_px=(cu, cv),
-            lens=lens,
-        )
+        return _camera_of(self.scene.camera, tuple(full[: len(CAMERA)].tolist()))
 
     def spheres(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the kernels' sphere table (N, 6) of a full vector; overlap is allowed."""
@@ -213,8 +201,7 @@ class Unknowns:
 
     def pose(self, full: NDArray[np.float64], height_number: int) -> TargetPose:
         """Return the target's pose at one of the heights."""
-        x, y, z, *turn = full[self.place(height_number)].tolist()
-        return TargetPose((x, y, z), _rows(scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T))
+        return _pose_of(tuple(full[self.place(height_number)].tolist()))
 
     def moved(self, full: NDArray[np.float64]) -> Scene:
         """Return the scene of a full vector; supports go with the balls that they hold (`supports`).
@@ -337,6 +324,28 @@ def unknowns_of(
             names.append(name)
     matrix = np.stack(columns, axis=1) if columns else np.zeros((len(start.names), 0))
     return Unknowns(scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix)
+
+
+@lru_cache(maxsize=16)  # one scene is asked by every frame, and on every level
+def _camera_of(nominal: Camera, numbers: tuple[float, ...]) -> Camera:
+    """A camera with other numbers; its rotation is that of the nominal one, turned."""
+    x, y, z, *turn, focal, cu, cv = numbers[:9]
+    turned = nominal.rotation_matrix @ scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T
+    return replace(
+        nominal,
+        position_mm=(x, y, z),
+        rotation=_rows(turned),
+        focal_px=focal,
+        principal_px=(cu, cv),
+        lens=Lens(*numbers[9:]),
+    )
+
+
+@lru_cache(maxsize=64)
+def _pose_of(numbers: tuple[float, ...]) -> TargetPose:
+    """The pose of a target by its place and its turn."""
+    x, y, z, *turn = numbers
+    return TargetPose((x, y, z), _rows(scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T))
 
 
 def unit_of(name: str) -> tuple[str, float]:
