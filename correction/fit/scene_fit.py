@@ -27,12 +27,14 @@ from correction.fit.progress import Progress
 from correction.fit.seen.masked_parts import View, unconfirmed_ways, unlisted_parts
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.smear import Dispersion
+from correction.fit.seen.unsure_rims import unsure_rims
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.fit.solve.solver import Corners, residuals
 from correction.target import Chessboard
 from tracer.light import Light
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import SPHERE
 
 
 def _silent(text: str) -> None:
@@ -117,7 +119,9 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
     unlisted = unlisted_parts(fit.scene, views, work.board, [frame.index for frame in work.bare], place)
     paired = {way: fit.paired(way) for way in fit.expected}
     lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene))
-    return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted, unconfirmed=lost))
+    balls = fit.root[fit.unknowns.glass].reshape(-1, len(SPHERE), fit.root.shape[1])[:, :4]
+    rims = unsure_rims(fit.scene, balls, {one.name for one in lost if one.is_ball})
+    return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted, unconfirmed=lost, rims=rims))
 
 
 def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspe
 from correction.fit.seen.masked_parts import Hidden, Unconfirmed, Unlisted, hidden_patches
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
 from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
+from correction.fit.seen.unsure_rims import UnsureRim, in_words
 from correction.fit.solve.correlation import Correlation, Lattice, correlation_of
 from correction.fit.solve.solver import Corners, Residuals, landed
 from correction.fit.solve.unknowns import Unknowns
@@ -56,6 +57,8 @@ class Verdict:
         Parts of frames that are not what the scene shows.
     unconfirmed : tuple of Unconfirmed
         Ways through the glass, and balls, on which too few corners are where the scene shows them.
+    rims : tuple of UnsureRim
+        Bands around balls whose place is not known to a fraction of a pixel.
     smear : ColourSmear or None
         Colours that smear corners beyond what is told; None where too few corners tell.
     wrong_light : str
@@ -71,6 +74,7 @@ class Verdict:
     hidden: tuple[Hidden, ...] = ()
     unlisted: tuple[Unlisted, ...] = ()
     unconfirmed: tuple[Unconfirmed, ...] = ()
+    rims: tuple[UnsureRim, ...] = ()
     smear: ColourSmear | None = None
     wrong_light: str = ""
     unexplained: tuple[WayTest, ...] | None = None
@@ -128,6 +132,7 @@ class Verdict:
         light = ([str(self.smear)] if self.many_colours else []) + ([self.wrong_light] if self.wrong_light else [])
         found = (*bodies, *light)
         balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
+        ways += [in_words(self.rims)] if self.rims else []
         if self.alarms:
             return (*self._of_residuals(), *found, *balls, *ways)
         return (*found, *balls, *self._of_residuals(), *ways)
@@ -144,7 +149,8 @@ class Verdict:
         """What no map is to use."""
         unlisted = [part for one in self.unlisted for part in one.masked]
         unconfirmed = [part for one in self.unconfirmed for part in one.masked]
-        return (*unlisted, *unconfirmed, *(one.masked for one in self.hidden))
+        hidden, rims = [one.masked for one in self.hidden], [one.masked for one in self.rims]
+        return (*unlisted, *unconfirmed, *hidden, *rims)
 
     @property
     def many_colours(self) -> bool:
@@ -198,6 +204,7 @@ class Verdict:
             "hidden": [asdict(patch) for patch in self.hidden],
             "unlisted": [asdict(part) for part in self.unlisted],
             "unconfirmed": [asdict(one) for one in self.unconfirmed],
+            "rims": [asdict(one) for one in self.rims],
             "smear": asdict(self.smear) if self.smear else None,
             "suspects": [one.to_dict() for one in self.suspects],
             "independent_corners": {
