@@ -24,7 +24,7 @@ from tracer.scene.scene import Scene
 
 UNSURE = 3.0  # standard deviations of a rim
 NARROWEST_PX = 0.5  # half widths of bands that are masked: nodes nearer than that to a rim are mixed anyway
-POINTS = 48
+POINTS = 96  # of each outline
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,12 @@ def _band(ball: Sphere, camera: Camera, root: NDArray[np.float64]) -> UnsureRim 
     if not (half * px > NARROWEST_PX).any():
         return None
 
-    def outline(widths: NDArray[np.float64]) -> NDArray[np.float64]:
-        at = np.clip(np.arcsin(sine) + widths, 0.0, 1.5)[:, None]
+    def outline(widths: NDArray[np.float64], beyond: float = 1.0) -> NDArray[np.float64]:
+        at = np.clip(np.arcsin(sine) + widths, 0.0, 1.5)[:, None] * beyond
         return camera.project(eye + distance * (np.cos(at) * towards + np.sin(at) * aside))
 
-    outer, inner = outline(half), outline(-half)
+    outer = outline(half, 1.0 / np.cos(np.pi / POINTS))  # chords touch the circle
+    inner = outline(-half)
     # along a cut to the inner outline, around it and back: what a ray crosses twice there it does not cross
     points = np.vstack((outer, outer[:1], inner, inner[:1]))
     band = tuple((round(u, 2), round(v, 2)) for u, v in points.tolist())
