@@ -60,7 +60,17 @@ def nodes_in(part: MaskedPart, nodes_mm: NDArray[np.float64]) -> NDArray[np.bool
     """Which of the nodes x, y (..., 2) of the plane are inside the outline of a part there; none without one."""
     if not part.outline_mm:
         return np.zeros(nodes_mm.shape[:-1], np.bool_)
-    return _inside(np.array(part.outline_mm), nodes_mm[..., 0], nodes_mm[..., 1])
+    return points_in(part.outline_mm, nodes_mm)
+
+
+def points_in(outline: Sequence[Point], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points (..., 2) are inside a polygon: a ray to the right crosses it an odd number of times."""
+    x, y, corners = points[..., 0], points[..., 1], np.array(outline)
+    odd = np.zeros(x.shape, np.bool_)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if y0 != y1:
+            odd ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return odd
 
 
 def swept(part: MaskedPart, steps_px: NDArray[np.float64]) -> MaskedPart:
@@ -78,7 +88,7 @@ def hull_px(points: NDArray[np.float64]) -> tuple[Point, ...]:
 
 
 def _filled(outline: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """`_inside` for all pixels (H, W): in each row those left of an odd number of crossings."""
+    """`points_in` for all pixels (H, W): in each row those left of an odd number of crossings."""
     height, width = shape
     odd = np.zeros((height, width + 1), np.uint8)
     for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
@@ -90,14 +100,3 @@ def _filled(outline: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.
             left = np.clip(np.ceil(x0 + (rows - y0) * (x1 - x0) / (y1 - y0)), 0, width).astype(int)
             odd[rows, left] ^= 1  # from here to the right one crossing less
     return np.bitwise_xor.accumulate(odd[:, ::-1], axis=1)[:, ::-1][:, 1:].astype(np.bool_)
-
-
-def _inside(
-    outline: NDArray[np.float64], x: NDArray[np.floating | np.integer], y: NDArray[np.floating | np.integer]
-) -> NDArray[np.bool_]:
-    """Points inside a polygon (N, 2): a ray to the right crosses it an odd number of times."""
-    odd = np.zeros(x.shape, np.bool_)
-    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        if y0 != y1:
-            odd ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-    return odd

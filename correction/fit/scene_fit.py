@@ -22,19 +22,18 @@ from correction.errors import FitFailed, GlassNotSeen
 from correction.fit.camera_stage import find_camera, size_told
 from correction.fit.glass_stage import find_glass
 from correction.fit.judge.light_of_glass import light_of_glass
-from correction.fit.judge.result import SceneFit, check
+from correction.fit.judge.result import FitStep, SceneFit, check
 from correction.fit.progress import Progress
 from correction.fit.seen.masked_parts import View, unconfirmed_ways, unlisted_parts
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.smear import Dispersion
-from correction.fit.seen.unsure_rims import unsure_rims
+from correction.fit.seen.unsure_rims import beside_rim, unsure_rims, windows_beside
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.fit.solve.solver import Corners, residuals
 from correction.target import Chessboard
 from tracer.light import Light
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
-from tracer.strategies.sensitivity import SPHERE
 
 
 def _silent(text: str) -> None:
@@ -86,9 +85,7 @@ def fit_scene(
             find_glass(work)
         except GlassNotSeen as missing:  # a board of another size is seen elsewhere than the scene shows it
             raise GlassNotSeen("; ".join(filter(None, (size_told(work), str(missing))))) from None
-    fit = _looked_through(
-        work, work.fits.estimate(work.unknowns, work.full, [*work.bare, *work.behind], work.history)
-    )
+    fit = _looked_through(work, _estimated(work))
     say(str(fit.history[-1]))
     try:
         check(fit)
@@ -106,6 +103,22 @@ def fit_scene(
     return replace(fit, measured_scene=measured, light=doubt, board=board)
 
 
+def _estimated(work: Progress) -> SceneFit:
+    """Fit all corners; then again without those whose windows may meet a rim that is not known."""
+    measured = [*work.bare, *work.behind]
+    fit = work.fits.estimate(work.unknowns, work.full, measured, work.history)
+    rims = unsure_rims(fit.scene, fit.ball_root)
+    doubtful = [
+        windows_beside(rims, frame) if frame.corners.glass else np.zeros(len(frame), np.bool_)
+        for frame in measured
+    ]
+    if not any(map(np.any, doubtful)):
+        return fit
+    kept = [frame.taken(~which) for frame, which in zip(measured, doubtful, strict=True)]
+    left = FitStep(f"{sum(map(np.count_nonzero, doubtful))} corners beside rims that are not known are left out")
+    return work.fits.estimate(work.unknowns, fit.unknowns.full(fit.x), kept, [*work.history, left])
+
+
 def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
     """Look in all frames with glass whether they show, and corners confirm, what the fitted scene shows."""
     full = fit.unknowns.full(fit.x)
@@ -119,9 +132,10 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
     unlisted = unlisted_parts(fit.scene, views, work.board, [frame.index for frame in work.bare], place)
     paired = {way: fit.paired(way) for way in fit.expected}
     lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene))
-    balls = fit.root[fit.unknowns.glass].reshape(-1, len(SPHERE), fit.root.shape[1])[:, :4]
-    rims = unsure_rims(fit.scene, balls, {one.name for one in lost if one.is_ball})
-    return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted, unconfirmed=lost, rims=rims))
+    rims = unsure_rims(fit.scene, fit.ball_root, {one.name for one in lost if one.is_ball})
+    hidden = tuple(patch for patch in fit.verdict.hidden if not beside_rim(rims, patch.middle_px))
+    verdict = replace(fit.verdict, unlisted=unlisted, unconfirmed=lost, hidden=hidden, rims=rims)
+    return replace(fit, verdict=verdict)
 
 
 def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float64]) -> NDArray[np.float64]:

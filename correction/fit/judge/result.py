@@ -15,6 +15,7 @@ from correction.target import Chessboard
 from ground.short_repr import short_repr
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import text_of
+from tracer.strategies.sensitivity import SPHERE
 
 RMS_TIMES = 20.0  # residuals behind glass over those beside it: right fits 1-5, an ellipsoid of 50 um 5-10
 RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves more than either
@@ -178,6 +179,11 @@ class SceneFit:
     def paired_behind(self) -> int:
         """Those measured and used."""
         return int(np.count_nonzero(self.corners.behind & self.corners.inlier))
+
+    @property
+    def ball_root(self) -> NDArray[np.float64]:
+        """Rows (B, 4, P) of `root` that belong to x, y, z and radius of each ball [mm]."""
+        return self.root[self.unknowns.glass].reshape(-1, len(SPHERE), self.root.shape[1])[:, :4]
 
     def paired(self, branch_name: str) -> int:
         """Corners measured and used that are seen through one branch."""

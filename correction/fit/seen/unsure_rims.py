@@ -11,12 +11,14 @@ belong to centre and radius its sigma follows for every direction.  The band rea
 A ball that corners tell well has a band much narrower than a pixel, and none is made.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from correction.fit.seen.measurement import MeasuredFrame
+from correction.masked import points_in
 from tracer.bodies import Sphere
 from tracer.camera import Camera
 from tracer.masked import UNCONFIRMED, MaskedPart
@@ -25,6 +27,7 @@ from tracer.scene.scene import Scene
 UNSURE = 3.0  # standard deviations of a rim
 NARROWEST_PX = 0.5  # half widths of bands that are masked: nodes nearer than that to a rim are mixed anyway
 POINTS = 96  # of each outline
+REACH = (-0.5, -0.25, 0.25, 0.5)  # of windows, in squares along both edges
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,20 @@ def unsure_rims(scene: Scene, root: NDArray[np.float64], but: Collection[str] = 
         if ball.name not in but
     ]
     return tuple(band for band in bands if band is not None)
+
+
+def beside_rim(rims: Sequence[UnsureRim], pixels: ArrayLike) -> NDArray[np.bool_]:
+    """Which pixels u, v (..., 2) may lie on either side of a rim."""
+    at = np.asarray(pixels, np.float64)
+    inside = [points_in(rim.masked.outline_px, at) for rim in rims]
+    return np.any(inside, axis=0) if inside else np.zeros(at.shape[:-1], np.bool_)
+
+
+def windows_beside(rims: Sequence[UnsureRim], frame: MeasuredFrame) -> NDArray[np.bool_]:
+    """Corners (N,) of a frame whose windows may meet a rim: what they measured may be no crossing of squares."""
+    ends = np.concatenate([share * frame.axes_px for share in REACH], axis=2).swapaxes(1, 2)
+    places = np.concatenate((frame.corners.pixel[:, None], frame.corners.pixel[:, None] + ends), axis=1)
+    return np.asarray(beside_rim(rims, places).any(axis=1))
 
 
 def in_words(rims: Collection[UnsureRim]) -> str:

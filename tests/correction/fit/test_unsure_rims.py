@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.seen.unsure_rims import unsure_rims
+from correction.fit.seen.measurement import MeasuredFrame
+from correction.fit.seen.unsure_rims import beside_rim, unsure_rims, windows_beside
+from correction.fit.solve.solver import Corners
 from correction.masked import pixels_in
 from sim.demo.scenes import at_size, named_scene
 from tracer.scene.scene import Scene
@@ -74,3 +76,24 @@ def test_a_ball_that_corners_tell_well_loses_nothing(lab):
 
 def test_a_ball_that_is_masked_whole_has_no_band(lab):
     assert unsure_rims(lab, ROOT_MM[None], {lab.spheres[0].name}) == ()
+
+
+def test_a_corner_whose_window_may_meet_the_rim_is_left_out(lab):
+    along_x = np.zeros((1, 4, 1))
+    along_x[0, 0, 0] = 0.5
+    (rim,) = unsure_rims(lab, along_x)
+    ball, square_px = lab.spheres[0], 24.0
+    (u, v), (right, _) = lab.camera.project(
+        np.array([ball.centre_mm, np.add(ball.centre_mm, (ball.radius_mm, 0.0, 0.0))])
+    )
+    half_px = 3.0 * rim.sigma_px
+    pixel = np.array([(right + half_px + far * square_px, v) for far in (-0.2, 0.3, 0.8)] + [(u, v)])
+    count = len(pixel)
+    corners = Corners(0, True, pixel, np.zeros((count, 2)), 1.0)
+    axes = np.tile(square_px * np.eye(2), (count, 1, 1))
+    index, way = np.zeros((count, 2), np.int64), np.full(count, "")
+    frame = MeasuredFrame("glass", corners, index, axes, way, np.zeros(count), np.ones((count, 2)), {}, {})
+    assert windows_beside((rim,), frame).tolist() == [True, True, False, False]
+    assert not windows_beside((), frame).any()
+    assert beside_rim((rim,), (right, v))
+    assert not beside_rim((rim,), (u, v))
