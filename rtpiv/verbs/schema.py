@@ -1,6 +1,7 @@
 """`rtpiv schema`: JSON schemas of the three files, for editors that complete and check while one writes."""
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +45,17 @@ def write_schemas(folder: Path) -> list[Path]:
     """Write the three schemas."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
-    for name, tree in (("scene", scene_schema()), ("bench", bench_schema()), ("plan", plan_schema())):
+    for name, text in _texts().items():
         files.append(folder / f"{name}.schema.json")
-        write_text(files[-1], json.dumps({"$schema": DIALECT, **tree}, indent=1) + "\n")
+        write_text(files[-1], text)
     return files
+
+
+@cache  # what makes many labs waits for it once
+def _texts() -> dict[str, str]:
+    """Contents of the three files."""
+    trees = {"scene": scene_schema(), "bench": bench_schema(), "plan": plan_schema()}
+    return {name: json.dumps({"$schema": DIALECT, **tree}, indent=1) + "\n" for name, tree in trees.items()}
 
 
 def scene_schema() -> dict[str, Any]:

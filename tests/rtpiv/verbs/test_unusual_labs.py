@@ -62,6 +62,9 @@ LABS = {  # none of them like ours
 }  # fmt: skip
 
 
+DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # a tenth of the time where libyaml is there
+
+
 def numbers_in(tree, place=()):
     """Place and value of every number that a slip would change."""
     if isinstance(tree, dict | list):
@@ -77,9 +80,8 @@ def text_with(tree, place, value):
     for part in place[:-1]:
         inner = inner[part]
     before, inner[place[-1]] = inner[place[-1]], value
-    text = re.sub(r"(\d)e([-+])", r"\1.0e\2", re.sub(r"(\.\d+)e", r"\1.e", yaml.safe_dump(tree))).replace(
-        ".e", "e"
-    )
+    plain = yaml.dump(tree, Dumper=DUMPER)
+    text = re.sub(r"(\d)e([-+])", r"\1.0e\2", re.sub(r"(\.\d+)e", r"\1.e", plain)).replace(".e", "e")
     inner[place[-1]] = before
     return text
 
