@@ -35,11 +35,12 @@ NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}  # it would look through al
 
 
 PICTURES = "rtpiv.analysis.pictures"
-DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are called by whoever draws rays
-    "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", "ground.jit.compiler"),
+KERNELS = "ground.jit.compiler"  # numba: called by who draws rays as well
+DRAWS = {  # verb -> what it draws with, imported while it computes
+    "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", KERNELS),
     "compare": (f"{PICTURES}.results",),
     "correct": (f"{PICTURES}.results", "cv2"),
-    "evaluate": ("rtpiv.analysis.report.pair", "rtpiv.analysis.report.page", "ground.jit.compiler"),
+    "evaluate": ("rtpiv.analysis.report.pair", "rtpiv.analysis.report.page", KERNELS),
     "calibrate": (f"{PICTURES}.calibration", "rtpiv.analysis.report.calibration"),
 }
 
@@ -74,8 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compile_news.watch = print_compiling
     compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
     compile_news.make_helper, compile_news.helper = lambda: _first_use(verb), None
-    draws = DRAWS.get(verb, ()) if options.get("pictures") else ()
-    with _drawn_apart(draws), handle_signals(), _without_helper(), warnings.catch_warnings():
+    with handle_signals(), _without_helper(), warnings.catch_warnings():
         warnings.showwarning = print_warning
         try:
             code = _carried_out(verb, options)
@@ -93,9 +93,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _drawn_apart(modules: Sequence[str]) -> AbstractContextManager[None]:
-    """Let pictures be drawn by a process of their own; who draws none does not wait for it either."""
+    """Let pictures be drawn by a process of their own; who draws none does not wait for it either.
+
+    It is forked from this one, so what both need is imported first.
+    """
     if not modules:
         return nullcontext()
+    if KERNELS in modules:
+        importlib.import_module(KERNELS)
     from rtpiv.analysis.pictures.drawing_process import started
 
     return started(modules)
@@ -125,7 +130,8 @@ def _carried_out(verb: str, options: dict[str, Any]) -> int | None:
     try:
         function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
         words, named = call_of(verb, options)
-        function(*words, **named)
+        with _drawn_apart(DRAWS.get(verb, ()) if options.get("pictures") else ()):
+            function(*words, **named)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.table import Table
 
+from correction.grid import PlaneGrid
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
 from correction.maps.correction_map import CorrectionMap, build_correction_map
@@ -14,7 +15,7 @@ from correction.node_status import MEANING, NodeStatus
 from daq.bench.unusual_scene import scene_questions
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
-from rtpiv.analysis.pictures.drawing_process import drawing
+from rtpiv.analysis.pictures.drawing_process import Draw, drawing
 from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
@@ -120,51 +121,60 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
                 f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
                 f" {100.0 * blur.left_out:.1f} % of the view behind glass"
             )
-        slant = ShownSlant.of(correction_map, loaded)
-        if slant.steepness.sentence:
-            screen.print(slant.steepness.sentence)
-        forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
-        if forecast is not None:
-            screen.print(forecast.sentence)
-        names: list[str] = []
-        if pictures:
+        with drawing(patient=True) as draw:
+            if pictures:
+                _draw_plane(draw, out, name, loaded, correction_map, share)
+            slant = ShownSlant.of(correction_map, loaded)
+            if slant.steepness.sentence:
+                screen.print(slant.steepness.sentence)
+            forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
+            if forecast is not None:
+                screen.print(forecast.sentence)
             del ray_map
-            names = _draw(out, name, loaded, correction_map, share, blur, view, slant)
+            if pictures:
+                _draw_views(draw, out, name, loaded, correction_map.grid, share.size_mm[0], blur, view, slant)
+        names = ["plane.png", "camera_view.png", "slant.png", "scene.png"] if pictures else []
+        if pictures:
+            names += ["blur.png"] if blur is not None else []
+            names += ["radial_curve.png"] if view is not None else []
             screen.print(f"{', '.join(names)} are in {out}")
         return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names))
 
 
-def _draw(
+def _draw_plane(
+    draw: Draw, out: Path, name: str, scene: Scene, correction_map: CorrectionMap, share: PlaneShare
+) -> None:
+    """Draw what is known first, while the rest is computed."""
+    from rtpiv.analysis.pictures.rasters import ShownPlane
+
+    draw(f"{PICTURES}.traced:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
+    draw(f"{PICTURES}.drawing:draw_scene", out / "scene.png", scene)
+
+
+def _draw_views(
+    draw: Draw,
     out: Path,
     name: str,
     scene: Scene,
-    correction_map: CorrectionMap,
-    share: PlaneShare,
+    grid: PlaneGrid,
+    width_mm: float,
     blur: "BlurMap | None",
     view: FieldOfView | None,
     slant: ShownSlant,
-) -> list[str]:
-    """Draw all pictures; return their names."""
+) -> None:
+    """Draw the other pictures, of a plane of some width; what takes longest to compute comes last."""
     from rtpiv.analysis.pictures.patterns import WIDEST_PX, MarkerBoard, seen, square_for
-    from rtpiv.analysis.pictures.rasters import ShownPlane
     from rtpiv.analysis.through_glass import shown_small
 
-    names = ["plane.png", "camera_view.png", "slant.png", "scene.png"]
-    with drawing() as draw:
-        draw(f"{PICTURES}.drawing:draw_scene", out / "scene.png", scene)
-        draw(f"{PICTURES}.traced:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
-        draw(f"{PICTURES}.traced:draw_slant", out / "slant.png", scene, correction_map.grid, slant)
-        square_mm = square_for(share.size_mm[0])
-        image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
-        view_of = image, scene.camera.sensor_px, square_mm, name
-        draw(f"{PICTURES}.traced:draw_camera_view", out / "camera_view.png", *view_of)
-        if blur is not None:
-            draw(f"{PICTURES}.traced:draw_blur", out / "blur.png", correction_map.grid, blur)
-            names.append("blur.png")
-        if view is not None:
-            draw(f"{PICTURES}.traced:draw_curve", out / "radial_curve.png", scene, view, name)
-            names.append("radial_curve.png")
-    return names
+    draw(f"{PICTURES}.traced:draw_slant", out / "slant.png", scene, grid, slant)
+    if blur is not None:
+        draw(f"{PICTURES}.traced:draw_blur", out / "blur.png", grid, blur)
+    if view is not None:
+        draw(f"{PICTURES}.traced:draw_curve", out / "radial_curve.png", scene, view, name)
+    square_mm = square_for(width_mm)
+    image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
+    view_of = image, scene.camera.sensor_px, square_mm, name
+    draw(f"{PICTURES}.traced:draw_camera_view", out / "camera_view.png", *view_of)
 
 
 def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetForecast | None:

@@ -1,8 +1,8 @@
 """Pictures drawn by a process of their own, which gets ready while the verb computes.
 
-Importing matplotlib takes longer than tracing ten maps, on one core, while a verb that imports what it runs and
-loads its kernels leaves the other idle.  So the command forks before it imports anything (`started`), the child
-imports what the verb draws with, and waits.  What is then to be drawn is sent to it: the name of a function, as
+Importing matplotlib takes longer than tracing ten maps, on one core, while a verb that loads its kernels leaves
+the other idle.  So the command forks once it has imported the verb, which both need (`started`), the child imports
+what the verb draws with, and waits.  What is then to be drawn is sent to it: the name of a function, as
 "module:name", and arguments, which are data.  Errors come back and are raised where the verb waits.
 
 Nothing depends on the child: where there is none (one core, no fork, another thread already, a verb called from
@@ -109,23 +109,33 @@ def _worth_it() -> bool:
 
 
 @contextmanager
-def drawing() -> Iterator[Draw]:
+def drawing(patient: bool = False) -> Iterator[Draw]:
     """Give what draws; at the end of the block all is drawn.
+
+    Parameters
+    ----------
+    patient : bool
+        Where nobody else draws, do it at the end of the block: what is computed and said there comes first.
 
     Raises
     ------
     Exception
         What drawing raises, such as DiskError.
     """
+    waiting: list[Job] = []
 
     def draw(place: str, *arguments: object) -> None:
         job = (place, arguments)
-        if _process is None:
-            _carry_out(job)
-        else:
+        if _process is not None:
             _process.send(job)
+        elif patient:
+            waiting.append(job)
+        else:
+            _carry_out(job)
 
     yield draw
+    for job in waiting:
+        _carry_out(job)
     if _process is not None:
         _process.wait()
 
@@ -136,13 +146,20 @@ def _carry_out(job: Job) -> None:
     getattr(import_module(module), name)(*arguments)
 
 
+def _undescribed(artist: object) -> str:
+    """Properties of one of Matplotlib's classes, as nobody reads them here."""
+    return ""
+
+
 def _draw_what_comes(jobs: Connection, others: Connection, modules: Sequence[str]) -> None:
     """Be the child."""
     others.close()  # else it would never see the other end closed
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     compile_news.watch = compile_news.complain = compile_news.make_helper = compile_news.helper = None
-    with suppress(ImportError):  # said by what needs it
+    with suppress(ImportError, AttributeError):  # said by what needs it
+        artist: Any = import_module("matplotlib.artist")
+        artist.kwdoc = _undescribed  # else a third of the time goes into docstrings of ``set``, of every class
         for module in modules:
             import_module(module)
     while True:

@@ -59,6 +59,13 @@ def test_who_asks_draws_where_nobody_else_does(tmp_path):
     assert (tmp_path / "a").read_text() == str(os.getpid())
 
 
+def test_who_is_patient_draws_last(tmp_path):
+    with drawing_process.drawing(patient=True) as draw:
+        draw(f"{HERE}:draw_pid", tmp_path / "a")
+        assert not (tmp_path / "a").exists()
+    assert (tmp_path / "a").read_text() == str(os.getpid())
+
+
 @pytest.mark.posix("a fork")
 def test_another_process_draws_and_is_gone_afterwards(tmp_path, monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "2")
@@ -69,6 +76,23 @@ def test_another_process_draws_and_is_gone_afterwards(tmp_path, monkeypatch):
     assert len(pids) == 1
     assert str(run.pid) not in pids
     assert not Path(f"/proc/{pids.pop()}").exists()
+
+
+WHEN_FORKED = """
+import sys
+from rtpiv.analysis.pictures import drawing_process
+from rtpiv.command_line.cli import main
+def forked(modules):
+    print(*(name in sys.modules for name in ("rtpiv.verbs.trace", "numba", "matplotlib")))
+    raise KeyboardInterrupt
+drawing_process.started = forked
+main(["trace", "scene.yaml"])
+"""
+
+
+def test_what_both_need_is_imported_before_they_part():
+    run = subprocess.run([sys.executable, "-c", WHEN_FORKED], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["True", "True", "False"]
 
 
 def test_errors_come_back(tmp_path, monkeypatch):
