@@ -49,7 +49,7 @@ from correction.fit.solve.solver import (
 )
 from correction.fit.solve.unknowns import LENS, Unknowns, unit_of
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST
-from tracer.strategies.sensitivity import TARGET
+from tracer.strategies.sensitivity import CAMERA, TARGET
 
 EXPLAINS = 0.5
 ALONE, LEAD = 0.2, 4.0  # or so much, if no other explains a quarter of it: large faults are cut off with outliers
@@ -86,6 +86,9 @@ class Suspect:
         The same of the ball's `SHAPES` [mm], if they are what is wrong; (0, 0) if not.
     left : tuple of (N, 2) float64
         What it leaves of the residuals, frame by frame, in the sigmas of the fit.
+    unsaid_px : (float, float)
+        Standard deviation per axis of what it does to the map and derivatives by `change` do not say, beside glass
+        and behind it, raw px.
     """
 
     ball: str
@@ -95,6 +98,7 @@ class Suspect:
     change: NDArray[np.float64] | None
     shape: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     left: tuple[NDArray[np.float64], ...] = ()
+    unsaid_px: tuple[float, float] = (0.0, 0.0)
 
     def to_dict(self) -> dict[str, object]:
         """JSON-able."""
@@ -160,7 +164,7 @@ class _Candidate:
 class _Found:
     """What a candidate is worth: gain less what its numbers cost, values (q,) and sigmas (q,) in ordinary sizes.
 
-    `change`, `of_own` (q, 1 + q) of its own numbers, and `left` as in `Suspect`.
+    `change`, `of_own` (q, 1 + q) of its own numbers, `left` and `unsaid_px` as in `Suspect`.
     """
 
     gain: float
@@ -170,6 +174,7 @@ class _Found:
     change: NDArray[np.float64]
     of_own: NDArray[np.float64]
     left: Columns
+    unsaid_px: tuple[float, float] = (0.0, 0.0)
 
 
 def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float) -> list[Suspect]:
@@ -234,6 +239,7 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
             None if rival.one.is_shape and rival.one.ball not in round_or_not else rival.change,
             rival.of_own if rival.one.is_shape else np.zeros((0, 0)),
             tuple(rival.left),
+            rival.unsaid_px,
         )
         for rival in sorted(found, key=_rank)
         if rival.gain > 0.0
@@ -292,12 +298,21 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     inverse = np.linalg.inv(found.normal + np.eye(len(at)))[:, free:]
     open_still = inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
     moving = wider.columns[:, : free if one.board is not None or one.is_shape else None]
+    moving = np.column_stack((moving, _held_camera(unknowns)))
     stands, other = cleared(unknowns, full)[0], wider.full(at)
-    change = other - stands + as_linear(unknowns, stands, other, moving)
-    change = np.column_stack((change, wider.columns @ open_still))
+    added, unsaid_px = as_linear(unknowns, stands, other, moving)
+    change = np.column_stack((other - stands + added, wider.columns @ open_still))
     of_own = one.ordinary[:, None] * np.column_stack((at[free:], open_still[free:]))
     worth = gain - size * np.log(count)
-    return replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
+    found_now = replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
+    return replace(found_now, unsaid_px=unsaid_px)
+
+
+def _held_camera(unknowns: Unknowns) -> NDArray[np.float64]:
+    """Columns (F, K) of the camera's numbers that nothing moved: a camera far aside differs as they do as well."""
+    sizes = {name: CAMERA_ORDINARY.get(name, LENS_TERM) for name in CAMERA}
+    held = [number for number in range(len(CAMERA)) if not unknowns.columns[number].any()]
+    return np.eye(len(unknowns.start))[:, held] * [sizes[CAMERA[number]] for number in held]
 
 
 def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:

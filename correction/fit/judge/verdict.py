@@ -115,15 +115,22 @@ class Verdict:
     def systematic_px(self) -> dict[str, float]:
         """Way -> standard deviation of the map's own error on it, raw px per axis; of all ways tested.
 
-        What the cause explains is counted as its change of the scene (`SceneFit.root`).
+        What the cause explains is counted as its change of the scene (`SceneFit.root`), but for what derivatives
+        of the map do not say of it.
         """
-        if self.unexplained is not None:
-            bent = unlike_noise(self.unexplained)
-            return {way.way: way.smooth_px if way in bent else 0.0 for way in self.unexplained}
-        known = self.cause.share if self.cause is not None and self.cause.change is not None else 0.0
-        left = float(np.sqrt(1.0 - known))
-        bent = unlike_noise(self.ways)
-        return {way.way: left * way.smooth_px if way in bent else 0.0 for way in self.ways}
+        ways, left = self.unexplained, 1.0
+        if ways is None:
+            ways = self.ways
+            known = self.cause.share if self.cause is not None and self.cause.change is not None else 0.0
+            left = float(np.sqrt(1.0 - known))
+        bent = unlike_noise(ways)
+        unsaid = [
+            float(np.sqrt(sum(share * one.unsaid_px[behind] ** 2 for share, one in self._likely)))
+            for behind in (False, True)
+        ]
+        return {
+            way.way: float(np.hypot(left * way.smooth_px * (way in bent), unsaid[way.way != ""])) for way in ways
+        }
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -37,13 +37,16 @@ def test_derivatives_say_the_difference_where_the_map_shows_anything(name, seed)
     same = before.recovered & after.recovered & (before.key == after.key)
     truly = (after.point_mm - before.point_mm)[same]
     every = replace(unknowns, columns=np.eye(len(full)), names=unknowns.full_names)
-    change = other - full + as_linear(unknowns, full, other, unknowns.columns)
+    added, (_, unsaid_px) = as_linear(unknowns, full, other, unknowns.columns)
+    change = other - full + added
     said = free_rates(every, full, asked, before)[same] @ change
     size = np.linalg.norm(truly, axis=1)
     off = np.linalg.norm(said - truly, axis=1) / (size + np.median(size))
     print(f"\n{name}: {np.median(size) / grid.pitch_mm:.2f} px, off {np.quantile(off, [0.5, 0.9])}")
     assert np.count_nonzero(same) > 100
     assert np.quantile(off, 0.9) < OF_A_DIFFERENCE
+    left = np.linalg.solve(before.pixel_rate[same], (said - truly)[:, :, None])[:, :, 0]
+    assert 0.3 < np.sqrt(np.median(np.sum(left**2, axis=1)) / 1.386) / unsaid_px < 3.0
 
 
 @pytest.mark.parametrize(("seed", "fault"), [(131016, "ball off"), (101014, "ellipsoid")])

@@ -17,6 +17,7 @@ from tracer.scene.fit_section import FitTable
 
 BEND_PER_MM = (0.003, -0.001, 0.002)  # z = (a x^2 + 2 b x y + c y^2) / 2: 1.5 mm, 30 mm from the middle
 STEP = 1e-4
+LARGER = 6.0  # all ways over all corners, than one way along half the view
 
 
 @pytest.mark.parametrize("glass", [False, True])
@@ -59,19 +60,20 @@ def test_derivatives_by_the_scene_are_those_of_residuals_on_a_bent_board(glass):
         assert np.median(off / size) < 1e-3
 
 
-@pytest.mark.parametrize("seed", [71047, pytest.param(71111, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [71047, 71151, pytest.param(71111, marks=pytest.mark.slow)])
 def test_a_bend_is_found_though_the_camera_went_aside_for_it(seed):
     """Sigma was a fourteenth of the error: the bend was found to be a fifth of what it is.
 
-    Its size is that of one way along half the view, the sentence's of all ways over corners beyond it as well.
+    Its size is that of one way along half the view, the sentence's of all ways over corners beyond it as well.  A
+    camera 17 to 27 mm aside makes differences that derivatives of what is free say to a tenth or worse.
     """
     lab = drawn_lab(seed, "bent board", draw=stranger)
     said = re.search(r"the board is not flat: .* seems to bend by (\d+) um", lab.fit.verdict.sentences[0])
     assert said
-    assert lab.size < 1e-3 * float(said[1]) < 3.0 * lab.size
+    assert lab.size < 1e-3 * float(said[1]) < LARGER * lab.size
     _, error, sigma = lab.beside
-    assert np.sqrt(np.mean(error**2)) > 0.3
-    assert 0.7 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.5
+    assert np.sqrt(np.mean(error**2)) > 0.05
+    assert 0.8 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.2
     known = lab.sigma_px.max(axis=1) < 2.0 * np.sqrt(np.mean(lab.error_px**2))
     chi = (lab.error_px / lab.sigma_px)[known]
-    assert 0.7 < np.sqrt(np.mean(chi**2)) < 2.0
+    assert not len(chi) or 0.7 < np.sqrt(np.mean(chi**2)) < 1.3
