@@ -12,11 +12,13 @@ from daq.bench.reading import ReadingSection
 from daq.plans.plan import EXPERIMENTS, plan_table
 from daq.runs.displacement import Moved
 from daq.runs.done_file import DoneFile
+from daq.runs.frame_accounting import FrameAccounting
 from daq.runs.journal_lines import Line
 from daq.runs.run_file import RunFile
 from daq.timing.timing_table import TimingTable
 from ground.config import load_yaml, validate
 from piv.correlation.settings import PivSettings
+from piv.correlation.vector_field import VectorFlag
 from rtpiv.analysis.pairs.piv_file import PivOptions, PivTable
 from rtpiv.analysis.series.series_folder import SeriesFile
 from sim.bench_table import SimulationTable
@@ -24,6 +26,7 @@ from tracer.scene.scene_file import load_scene
 from tracer.scene.scene_tables import SceneTable
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "files.md"
+GLOSSARY = PAGE.with_name("conventions.md")
 
 
 def keys_of(model: object) -> set[str]:
@@ -43,6 +46,14 @@ def keys_of(model: object) -> set[str]:
 def test_every_key_is_on_the_page(model):
     words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", PAGE.read_text(encoding="utf-8")))))
     assert keys_of(model) <= words
+
+
+def test_the_glossary_says_what_becomes_of_frames_and_vectors():
+    """All counts of a report's tables; none of them says itself what it is."""
+    rows = re.findall(r"^\|.*\|$", GLOSSARY.read_text(encoding="utf-8"), re.MULTILINE)
+    words = set(re.findall(r"\w+", " ".join(rows)))
+    assert FrameAccounting().to_dict().keys() <= words
+    assert {flag.name.lower() for flag in VectorFlag} <= words
 
 
 def test_the_page_has_each_setting_of_piv_with_its_default():
