@@ -13,6 +13,7 @@ from scipy.special import erf
 
 FINER = 3
 PAINTED_PX = 0.2  # blur of the painted edges
+WIDE = 6.0  # erf is 1 from there
 
 
 def soft_board(
@@ -38,11 +39,13 @@ def painted(to_board, pixels, square_mm, discs, disc_mm):
         slope = np.hypot(du[..., k], dv[..., k])
         line = np.round(here[..., k] / square_mm)
         distance = (here[..., k] - line * square_mm) / slope
-        wave *= np.where(line % 2 == 0, 1.0, -1.0) * erf(distance / spread)
+        edge, near = np.sign(distance), np.abs(distance) < WIDE * spread
+        edge[near] = erf(distance[near] / spread)
+        wave *= np.where(line % 2 == 0, edge, -edge)
     bright = 0.5 - 0.5 * wave  # square (0, 0) has both distances positive and is dark
     for i, j in discs:
         offset = here - (np.array((i, j)) + 0.5) * square_mm
-        near = np.nonzero((offset**2).sum(-1) < (square_mm / 2) ** 2)
+        near = np.nonzero(offset[..., 0] ** 2 + offset[..., 1] ** 2 < (square_mm / 2) ** 2)
         offset = offset[near]
         radius = np.hypot(offset[..., 0], offset[..., 1])
         along = offset / np.maximum(radius, 1e-9)[..., None]

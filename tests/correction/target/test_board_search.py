@@ -24,7 +24,7 @@ def view(turn_deg=3.0, tilt=0.0, barrel=0.0, px_per_mm=9.0, centre=(231.4, 208.7
 
     def to_board(pixels):
         p = (np.asarray(pixels, float) - centre) / 230.0
-        p = p * (1.0 + barrel * (p**2).sum(-1, keepdims=True))
+        p = p * (1.0 + barrel * (p[..., :1] ** 2 + p[..., 1:] ** 2))
         p = p / (1.0 + tilt * p[..., :1])
         x, y = p[..., 0] * 230.0 / px_per_mm, -p[..., 1] * 230.0 / px_per_mm
         return np.stack((c * x + s * y, -s * x + c * y), -1)
