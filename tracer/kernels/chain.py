@@ -31,8 +31,8 @@ overlap, where eight arrays would need more overlap tests at run time than it is
 ``balls`` (N, BALL): centre x, y, z, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R, lowest z, highest z.
 ``rays`` (RAY_NUMBERS,) float64 and ``trips`` (TRIP_NUMBERS,) int64 are the block.
 
-Where the way is known beforehand, straight to the plane or through the only sphere there is, `direct_block` and
-`lone_block` leave what a finished block holds: the plane point in columns PX, PY (NaN: the ray does not go down).
+Where the way is known beforehand, `lone_block` leaves what a finished block holds, the plane point in columns PX,
+PY (NaN: the ray does not go down), and `direct_block` writes it where it belongs: passes over scratch cost more.
 """
 
 import math
@@ -71,8 +71,9 @@ SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; t
 
 
 @kernel
-def direct_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
-    """Trace a block (n,) that no glass touches."""
+def direct_block(x: Array, y: Array, camera: Array, point: Array) -> int:
+    """Trace rays (n,) that no glass touches to point (2 n,), x and y in turn; return how many do not go down."""
+    up = 0
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
     c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     for i in range(x.shape[0]):
@@ -82,9 +83,9 @@ def direct_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -
         t = -oz / dz
         tx, ty = ox + t * dx, oy + t * dy
         down = dz < 0.0
-        rays[PX + i], rays[PY + i] = tx if down else math.nan, ty if down else math.nan
-    for i in range(x.shape[0]):
-        trips[PICK + i] = 0
+        point[2 * i], point[2 * i + 1] = tx if down else math.nan, ty if down else math.nan
+        up += 0 if down else 1
+    return up
 
 
 @kernel

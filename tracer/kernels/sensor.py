@@ -26,6 +26,7 @@ from tracer.kernels.chain import (
     PY,
     SKIP_SILHOUETTES,
     TRIP,
+    VECTOR,
     begin_block,
     direct_block,
     follow_block,
@@ -154,6 +155,25 @@ def write_block(count: int, rays: Array, trips: Array, point: Array, status: Arr
 
 
 @kernel
+def direct_span(
+    x: Array, y: Array, camera: Array, rays: Array, point: Array, status: Array, branch: Array
+) -> None:
+    """Trace and write a span that no glass touches; its last pixels, no whole vector, by way of scratch."""
+    count = status.shape[0]
+    whole = count // VECTOR * VECTOR
+    up = direct_block(x[:whole], y[:whole], camera, point)
+    if whole < count:
+        up += direct_block(x[whole : whole + VECTOR], y[whole : whole + VECTOR], camera, rays)
+        for i in range(2 * (count - whole)):
+            point[2 * whole + i] = rays[i]
+    status[:] = RECOVERED
+    branch[:] = 0
+    if up > 0:
+        for i in range(count):
+            status[i] = RECOVERED if point[2 * i] == point[2 * i] else MISSED_PLANE
+
+
+@kernel
 def silhouettes(
     flat: bool, skips: int, camera: Array, balls: Array, x: Array, y: Array, width: int, spans: Array
 ) -> int:
@@ -181,14 +201,14 @@ def flat_columns(flat: bool, camera: Array, x: Array) -> None:
 
 @kernel
 def next_block(low: int, edge: int, joined: Array, count: int, j: int) -> tuple[int, bool, int]:
-    """From column `low` of a row on: the span at or behind it, whether it is inside, and where its block ends."""
+    """From column `low` of a row on: the span at or behind it, whether it is inside, where block or gap ends."""
     while j < count and joined[j, 1] <= low:
         j += 1
     inside = j < count and joined[j, 0] <= low
     stop = edge
     if j < count:
         stop = min(edge, joined[j, 1] if inside else joined[j, 0])
-    return j, inside, min(low + LANES, stop)
+    return j, inside, min(low + LANES, stop) if inside else stop
 
 
 @kernel
@@ -248,14 +268,13 @@ def sensor_rows(
         low, j = 0, 0
         while low < edge:
             j, inside, high = next_block(low, edge, joined, count, j)
+            p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
             if inside:
                 unknown[row] += glass_block(
                     x, y, low, high - low, skips, paired, camera, balls, spans, rays, trips, wanted
                 )
+                write_block(high - low, rays, trips, p, s, b)
             else:
-                full = low + whole_vectors(high - low)
-                direct_block(x[low:full], y[low:full], camera, rays, trips)
-            p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
-            write_block(high - low, rays, trips, p, s, b)
+                direct_span(x[low:], y[low:], camera, rays, p, s, b)
             low = high
         write_mirrored(row, edge, mirror_x, mirror_y, swap_x, swap_y, unknown, point, status, branch)

@@ -33,6 +33,7 @@ from tracer.kernels.chain import (
     DY,
     DZ,
     IQ,
+    LANES,
     PICK,
     PX,
     PY,
@@ -273,6 +274,7 @@ def windowed_rows(
         low, j = 0, 0
         while low < edge:
             j, inside, high = next_block(low, edge, joined, count, j)
+            high = min(high, low + LANES)
             around(flat, x, y, low, high, box)
             careful = not (known and all_open(box, camera, windows, faces))
             p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
