@@ -1,6 +1,6 @@
 """The paper's third test without a bench: pairs of a known jet behind glass, evaluated as they are made.
 
-    python -m benchmarks.flow two --pairs 1000 [--workers 2] [--window 32] [--steady] [-o jet.json]
+    python -m benchmarks.flow two --pairs 1000 [--workers 2] [--window 32 | --found] [--steady] [-o jet.json]
     python -m benchmarks.flow three --pairs 100 --frames FOLDER
 
 `two` and `three` are the stacks of 50 mm spheres 4 mm off a sheet of 1 mm, seen by 60 mm at f/22, focused between
@@ -47,7 +47,6 @@ from correction.maps.slant import vector_slopes
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
-from piv.correlation.windows import window_grid
 from piv.statistics.moments import Moments
 from piv.statistics.out_of_plane import OutOfPlane
 from piv.statistics.unresolved import Unresolved
@@ -72,6 +71,7 @@ SEED = 14
 CHUNK_PAIRS = 10
 FIRST_STILL = 1_000_000  # numbers of pairs without seeding
 RIM_FROM = 0.75
+FOUND_PX = 16  # the smallest window that a place finds, as `rtpiv evaluate` has it
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,7 @@ class Case:
     window_px: int = 32
     seed: int = SEED
     sigma_w_m_s: float | None = None
+    finest_px: int | None = None
 
     @property
     def camera(self) -> FlowCamera:
@@ -93,8 +94,8 @@ class Case:
 
     @property
     def settings(self) -> PivSettings:
-        """Windows down to the one asked for."""
-        return PivSettings(windows_px=(64, 32, *(self.window_px,) * 2))
+        """Windows down to the one asked for, or to those that places find."""
+        return PivSettings(windows_px=(64, 32, *(self.window_px,) * 2), finest_px=self.finest_px)
 
     @property
     def known(self) -> OutOfPlane:
@@ -160,7 +161,7 @@ class Sums(NamedTuple):
 def _judge(case: Case, is_mean: bool = False) -> Judge:
     """Of the flow, or of its mean."""
     camera, plane = case.camera, _correction(case).corrector.map.grid
-    windows = window_grid(plane.shape, case.window_px, case.settings.overlap)
+    windows = case.settings.result_grid(plane.shape)
     flow = Flow(camera.flow.base) if is_mean else camera.flow
     nodes = np.ix_(np.rint(windows.y_px).astype(int), np.rint(windows.x_px).astype(int))
     pixels = _correction(case).corrector.map.pixel[0][nodes]
@@ -323,6 +324,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--size", type=int, default=2016, help="pixels across; 2016 is the paper's")
     parser.add_argument("--window", type=int, default=32)
+    parser.add_argument("--found", action="store_true", help="each place finds its window, as in `rtpiv evaluate`")
     parser.add_argument("--chunk", type=int, default=CHUNK_PAIRS, help="pairs whose mean is judged by itself")
     parser.add_argument("--steady", action="store_true", help="without turbulence")
     parser.add_argument("--pinhole", action="store_true", help="without the lens's blur; three times as fast")
@@ -330,7 +332,8 @@ def main() -> None:
     parser.add_argument("--frames", type=Path, help="write frames here, evaluate nothing")
     parser.add_argument("-o", "--out", type=Path, help="write the figures as JSON")
     asked = parser.parse_args()
-    case = Case(asked.name, asked.size, asked.steady, asked.pinhole, asked.window, sigma_w_m_s=asked.sigma_w)
+    finest = FOUND_PX if asked.found else None
+    case = Case(asked.name, asked.size, asked.steady, asked.pinhole, asked.window, SEED, asked.sigma_w, finest)
     if asked.frames is not None:
         asked.frames.mkdir(parents=True, exist_ok=True)
         with worker_processes(asked.workers) as pool:

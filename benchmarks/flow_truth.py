@@ -31,7 +31,7 @@ from sim.flow.particles import LightSheet
 
 Array = NDArray[Any]
 
-FINE = 4  # samples from node to node
+FINE_PX = 4.0  # samples from node to node are about as far apart
 BEYOND = 3.0  # windows around the frame
 DEEP = 5  # Gauss-Hermite nodes across the sheet
 
@@ -80,14 +80,15 @@ class Judge:
         self._scale = np.array((1.0, -1.0, 1.0)) * dt_s * plane.px_per_mm
         self._slant = np.nan_to_num(slopes) * np.array((-1.0, 1.0))
         self._dt_s, self._plane = dt_s, plane
-        self._spacing = windows.step_px / FINE
+        self._fine_count = max(1, round(windows.step_px / FINE_PX))
+        self._spacing = windows.step_px / self._fine_count
         self._responses: dict[int, Array] = {}
         self._margin = int(np.ceil(BEYOND * windows.size_px / self._spacing))
 
     def at(self, time_s: float, added_passes: int = 0) -> Seen:
         """Of a pair whose first pulse is at `time_s`, measured with so many passes more than asked for."""
         field = self._fine(time_s + 0.5 * self._dt_s)
-        inner = slice(self._margin, -self._margin, FINE)
+        inner = slice(self._margin, -self._margin, self._fine_count)
         spectrum = np.fft.rfft2(field, axes=(0, 1))
         seen = [
             np.fft.irfft2(spectrum * share[..., None], s=field.shape[:2], axes=(0, 1))[inner, inner]
@@ -117,7 +118,7 @@ class Judge:
 
     @property
     def _shape(self) -> tuple[int, int]:
-        ny, nx = (FINE * (count - 1) + 1 + 2 * self._margin for count in self.windows.shape)
+        ny, nx = (self._fine_count * (count - 1) + 1 + 2 * self._margin for count in self.windows.shape)
         return ny, nx
 
     @cached_property

@@ -29,6 +29,7 @@ ORDER = 3
 OWN = 10.0  # times its noise at which a vector's part speaks for itself: chance hardly reaches it
 LARGEST_SIGMA_PX = 0.2  # beyond which correlation statistics mean little
 LOWER = 1.4  # times its noise beyond which a part is flow, told by more neighbours
+LOUDEST = 5.0  # times its noise: the most that a place says of others
 NEIGHBOURS = 0.8  # of a level's deviation: how far those are asked how strong a part is
 MORE = 2.0  # of a level's deviation: that of the weights of more neighbours
 
@@ -126,8 +127,12 @@ def kept_share(
     signal = np.maximum(0.0, above / np.where(weights > 0.0, weights, 1.0))
     signal = np.maximum(signal, np.where(known, strength - OWN * alone, 0.0))
     share = np.where(weights > 0.0, signal**2 / np.maximum(signal**2 + noise**2, 1e-30), 1.0)
-    # What goes may be weaker than the noise, and still be flow: more neighbours say how much.
-    weights, above = (_blurred(part, MORE * level_steps) for part in (weight, weight * (strength - LOWER * noise)))
+    # What goes may be weaker than the noise, and still be flow: more neighbours say how much. A jet beside it
+    # says no more than what would be seen here.
+    weights, above = (
+        _blurred(part, MORE * level_steps)
+        for part in (weight, weight * (np.minimum(strength, LOUDEST * noise) - LOWER * noise))
+    )
     flow = np.maximum(0.0, above / np.where(weights > 0.0, weights, 1.0))
     return share, np.square(1.0 - share) * np.maximum(flow, signal)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from piv.correlation.pair import evaluate_pair
+from piv.correlation.settings import PivSettings
 from tests.piv.correlation.flows import gaussian_jet, plane_jet
 from tests.slow_cases import slow
 
@@ -70,3 +71,16 @@ def test_what_is_scrambled_in_a_jet_is_no_part_of_it(particle_pair):
     off = np.linalg.norm(np.stack((field.u_px, field.v_px), axis=-1) - truth, axis=-1)
     inside = np.ix_((field.y_px > 235) & (field.y_px < 277), (field.x_px > 211) & (field.x_px < 253))
     assert not np.any(field.valid[inside] & (off[inside] > 3.0))
+
+
+@pytest.mark.parametrize("truth", [plane_jet(), gaussian_jet()], ids=["plane", "Gaussian"])
+def test_sigma_of_the_fluid_at_rest_knows_nothing_of_the_jet(particle_pair, truth):
+    """What goes with the noise many neighbours tell; a jet among them made it two to four times too large."""
+    pair = particle_pair(truth, seed=7, ppp=0.03, noise=0.03)
+    field = evaluate_pair(*pair, settings=PivSettings(finest_px=16))
+    x, y = np.meshgrid(field.x_px, field.y_px)
+    far = (np.abs(y - 256) > 64) & (np.abs(y - 256) < 160) & (np.abs(x - 256) < 216) & field.valid
+    off = (np.stack([field.u_px, field.v_px], -1) - np.stack(truth(x, y), -1))[far]
+    within = np.abs(off) / field.total_sigma_px[far]
+    assert 0.85 <= np.sqrt(np.mean(within**2)) <= 1.15
+    assert 0.6 <= np.mean(within < 1.0) <= 0.75

@@ -21,18 +21,18 @@ def test_the_mean_of_a_jet_is_found_beside_and_behind_glass(name):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("is_pinhole", [True, False])
-def test_sigma_holds_the_flow_itself_behind_glass(is_pinhole):
+@pytest.mark.parametrize(("is_pinhole", "finest_px"), [(True, None), (True, 16), (False, None), (False, 16)])
+def test_sigma_holds_the_flow_itself_behind_glass(is_pinhole, finest_px):
     """The jet with all three components, not what a camera that looks aslant can see of it.
 
-    Without the slant 42 and 32 % of single vectors at r < 0.75 R are within one sigma (pinhole, f/22).  What is
-    left to 68 % is what windows do not resolve; at the rim shear of the mean is taken for a flow through it.
+    Without the slant 38 and 31 % of single vectors at r < 0.75 R are within one sigma (32 px; pinhole, f/22), 48
+    and 52 % with windows that places find.  At the rim shear of the mean is taken for a flow through it.
     """
-    case = Case("two", 1008, is_pinhole=is_pinhole)
+    case = Case("two", 1008, is_pinhole=is_pinhole, finest_px=finest_px)
     found = judged(case, [moments(case, numbers) for numbers in chunks(12, 6)])
-    for part, least, most in (("beside", 0.63, 0.73), ("centre", 0.58, 0.73), ("rim", 0.63, 0.85)):
+    for part, least, most in (("beside", 0.63, 0.76), ("centre", 0.58, 0.76), ("rim", 0.63, 0.85)):
         told, bare = found[part]["vectors_within"], found[part]["vectors_within_no_slant"]
         print(part, told, bare, found[part]["mean_within"])
         assert least < told < most
         assert bare < told
-    assert found["centre"]["vectors_within_no_slant"] < 0.5
+    assert found["centre"]["vectors_within_no_slant"] < 0.56
