@@ -77,10 +77,13 @@ def beside_rim(rims: Sequence[UnsureRim], pixels: ArrayLike) -> NDArray[np.bool_
 
 
 def windows_beside(rims: Sequence[UnsureRim], frame: MeasuredFrame) -> NDArray[np.bool_]:
-    """Corners (N,) of a frame whose windows may meet a rim: what they measured may be no crossing of squares."""
+    """Corners (N,) of a frame that are seen directly, and whose windows may meet a rim.
+
+    What they measured may be no crossing of squares.  Those seen through a ball are what its place is known by.
+    """
     ends = np.concatenate([share * frame.axes_px for share in REACH], axis=2).swapaxes(1, 2)
     places = np.concatenate((frame.corners.pixel[:, None], frame.corners.pixel[:, None] + ends), axis=1)
-    return np.asarray(beside_rim(rims, places).any(axis=1))
+    return np.asarray(beside_rim(rims, places).any(axis=1) & ~frame.behind)
 
 
 def in_words(rims: Collection[UnsureRim]) -> str:

@@ -94,6 +94,8 @@ def test_a_corner_whose_window_may_meet_the_rim_is_left_out(lab):
     index, way = np.zeros((count, 2), np.int64), np.full(count, "")
     frame = MeasuredFrame("glass", corners, index, axes, way, np.zeros(count), np.ones((count, 2)), {}, {})
     assert windows_beside((rim,), frame).tolist() == [True, True, False, False]
+    through = replace(frame, branch_name=np.full(count, ball.name))  # they are what tells its place
+    assert not windows_beside((rim,), through).any()
     assert not windows_beside((), frame).any()
     assert beside_rim((rim,), (right, v))
     assert not beside_rim((rim,), (u, v))
