@@ -27,12 +27,14 @@ def test_sigma_holds_the_flow_itself_behind_glass(is_pinhole, finest_px):
 
     Without the slant 38 and 31 % of single vectors at r < 0.75 R are within one sigma (32 px; pinhole, f/22), 48
     and 52 % with windows that places find.  At the rim shear of the mean is taken for a flow through it.
+    Wanted are 63 to 73 %; with windows that are found sigma is a little too large.
     """
+    most, most_bare = (0.73, 0.5) if finest_px is None else (0.76, 0.56)
     case = Case("two", 1008, is_pinhole=is_pinhole, finest_px=finest_px)
     found = judged(case, [moments(case, numbers) for numbers in chunks(12, 6)])
-    for part, least, most in (("beside", 0.63, 0.76), ("centre", 0.58, 0.76), ("rim", 0.63, 0.85)):
+    for part, least, largest in (("beside", 0.63, most), ("centre", 0.58, most), ("rim", 0.63, 0.85)):
         told, bare = found[part]["vectors_within"], found[part]["vectors_within_no_slant"]
         print(part, told, bare, found[part]["mean_within"])
-        assert least < told < most
+        assert least < told < largest
         assert bare < told
-    assert found["centre"]["vectors_within_no_slant"] < 0.56
+    assert found["centre"]["vectors_within_no_slant"] < most_bare
