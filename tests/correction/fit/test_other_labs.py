@@ -116,7 +116,7 @@ def test_the_map_is_true_and_its_sigma_honest(name):
 def test_another_square_than_described_is_said(square_mm):
     lab = Lab("pair_off_axis", 4)
     nominal, truth = scenes(lab)
-    words = r"camera\.z would have to be off by .* of its sigmas; check square_mm"
+    words = rf"the camera should see those of {square_mm:g} mm .* give the right square_mm \(about 3\.5\)"
     with pytest.raises(FitFailed, match=words):
         fit_scene(nominal, photographs(lab, truth), Chessboard(square_mm, 0.4 * square_mm))
 
