@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from correction.node_status import NodeStatus
 from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED, MaskedPart, Point
@@ -63,9 +63,9 @@ def nodes_in(part: MaskedPart, nodes_mm: NDArray[np.float64]) -> NDArray[np.bool
     return points_in(part.outline_mm, nodes_mm)
 
 
-def points_in(outline: Sequence[Point], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def points_in(outline: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which points (..., 2) are inside a polygon: a ray to the right crosses it an odd number of times."""
-    x, y, corners = points[..., 0], points[..., 1], np.array(outline)
+    x, y, corners = points[..., 0], points[..., 1], np.asarray(outline)
     odd = np.zeros(x.shape, np.bool_)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         if y0 != y1:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from correction.errors import BoardError
+from correction.masked import points_in
 from tracer.board import Board, Dots, Square
 
 LEAST_SQUARES = 4
@@ -200,7 +201,7 @@ class Chessboard(Board):
         high = np.floor(outline.max(axis=0) / self.sides_mm).astype(np.int64)
         columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
         index = np.stack((columns.ravel(), rows.ravel()), axis=-1)
-        return index[_inside(self.corner_mm(index), outline) & self.has_corner(index)]
+        return index[points_in(outline, self.corner_mm(index)) & self.has_corner(index)]
 
     def dot_share(self, index: ArrayLike) -> NDArray[np.float64]:
         """Diameters (...) in pitches of the dots with index (..., 2) int."""
@@ -250,15 +251,3 @@ class Chessboard(Board):
         if lines is not None:  # paper
             bright = bright | ~((squares >= lines[0]) & (squares < lines[1])).all(axis=-1)
         return bright.astype(np.float64)
-
-
-def _inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Even-odd rule: points (N, 2) inside the polygon (M, 2)."""
-    inside = np.zeros(len(points), dtype=bool)
-    x, y = points[:, 0], points[:, 1]
-    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        spans = (y0 > y) != (y1 > y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = x0 + (y - y0) * (x1 - x0) / (y1 - y0)
-        inside ^= spans & (x < crossing)
-    return inside

@@ -132,7 +132,8 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
                 screen.print(forecast.sentence)
             del ray_map
             if pictures:
-                _draw_views(draw, out, name, loaded, correction_map.grid, share.size_mm[0], blur, view, slant)
+                _draw_on_plane(draw, out, loaded, correction_map.grid, slant, blur)
+                _draw_views(draw, out, name, loaded, share.size_mm[0], view)
         names = ["plane.png", "camera_view.png", "slant.png", "scene.png"] if pictures else []
         if pictures:
             names += ["blur.png"] if blur is not None else []
@@ -151,24 +152,20 @@ def _draw_plane(
     draw(f"{PICTURES}.drawing:draw_scene", out / "scene.png", scene)
 
 
-def _draw_views(
-    draw: Draw,
-    out: Path,
-    name: str,
-    scene: Scene,
-    grid: PlaneGrid,
-    width_mm: float,
-    blur: "BlurMap | None",
-    view: FieldOfView | None,
-    slant: ShownSlant,
+def _draw_on_plane(
+    draw: Draw, out: Path, scene: Scene, grid: PlaneGrid, slant: ShownSlant, blur: "BlurMap | None"
 ) -> None:
-    """Draw the other pictures, of a plane of some width; what takes longest to compute comes last."""
-    from rtpiv.analysis.pictures.patterns import WIDEST_PX, MarkerBoard, seen, square_for
-    from rtpiv.analysis.through_glass import shown_small
-
+    """Draw how rays meet the plane, and how sharp it is seen."""
     draw(f"{PICTURES}.traced:draw_slant", out / "slant.png", scene, grid, slant)
     if blur is not None:
         draw(f"{PICTURES}.traced:draw_blur", out / "blur.png", grid, blur)
+
+
+def _draw_views(draw: Draw, out: Path, name: str, scene: Scene, width_mm: float, view: FieldOfView | None) -> None:
+    """Draw what the camera sees of a plane of some width; what takes longest to compute comes last."""
+    from rtpiv.analysis.pictures.patterns import WIDEST_PX, MarkerBoard, seen, square_for
+    from rtpiv.analysis.through_glass import shown_small
+
     if view is not None:
         draw(f"{PICTURES}.traced:draw_curve", out / "radial_curve.png", scene, view, name)
     square_mm = square_for(width_mm)
