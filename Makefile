@@ -121,7 +121,7 @@ lamps: $(STAMP)
 
 # Light sheets off the target's plane, found in simulated flows: how far off, and what it costs
 sheets: $(STAMP)
-	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/light_sheet/test_many_sheets.py
+	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/light_sheet/test_many_sheets.py tests/correction/light_sheet/test_drawn_sheets.py
 
 # Fits begun beside the truth, by up to 5 mm: found, refused, or masked by name? make starts STARTS=100
 STARTS ?= 40

@@ -1,4 +1,4 @@
-"""The slow suite in shards of about half an hour, and what each has said last: make slow SHARD=3/16.
+"""The slow suite in shards of ten to twenty minutes, and what each has said last: make slow SHARD=3/16.
 
 A shard is a set of test files. Files whose time is known are dealt out longest first, each to the shard that has
 least to do; a file that nobody has timed yet goes where the hash of its name says, so a new file moves no other.
