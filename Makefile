@@ -1,6 +1,6 @@
 # make demo   - install what is needed, then see through simulated glass; pictures land in demo/
 # make test   - install what is needed, then lint, types, layers and all fast tests
-# make slow SHARD=3/16 - half an hour of the slow tests; the last line of `make test` says what they said last
+# make slow SHARD=3/16 - 10 to 20 min of the slow tests; the last line of `make test` says what they said last
 SHELL := /bin/bash
 PY ?= python3
 VENV := .venv

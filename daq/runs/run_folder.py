@@ -16,8 +16,11 @@ Layout and reasons: docs/adr/0007-run-folder.md.
 
 import errno
 import platform
+import re
 import shutil
+import time
 from collections.abc import Container, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -38,6 +41,8 @@ if TYPE_CHECKING:
     from daq.plans.steps import Step
 
 IDLE = frozenset({"session", "camera", "counts", "end"})  # lines of a session that came to nothing
+DAY_S = 86_400.0
+LEFT = re.compile(r"\.[0-9]{8}T[0-9]{6}Z_[A-Za-z0-9_-]+\.[0-9a-f]{32}\.part")
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 
 
@@ -75,7 +80,8 @@ class RunFolder:
         """Make a new folder with its run.json, and in it those of further cameras; a taken name gets a number.
 
         It is made under a hidden name and gets its own when all of it is on the disk: whoever finds a run folder,
-        whatever became of the program that made it, can open it.
+        whatever became of the program that made it, can open it. What such a program left there under a hidden
+        name is removed after a day.
 
         Parameters
         ----------
@@ -108,6 +114,7 @@ class RunFolder:
             raise DiskError(f"{parent}: {error.strerror}; choose another folder with -o") from error
         finally:
             shutil.rmtree(hidden, ignore_errors=True)
+        _sweep(parent)
         return cls(path)
 
     def remove_if_empty(self) -> bool:
@@ -220,6 +227,15 @@ def _make(folder: Path, about: Mapping[str, Any]) -> None:
     for inner in ("frames", "corrected"):
         (folder / inner).mkdir(parents=True)
     write_record(folder / FILE, {"layout": LAYOUT, **about})
+
+
+def _sweep(parent: Path) -> None:
+    """Remove what programs killed while they made or removed a run left there a day ago: no frame is in it."""
+    with suppress(OSError):  # a folder that another program sweeps, or that cannot be looked at, is nobody's error
+        for left in parent.iterdir():
+            old = LEFT.fullmatch(left.name) and left.lstat().st_mtime < time.time() - DAY_S
+            if old and not left.is_symlink() and not any(left.rglob("*.tif*")):
+                shutil.rmtree(left, ignore_errors=True)
 
 
 def _renamed(hidden: Path, parent: Path, name: str) -> Path:

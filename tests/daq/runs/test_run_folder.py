@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import zlib
@@ -157,6 +158,27 @@ def test_no_run_folder_no_resume(tmp_path):
     (tmp_path / "run.json").write_text('{"layout": 99}')
     with pytest.raises(RunUnsuitable, match=r"layout 99, known are \(1, 2\)"):
         RunFolder.open(tmp_path)
+
+
+def test_what_a_killed_program_left_is_swept_after_a_day_and_nothing_else(tmp_path):
+    run = RunFolder.create(tmp_path, "shift", {}).path
+    hexadecimal = "0123456789abcdef" * 2
+    left = tmp_path / f".{run.name}.{hexadecimal}.part"
+    young = tmp_path / f".{run.name}_1.{hexadecimal}.part"
+    with_frame = tmp_path / f".{run.name}_2.{hexadecimal}.part"
+    theirs = tmp_path / ".20260101T000000Z_own.part"
+    linked = tmp_path / f".{run.name}_3.{hexadecimal}.part"
+    for folder in (left, young, with_frame, theirs):
+        shutil.copytree(run, folder)
+    (with_frame / "frames" / "000000.tif").write_bytes(b"a frame")
+    linked.symlink_to(theirs, target_is_directory=True)
+    for folder in (run, left, with_frame, theirs):
+        os.utime(folder, (1.7e9, 1.7e9))
+    os.utime(linked, (1.7e9, 1.7e9), follow_symlinks=False)
+    RunFolder.create(tmp_path, "shift", {})
+    assert not left.exists()
+    assert all(folder.exists() for folder in (run, young, with_frame, theirs, linked))
+    assert linked.is_symlink()
 
 
 KILLED = """
