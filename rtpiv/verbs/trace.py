@@ -20,12 +20,12 @@ from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
 from rtpiv.analysis.views.arranged import little
+from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
-from tracer.strategies.fov import FieldOfView, field_of_view
 from tracer.strategies.ray_map import RayMap, build_ray_map
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtpiv.analysis.views.field_of_view import field_of_view, radial_curve
 from tracer.errors import SceneError
 from tracer.media import MEDIA, ConstantMedium
 from tracer.pupil import depth_of_field_mm, f_number_for_depth
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
-from tracer.strategies.fov import field_of_view, radial_curve
 from tracer.strategies.trace import trace
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -15,6 +15,7 @@ from mpmath import mpf
 
 from benchmarks.reference import Glass, Vector, along, cross, dot, roots
 from benchmarks.scenes import aimed_pixels
+from rtpiv.analysis.views.field_of_view import field_of_view
 from tests.slow_cases import one_in_three
 from tests.tracer.scenes import HOLLOW, ball, camera_at, one_ray, random_scene, scene
 from tests.tracer.second_formulation import inside
@@ -34,7 +35,6 @@ from tracer.kernels.sphere import (
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import sphere_of
-from tracer.strategies.fov import field_of_view
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.ray_path import ray_path
 from tracer.strategies.strategy import Kind, choose

@@ -13,6 +13,7 @@ from mpmath import mpf
 from benchmarks.walls_reference import Walls, follow_walls, unit, vector
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
+from rtpiv.analysis.views.field_of_view import field_of_view
 from tests.tracer.drawn_walls import (
     AIR_CAMERA,
     GLASS,
@@ -36,7 +37,6 @@ from tracer.kernels.world import ENTERED, KINDS, MOST_NUMBERS, OFF_INSIDE
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene
-from tracer.strategies.fov import field_of_view
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, landings_through
 from tracer.strategies.trace import RayStatus, trace, trace_from, world_from

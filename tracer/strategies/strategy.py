@@ -3,6 +3,7 @@
 A scene goes the quickest way that serves it:
 
     lockstep   a few solid transparent spheres, nowhere thinner than what is around them, behind windows or not
+    beside     the same among opaque rods, but for the rays that may meet one
     bundles    any number of solid or opaque spheres, behind windows or not
     march      everything else (supports, hollow balls, tubes, meshes ...), pixel by pixel
 
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
+from tracer.bodies.rod import Rods
 from tracer.bodies.window import Windows
 from tracer.kernels.chain import BALL
 from tracer.kernels.march import MAX_EVENTS, trace_rows
@@ -28,6 +30,7 @@ from tracer.kernels.window import BEHIND, GLASS
 from tracer.kernels.world import World
 from tracer.scene.scene import Scene
 from tracer.strategies.beds import Balls, trace_bed
+from tracer.strategies.beside import trace_beside
 from tracer.strategies.branches import Branch, Numbers
 from tracer.strategies.lockstep import MAX_CHAIN, NO_WINDOWS, pack_chain, trace_lockstep
 from tracer.strategies.trace import number_keys, pack_camera, world_of
@@ -40,6 +43,7 @@ class Kind(StrEnum):
     """Ways of tracing a whole sensor."""
 
     LOCKSTEP = "lockstep"
+    BESIDE = "beside"
     BUNDLES = "bundles"
     MARCH = "march"
 
@@ -79,7 +83,7 @@ class Strategy:
     @property
     def seeks(self) -> Kind:
         """The way in which the inverse is sought: that of the rays, where that goes in blocks."""
-        return self.kind if self.in_blocks else Kind.MARCH
+        return self.kind if self.in_blocks and self.kind is not Kind.BESIDE else Kind.MARCH
 
     @cached_property
     def chain(self) -> NDArray[np.float64]:
@@ -121,6 +125,8 @@ class Strategy:
         """
         if self.kind is Kind.LOCKSTEP:
             return branch, trace_lockstep(self.scene, plane, status, branch, windows=self.windows)
+        if self.kind is Kind.BESIDE:
+            return branch, trace_beside(self.scene, self.scene.other_tables()[0], plane, status, branch)
         if self.kind is Kind.BUNDLES:
             traced = trace_bed(self.scene, plane, status, branch, most, self.windows)
             if traced is not None:
@@ -146,10 +152,11 @@ def choose(scene: Scene) -> Strategy:
         The quickest way that serves it.
     """
     spheres, windows = scene.sphere_table(), windows_before(scene)
-    kind = Kind.MARCH
-    if windows is not None and spheres.shape[1] == SOLID and not scene.shapes():
+    kind, rods = Kind.MARCH, [type(table) for table in scene.other_tables()] == [Rods]
+    if (windows is not None or rods) and spheres.shape[1] == SOLID and not scene.shapes():
         clear = not spheres[:, OPAQUE].any() and bool((spheres[:, INDEX] >= 1.0).all())
-        kind = Kind.LOCKSTEP if clear and len(spheres) <= MAX_CHAIN else Kind.BUNDLES
+        few = clear and len(spheres) <= MAX_CHAIN
+        kind = (Kind.LOCKSTEP if few else Kind.BUNDLES) if not rods else Kind.BESIDE if few else Kind.MARCH
     open_room = scene.arrangement.is_one_room
     in_blocks = open_room or (windows is not None and is_usual(scene, windows))
     return Strategy(scene, kind, NO_WINDOWS if windows is None else windows, in_blocks)

@@ -25,8 +25,8 @@ from rtpiv.analysis.pictures.rasters import COLOURS, THROUGH, Colour, ShownPlane
 from rtpiv.analysis.pictures.saved import save_picture, short
 from rtpiv.analysis.steepness import ShownSlant
 from rtpiv.analysis.through_glass import PlaneShare
+from rtpiv.analysis.views.field_of_view import FieldOfView, radial_curve
 from tracer.scene.scene import Scene
-from tracer.strategies.fov import FieldOfView, radial_curve
 from tracer.strategies.ray_map import build_ray_map
 
 SIZES = LinearSegmentedColormap.from_list(  # small is warm: there resolution is lost

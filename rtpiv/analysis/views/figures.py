@@ -32,6 +32,7 @@ from correction.maps.correction_map import CorrectionMap
 from daq.errors import RunUsageError
 from rtpiv.analysis.through_glass import behind, coarse_map, hiding, reach
 from rtpiv.analysis.views.expected_sigma import expected_sigma
+from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.plan_texts import GLASS_HEIGHTS_MM, bare_heights_mm
 from rtpiv.templates.scene_text import scene_of
@@ -39,7 +40,6 @@ from rtpiv.templates.stage_text import room_of
 from tracer.errors import SceneError
 from tracer.pupil import depth_of_field_mm
 from tracer.scene.scene import Scene
-from tracer.strategies.fov import FieldOfView, field_of_view
 from tracer.strategies.sensitivity import CAMERA, SPHERE, landings
 
 PLACES = 300  # behind glass, at which the rest is known
@@ -56,7 +56,7 @@ class ViewFigures:
     lab : Lab
         The arrangement.
     inside, total : float or None
-        FOV_in and FOV_total of balls in a row (``tracer.strategies.fov``), as shares.
+        FOV_in and FOV_total of balls in a row (``rtpiv.analysis.views.field_of_view``), as shares.
     recovered : float
         Recovered share of what the balls hide of the plane.
     usable : float

@@ -8,15 +8,15 @@ from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from daq.live import scene_lines as lines_module
 from daq.live.scene_lines import LIT, folds_and_masks, scene_lines
+from rtpiv.analysis.views.field_of_view import field_of_view
 from sim.demo.scenes import at_size, named_scene
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
-from tracer.strategies.fov import field_of_view
 from tracer.strategies.ray_map import build_ray_map
 
 
 def test_the_fold_of_a_ball_on_the_axis_is_a_circle_of_the_radius_that_the_curve_has():
-    """`tracer.strategies.fov` finds it on one ray's curve, where the determinant's radial part is zero."""
+    """`field_of_view` finds it on one ray's curve, where the determinant's radial part is zero."""
     scene = at_size(named_scene("one_sphere_500"), 1008)
     seen, camera = field_of_view(scene), scene.camera
     assert seen.folds

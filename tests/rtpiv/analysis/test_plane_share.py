@@ -8,12 +8,12 @@ import pytest
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from rtpiv.analysis.through_glass import plane_share
+from rtpiv.analysis.views.field_of_view import field_of_view
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
 from tracer.errors import StaleMap
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.strategies.fov import field_of_view
 from tracer.strategies.ray_map import build_ray_map
 
 GLASS = ConstantMedium(1.53)

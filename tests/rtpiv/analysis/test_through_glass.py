@@ -15,9 +15,9 @@ from rtpiv.analysis.through_glass import (
     through_glass,
     through_scene,
 )
+from rtpiv.analysis.views.field_of_view import field_of_view
 from tests.rtpiv.analysis.test_plane_share import GLASS, cone_area_mm2, scene_of
 from tracer.bodies import Rod, Sphere, Window
-from tracer.strategies.fov import field_of_view
 from tracer.strategies.ray_map import build_ray_map
 
 
