@@ -7,6 +7,7 @@ Two pools of spinning threads in one process halve each other, so no two share o
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -166,6 +167,32 @@ def mitsuba(scene: Scene) -> Tasks:
     return {"ray_map": mitsuba_ray_map(scene)}
 
 
+def plain(scene: Scene) -> Tasks:
+    """Plain C, float64, compiled here."""
+    from benchmarks.plain_c import plain_ray_map
+
+    return {"ray_map": plain_ray_map(scene)}
+
+
+def filling(scene: Scene) -> Tasks:
+    """Writing as many bytes as a map has, by our threads: what no tracer can go below."""
+    from benchmarks.limits import fill_map
+
+    return {"ray_map": fill_map(scene.camera.shape)}
+
+
+def maps(scene: Scene) -> Tasks:
+    """Ray maps of this project, into the arrays of the map before, float64 and float32, and into fresh memory."""
+    from tracer.strategies.ray_map import build_ray_map
+
+    spare, short = build_ray_map(scene), build_ray_map(scene, single=True)
+    return {
+        "ray_map": lambda: build_ray_map(scene, spare).plane_mm,
+        "ray_map, stored as float32": lambda: build_ray_map(scene, short, single=True),
+        "ray_map, fresh": lambda: build_ray_map(scene),
+    }
+
+
 def raysect(scene: Scene) -> Tasks:
     """Raysect, a sample of the rays, float64."""
     from benchmarks.renderers import SAMPLE, raysect_sample
@@ -175,6 +202,9 @@ def raysect(scene: Scene) -> Tasks:
 
 CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
     "rtpiv": (ours, "numba"),
+    "rtpiv, ray maps": (maps, "numba"),
+    "filling": (filling, "numba"),
+    "plain C": (plain, "numpy"),
     "rtpiv, ray by ray": (march, "numba"),
     "numpy": (numpy, "numpy"),
     "drjit": (drjit, "drjit"),
@@ -258,9 +288,14 @@ class Racer:
             return np.asarray(np.load(path))
 
 
-def start(name: str, scene: str) -> Racer | None:
-    """Start a contender and wait until it is warm; None, and a line that says why, if it is not installed."""
+def start(name: str, scene: str, checkout: Path | None = None) -> Racer | None:
+    """Start a contender and wait until it is warm; None, and a line that says why, if it is not installed.
+
+    It is that of another `checkout` if one is named.
+    """
     command, environment = child("benchmarks.contenders", name, scene)
+    if checkout is not None:
+        environment["PYTHONPATH"] = os.pathsep.join((str(checkout), environment["PYTHONPATH"]))
     pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(command, env=environment, text=True, **pipes)
     assert process.stdout

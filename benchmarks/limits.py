@@ -1,6 +1,7 @@
 """What the machine allows: throughput of square roots and divisions, bandwidth of filling fresh-written arrays."""
 
 import time
+from collections.abc import Callable
 
 import numba
 import numpy as np
@@ -37,6 +38,22 @@ def fill(first: int, last: int, out: NDArray[np.float64]) -> None:
         line = out[row]
         for i in range(line.shape[0]):
             line[i] = 1.0
+
+
+def fill_map(shape: tuple[int, int]) -> Callable[[], NDArray[np.float64]]:
+    """Task that fills plane points, status and branch numbers of a map of this shape."""
+    point, status, branch = np.empty((*shape, 2)), np.empty(shape, np.uint8), np.empty(shape, np.uint16)
+    lines = point.reshape(shape[0], -1)
+
+    def work(first: int, last: int) -> None:
+        for array in (lines, status, branch):
+            fill(first, last, array)
+
+    def task() -> NDArray[np.float64]:
+        run_rows(work, shape[0])
+        return point
+
+    return task
 
 
 def limits_of(scene: Scene, measured: dict[str, float]) -> dict[str, float]:

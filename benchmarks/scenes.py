@@ -21,10 +21,15 @@ PAPER = (
     "pyramid_500",
 )
 BENCH_LIKE = "pyramid, nothing aligned"
+MOVED = ", camera moved"
 
 
 def bench_scene(name: str) -> Scene:
-    """A scene by its name: an example, the unaligned pyramid, or ``bed N``."""
+    """A scene by its name: an example, the unaligned pyramid, ``bed N``, ``empty``; any of them `MOVED`."""
+    if name.endswith(MOVED):
+        return moved(bench_scene(name.removesuffix(MOVED)))
+    if name == "empty":
+        return load_scene(examples() / "two_spheres_500.yaml").with_bodies([])
     if name.endswith(".yaml"):
         return load_scene(Path(name))
     if name.startswith("bed "):
@@ -35,8 +40,19 @@ def bench_scene(name: str) -> Scene:
     position, camera = (31.0, -22.0, 496.0), scene.camera
     rotation = look_at(position, (2.0, 1.0, 0.0), 0.05)
     lens = Lens(k1=0.03, k2=-0.1, p1=0.001, p2=-0.002)
-    moved = Camera(camera.focal_px, camera.principal_px, camera.sensor_px, position, rotation, lens)
-    return scene.with_camera(moved)
+    bent = Camera(camera.focal_px, camera.principal_px, camera.sensor_px, position, rotation, lens)
+    return scene.with_camera(bent)
+
+
+def moved(scene: Scene) -> Scene:
+    """The scene with its camera as a fit leaves it: 3 mm aside, tilted by some 8 mrad, turned by 3 mrad."""
+    camera = scene.camera
+    x, y, z = camera.position_mm
+    position = (x + 2.4, y - 1.8, z)
+    rotation = look_at(position, (x - 1.1, y + 0.7, 0.0), 0.003)
+    return scene.with_camera(
+        Camera(camera.focal_px, camera.principal_px, camera.sensor_px, position, rotation, camera.lens)
+    )
 
 
 def bed(count: int, width_mm: float = 100.0, packing: str = "bcc") -> Scene:

@@ -1,0 +1,78 @@
+"""Ray maps in turns, as ratios: python -m benchmarks.race [--scenes ...] [--peers ...] [--rounds 15].
+
+Scenes are as a fit leaves them unless named otherwise: the camera 3 mm aside and tilted.  Every contender has a
+process of its own and takes its turn in every round.  Said are medians and quartiles: of the processor time of
+all threads, and of our own divided by each peer's of the same round.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.__main__ import in_one_row
+from benchmarks.contenders import IDEAL_LENS, STACKED, Racer, race, start, stop
+from benchmarks.scenes import MOVED, bench_scene
+
+SCENES = ("empty", "one_sphere_250", "one_sphere_500", "two_spheres_500", "three_spheres_500", "pyramid_500")
+OURS = "rtpiv, ray maps"
+PEERS = ("filling", "plain C", "drjit", "mitsuba")
+MOST_OF_PLAIN = 16  # spheres that plain.c has room for; more of them no longer come by their heights
+Table = dict[str, dict[str, list[float]]]
+
+
+def quartiles(values: list[float], digits: int) -> list[float]:
+    """First quartile, median, third quartile."""
+    return [round(float(x), digits) for x in np.percentile(values, (25, 50, 75))]
+
+
+def apart(ours: Racer, peer: Racer) -> float:
+    """Share of the pixels whose plane points are more than 1 um apart, or known to one of both only."""
+    first, second = ours.ray_map(), peer.ray_map()
+    near = np.abs(first - second).max(axis=2) < 1e-3
+    return float(1.0 - (near | np.isnan(first + second).any(axis=2) & np.isnan(first).any(axis=2)).mean())
+
+
+def measure(name: str, peers: tuple[str, ...], rounds: int, before: Path | None) -> Table:
+    """One scene: core ms of all tasks; ratios of our map to each; how many pixels differ."""
+    scene = bench_scene(name)
+    left_out = () if in_one_row(scene) else STACKED
+    left_out += () if scene.camera.lens.is_ideal else (*IDEAL_LENS, "plain C")
+    left_out += ("plain C",) if len(scene.spheres) > MOST_OF_PLAIN else ()
+    names = [OURS, *(peer for peer in peers if peer not in left_out)]
+    racers = [racer for peer in names if (racer := start(peer, name))]
+    if before is not None and (racer := start(OURS, name, before)):
+        racer.name = "before"
+        racers.append(racer)
+    race(racers, rounds)
+    ours = np.array(racers[0].cpu["ray_map"])
+    core: Table = {}
+    for racer in racers:
+        for task, taken in racer.cpu.items():
+            core[f"{racer.name}: {task}"] = {
+                "core_ms": quartiles([1e3 * t for t in taken], 2),
+                "ours_through_it": quartiles((ours / np.array(taken)).tolist(), 3),
+            }
+    for racer in racers[1:]:
+        if racer.name != "filling":
+            core[f"{racer.name}: ray_map"]["share_of_other_pixels"] = [apart(racers[0], racer)]
+    stop(racers)
+    return core
+
+
+def main() -> None:
+    """Measure and print a line of JSON for each task of each scene."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--scenes", nargs="+", default=[name + MOVED for name in SCENES])
+    parser.add_argument("--peers", nargs="+", default=PEERS)
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--before", type=Path, help="another checkout, raced beside this one")
+    options = parser.parse_args()
+    for name in options.scenes:
+        for task, said in measure(name, tuple(options.peers), options.rounds, options.before).items():
+            print(json.dumps({"scene": name, "task": task, **said}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
