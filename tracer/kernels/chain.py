@@ -7,8 +7,9 @@ taken by selects, so that the compiler puts 4 or 8 rays into one vector instruct
     look   at every sphere that can still be met: keep the nearest foot point ahead, as `march` does;
     turn   at every sphere that some ray met: all rays are turned, those that met it keep the result.
 
-When one sphere alone can be met, looking and turning are one pass.  The number of spheres is data, so the
-same machine code serves every scene.  A sphere is not looked at when
+When one sphere alone can be met, or one that lies wholly above all others while every ray goes down, looking and
+turning are one pass.  The number of spheres is data, so the same machine code serves every scene.  A sphere is not
+looked at when
 
     first round    its silhouette (`glass_span`, exact) does not reach into the block;
     later rounds   it is the only one met in the round before (a body just left cannot be met again), or it lies
@@ -31,8 +32,8 @@ overlap, where eight arrays would need more overlap tests at run time than it is
 ``balls`` (N, BALL): centre x, y, z, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R, lowest z, highest z.
 ``rays`` (RAY_NUMBERS,) float64 and ``trips`` (TRIP_NUMBERS,) int64 are the block.
 
-Where the way is known beforehand, `lone_block` leaves what a finished block holds, the plane point in columns PX,
-PY (NaN: the ray does not go down), and `direct_block` writes it where it belongs: passes over scratch cost more.
+Where the way is known beforehand, `lone_block` and `direct_block` write plane points (NaN: the ray does not go
+down) where they belong: passes over scratch cost more.
 """
 
 import math
@@ -58,12 +59,12 @@ from tracer.kernels.camera import (
     ideal_row,
 )
 
-LANES = 256  # rays of a block: 24 kB, what the first-level cache holds
+LANES = 256  # rays of a block: 21 kB, what the first-level cache holds
 BALL = 11
 VECTOR = 8  # rays of the widest vector instruction
 STEP = LANES + 40  # columns a power of two apart would fight for the same lines of that cache
-PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR, COS_I, COS_T = (k * STEP for k in range(11))
-RAY_NUMBERS = 11 * STEP
+PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR = (k * STEP for k in range(9))
+RAY_NUMBERS = 9 * STEP
 PICK, TRIP = (k * STEP for k in range(2))
 TRIP_NUMBERS = 2 * STEP
 NOBODY = -1
@@ -89,51 +90,33 @@ def direct_block(x: Array, y: Array, camera: Array, point: Array) -> int:
 
 
 @kernel
-def lone_block(x: Array, y: Array, camera: Array, balls: Array, rays: Array, trips: Array) -> None:
-    """Trace a block (n,) through the only sphere there is: what `begin_block`, `turn` and `land_block` calculate.
-
-    In four passes: a chain of operations through to the plane is longer than the processor looks ahead, and the
-    unit for roots would wait.
-    """
-    count = x.shape[0]
+def lone_block(x: Array, y: Array, camera: Array, balls: Array, point: Array, branch: Array) -> int:
+    """Trace rays (n,) as `direct_block` does, but through the only sphere there is; branch (n,): who meets it."""
+    up = 0
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
     c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     cx, cy, cz, r2, ir2, kt = balls[0, 0], balls[0, 1], balls[0, 2], balls[0, 3], balls[0, 4], balls[0, 5]
     nu, gk, ir = balls[0, 6], balls[0, 7], balls[0, 8]
     wx, wy, wz = ox - cx, oy - cy, oz - cz
-    for i in range(count):
+    for i in range(x.shape[0]):
         dx = c3 * x[i] + c6 * y[i] + c9
         dy = c4 * x[i] + c7 * y[i] + c10
         dz = c5 * x[i] + c8 * y[i] + c11
         square = dx * dx + dy * dy + dz * dz
         inverse = 1.0 / square
         m, ax, ay, az, b2 = foot_of(wx, wy, wz, dx, dy, dz, inverse)
-        rays[DX + i], rays[DY + i], rays[DZ + i] = dx, dy, dz
-        rays[PX + i], rays[PY + i], rays[PZ + i] = ax, ay, az
-        rays[QQ + i], rays[IQ + i], rays[NEAR + i] = square, inverse, b2
-        trips[PICK + i] = 1 if (b2 < r2) & (m > 0.0) else 0
-    for i in range(count):
-        b2, square = rays[NEAR + i], rays[QQ + i]
-        rays[COS_I + i] = math.sqrt(max((r2 - b2) * ir2, 0.0) * square)
-        rays[COS_T + i] = math.sqrt(max(1.0 - b2 * kt, 0.0) * square)
-    for i in range(count):
-        ax, ay, az = rays[PX + i], rays[PY + i], rays[PZ + i]
-        dx, dy, dz = rays[DX + i], rays[DY + i], rays[DZ + i]
-        square, inverse, b2 = rays[QQ + i], rays[IQ + i], rays[NEAR + i]
-        cos_i, cos_t, hit = rays[COS_I + i], rays[COS_T + i], trips[PICK + i] != 0
-        chi = b2 * ir2
-        g = gk * square / (cos_t + cos_i * nu)
-        gi = g * inverse
-        cosine = 1.0 - 2.0 * chi * g * gi
-        q = 2.0 * gi * (cos_i * cos_t + chi * nu * square) * ir
-        along = b2 * q * inverse
+        hit = (b2 < r2) & (m > 0.0)
+        ex, ey, ez, cosine, along = turned(ax, ay, az, b2, dx, dy, dz, square, inverse, r2, ir2, kt, nu, gk, ir)
         px, py, pz = cx + ax * cosine + dx * along, cy + ay * cosine + dy * along, cz + az * cosine + dz * along
-        ex, ey, ez = dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q
         px, py, pz = px if hit else ox, py if hit else oy, pz if hit else oz
         ex, ey, ez = ex if hit else dx, ey if hit else dy, ez if hit else dz
-        rays[PX + i], rays[PY + i], rays[PZ + i] = px, py, pz
-        rays[DX + i], rays[DY + i], rays[DZ + i] = ex, ey, ez
-    land_block(count, rays)
+        t = -pz / ez
+        tx, ty = px + t * ex, py + t * ey
+        down = ez < 0.0
+        point[2 * i], point[2 * i + 1] = tx if down else math.nan, ty if down else math.nan
+        up += 0 if down else 1
+        branch[i] = 1 if hit else 0
+    return up
 
 
 @kernel
@@ -180,6 +163,22 @@ def foot_of(
     return m, ax, ay, az, ax * ax + ay * ay + az * az
 
 
+@kernel_inlined
+def turned(
+    ax: float, ay: float, az: float, b2: float, dx: float, dy: float, dz: float, square: float, inverse: float,
+    r2: float, ir2: float, kt: float, nu: float, gk: float, ir: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """D' of a ray that meets a sphere at its foot point a, cos delta, and b^2 L q / Q."""
+    chi = b2 * ir2
+    cos_i = math.sqrt(max((r2 - b2) * ir2, 0.0) * square)
+    cos_t = math.sqrt(max(1.0 - b2 * kt, 0.0) * square)
+    g = gk * square / (cos_t + cos_i * nu)
+    gi = g * inverse
+    cosine = 1.0 - 2.0 * chi * g * gi
+    q = 2.0 * gi * (cos_i * cos_t + chi * nu * square) * ir
+    return dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q, cosine, b2 * q * inverse
+
+
 @kernel
 def clear_picks(count: int, rays: Array, trips: Array) -> None:
     """Forget what was looked at."""
@@ -223,16 +222,8 @@ def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Arra
         square, inverse = rays[QQ + i], rays[IQ + i]
         m, ax, ay, az, b2 = foot_of(px - cx, py - cy, pz - cz, dx, dy, dz, inverse)
         hit = (b2 < r2) & (m > 0.0) & (trips[TRIP + i] & ALL_BITS != k + 1) & (alone | (trips[PICK + i] == k))
-        chi = b2 * ir2
-        cos_i = math.sqrt(max((r2 - b2) * ir2, 0.0) * square)
-        cos_t = math.sqrt(max(1.0 - b2 * kt, 0.0) * square)
-        g = gk * square / (cos_t + cos_i * nu)
-        gi = g * inverse
-        cosine = 1.0 - 2.0 * chi * g * gi
-        q = 2.0 * gi * (cos_i * cos_t + chi * nu * square) * ir
-        along = b2 * q * inverse
+        ex, ey, ez, cosine, along = turned(ax, ay, az, b2, dx, dy, dz, square, inverse, r2, ir2, kt, nu, gk, ir)
         qx, qy, qz = cx + ax * cosine + dx * along, cy + ay * cosine + dy * along, cz + az * cosine + dz * along
-        ex, ey, ez = dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q
         # Selects of finished values: an expression inside a select would become a branch.
         qx, qy, qz = qx if hit else px, qy if hit else py, qz if hit else pz
         ex, ey, ez = ex if hit else dx, ey if hit else dy, ez if hit else dz
@@ -247,6 +238,15 @@ def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Arra
 
 
 @kernel
+def goes_down(count: int, rays: Array) -> bool:
+    """Whether all rays of a block do."""
+    level = 0
+    for i in range(count):
+        level += not rays[DZ + i] < 0.0
+    return level == 0
+
+
+@kernel
 def follow_block(
     low: int, count: int, skips: int, balls: Array, spans: Array, rays: Array, trips: Array, wanted: Array
 ) -> None:
@@ -255,22 +255,23 @@ def follow_block(
     for k in range(bodies):
         reached = (spans[k, 0] < low + count) & (spans[k, 1] > low)
         wanted[k] = 1 if reached or not skips & SKIP_SILHOUETTES else 0
+    all_down = goes_down(count, rays)
     for _ in range(MOST_EVENTS + 1):
-        candidates, single = 0, NOBODY
+        candidates, first, rest = 0, NOBODY, -math.inf
         for k in range(bodies):
             if wanted[k]:
                 candidates += 1
-                single = k
+                first, rest = (k, rest) if first == NOBODY else (first, max(rest, balls[k, 10]))
         if candidates == 0:
             return
-        met, only, bottom, all_down = 0, NOBODY, math.inf, True
-        if candidates == 1:
-            some, all_down = turn(single, True, balls, count, rays, trips)
-            met = 1 if some else 0
-            only, bottom = single, balls[single, 9]
-            top = balls[single, 10]
+        met, only, top = 0, NOBODY, -math.inf
+        if candidates == 1 or (skips & SKIP_LEFT_BEHIND and all_down and balls[first, 9] >= rest):
+            some, all_down = turn(first, True, balls, count, rays, trips)
+            if not some:
+                wanted[first] = 0
+                continue
+            met, only, top = 1, first, balls[first, 10]
         else:
-            top = -math.inf
             clear_picks(count, rays, trips)
             for k in range(bodies):
                 if wanted[k]:
@@ -280,9 +281,9 @@ def follow_block(
                     some, all_down = turn(k, False, balls, count, rays, trips)  # the last one speaks for all
                     if some:
                         met += 1
-                        only, bottom, top = k, min(bottom, balls[k, 9]), max(top, balls[k, 10])
-        if met == 0:
-            return
+                        only, top = k, max(top, balls[k, 10])
+            if met == 0:
+                return
         for k in range(bodies):
             above = all_down and balls[k, 9] >= top
             behind = (met == 1 and k == only) or (above and skips & SKIP_LEFT_BEHIND)

@@ -2,8 +2,8 @@
 
 A row is cut into spans that some silhouette reaches and the rest.  The rest is the pinhole's line to the plane; a
 span is cut into blocks of LANES pixels.  Where the scene has one sphere only, a block goes from pixel to plane
-straight, otherwise by the rounds of ``tracer.kernels.chain``.  A finished block holds the plane point in columns
-PX, PY (NaN: the ray does not go down) and the branch number in PICK.
+straight as well, otherwise by the rounds of ``tracer.kernels.chain``: it then holds the plane point in columns PX,
+PY (NaN: the ray does not go down) and the branch number in PICK.
 
 Every pixel has the same bits whatever block it stands in: all loops that calculate run over whole vectors.
 
@@ -134,9 +134,6 @@ def glass_block(
 ) -> int:
     """Trace `count` columns from `low` on; returns how many have no branch number."""
     full = whole_vectors(count)
-    if balls.shape[0] == 1:
-        lone_block(x[low : low + full], y[low : low + full], camera, balls, rays, trips)
-        return 0
     begin_block(x[low : low + full], y[low : low + full], camera, rays, trips)
     follow_block(low, full, skips, balls, spans, rays, trips, wanted)
     land_block(full, rays)
@@ -155,19 +152,29 @@ def write_block(count: int, rays: Array, trips: Array, point: Array, status: Arr
 
 
 @kernel
-def direct_span(
-    x: Array, y: Array, camera: Array, rays: Array, point: Array, status: Array, branch: Array
-) -> None:
-    """Trace and write a span that no glass touches; its last pixels, no whole vector, by way of scratch."""
+def straight_span(
+    inside: bool, x: Array, y: Array, camera: Array, balls: Array, rays: Array, trips: Array, point: Array,
+    status: Array, branch: Array,
+) -> None:  # fmt: skip
+    """Trace and write a span that no glass touches, or if `inside` one through the only sphere.
+
+    Its last pixels, no whole vector, go by way of scratch.
+    """
     count = status.shape[0]
     whole = count // VECTOR * VECTOR
-    up = direct_block(x[:whole], y[:whole], camera, point)
-    if whole < count:
-        up += direct_block(x[whole : whole + VECTOR], y[whole : whole + VECTOR], camera, rays)
-        for i in range(2 * (count - whole)):
-            point[2 * whole + i] = rays[i]
+    last = slice(whole, whole + VECTOR if whole < count else whole)
+    if inside:
+        up = lone_block(x[:whole], y[:whole], camera, balls, point, branch)
+        up += lone_block(x[last], y[last], camera, balls, rays, trips)
+        for i in range(whole, count):
+            branch[i] = trips[i - whole]
+    else:
+        up = direct_block(x[:whole], y[:whole], camera, point)
+        up += direct_block(x[last], y[last], camera, rays)
+        branch[:] = 0
+    for i in range(2 * (count - whole)):
+        point[2 * whole + i] = rays[i]
     status[:] = RECOVERED
-    branch[:] = 0
     if up > 0:
         for i in range(count):
             status[i] = RECOVERED if point[2 * i] == point[2 * i] else MISSED_PLANE
@@ -200,15 +207,15 @@ def flat_columns(flat: bool, camera: Array, x: Array) -> None:
 
 
 @kernel
-def next_block(low: int, edge: int, joined: Array, count: int, j: int) -> tuple[int, bool, int]:
-    """From column `low` of a row on: the span at or behind it, whether it is inside, where block or gap ends."""
+def next_span(low: int, edge: int, joined: Array, count: int, j: int) -> tuple[int, bool, int]:
+    """From column `low` of a row on: the span at or behind it, whether it is inside, where span or gap ends."""
     while j < count and joined[j, 1] <= low:
         j += 1
     inside = j < count and joined[j, 0] <= low
     stop = edge
     if j < count:
         stop = min(edge, joined[j, 1] if inside else joined[j, 0])
-    return j, inside, min(low + LANES, stop) if inside else stop
+    return j, inside, stop
 
 
 @kernel
@@ -267,14 +274,16 @@ def sensor_rows(
         unknown[row] = 0
         low, j = 0, 0
         while low < edge:
-            j, inside, high = next_block(low, edge, joined, count, j)
+            j, inside, high = next_span(low, edge, joined, count, j)
+            through = inside and bodies > 1
+            high = min(high, low + LANES) if through else high
             p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
-            if inside:
+            if through:
                 unknown[row] += glass_block(
                     x, y, low, high - low, skips, paired, camera, balls, spans, rays, trips, wanted
                 )
                 write_block(high - low, rays, trips, p, s, b)
             else:
-                direct_span(x[low:], y[low:], camera, rays, p, s, b)
+                straight_span(inside, x[low:], y[low:], camera, balls, rays, trips, p, s, b)
             low = high
         write_mirrored(row, edge, mirror_x, mirror_y, swap_x, swap_y, unknown, point, status, branch)

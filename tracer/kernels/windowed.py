@@ -49,7 +49,7 @@ from tracer.kernels.sensor import (
     Mirrors,
     RowScratch,
     flat_columns,
-    next_block,
+    next_span,
     number_block,
     silhouettes,
     write_block,
@@ -273,7 +273,7 @@ def windowed_rows(
         unknown[row] = 0
         low, j = 0, 0
         while low < edge:
-            j, inside, high = next_block(low, edge, joined, count, j)
+            j, inside, high = next_span(low, edge, joined, count, j)
             high = min(high, low + LANES)
             around(flat, x, y, low, high, box)
             careful = not (known and all_open(box, camera, windows, faces))
