@@ -82,7 +82,7 @@ class Particles:
 
     def add(self, plane_mm: NDArray[np.float64], picture: NDArray[np.float32]) -> None:
         """As `Pattern`."""
-        add_particles(plane_mm, self.cell_mm, self.diameter_mm, picture)
+        add_particles(plane_mm, self.cell_mm, self.diameter_mm, np.empty((9, 3)), picture)
 
 
 def square_for(width_mm: float) -> float:

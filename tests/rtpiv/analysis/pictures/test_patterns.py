@@ -1,6 +1,8 @@
 """What hangs on the plane in computer-generated pictures, and what a frame is taken for."""
 
+import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from tracer.bodies import Sphere
 
 POINTS = np.random.default_rng(3).uniform(-12.0, 12.0, (500, 2))
 POINTS[7] = np.nan
+MASK = (1 << 64) - 1
 
 
 def drawn(pattern, points=POINTS):
@@ -66,7 +69,7 @@ def test_kernels_do_what_python_does():
     for kernel, arguments, channels in (
         (add_target, (np.array([2.5, 2.4]), discs, lines, True), 1),
         (add_markers, (2.5, 4.2, 1.9, colours), 3),
-        (add_particles, (2.0, 0.8), 1),
+        (add_particles, (2.0, 0.8, np.empty((9, 3))), 1),
     ):
         pictures = np.zeros((2, len(POINTS), channels), np.float32)
         kernel(POINTS, *arguments, pictures[0])
@@ -74,6 +77,35 @@ def test_kernels_do_what_python_does():
             kernel.py_func(POINTS, *arguments, pictures[1])
             assert pictures[0] == pytest.approx(pictures[1])
         assert pictures[0].max() > 0.5
+
+
+def shuffled(i: int, j: int, turn: int) -> float:
+    """A number in [0, 1) of a cell, in integers of any length."""
+    word = (i * 0x9E3779B97F4A7C15 ^ j * 0xC2B2AE3D27D4EB4F) + turn * 0x165667B19E3779F9 & MASK
+    word = (word ^ word >> 30) * 0xBF58476D1CE4E5B9 & MASK
+    word = (word ^ word >> 27) * 0x94D049BB133111EB & MASK
+    return ((word ^ word >> 31) >> 11) * 2.0**-53
+
+
+@pytest.mark.parametrize("diameter", [0.5, 1.0, 2.0])
+def test_particles_are_the_sum_of_all_nine_near_a_point(diameter):
+    """Wherever the points come from: along a row, back and forth, with some that no ray reaches between them."""
+    rng, cell = np.random.default_rng(4), 2.0
+    points = np.stack((np.linspace(-9.0, 9.0, 150), np.full(150, 0.3)), axis=1)
+    points = np.concatenate((points, rng.uniform(-9.0, 9.0, (100, 2)), points[::-3]))
+    points[rng.integers(0, len(points), 20)] = np.nan
+    wanted = np.zeros(len(points))
+    for k, (x, y) in enumerate(points.tolist()):
+        if not math.isfinite(x):
+            continue
+        for i, j in product(range(math.floor(y / cell) - 1, math.floor(y / cell) + 2), range(-1, 2)):
+            j += math.floor(x / cell)
+            square = (x - (j + shuffled(i, j, 1)) * cell) ** 2 + (y - (i + shuffled(i, j, 2)) * cell) ** 2
+            wanted[k] += (0.3 + 0.7 * shuffled(i, j, 3)) * math.exp(-8.0 * square / diameter**2)
+    picture = np.zeros((len(points), 1), np.float32)
+    add_particles(points, cell, diameter, np.empty((9, 3)), picture)
+    assert np.abs(picture[:, 0] - np.minimum(wanted, 1.0)).max() < 1e-7  # float32
+    assert np.count_nonzero(wanted > 0.2) >= 10
 
 
 def test_the_camera_sees_the_board_through_a_ball_and_nothing_behind_a_black_one():
