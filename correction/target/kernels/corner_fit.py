@@ -20,6 +20,7 @@ from math import atan2, hypot, sqrt
 
 import numpy as np
 
+from correction.target.kernels.corner_block import LANES, WIDE, gradients, products, start_levels
 from correction.target.kernels.corner_model import (
     FREE,
     LOST,
@@ -28,9 +29,7 @@ from correction.target.kernels.corner_model import (
     SIDE,
     SMALL,
     gather,
-    gradient,
     set_turn,
-    start_levels,
 )
 from ground.jit import Array, kernel
 from ground.kernels.cholesky import factorise, solve
@@ -47,11 +46,12 @@ MIN_BLUR = 0.2  # [px] pixel integration alone gives 0.29; below, no pixel may l
 @kernel
 def covariance(
     p: Array, pixels: Array, count: int, box: Array, turn: Array, row: Array, normal: Array, lower: Array,
-    weights: Array, step: Array, pull: Array, sums: Array, out: Array,
+    inverse: Array, weights: Array, step: Array, pull: Array, sums: Array, block: Array, beside: Array, out: Array,
 ) -> bool:  # fmt: skip
     """Variance of u, of v and their covariance [px^2] into out (3,), from the residuals in the window.
 
-    weights (2, FREE), pull (SIDE^2, 2), sums (SIDE, 2) are scratch.
+    inverse (FREE, FREE or more), weights (2, FREE), pull (SIDE^2, 2), sums (SIDE, 2), block (FREE + 1, LANES) and
+    beside (4 or more, LANES) are scratch.
     """
     if not factorise(normal, 0.0, lower):
         return False
@@ -61,27 +61,34 @@ def covariance(
         solve(lower, row, step)
         for i in range(FREE):
             weights[axis, i] = step[i]
+    for j in range(FREE):  # of lower, column by column
+        for i in range(j, FREE):
+            value = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                value -= lower[i, k] * inverse[k, j]
+            inverse[i, j] = value / lower[i, i]
     set_turn(p, turn)
     width, height = box[2], box[3]
     for k in range(width * height):
         pull[k, 0] = 0.0
         pull[k, 1] = 0.0
-    for k in range(count):
-        residual = pixels[k, 2] - gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
-        place = int(pixels[k, 3])
-        leverage = 0.0
+    leverage, across, by_u, by_v = beside[0], beside[1], beside[2], beside[3]
+    for first in range(0, count, LANES):
+        gradients(p, turn, pixels[0, first : first + LANES], pixels[1, first : first + LANES], block)
+        leverage[:], by_u[:], by_v[:] = 0.0, 0.0, 0.0
         for i in range(FREE):
-            value = row[i]
-            for j in range(i):
-                value -= lower[i, j] * step[j]
-            step[i] = value / lower[i, i]
-            leverage += step[i] * step[i]
-        residual /= max(1.0 - leverage, 0.1)
-        for axis in range(2):
-            value = 0.0
-            for i in range(FREE):
-                value += weights[axis, i] * row[i]
-            pull[place, axis] = value * residual
+            across[:] = 0.0
+            for j in range(i + 1):
+                for n in range(LANES):
+                    across[n] += inverse[i, j] * block[j, n]
+            for n in range(LANES):
+                leverage[n] += across[n] * across[n]
+                by_u[n] += weights[0, i] * block[i, n]
+                by_v[n] += weights[1, i] * block[i, n]
+        for n in range(min(LANES, count - first)):
+            place = int(pixels[3, first + n])
+            residual = (pixels[2, first + n] - block[FREE, n]) / max(1.0 - leverage[n], 0.1)
+            pull[place, 0], pull[place, 1] = by_u[n] * residual, by_v[n] * residual
     uu = vv = uv = 0.0
     for top in range(1 - BLOCK, height):
         for c in range(width):
@@ -107,52 +114,39 @@ def covariance(
 
 
 def new_scratch() -> tuple[Array, ...]:
-    """Return working memory of `fit_corners`: pixels, pulls, block sums, box, small vectors, normal equations."""
-    pixels, pull, sums = np.empty((SIDE * SIDE, 4)), np.empty((SIDE * SIDE, 2)), np.empty((SIDE, 2))
-    return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), np.zeros((9 + 3 * FREE, FREE))
+    """Return working memory of `fit_corners`: pixels, pulls, block sums, box, vectors, a block, equations."""
+    pixels, pull, sums = np.zeros((4, SIDE * SIDE + LANES)), np.empty((SIDE * SIDE, 2)), np.empty((SIDE, 2))
+    block = np.zeros((2 * WIDE, LANES))
+    return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), block, np.zeros((11 + 3 * FREE, WIDE))
 
 
 @kernel
 def normal_equations(
-    p: Array,
-    pixels: Array,
-    count: int,
-    ridge: float,
-    shape_ridge: float,
-    turn: Array,
-    row: Array,
-    normal: Array,
-    right: Array,
-) -> float:
-    """Sum J^T J into normal (FREE, FREE, lower half), J^T r into right (FREE,); return the sum of r^2.
+    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, turn: Array, block: Array, rows: Array,
+    normal: Array, right: Array,
+) -> float:  # fmt: skip
+    """Sum J^T J into normal (FREE + 1, WIDE), J^T r into right (FREE,); return the sum of r^2.
 
     ridge weighs the wish that both blurs agree, shape_ridge the wish that edges look like erf.
     """
-    normal[:] = 0.0
-    right[:] = 0.0
-    set_turn(p, turn)
+    products(p, pixels, count, turn, block, rows, normal)
+    for i in range(FREE):
+        right[i] = normal[FREE, i]
     astigmatism = p[6] - p[7]
-    total = ridge * astigmatism * astigmatism + shape_ridge * p[12] * p[12]
-    normal[6, 6] = normal[7, 7] = ridge
-    normal[7, 6] = -ridge
-    right[6], right[7] = -ridge * astigmatism, ridge * astigmatism
-    normal[12, 12], right[12] = shape_ridge, -shape_ridge * p[12]
-    for k in range(count):
-        residual = pixels[k, 2] - gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
-        total += residual * residual
-        for i in range(FREE):
-            value = row[i]
-            right[i] += value * residual
-            if value != 0.0:  # off an edge its derivatives vanish
-                for j in range(i + 1):
-                    normal[i, j] += value * row[j]
-    return float(total)
+    normal[6, 6] += ridge
+    normal[7, 7] += ridge
+    normal[7, 6] -= ridge
+    right[6] -= ridge * astigmatism
+    right[7] += ridge * astigmatism
+    normal[12, 12] += shape_ridge
+    right[12] -= shape_ridge * p[12]
+    return float(normal[FREE, FREE] + ridge * astigmatism * astigmatism + shape_ridge * p[12] * p[12])
 
 
 @kernel
 def optimise(
     p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, tolerance: float,
-    trial: Array, turn: Array, row: Array, normal: Array,
+    trial: Array, turn: Array, block: Array, rows: Array, normal: Array,
     right: Array, trial_normal: Array, trial_right: Array, lower: Array, step: Array, total: Array,
 ) -> bool:  # fmt: skip
     """Levenberg-Marquardt from p (FREE,), in place; True if it settled within `limit` px of the window's centre.
@@ -160,7 +154,7 @@ def optimise(
     On return normal holds J^T J at p and total[0] the sum of squares.  A step that is refused costs its own look
     at the pixels only: the equations at p are kept beside those at the trial.
     """
-    best = normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
+    best = normal_equations(p, pixels, count, ridge, shape_ridge, turn, block, rows, normal, right)
     damping = 1e-3
     for _ in range(MAX_STEPS):
         if not factorise(normal, damping, lower):
@@ -176,7 +170,9 @@ def optimise(
             if damping > 1e8:
                 return False
             continue
-        now = normal_equations(trial, pixels, count, ridge, shape_ridge, turn, row, trial_normal, trial_right)
+        now = normal_equations(
+            trial, pixels, count, ridge, shape_ridge, turn, block, rows, trial_normal, trial_right
+        )
         if now <= best:
             settled = hypot(step[0], step[1]) < tolerance and best - now <= TOLERANCE_RATIO * tolerance * best
             p[:] = trial
@@ -209,11 +205,13 @@ def fit_corners(
     the expected one; scratch from `new_scratch`, one a thread; out (N, 11): u, v, var u, var v, cov, rms
     residual, A, B, both blurs, reach used; verdict (N,) uint8.
     """
-    pixels, pull, sums, box, small, square = scratch
+    pixels, pull, sums, box, small, blocks, square = scratch
     extent, inverse, total = small[0], small[1:3], small[3]
-    p, trial, row, right, step, trial_right = square[0], square[1], square[2], square[3], square[4], square[5]
-    turn, weights, normal = square[6, :4], square[7:9], square[9 : 9 + FREE]
-    trial_normal, lower = square[9 + FREE : 9 + 2 * FREE], square[9 + 2 * FREE :]
+    block, rows = blocks[: FREE + 1], blocks[WIDE:].reshape(LANES, WIDE)
+    p, trial, row = square[0, :FREE], square[1, :FREE], square[2, :FREE]
+    right, step, trial_right = square[3, :FREE], square[4, :FREE], square[5, :FREE]
+    turn, weights, normal = square[6, :4], square[7:9, :FREE], square[9 : 10 + FREE]
+    trial_normal, lower = square[10 + FREE : 11 + 2 * FREE], square[11 + 2 * FREE :, :FREE]
     for n in range(first, last):
         out[n, :] = np.nan
         det = axes[n, 0, 0] * axes[n, 1, 1] - axes[n, 0, 1] * axes[n, 1, 0]
@@ -251,7 +249,7 @@ def fit_corners(
                 verdict[n] = SMALL
                 break
             if rounds == 0:
-                start_levels(p, pixels, count, turn, row)
+                start_levels(p, pixels, count, turn, block)
                 level = p[9]
             ridge = RIDGE * level * level
             # The shape is freed once the blur is right (under a wide first guess it finds a wrong minimum), and
@@ -261,7 +259,7 @@ def fit_corners(
             found = False
             for _ in range(2 if rounds > 0 else 1):
                 found = optimise(
-                    p, pixels, count, ridge, pin, limit, tolerance, trial, turn, row, normal, right,
+                    p, pixels, count, ridge, pin, limit, tolerance, trial, turn, block, rows, normal, right,
                     trial_normal, trial_right, lower, step, total,
                 )  # fmt: skip
                 if found:
@@ -280,7 +278,22 @@ def fit_corners(
                 break
             if (rounds > 0 and moved < 0.3) or rounds == MAX_ROUNDS - 1:
                 if covariance(
-                    p, pixels, count, box, turn, row, normal, lower, weights, step, pull, sums, out[n, 2:5]
+                    p,
+                    pixels,
+                    count,
+                    box,
+                    turn,
+                    row,
+                    normal,
+                    lower,
+                    trial_normal,
+                    weights,
+                    step,
+                    pull,
+                    sums,
+                    block,
+                    blocks[WIDE:],
+                    out[n, 2:5],
                 ):
                     verdict[n] = OK
                     out[n, 0], out[n, 1] = centre_u, centre_v

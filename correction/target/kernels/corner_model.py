@@ -52,7 +52,7 @@ def gather(
 
     inverse (2, 2) float64 px -> squares; extent (2,) half size of the window for reach = 1 [px];
     mask (H, W) uint8, 0 = not to be used, or (1, 1) = all usable; box (4,) int64 out: u0, v0, width, height;
-    pixels (SIDE^2, 4) float64 out: u - centre, v - centre, intensity, place in the box.
+    pixels (4, SIDE^2 or more) float64 out: u - centre, v - centre, intensity, place in the box.
     """
     height, width = image.shape
     u0 = int(np.ceil(centre_u - reach * extent[0]))
@@ -74,10 +74,10 @@ def gather(
                 continue
             if masked and mask[v, u] == 0:
                 return -MASKED
-            pixels[count, 0] = du
-            pixels[count, 1] = dv
-            pixels[count, 2] = image[v, u]
-            pixels[count, 3] = (v - v0) * (u1 - u0 + 1) + (u - u0)
+            pixels[0, count] = du
+            pixels[1, count] = dv
+            pixels[2, count] = image[v, u]
+            pixels[3, count] = (v - v0) * (u1 - u0 + 1) + (u - u0)
             count += 1
     return count
 
@@ -157,22 +157,6 @@ def gradient(p: Array, turn: Array, du: float, dv: float, row: Array) -> float:
 def set_turn(p: Array, turn: Array) -> None:
     """Cosine and sine of both angles of p (FREE,) into turn (4,)."""
     turn[0], turn[1], turn[2], turn[3] = cos(p[2]), sin(p[2]), cos(p[3]), sin(p[3])
-
-
-@kernel
-def start_levels(p: Array, pixels: Array, count: int, turn: Array, row: Array) -> None:
-    """Least-squares A and B for the start geometry; p (FREE,) is changed in place."""
-    set_turn(p, turn)
-    p[8], p[9] = 0.0, 1.0
-    q1 = q2 = y0 = y1 = 0.0
-    for k in range(count):
-        gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
-        q1 += row[9]
-        q2 += row[9] * row[9]
-        y0 += pixels[k, 2]
-        y1 += row[9] * pixels[k, 2]
-    p[9] = (y1 - q1 * y0 / count) / (q2 - q1 * q1 / count)
-    p[8] = (y0 - p[9] * q1) / count
 
 
 @kernel

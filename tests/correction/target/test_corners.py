@@ -1,10 +1,12 @@
+import math
+
 import numpy as np
 import pytest
 import tifffile
 
 from correction.target import Chessboard
 from correction.target.corners import CornerReason, found_smeared, refine_corners, saturated_fraction
-from correction.target.kernels import corner_fit, corner_model
+from correction.target.kernels import corner_block, corner_fit, corner_model
 from ground.kernels import cholesky
 from piv.errors import FrameError
 from tests.correction.frame_truth import FRAMES, true_projection
@@ -172,6 +174,55 @@ def test_derivatives_of_the_model_agree_with_differences():
             assert row[k] == pytest.approx(slope, rel=2e-4, abs=2e-2)
 
 
+def drawn_corners(count):
+    """Free numbers of some corners, sharp and soft, turned, bent, and pixels (2, LANES) on and off their edges."""
+    rng = np.random.default_rng(12)
+    for _ in range(count):
+        blurs, turn = 10.0 ** rng.uniform(-0.6, 0.5, 2), rng.uniform(-3.0, 3.0)
+        angles = turn, turn + rng.choice([-1.0, 1.0]) * rng.uniform(0.9, 2.2)
+        p = np.array(
+            [*rng.normal(size=2), *angles, *rng.normal(size=2) * 0.02, *blurs, 1500.0, 1200.0, 3e-3, -2e-3, 0.1]
+        )
+        yield p, rng.uniform(-8.0, 8.0, (2, corner_block.LANES)) * rng.choice([0.2, 1.0, 3.0])
+
+
+def test_many_pixels_at_once_have_the_derivatives_of_each():
+    """To 1e-13 of the largest, of 1200 grey levels: erf and exp here are of the library, there polynomials."""
+    turn, row, out = np.empty(4), np.empty(13), np.empty((14, corner_block.LANES))
+    for p, pixels in drawn_corners(200):
+        corner_model.set_turn(p, turn)
+        corner_block.gradients(p, turn, *pixels, out)
+        wanted = np.empty_like(out)
+        for k, (u, v) in enumerate(pixels.T.tolist()):
+            wanted[13, k] = corner_model.gradient(p, turn, u, v, row)
+            wanted[:13, k] = row
+        assert (np.abs(out - wanted).max(axis=1) <= 1e-13 * np.abs(wanted).max(axis=1) + 1e-10).all()
+
+
+def test_polynomials_are_erf_and_exp():
+    z = np.linspace(1e-3, corner_model.PLAIN, 5000)
+    t = 2.0 * z * z / corner_block.TOP - 1.0
+    assert np.abs(np.polyval(corner_block.ERF, t) * z - [math.erf(x) for x in z]).max() < 1e-15
+    assert np.abs(np.polyval(corner_block.GAUSS, t) - np.exp(-z * z)).max() < 1e-15
+
+
+@pytest.mark.parametrize("count", [40, 64, 65, 199])
+def test_products_are_those_of_all_pixels_and_of_no_other(count):
+    p, _ = next(drawn_corners(1))
+    pixels = np.random.default_rng(5).uniform(-6.0, 6.0, (4, count + corner_block.LANES))
+    pixels[:, count:] = np.nan
+    turn, row, jacobian = np.empty(4), np.empty(13), np.empty((count, 14))
+    corner_model.set_turn(p, turn)
+    for k in range(count):
+        jacobian[k, 13] = pixels[2, k] - corner_model.gradient(p, turn, pixels[0, k], pixels[1, k], row)
+        jacobian[k, :13] = row
+    sums, block = np.full((14, 16), np.nan), np.empty((14, corner_block.LANES))
+    corner_block.products(p, pixels, count, turn, block, np.zeros((corner_block.LANES, 16)), sums)
+    wanted = jacobian.T @ jacobian
+    scale = np.sqrt(np.outer(wanted.diagonal(), wanted.diagonal()))
+    assert (np.abs(sums[:, :14] - wanted) <= 1e-13 * scale).all()
+
+
 def test_compiled_and_interpreted_fits_agree():
     matrix, origin, shape = np.array(VIEWS["small"]) * 1.3, np.array((30.3, 31.7)), (64, 64)
     image = photographed(soft_board(affine(matrix, origin), shape), 2).astype(np.float32)
@@ -179,7 +230,7 @@ def test_compiled_and_interpreted_fits_agree():
     compiled = refine_corners(image, start, axes)
     out, verdict = np.full((1, 11), np.nan), np.zeros(1, np.uint8)
     with pytest.MonkeyPatch.context() as context:
-        for module in (corner_model, cholesky, corner_fit):
+        for module in (corner_model, corner_block, cholesky, corner_fit):
             for name, value in list(vars(module).items()):
                 if hasattr(value, "py_func") and name != "fit_corners":
                     context.setattr(module, name, value.py_func)
