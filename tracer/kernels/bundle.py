@@ -35,7 +35,7 @@ from tracer.kernels.candidates import (
     list_from_box,
     narrow_list,
 )
-from tracer.kernels.chain import whole_vectors
+from tracer.kernels.chain import VECTOR, whole_vectors
 from tracer.kernels.lanes import (
     BALL_GK,
     BALL_IR,
@@ -75,6 +75,7 @@ from tracer.kernels.lanes import (
     KEY,
     KT,
     LANE,
+    LANES,
     LAST,
     LIST,
     LOST,
@@ -91,7 +92,6 @@ from tracer.kernels.lanes import (
     Bed,
     Bundle,
 )
-from tracer.kernels.march import MAX_EVENTS
 from tracer.kernels.rooms import OUTERMOST
 from tracer.kernels.world import BLOCKED, RECOVERED, TIR, TOO_MANY_EVENTS, next_in_bed
 
@@ -101,16 +101,28 @@ FACTOR = 6364136223846793005  # of the hash of a trail, modulo 2^64 (Knuth's MMI
 
 @kernel
 def box_of(count: int, step: int, rays: Array, box: Array) -> None:
-    """Lowest and highest start and direction, columns `step` apart, of `count` rays, whole vectors: box (12,)."""
+    """Lowest and highest start and direction, columns `step` apart, of `count` rays, whole vectors: box (12,).
+
+    Halved again and again: one after the other would wait for itself.  Behind the box is scratch (2 LANES,).
+    """
+    low, high = box[12:], box[12 + LANES :]
     for k in range(6):
-        column, at = k * step, k if k < 3 else k + 3
-        a, b = rays[column], rays[column + 1]
-        c, d, low, high, lower, higher = a, b, a, a, b, b
-        for i in range(0, count, 4):  # four at a time: one after the other would wait for itself
-            a, b, c, d = rays[column + i], rays[column + i + 1], rays[column + i + 2], rays[column + i + 3]
-            low, high = min(low, min(a, b)), max(high, max(a, b))
-            lower, higher = min(lower, min(c, d)), max(higher, max(c, d))
-        box[at], box[at + 3] = min(low, lower), max(high, higher)
+        column, at, left = rays[k * step :], k if k < 3 else k + 3, whole_vectors((count + 1) // 2)
+        upper = column[left:]
+        for i in range(count - left):
+            low[i], high[i] = min(column[i], upper[i]), max(column[i], upper[i])
+        for i in range(count - left, left):
+            low[i], high[i] = column[i], column[i]
+        while left > VECTOR:
+            half = whole_vectors((left + 1) // 2)
+            lower, higher = low[half:], high[half:]
+            for i in range(left - half):
+                low[i], high[i] = min(low[i], lower[i]), max(high[i], higher[i])
+            left = half
+        a, b, c, d = low[0], low[1], high[0], high[1]
+        for i in range(2, VECTOR, 2):
+            a, b, c, d = min(a, low[i]), min(b, low[i + 1]), max(c, high[i]), max(d, high[i + 1])
+        box[at], box[at + 3] = min(a, b), max(c, d)
 
 
 @kernel
@@ -286,21 +298,26 @@ def move_ray(to: int, i: int, rays: Array, marks: Array) -> None:
 @kernel
 def part(count: int, events: int, most: int, clear: bool, balls: Array, bundle: Bundle) -> int:
     """End the rays that met nothing, or are stopped, and note what the others met; return how many these are."""
-    rays, marks, ends, fates, trail = bundle.rays, bundle.marks, bundle.ends, bundle.fates, bundle.trail
-    i = 0
-    while i < count:
+    rays, marks, ends, fates = bundle.rays, bundle.marks, bundle.ends, bundle.fates
+    nothing = 0
+    for i in range(count):
+        nothing += marks[PICK + i] == NOTHING
+    some = nothing > 0 or not clear or events == most
+    for i in range(count - 1 if some else -1, -1, -1):  # who is last goes on, or is this one
         pick = marks[PICK + i]
         stopped = pick != NOTHING and not clear and balls[BALL_OPAQUE, pick & INDEX] != 0.0
         if pick == NOTHING or stopped or events == most:
             fate = RECOVERED if pick == NOTHING else BLOCKED if stopped else TOO_MANY_EVENTS
             end_ray(i, fate, events, rays, marks, ends, fates)
             count -= 1
-            move_ray(i, count, rays, marks)
-            continue
-        marks[KEY + i] = marks[KEY + i] * FACTOR + pick + 1
-        trail[(marks[PLACE + i] & INDEX) * MAX_EVENTS + events] = pick
-        marks[LAST + i] = pick
-        i += 1
+            if i < count:
+                move_ray(i, count, rays, marks)
+    for i in range(count):
+        marks[LAST + i] = marks[PICK + i]
+        marks[KEY + i] = marks[KEY + i] * FACTOR + marks[PICK + i] + 1
+    trail = bundle.trail[events * LANES :]
+    for i in range(count):
+        trail[marks[PLACE + i] & INDEX] = marks[PICK + i]
     return count
 
 

@@ -2,7 +2,8 @@
 
 ``balls`` (BALL_ROWS, N): rows as named below; neighbours in space stand side by side.  ``rays`` (RAY_NUMBERS,)
 float64 and ``marks`` (MARK_NUMBERS,) int64 are the lanes, ``ends`` (END_NUMBERS,) float64, ``fates``
-(FATE_NUMBERS,) int64 and ``trail`` (LANES * MAX_EVENTS,) int32 what became of the rays, in the places of the tile.
+(FATE_NUMBERS,) int64 and ``trail`` (MAX_EVENTS * LANES,) int32, event by event, what became of the rays, in the
+places of the tile.  ``box`` (12 + 2 LANES,) is that of `box_of`.
 ``grouped`` (GROUP_NUMBERS,) float64 and ``group_marks`` (GROUP_MARKS,) int64 are the lanes in groups; ``group_of``
 (N * BINS + 1,) int32 says which group asks a list, and is -1 between two rounds.
 """

@@ -72,8 +72,8 @@ class BranchBook(NamedTuple):
 
 
 @kernel
-def enter(hashed: int, events: int, first: int, trail: Array, book: BranchBook) -> int:
-    """Entry of the trail trail[first : first + events], made if it is new."""
+def enter(hashed: int, events: int, first: int, step: int, trail: Array, book: BranchBook) -> int:
+    """Entry of the trail of so many numbers trail[first], trail[first + step], ..., made if it is new."""
     slots, hashes, begin, met, counts = book
     mask = slots.shape[0] - 1
     # the lower bits of a product know nothing of the upper ones
@@ -83,7 +83,7 @@ def enter(hashed: int, events: int, first: int, trail: Array, book: BranchBook) 
         at = begin[entry]
         if hashes[entry] == hashed and begin[entry + 1] - at == events:
             same = 0
-            while same < events and met[at + same] == trail[first + same]:
+            while same < events and met[at + same] == trail[first + same * step]:
                 same += 1
             if same == events:
                 return int(entry)
@@ -91,7 +91,7 @@ def enter(hashed: int, events: int, first: int, trail: Array, book: BranchBook) 
     entry = counts[0]
     at = begin[entry]
     for e in range(events):
-        met[at + e] = trail[first + e]
+        met[at + e] = trail[first + e * step]
     begin[entry + 1] = at + events
     hashes[entry] = hashed
     slots[slot] = entry + 1
@@ -112,7 +112,7 @@ def copy_book(book: BranchBook, other: BranchBook, entries: Array) -> None:
     """Enter all that `book` has into `other`, which has room: its entries there go to entries (E,) int64."""
     for entry in range(book.counts[0]):
         at = book.begin[entry]
-        entries[entry] = enter(book.hashes[entry], book.begin[entry + 1] - at, at, book.met, other)
+        entries[entry] = enter(book.hashes[entry], book.begin[entry + 1] - at, at, 1, book.met, other)
 
 
 @kernel
@@ -225,26 +225,29 @@ def write_tile(
     ends, fates, trail = bundle.ends, bundle.fates, bundle.trail
     before, known = -1, 0
     for r in range(rows):
+        first = r * columns
+        p, s = point[row + r, 2 * column : 2 * (column + columns)], status[row + r, column : column + columns]
         for c in range(columns):
-            i = r * columns + c
-            fate = fates[FATE + i]
-            x, y = ends[END_PX + i], ends[END_PY + i]
-            fate = MISSED_PLANE if fate == RECOVERED and math.isnan(x) else fate
+            i = first + c
+            x, y, fate = ends[END_PX + i], ends[END_PY + i], fates[FATE + i]
+            fate = MISSED_PLANE if (fate == RECOVERED) & (x != x) else fate
             good = fate == RECOVERED
-            point[row + r, 2 * (column + c)] = x if good else math.nan
-            point[row + r, 2 * (column + c) + 1] = y if good else math.nan
-            status[row + r, column + c] = fate
-            events, first = fates[EVENTS + i], i * MAX_EVENTS
+            p[2 * c], p[2 * c + 1] = x if good else math.nan, y if good else math.nan
+            s[c] = fate
+        e = entry[row + r, column : column + columns]
+        for c in range(columns):
+            i = first + c
+            events = fates[EVENTS + i]
             same = before >= 0 and fates[HASH + i] == fates[HASH + before] and events == fates[EVENTS + before]
             if same:
-                e = 0
-                while e < events and trail[first + e] == trail[before * MAX_EVENTS + e]:
-                    e += 1
-                same = e == events
+                k = 0
+                while k < events and trail[k * LANES + i] == trail[k * LANES + before]:
+                    k += 1
+                same = k == events
             if not same:
-                known = enter(fates[HASH + i], events, first, trail, book)
+                known = enter(fates[HASH + i], events, i, LANES, trail, book)
             before = i
-            entry[row + r, column + c] = known
+            e[c] = known
 
 
 @kernel
@@ -273,8 +276,9 @@ def trace_tiles(
         count = rows * columns
         if not has_room(count, MAX_EVENTS, book):
             return tile
-        for i in range(count):
-            rays[DX + i], rays[DY + i] = column + i % columns, row + i // columns
+        for r in range(rows):
+            for c in range(columns):
+                rays[DX + r * columns + c], rays[DY + r * columns + c] = column + c, row + r
         full = whole_vectors(count)
         for i in range(count, full):
             rays[DX + i], rays[DY + i] = rays[DX], rays[DY]

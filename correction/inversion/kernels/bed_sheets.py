@@ -48,6 +48,7 @@ from piv.resampling.kernels.bspline import INDEX
 from tracer.kernels.bundle import follow_bundle
 from tracer.kernels.chain import TRIP, whole_vectors
 from tracer.kernels.lanes import DX, DY, END_DZ, EVENTS, FATE, Bed, Bundle, unowned_bed, unowned_bundle
+from tracer.kernels.lanes import LANES as IN_BUNDLE
 from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
 from tracer.kernels.tiles import aim_lanes, end_behind, land_lanes, pass_windows
 from tracer.kernels.world import RECOVERED as TRACED
@@ -389,7 +390,7 @@ def verify_in_bundle(
         same = state[i] == CONVERGED and bundle.fates[FATE + i] == TRACED and bundle.ends[END_DZ + i] < 0.0
         same = same and bundle.fates[EVENTS + i] == events
         for e in range(events if same else 0):
-            same = same and bundle.trail[i * MAX_EVENTS + e] == balls[e]
+            same = same and bundle.trail[e * IN_BUNDLE + i] == balls[e]
         trips[TRIP + i] = MET if same else ANOTHER
 
 
