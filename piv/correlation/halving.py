@@ -17,15 +17,17 @@ C the correlation around a place, is what halving explains. Where detail was the
 **Where nothing is promised.** The second trial can only gain from what the first has seen apart from the usual
 vectors: particle images of variance s^2 that come nearer by d match better by d^2/(4 s^2) of themselves. Measured
 gains are up to three times that, as fine vectors are smoothed too. So where nowhere in a frame, over one and a
-half usual windows, it reaches `PROMISED` of what does not match, that trial and the pass after it are left out:
-places keep their usual windows, read from the sums of the first trial, whose frames usual vectors had deformed.
+half usual windows, it reaches `PROMISED` of what does not match (s as recorded, for it may be more), that trial
+and the pass after it are left out: places keep their usual windows, read from the sums of the first trial, whose
+frames usual vectors had deformed.
 
 The last filter (`piv.correlation.denoise`) takes off what is still noise, in both. Windows larger than the usual
 ones in poor light were tried: where the flow bends they are far worse, and where it does not that filter does as
 well (ADR 39).
 
 **What the usual windows miss.** Where they stay though halving explains something, that much at least is missing
-in their vectors. Particle images of variance s^2 that are apart by d match to exp(-d^2/(4 s^2)), so
+in their vectors. Particle images of variance s^2, as frames are sampled, that are apart by d match to
+exp(-d^2/(4 s^2)), so
 
     r^2 = 2 s^2 (e - e_0)(1 - C_before)/C_after
 
@@ -64,7 +66,7 @@ class Found(NamedTuple):
     missed_px: Floats
 
 
-def find_sizes(course: Course, grid: WindowGrid, spread_px2: float) -> Found:
+def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2: float) -> Found:
     """Go on from usual windows with those that each node of `grid` finds.
 
     Parameters
@@ -73,8 +75,8 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float) -> Found:
         Passes so far, with windows of usual size.
     grid : WindowGrid
         The finest windows.
-    spread_px2 : float
-        Variance of a particle image.
+    spread_px2, sampled_px2 : float
+        Variance of a particle image, as it was recorded and as frames are sampled.
     """
     settings, usual_px = course.settings, course.grid.size_px
     usual = moved(course.predictor(), course.grid, grid)
@@ -94,7 +96,7 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float) -> Found:
         course.look(grid, None, sizes)
         added += 1
     gained = np.maximum(explained - CHANCE, 0.0) * (1.0 - before) / np.maximum(after, 1e-3)
-    missed = np.sqrt(2.0 * spread_px2 * np.clip(gained, 0.0, 1.0))
+    missed = np.sqrt(2.0 * sampled_px2 * np.clip(gained, 0.0, 1.0))
     return Found(added, np.where(sizes.which == 1, missed, 0.0))
 
 

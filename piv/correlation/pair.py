@@ -212,7 +212,7 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
     deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
     still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
     frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt)
-    spread_px2, nan_pixels = pair.spread_px2, pair.nan_pixels
+    spread_px2, sampled_px2, nan_pixels = pair.spread_px2, pair.sampled_px2, pair.nan_pixels
     del pair  # 8 bytes a pixel that nobody needs any more
     course = Course(frames, settings, threads, grids[0], found, deformed)
     for grid in grids[1:]:
@@ -224,7 +224,7 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
         added += 1
     if settings.finds:
         own, every = settings.own_grid(shape)
-        added, missed_px = find_sizes(course, own, spread_px2)
+        added, missed_px = find_sizes(course, own, spread_px2, sampled_px2)
     if settings.peak_ratios:
         dense = course.found.valid_fraction >= settings.min_valid
         ratio = peak_ratios(course.deformed, course.grid, dense, settings.min_valid, threads)

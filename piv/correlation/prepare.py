@@ -29,6 +29,7 @@ from piv.resampling.sample import MIN_SIDE_PX, prefilter
 NO_TEXTURE = 0.01  # of the usual deviation in a window; less is no particles, not even noise
 SHARPEST, SMOOTHEST = 0.25, 0.8  # variance of a particle image [px^2]: smoothing spline below, plain spline above
 TINY, TINIEST, BLUR = 0.215, 0.175, 0.8  # below TINY pixels are blurred too, by up to BLUR [px^2]
+QUINTIC_PX2 = 0.5  # variance of the quintic B-spline: six boxes of a pixel
 MOST_NOISE = 0.9  # of a frame's variance
 
 Floats = NDArray[np.float32]
@@ -62,13 +63,27 @@ class Pair:
     nan_pixels: int
     doubt: Doubt | None = None
 
+    @property
+    def sampled_px2(self) -> float:
+        """Variance of a particle image in frames that are sampled through these coefficients.
+
+        Those that are the pixels themselves widen it by the variance of the quintic B-spline.
+        """
+        share, blur = self._smoothing()
+        return self.spread_px2 + QUINTIC_PX2 * share + blur
+
+    def _smoothing(self) -> tuple[float, float]:
+        """Share of the smoothing spline, and more blur [px^2], see 3. above."""
+        share = min(max((SMOOTHEST - self.spread_px2) / (SMOOTHEST - SHARPEST), 0.0), 1.0)
+        return share, BLUR * min(1.0, max(0.0, (TINY - self.spread_px2) / (TINY - TINIEST)))
+
     def coefficients(self, threads: int | None = None) -> tuple[Floats, Floats]:
         """Coefficients (H, W) of both frames, see 3. above."""
         import cv2
 
-        share = np.float32(np.clip((SMOOTHEST - self.spread_px2) / (SMOOTHEST - SHARPEST), 0.0, 1.0))
+        smoothing, blur = self._smoothing()
+        share = np.float32(smoothing)
         if share == 1.0:
-            blur = BLUR * min(1.0, max(0.0, (TINY - self.spread_px2) / (TINY - TINIEST)))
             pair = self.a, self.b
             return (blurred(self.a, blur**0.5), blurred(self.b, blur**0.5)) if blur > 0.02 else pair
         spline = prefilter(self.a, threads=threads), prefilter(self.b, threads=threads)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from piv.correlation.deform import DeformedPair
+from piv.correlation.deform import DeformedPair, deform_pair
 from piv.correlation.halving import pieces_of
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.passes import Course
@@ -12,7 +12,7 @@ from piv.correlation.prepare import prepared
 from piv.correlation.refine import refine
 from piv.correlation.settings import PivSettings, settings_of
 from piv.correlation.sizes import widened
-from piv.correlation.windows import WindowGrid, spaced
+from piv.correlation.windows import WindowGrid, spaced, window_grid
 from piv.errors import PairError
 from tests.piv.correlation import flows
 
@@ -182,3 +182,33 @@ def test_what_a_damaged_file_says_of_settings_is_refused_in_a_way_that_its_reade
         return
     with pytest.raises((PairError, TypeError)):
         settings_of(told)
+
+
+@pytest.mark.parametrize("diameter_px", [1.3, 2.0, 2.6, 4.0])
+def test_particle_images_are_as_wide_as_frames_are_sampled(particle_pair, diameter_px):
+    """What does not match is told by their variance there, not by that of the recorded ones."""
+    shape, truth = (256, 256), flows.uniform(0.8, -1.4)
+    pair = prepared(*particle_pair(truth, shape, seed=4, diameter_px=diameter_px, noise=0.0), None, 32)
+    grid = window_grid(shape, 32, 0.5)
+    field = np.broadcast_to(np.array([0.8, -1.4]), (*grid.shape, 2)).copy()
+    seen = deform_pair(pair.coefficients(), pair.valid, field, grid, pair.floor).a[8:-8, 8:-8]
+    one, two = ((seen[:, lag:] * seen[:, :-lag]).mean(dtype=float) for lag in (1, 2))
+    assert pair.sampled_px2 == pytest.approx(0.75 / np.log(one / two), rel=0.12)
+
+
+@pytest.mark.parametrize("overlap", [0.5, 0.75])
+def test_in_dim_turbulence_without_an_end_sigma_is_not_half_of_the_error(particle_pair, overlap):
+    """Sharp particle images are blurred when frames are sampled; halving explains more of a displacement there."""
+    off, total = [], []
+    for seed in (3, 4):
+        truth = flows.endless(seed, 1.1, 45.0, -4.5)
+        frames = particle_pair(truth, (384, 384), seed=seed, ppp=0.02, noise=0.05, diameter_px=2.0)
+        field = evaluate_pair(*frames, settings=PivSettings(finest_px=16, overlap=overlap), threads=1)
+        u, v = np.meshgrid(field.x_px, field.y_px)
+        error = np.stack([field.u_px, field.v_px], -1) - np.stack(truth(u, v), -1)
+        known = (np.minimum(u, v) > 40) & (np.maximum(u, v) < 344) & field.valid
+        known &= np.linalg.norm(error, axis=-1) < 1.0
+        off.append(error[known])
+        total.append(field.total_sigma_px[known])
+    over = np.concatenate(off) / np.concatenate(total)
+    assert 0.85 < np.sqrt(np.mean(over**2)) < 1.35
