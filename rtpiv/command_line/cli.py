@@ -20,7 +20,6 @@ from daq.signal_handling import SIGNALLED, flush_or_leave, handle_signals
 from ground.errors import UntrustedProgram
 from ground.named_program import VARIABLE, trust
 from ground.printable import printable
-from ground.scipy_without_help import leave_help_out
 from rtpiv.command_line.exit_codes import DEVICE as DEVICE  # who calls main compares with these
 from rtpiv.command_line.exit_codes import DONE as DONE
 from rtpiv.command_line.exit_codes import INTERRUPTED as INTERRUPTED
@@ -71,7 +70,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if trusted is not None:  # for children as well
         os.environ[VARIABLE] = ",".join(filter(None, (os.environ.get(VARIABLE), trusted)))
     os.environ.update(ONE_THREAD | NO_PLUGINS | os.environ)
-    leave_help_out()
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling
