@@ -188,12 +188,13 @@ def _disc_squares(
     bright = patch.sign[corners[:, 0]] > 0
     a, b = np.moveaxis(0.5 + _AROUND, -1, 0)
     weights = np.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), axis=-1)
-    points = np.einsum("rak,nkc->nrac", weights, patch.position_px[corners])
-    middle, rim, diameter = _profile(frame, points)
+    places = patch.position_px[corners]
+    middle, rim = _ends(_rings(frame, np.einsum("rak,nkc->nrac", weights[_OUTER_AND_INNER], places)))
     dark_level, bright_level = np.median(rim[~bright]), np.median(rim[bright])
     inner = np.where(bright, rim - middle, middle - rim)
     disc = inner > 0.5 * (bright_level - dark_level)
-    return np.array(cells)[disc], bright[disc], diameter[disc]
+    points = np.einsum("rak,nkc->nrac", weights, places[disc])  # few of many squares
+    return np.array(cells)[disc], bright[disc], _diameters(_rings(frame, points))
 
 
 def _large_dots(
@@ -208,7 +209,7 @@ def _large_dots(
     """
     assert board.dots is not None
     points = patch.position_px[:, None, None] + np.einsum("rak,nck->nrac", _AROUND, patch.axes_px)
-    diameter = _profile(frame, points)[2]
+    diameter = _diameters(_rings(frame, points))
     usual, large = board.dots.dot_mm / board.square_mm, board.disc_mm / board.square_mm
     seen = float(np.median(diameter))
     if abs(seen - usual) > RATIO_TOLERANCE * usual:
@@ -225,16 +226,26 @@ _ANGLES = np.arange(16) * (np.pi / 8.0) + 0.1
 _AROUND = _RADII[:, None, None] * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)
 
 
-def _profile(
-    frame: NDArray[Any], points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Level in the middle and at the border (N,) of points (N, radii, angles, 2), and diameter in squares (N,)."""
-    values = scipy.ndimage.map_coordinates(
+_MIDDLE, _RIM = 3, 2  # rings that say the level in the middle and at the border
+_OUTER_AND_INNER = np.r_[:_MIDDLE, len(_RADII) - _RIM : len(_RADII)]
+
+
+def _rings(frame: NDArray[Any], points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Mean levels (N, radii) of points (N, radii, angles, 2)."""
+    values: NDArray[np.float32] = scipy.ndimage.map_coordinates(
         frame.astype(np.float32), [points[..., 1], points[..., 0]], order=1, mode="nearest"
-    ).mean(axis=2)
-    middle, rim = values[:, :3].mean(axis=1), values[:, -2:].mean(axis=1)
+    )
+    return np.asarray(values.mean(axis=2))
+
+
+def _ends(rings: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Levels (N,) in the middle and at the border, of the rings (N, radii) that say them at least."""
+    return rings[:, :_MIDDLE].mean(axis=1), rings[:, -_RIM:].mean(axis=1)
+
+
+def _diameters(rings: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Diameters in squares (N,): the profile from 1 in the middle to 0 at the border, integrated."""
+    middle, rim = _ends(rings)
     with np.errstate(divide="ignore", invalid="ignore"):
-        inside = (values - rim[:, None]) / (middle - rim)[:, None]
-    # Radius of the disc: the profile from 1 to 0, integrated.
-    diameter = 2.0 * (_RADII[0] + np.clip(inside, 0.0, 1.0).sum(axis=1) * (_RADII[1] - _RADII[0]))
-    return middle, rim, diameter
+        inside = (rings - rim[:, None]) / (middle - rim)[:, None]
+    return np.asarray(2.0 * (_RADII[0] + np.clip(inside, 0.0, 1.0).sum(axis=1) * (_RADII[1] - _RADII[0])))

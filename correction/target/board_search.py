@@ -94,17 +94,20 @@ def on_smooth_map(
     size = max(float(np.ptp(index, axis=0).max()), 1.0)
     x, y = (2.0 * (index - index.mean(axis=0)) / size).T
     side = np.hypot(axes_px[:, 0], axes_px[:, 1]).mean(axis=1)
+    across, down = np.vander(x, ORDER + 1, increasing=True).T, np.vander(y, ORDER + 1, increasing=True).T
     weight = np.ones(len(index))
     off = np.zeros(len(index))
+    order, terms = 0, np.empty((len(index), 0))
     for round_ in range(ROUNDS):
-        order = min(1 + round_ // 3, ORDER)
-        powers = [(k, m) for k in range(order + 1) for m in range(order + 1 - k)]
+        wanted = min(1 + round_ // 3, ORDER)
+        powers = [(k, m) for k in range(wanted + 1) for m in range(wanted + 1 - k)]
         if 3 * len(powers) > len(index):
             break
-        terms = np.stack([x**k * y**m for k, m in powers], axis=-1)
-        if deep is not None:
-            beside = [x**k * y**m * deep for k, m in powers if k + m <= LEVEL_ORDER]
-            terms = np.column_stack((terms, *beside))
+        if wanted != order:
+            order, terms = wanted, np.stack([across[k] * down[m] for k, m in powers], axis=-1)
+            if deep is not None:
+                beside = [across[k] * down[m] * deep for k, m in powers if k + m <= LEVEL_ORDER]
+                terms = np.column_stack((terms, *beside))
         weighted = terms * weight[:, None] ** 2
         normal = weighted.T @ terms  # condition 1e3: fine squared; singular where all corners lie on few lines
         solution = np.linalg.lstsq(normal, weighted.T @ position_px, rcond=None)[0]
