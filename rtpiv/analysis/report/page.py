@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from ground.whole_file import whole_file
@@ -212,12 +212,10 @@ def _framed(inner: str, caption: str) -> str:
 
 
 def _drawn(figure: "Figure", kinds: Sequence[str]) -> dict[str, bytes]:
-    """Bytes of a figure as SVG, as PNG or as both."""
+    """Bytes of a figure as SVG, as PNG or as both; `savefig` draws an SVG twice as well."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    if len(kinds) > 1:
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
     found = {}
     for kind in kinds:
         buffer = io.BytesIO()
@@ -226,7 +224,8 @@ def _drawn(figure: "Figure", kinds: Sequence[str]) -> dict[str, bytes]:
         else:
             FigureCanvasAgg(figure)
             lay_out(figure, PNG_DPI)
-            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None})
+            canvas: Any = FigureCanvasSVG(figure)
+            canvas.print_svg(buffer, metadata={"Date": None})
         found[kind] = buffer.getvalue()
     return found
 

@@ -1,13 +1,17 @@
 """The page: self-contained, escaped, and as wide as the screen that a real browser shows it on."""
 
+import io
 import re
 
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rtpiv.analysis.pictures.rasters import embedded, grey, tinted
-from rtpiv.analysis.report.page import Link, Page
+from rtpiv.analysis.pictures.saved import lay_out
+from rtpiv.analysis.report.page import PNG_DPI, Link, Page, _drawn
 from tests.rtpiv.analysis.report.browser import browse, measured
 
 pytestmark = pytest.mark.draws
@@ -105,3 +109,25 @@ def test_it_prints(tmp_path):
     page().write(tmp_path / "report.html")
     browse(tmp_path / "report.html", tmp_path, f"--print-to-pdf={tmp_path / 'p.pdf'}", "--no-pdf-header-footer")
     assert (tmp_path / "p.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("kinds", [("svg",), ("svg", "png")])
+def test_a_figure_of_lines_is_drawn_once_each_kind_and_as_matplotlib_saves_it(kinds, monkeypatch):
+    def made():
+        figure = Figure(figsize=(3.0, 2.0), layout="constrained")
+        axes = figure.add_subplot()
+        axes.plot([0.0, 2.0, 1.0], label="a line")
+        axes.set(title="a title", xlabel="x", ylabel="y")
+        axes.legend()
+        return figure
+
+    with matplotlib.rc_context({"svg.hashsalt": "the same"}):
+        plain, stream = made(), io.BytesIO()
+        FigureCanvasAgg(plain)
+        lay_out(plain, PNG_DPI)
+        plain.savefig(stream, format="svg", dpi=PNG_DPI, metadata={"Date": None})
+        drawn, draw = [], Figure.draw
+        monkeypatch.setattr(Figure, "draw", lambda *arguments: (drawn.append(1), draw(*arguments))[1])
+        ours = _drawn(made(), kinds)["svg"]
+    assert ours == stream.getvalue()
+    assert len(drawn) == len(kinds)
