@@ -73,6 +73,7 @@ def _prepare(out: Path, run: Path) -> None:
     ask_for(folder, [run], piv_choice(), CampaignSettings(chunk=2))
     planned = next(planned_runs(folder))
     prepare(planned.given.method.scene, maps=planned.jobs[0].maps)
+    planned.given.still()
     for _ in results_of(planned.jobs[0], 1):
         pass
 

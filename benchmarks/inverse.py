@@ -1,8 +1,9 @@
-"""Correction maps: in ray maps with and without mirrors, and without the skip of views that cannot win.
+"""Correction maps in ray maps, with and without mirrors, in filling as much memory, and without a skip.
 
     python -m benchmarks.inverse [--scenes two_spheres_500 ...] [--rounds 9]
 
-Processor time of all threads [ms], medians of interleaved rounds; arrays of the map before are written again.
+Processor time of all threads [ms], medians of interleaved rounds; arrays of the map before are written again.  The
+skip is that of views that cannot win.
 """
 
 import argparse
@@ -12,9 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.limits import fill
 from benchmarks.scenes import bench_scene
 from correction.maps.correction_map import build_correction_map
-from ground.rows import thread_count
+from ground.rows import run_rows, thread_count
 from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, trace_lockstep
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.strategy import Kind, choose
@@ -40,6 +42,9 @@ def measure(name: str, rounds: int) -> dict[str, object]:
         "correction map": lambda: build_correction_map(scene, rays, out=spare),
         "without skip": lambda: build_correction_map(scene, rays, out=spare, skip=False),
     }
+    arrays = [value for value in vars(spare).values() if isinstance(value, np.ndarray)]
+    lines = [array.reshape(-1, array.shape[-1]) for array in arrays]
+    tasks["writing"] = lambda: [run_rows(lambda a, b, x=x: fill(a, b, x), len(x)) for x in lines]  # type: ignore[misc]
     if choose(scene).kind is not Kind.LOCKSTEP:
         del tasks["ray map, no mirrors"]
     times: dict[str, list[float]] = {task: [] for task in tasks}
@@ -50,7 +55,9 @@ def measure(name: str, rounds: int) -> dict[str, object]:
                 times[task].append(taken)
     ms = {task: round(float(np.median(taken)), 1) for task, taken in times.items()}
     ratios = {
-        f"in units of a {rays}": round(ms["correction map"] / ms[rays], 2) for rays in ms if "ray map" in rays
+        f"in units of a {rays}": round(ms["correction map"] / ms[rays], 2)
+        for rays in ms
+        if "ray map" in rays or rays == "writing"
     }
     return {**ms, **ratios}
 
