@@ -8,11 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 import tifffile
 
 import ground.jit.compile_news as compile_news
+from correction.target.kernels import corner_fit
 from ground.jit.signatures import entry, plain, typed
 from rtpiv.command_line import first_use
 from rtpiv.command_line.first_use import ALSO, FirstUse, calls_of
@@ -47,6 +49,13 @@ def test_every_kernel_of_the_list_is_there_and_its_types_are_read_as_they_were_w
         assert len(inspect.signature(entry(place).py_func).parameters) == len(form), place
         assert [plain(typed(each)) for each in form] == form
         assert seconds >= 0.0
+
+
+def test_the_scratch_of_a_corner_fit_is_of_the_types_listed():
+    """The list names how many arrays there are; a fit that takes one more would be compiled for nobody."""
+    [form] = [form for place, form, _ in calls_of("calibrate") if place.endswith("corner_fit:fit_corners")]
+    names = list(inspect.signature(corner_fit.fit_corners.py_func).parameters)
+    assert form[names.index("scratch")] == plain(numba.typeof(corner_fit.new_scratch()))
 
 
 def test_verbs_that_call_others_have_their_kernels_once():
