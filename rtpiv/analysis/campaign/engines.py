@@ -172,15 +172,16 @@ class SlurmArrays:
             jobs.update_parameters(**usual | here | dict(self.options))
         except (RuntimeError, NameError, ValueError, TypeError) as error:
             raise RunUsageError(f"Slurm does not take this: {str(error).splitlines()[0]}") from None
-        with _Arrays(jobs) as executor:
+        # Slurm counts what runs of an array; processes of this computer nobody counts but who starts them.
+        with _Arrays(jobs, None if self.cluster == "slurm" else self.slots) as executor:
             yield executor
 
 
 class _Arrays(Executor):
-    """Submits to submitit, and asks for answers."""
+    """Submits to submitit, no more than so many jobs `at_once`, and asks for answers."""
 
-    def __init__(self, jobs: Any) -> None:  # noqa: ANN401 - submitit's executor
-        self._jobs = jobs
+    def __init__(self, jobs: Any, at_once: int | None) -> None:  # noqa: ANN401 - submitit's executor
+        self._jobs, self._at_once = jobs, at_once
         self._lock = threading.Lock()
         self._new: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
         self._given: list[tuple[Future[Any], Any]] = []
@@ -206,7 +207,8 @@ class _Arrays(Executor):
     def _watch(self) -> None:
         while not self._ends.wait(GATHER_S):
             with self._lock:
-                new, self._new = self._new, []
+                room = len(self._new) if self._at_once is None else self._at_once - len(self._given)
+                new, self._new = self._new[:room], self._new[room:]
             for future, job in zip([each[0] for each in new], self._submitted(new), strict=False):
                 self._given.append((future, job))
             left = []

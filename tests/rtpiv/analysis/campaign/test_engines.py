@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from daq.errors import RunUsageError
+from rtpiv.analysis.campaign import engines
 from rtpiv.analysis.campaign.engines import DaskWorkers, SlurmArrays
 from rtpiv.analysis.campaign.merge import merge_campaign
 from rtpiv.analysis.campaign.run_campaign import run_campaign
@@ -76,6 +77,50 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(runs, tmp_path, monkeypat
     for address in ("tcp://127.0.0.1:9", "nonsense"):
         with pytest.raises(RunUsageError, match="no Dask scheduler answers there"):
             run_campaign(folder, DaskWorkers(address))
+
+
+class Processes:
+    """In place of submitit's local executor: what is submitted runs until it is ended."""
+
+    def __init__(self):
+        self.running, self.most, self.begun = [], 0, 0
+
+    @contextmanager
+    def batch(self):
+        yield
+
+    def submit(self, function, *arguments):
+        job = Process(self, function, arguments)
+        self.running.append(job)
+        self.begun += 1
+        self.most = max(self.most, len(self.running))
+        return job
+
+
+class Process:
+    """Asked three times, it has ended."""
+
+    def __init__(self, processes, function, arguments):
+        self.processes, self.function, self.arguments, self.asked = processes, function, arguments, 0
+
+    def done(self):
+        self.asked += 1
+        if self.asked == 3:
+            self.processes.running.remove(self)
+        return self.asked >= 3
+
+    def result(self):
+        return self.function(*self.arguments)
+
+
+@pytest.mark.parametrize("slots", [1, 3])
+def test_no_more_jobs_run_on_this_computer_than_it_was_told(monkeypatch, slots):
+    monkeypatch.setattr(engines, "GATHER_S", 0.01)
+    processes = Processes()
+    with engines._Arrays(processes, slots) as executor:
+        futures = [executor.submit(abs, -number) for number in range(7)]
+        assert [future.result(timeout=30.0) for future in futures] == list(range(7))
+    assert (processes.begun, processes.most) == (7, slots)
 
 
 @needs_submitit
