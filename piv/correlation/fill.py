@@ -1,8 +1,7 @@
 """What masked pixels are filled with, and how sure that is.
 
 **Regions** take a blur of what is valid around them, so that the spline through the frame makes no step
-there; they weigh nothing afterwards. Their first pixels, of which frames sampled beside them are made, are
-guessed as single ones are: windows that a mask cuts err by a fifth to a quarter less where seeding is dense.
+there; they weigh nothing afterwards.
 
 **Single dead pixels** among valid ones are another matter: without them four of five pixels are left, but only
 two of five products of neighbours in both frames, and windows full of gaps are noisier than the loss accounts for
@@ -23,7 +22,6 @@ from piv.correlation.kernels.kriging import krige
 
 BLUR_PX = 1.0  # standard deviation of the weights that fill regions
 AROUND_PX, HOLE = 2.0, 0.5  # by these weights so much around a hole is valid; less beyond the edge of a region
-EDGE_PX = 2  # of a region that are guessed; beyond there is nothing near to learn from
 NEAR_PX2 = 10  # squared distance of the neighbours that a hole learns from
 LEAST_NOISE = 0.007  # of the picture's variance: what sampling alone makes of particle images
 
@@ -66,8 +64,7 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     """
     weight = seen.astype(np.float32)
     missing = ~seen
-    single = missing & (blurred(weight, AROUND_PX) > HOLE)
-    holes = np.argwhere(single | (missing & _beside(seen)))
+    holes = np.argwhere(missing & (blurred(weight, AROUND_PX) > HOLE))
     filled = np.empty((len(holes), 3))
     alike = np.exp(-np.square(np.arange(8.0)) / (4.0 * texture.spread_px2))
 
@@ -80,22 +77,13 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     share = np.maximum(blurred(weight, BLUR_PX), np.float32(0.05))[missing]
     for frame in (a, b):
         frame[missing] = blurred(frame * weight, BLUR_PX)[missing] / share
+    if not len(holes):
+        return None
     at = tuple(holes.T)
     a[at], b[at] = filled[:, 0], filled[:, 1]
-    if not single.any():
-        return None
     variance = np.zeros(a.shape, np.float32)
     variance[at] = filled[:, 2]
-    variance[~single] = 0.0
     return Doubt(variance, max(texture.noise, LEAST_NOISE))
-
-
-def _beside(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) within `EDGE_PX` of one that is seen."""
-    import cv2
-
-    reach = np.ones((2 * EDGE_PX + 1,) * 2, np.uint8)
-    return np.asarray(cv2.dilate(seen.view(np.uint8), reach), bool)
 
 
 def blurred(frame: Floats, sigma_px: float) -> Floats:

@@ -137,19 +137,3 @@ def test_large_sigma_means_large_error(particle_pair):
     quarter = np.quantile(sigma[known], [0.25, 0.75])
     quiet, loud = error[known & (sigma < quarter[0])], error[known & (sigma > quarter[1])]
     assert rms(loud) > 2.0 * rms(quiet)  # of single correlations 3: the last filter evens them out
-
-
-def test_sigma_of_windows_cut_by_masks(particle_pair):
-    """Of a value beside a masked pixel half would be what that was filled with: the error was 1.5 sigma."""
-    truth, (u, v) = uniform(7.1, -7.1), np.mgrid[:416, :416]
-    seen = np.all([np.hypot(u - 104 * i, v - 104 * j) > 40 for i in (1, 2, 3) for j in (1, 2, 3)], axis=0)
-    errors_px, sigma_px = [], []
-    for seed in range(4):
-        pair = particle_pair(truth, (416, 416), seed=seed, ppp=0.05, diameter_px=3.7)
-        field = evaluate_pair(*pair, valid=seen)
-        cut = field.valid & (field.valid_fraction < 0.8)
-        errors_px.append(errors(field, truth)[cut])
-        sigma_px.append(np.stack([field.sigma_u_px, field.sigma_v_px], -1)[cut])
-    off, sigma = np.concatenate(errors_px), np.concatenate(sigma_px)
-    assert len(off) > 200
-    assert rms(off / sigma) < 1.3
