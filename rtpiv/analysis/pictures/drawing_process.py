@@ -24,6 +24,7 @@ import ground.jit.compile_news as compile_news
 from ground.rows import thread_count
 
 Job = tuple[str, tuple[Any, ...]]
+ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class Draw(Protocol):
@@ -48,7 +49,9 @@ class DrawingProcess:
         self._waiting: list[Job] = []
         target: Callable[..., None] = _draw_what_comes
         self._process = context.Process(target=target, args=(other, self._end, tuple(modules)), daemon=True)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDINGS)  # a handler may not raise in a child half made
         self._process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         other.close()
 
     def send(self, job: Job) -> None:
@@ -154,8 +157,9 @@ def _undescribed(artist: object) -> str:
 def _draw_what_comes(jobs: Connection, others: Connection, modules: Sequence[str]) -> None:
     """Be the child."""
     others.close()  # else it would never see the other end closed
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in ENDINGS:
         signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDINGS)
     compile_news.watch = compile_news.complain = compile_news.make_helper = compile_news.helper = None
     with suppress(ImportError, AttributeError):  # said by what needs it
         artist: Any = import_module("matplotlib.artist")

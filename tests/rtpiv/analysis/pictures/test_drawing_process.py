@@ -140,3 +140,20 @@ def test_a_killed_command_leaves_no_child(tmp_path, monkeypatch):
             return
         signal.sigtimedwait([], 0.05)
     raise AssertionError("the child outlives who started it")
+
+
+HUNG_UP = """
+import os, signal
+from daq.signal_handling import handle_signals
+from rtpiv.analysis.pictures import drawing_process
+drawing_process._worth_it = lambda: True
+os.register_at_fork(after_in_child=lambda: os.kill(os.getpid(), signal.SIGHUP))
+with handle_signals(), drawing_process.started(("json",)):
+    print("alive")
+"""
+
+
+@pytest.mark.posix("a fork")
+def test_a_window_closed_while_the_child_is_made_ends_it_without_a_word():
+    done = subprocess.run([sys.executable, "-c", HUNG_UP], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "alive\n", "")
