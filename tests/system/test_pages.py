@@ -52,7 +52,7 @@ ENDED = {"live --bench bench.yaml": ["--simulate", "--for-s", "2"]}  # what else
 UNTIL_CTRL_C = ("mask a.tif -o mask.png",)  # the same, of what knows no other end
 FIRST = {"report": "runs/*plan-shift/report/report.html", "mean": "runs/*flow/series/*.html"}  # through glass
 FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
-FEW = ((r"\bpairs: 20", "pairs: 10"), (r"chunk: \d+", "chunk: 10"), (r"{pairs: \d+}", "{pairs: 4}"))
+FEW = ((r"\bpairs: (20|1000)\b", "pairs: 10"), (r"chunk: \d+", "chunk: 10"), (r"{pairs: \d+}", "{pairs: 4}"))
 CALM = {"calibrate": "fit.light", "correct": "Traceback"}  # what must not be said
 OTHER_PROGRAMS = {  # of a page, each with the test that does the same
     "README.md": ("cd", "python3"),  # below; tests/wheel/test_installed.py
