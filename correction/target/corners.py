@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from correction.target.chessboard import ARM
 from correction.target.kernels import corner_fit, corner_model
+from correction.target.kernels.corner_block import LANES, draw_smeared
+from correction.target.kernels.corner_model import FREE
 from ground.rows import run_rows
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
@@ -243,8 +245,8 @@ def found_smeared(
         middle = half + len(tiles[0]) * np.arange(len(axes))
 
         def rows(first: int, last: int) -> None:
-            scratch = np.empty(corner_model.FREE), np.empty(4), np.empty(corner_model.FREE)
-            corner_model.draw_smeared(axes, blur, steps, parts, first, last, *scratch, tiles)  # noqa: B023
+            scratch = np.empty(FREE), np.empty(4), np.empty((FREE + 3, LANES))
+            draw_smeared(axes, blur, steps, parts, first, last, *scratch, tiles)  # noqa: B023
 
         run_rows(rows, len(axes))
         place = np.column_stack((np.full(len(axes), half), middle))

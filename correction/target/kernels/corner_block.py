@@ -1,8 +1,8 @@
 """The model of a corner (`corner_model`) at many pixels at once: all that is asked of a fit, in vectors.
 
-It is `gradient` without a branch: off an edge its Gaussian is zero, and with it every derivative of the geometry.
-What no vector has, erf z and exp(-z^2), is taken from polynomials in z^2, Chebyshev series up to the last term
-that a rounding would notice.  Pixels stand as `gather` lists them, four rows of numbers; what lies behind the last
+There is no branch in it: off an edge its Gaussian is zero, and with it every derivative of the geometry.  What no
+vector has, erf z and exp(-z^2), is taken from polynomials in z^2, Chebyshev series up to the last term that a
+rounding would notice.  Pixels stand as `gather` lists them, four rows of numbers; what lies behind the last
 of them is calculated too, and not asked.
 """
 
@@ -18,7 +18,7 @@ from correction.target.kernels.corner_model import (
     TWO_OVER_SQRT_PI,
     set_turn,
 )
-from ground.jit import Array, kernel_inlined
+from ground.jit import Array, kernel, kernel_inlined
 
 LANES = 64  # pixels at a time
 WIDE = 16  # numbers of a row, FREE and zeros: whole vectors
@@ -60,23 +60,14 @@ def polynomial(t: float, factors: Array) -> float:
 def gradients(p: Array, turn: Array, du: Array, dv: Array, out: Array) -> None:
     """Model intensity and its derivatives at pixels du, dv (LANES,), into out (FREE + 1, LANES).
 
-    p (FREE,), turn (4,) and the derivatives as of `gradient`; the intensity stands last.
+    p (FREE,) the free numbers, position relative to the window's centre; turn (4,) cosine and sine of both angles.
+    The intensity stands last.
     """
-    p0, p1, p4, p5, p6, p7, p8, p9, p10, p11, p12 = (
-        p[0],
-        p[1],
-        p[4],
-        p[5],
-        p[6],
-        p[7],
-        p[8],
-        p[9],
-        p[10],
-        p[11],
-        p[12],
-    )
+    p0, p1, p4, p5, p6, p7 = p[0], p[1], p[4], p[5], p[6], p[7]
+    p8, p9, p10, p11, p12 = p[8], p[9], p[10], p[11], p[12]
     c1, s1, c2, s2 = turn[0], turn[1], turn[2], turn[3]
     r6, r7 = 1.0 / p6, 1.0 / p7
+    # Blurred light that rises along g looks like light shifted by s^2 g.
     drag, upright, across = p6 * p7, -c1 * c2 - s1 * s2, c1 * s2 - s1 * c2
     for i in range(LANES):
         x, y = du[i] - p0 + drag * p10, dv[i] - p1 + drag * p11
@@ -101,7 +92,7 @@ def gradients(p: Array, turn: Array, du: Array, dv: Array, out: Array) -> None:
         rho, both = upright + bow * across, TWO_OVER_PI * b1 * b2
         h, k = SQRT_2 * z1, SQRT_2 * z2
         product, by_rho, by_h, by_k = f1 * f2, 0.0, 0.0, 0.0
-        a, b, a_next, b_next, power = 1.0, 1.0, h, k, both
+        a, b, a_next, b_next, power = 1.0, 1.0, h, k, both  # Hermite polynomials, rho^(m - 1) / (m - 1)!
         for m in range(1, 1 + LEANS):
             by_rho += power * a * b
             power *= rho * (1.0 / m)
@@ -115,8 +106,8 @@ def gradients(p: Array, turn: Array, du: Array, dv: Array, out: Array) -> None:
         g2 += bright * SQRT_2 * by_k
         shade = p8 + p9 * product
         d1, d2 = g1 * (INV_SQRT_2 * r6), g2 * (INV_SQRT_2 * r7)
-        lean = by_rho * (bow * upright - across)
-        turn1, turn2 = by_rho * across * p4, by_rho * across * p5
+        lean = by_rho * (bow * upright - across)  # by angle 1; by angle 2 the opposite
+        turn1, turn2 = by_rho * across * p4, by_rho * across * p5  # by t1, t2
         by_u = d1 * (s1 - bend1 * c1) - d2 * (s2 + bend2 * c2) - turn1 * c1 - turn2 * c2
         by_v = -d1 * (c1 + bend1 * s1) + d2 * (c2 - bend2 * s2) - turn1 * s1 - turn2 * s2
         dragged = -by_u * p10 - by_v * p11
@@ -176,3 +167,33 @@ def products(p: Array, pixels: Array, count: int, turn: Array, block: Array, row
                     value = sums[i, j] + a * rows[k, j] + b * rows[k + 1, j] + c * rows[k + 2, j]
                     value += d * rows[k + 3, j] + e * rows[k + 4, j] + f * rows[k + 5, j]
                     sums[i, j] = value + g * rows[k + 6, j] + h * rows[k + 7, j]
+
+
+@kernel
+def draw_smeared(
+    axes: Array, blur: Array, steps: Array, share: Array, first: int, last: int, p: Array, turn: Array,
+    block: Array, out: Array,
+) -> None:  # fmt: skip
+    """Draw corners first..last-1, each the sum of displaced ones, about the middles of their tiles.
+
+    axes (N, 2, 2) px per square; blur (N,) px; steps (K, N, 2) where each part shows the corner [px] and share
+    (K, N) of the light; p (FREE,), turn (4,), block (FREE + 3, LANES) are scratch; out (N, S, S), S odd, dark -1,
+    bright 1.
+    """
+    side = out.shape[1]
+    du, dv = block[FREE + 1], block[FREE + 2]
+    for n in range(first, last):
+        p[:] = 0.0
+        p[2] = np.arctan2(axes[n, 1, 0], axes[n, 0, 0])
+        p[3] = np.arctan2(axes[n, 1, 1], axes[n, 0, 1])
+        p[6], p[7], p[9] = blur[n], blur[n], 1.0
+        set_turn(p, turn)
+        out[n] = 0.0
+        for begin in range(0, side * side, LANES):
+            for i in range(LANES):
+                du[i], dv[i] = float((begin + i) % side - side // 2), float((begin + i) // side - side // 2)
+            for k in range(len(steps)):
+                p[0], p[1] = steps[k, n, 0], steps[k, n, 1]
+                gradients(p, turn, du, dv, block)
+                for i in range(min(LANES, side * side - begin)):
+                    out[n, (begin + i) // side, (begin + i) % side] += share[k, n] * block[FREE, i]

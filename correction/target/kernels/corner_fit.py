@@ -278,23 +278,9 @@ def fit_corners(
                 break
             if (rounds > 0 and moved < 0.3) or rounds == MAX_ROUNDS - 1:
                 if covariance(
-                    p,
-                    pixels,
-                    count,
-                    box,
-                    turn,
-                    row,
-                    normal,
-                    lower,
-                    trial_normal,
-                    weights,
-                    step,
-                    pull,
-                    sums,
-                    block,
-                    blocks[WIDE:],
-                    out[n, 2:5],
-                ):
+                    p, pixels, count, box, turn, row, normal, lower, trial_normal, weights, step, pull, sums,
+                    block, blocks[WIDE:], out[n, 2:5],
+                ):  # fmt: skip
                     verdict[n] = OK
                     out[n, 0], out[n, 1] = centre_u, centre_v
                     out[n, 5] = sqrt(total[0] / max(count - FREE, 1.0))

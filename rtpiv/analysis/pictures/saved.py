@@ -17,9 +17,8 @@ def short(name: str, longest: int = LONGEST_NAME) -> str:
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PNG_LEVEL = (
-    2  # of zlib: half of the time of 4, and where pictures are noise a third fewer bytes; else a tenth more
-)
+# Of zlib: half of the time of 4, and where pictures are noise a third fewer bytes; else a tenth more.
+PNG_LEVEL = 2
 
 
 def save_picture(figure: "Figure", path: Path, dpi: int) -> None:
