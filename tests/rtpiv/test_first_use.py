@@ -79,6 +79,9 @@ def test_the_list_is_what_a_command_asks_for(tmp_path):
     found = [call for call in asked if json.dumps(call) in listed]
     assert len(found) > 8
     assert len(found) >= 0.6 * len(asked)  # one ball alone has kernels that three have not
+    listed_places = {place for place, *_ in calls_of("correct")}
+    asked_otherwise = {place for place, _ in asked if place in listed_places} - {place for place, _ in found}
+    assert not asked_otherwise  # of other types than those compiled ahead: for nobody
 
 
 def test_helpers_start_at_the_first_kernel_that_is_listed_and_go_with_the_verb(monkeypatch):
