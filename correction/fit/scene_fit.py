@@ -24,9 +24,10 @@ from correction.fit.glass_stage import find_glass
 from correction.fit.judge.light_of_glass import light_of_glass
 from correction.fit.judge.result import FitStep, SceneFit, check
 from correction.fit.progress import Progress
-from correction.fit.seen.masked_parts import View, unconfirmed_ways, unlisted_parts
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.smear import Dispersion
+from correction.fit.seen.unconfirmed_ways import unconfirmed_ways
+from correction.fit.seen.unlisted_parts import View, unlisted_parts
 from correction.fit.seen.unsure_rims import beside_rim, unsure_rims, windows_beside
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.fit.solve.solver import Corners, residuals

@@ -28,7 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from correction.errors import DewarpError
 from correction.target import Chessboard
-from correction.target.board_search import BoardDetection, track_board
+from correction.target.board_search import track_board
+from correction.target.lattice_fit import BoardDetection
 from ground.short_repr import short_repr
 from piv.errors import FrameError
 from tracer.camera import Camera

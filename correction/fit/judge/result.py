@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from correction.errors import FitFailed
 from correction.fit.judge.verdict import PRIOR_LIMIT, Verdict
-from correction.fit.seen.masked_parts import BRANCH_LIMIT
+from correction.fit.seen.unconfirmed_ways import BRANCH_LIMIT
 from correction.fit.solve.doubted import ShapeRoot
 from correction.fit.solve.light import LightDoubt
 from correction.fit.solve.unknowns import Unknowns

@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 
 from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
 from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
-from correction.fit.seen.masked_parts import Hidden, Unconfirmed, Unlisted, hidden_patches
+from correction.fit.seen.hidden_patches import Hidden, hidden_patches
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
 from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
+from correction.fit.seen.unconfirmed_ways import Unconfirmed
+from correction.fit.seen.unlisted_parts import Unlisted
 from correction.fit.seen.unsure_rims import UnsureRim, in_words
 from correction.fit.solve.correlation import Correlation, Lattice, correlation_of
 from correction.fit.solve.solver import Corners, Residuals, landed

@@ -9,7 +9,7 @@ import pytest
 
 from correction.errors import FitFailed
 from correction.fit.judge.result import SceneFit, check
-from correction.fit.seen.masked_parts import unconfirmed_ways
+from correction.fit.seen.unconfirmed_ways import unconfirmed_ways
 from correction.maps.correction_map import build_correction_map
 from correction.masked import pixels_in
 from correction.node_status import NodeStatus

@@ -5,9 +5,10 @@ import pytest
 
 from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, ways_tested
 from correction.fit.judge.verdict import Verdict
-from correction.fit.seen.masked_parts import Hidden, Unconfirmed
+from correction.fit.seen.hidden_patches import Hidden
 from correction.fit.seen.measurement import TargetFrame, glass_frame
 from correction.fit.seen.smear_test import ColourSmear
+from correction.fit.seen.unconfirmed_ways import Unconfirmed
 from correction.fit.solve.ball_shape import SHAPES, shape_rates
 from correction.fit.solve.correlation import FURTHEST, Lattice, correlation_of, with_correlation
 from correction.target import Chessboard

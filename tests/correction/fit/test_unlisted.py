@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from correction.fit.scene_fit import fit_scene
-from correction.fit.seen.masked_parts import View, unlisted_parts
+from correction.fit.seen.unlisted_parts import View, unlisted_parts
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from correction.target import Chessboard

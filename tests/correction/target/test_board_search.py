@@ -6,9 +6,10 @@ import tifffile
 
 from correction.errors import TargetNotFound
 from correction.target import Chessboard
-from correction.target.board_search import as_the_largest_piece_says, find_board, on_smooth_map, track_board
+from correction.target.board_search import find_board, track_board
 from correction.target.corners import CornerSearch, refine_corners
 from correction.target.lattice_growth import find_saddles, grow_patches
+from correction.target.smooth_view import as_the_largest_piece_says, on_smooth_map
 from piv.errors import FrameError
 from tests.correction.frame_truth import FRAMES, nominal_projection, true_projection
 from tests.correction.synthetic_board import photographed, soft_board

@@ -1,6 +1,5 @@
-"""Parts of the view that no map is to use: frames of the target do not show there what the fitted scene shows.
+"""Bodies that nobody listed: parts of a frame of the target that do not show what the fitted scene shows there.
 
-UNLISTED: a body stands there that nobody listed.
 Corners say little about a bead or a drop: it hides three of them, or none where squares are wide.  The frame
 itself says it, pixel by pixel.  A traced pixel shows a bright square or a dark one.  With W and B the means of the
 frame nearby, over pixels of the same branch that show bright and dark squares, the frame agrees by
@@ -16,23 +15,6 @@ body agrees by chance.  So do the squares between two parts of one body, a dark 
 that are nearer to each other than SAME_BODY squares are masked with what lies between them.  A part that lies
 within UNSURE standard deviations of the rim of a ball is that ball's, which stands a little elsewhere than the fit
 could tell: it is masked and said, and no alarm.
-
-HIDDEN: corners that should be seen and are not, side by side.
-Single corners are lost to dirt and noise, anywhere.  A support, a wire or a hand hides a patch.  Of the corners
-that the scene shows on a way and that lie off its border, the lost ones are joined to patches over the board's
-lattice (neighbours, diagonals too); the largest patch is compared with those of DRAWS random choices of as many
-corners (a permutation test).  A patch of PATCH or more that at most FALSE_ALARMS of the choices reach is reported.
-Not near the border of a way, where light fades and the view twists in patches of its own, and not beyond the
-corners that bare frames show, where the board may end.
-
-UNCONFIRMED: ways through the glass on which too few corners are where the scene shows them.
-One ball that is seen badly, or stands elsewhere, is no reason to refuse all others.  A way on which less than
-BRANCH_LIMIT of its corners are found is masked, and so is everything around a ball of which no way is confirmed:
-its outline in the frame, made wider by what is not known of its place.
-
-A few corners can be pleased by a wrong place: three numbers move a ball, and each corner is two.  A ball of which
-few are seen must therefore also stand where its own rim hides the lattice (`silhouettes`); if it does not, what is
-masked is around both places.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -44,16 +26,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.fit.seen.measurement import MeasuredFrame
 from correction.fit.seen.prediction import in_target_frame
 from correction.grid import grid_of
 from correction.masked import hull_px, pixels_in
 from correction.target import Chessboard
-from tracer.bodies import Sphere
-from tracer.camera import Camera, Vector3
 from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart, Point
 from tracer.scene.scene import Scene
-from tracer.strategies.branches import branch_of, text_of
+from tracer.strategies.branches import text_of
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import RayStatus
@@ -71,14 +50,6 @@ JOIN_PX = 9  # side of what joins pixels to parts
 SAME_BODY = 1.5  # squares as seen there
 BESIDE_PX, BESIDE = 4.0, 0.25  # a body reaches so far beyond what is seen of it: pixels, and squares seen there
 Pixels = NDArray[np.int64]  # rows and columns (N, 2)
-BRANCH_LIMIT = 0.5  # share of the corners of a branch, if the scene shows at least so many on it
-BRANCH_CORNERS = 5
-FEW = 12  # corners that are where a ball shows them, from which no rim is asked
-WIDER = 3.0  # standard deviations of a ball's place sideways
-DRAWS = 400
-FALSE_ALARMS = 0.0025
-PATCH = 4  # corners
-BORDER_PX = 12.0
 
 
 @dataclass(frozen=True)
@@ -360,189 +331,3 @@ def _hull(part: Pixels, wider_px: float) -> tuple[Point, ...]:
     angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     ring = wider_px * np.stack((np.cos(angle), np.sin(angle)), axis=1)
     return hull_px((part[:, None, ::-1] + ring).reshape(-1, 2))
-
-
-@dataclass(frozen=True)
-class Unconfirmed:
-    """A way through the glass, or a ball, that corners do not confirm.
-
-    Parameters
-    ----------
-    name : str
-        Spheres crossed, joined by " > "; or one ball, of which no way is confirmed.
-    paired, expected : int
-        Corners that are where the scene shows them, and all that it shows.
-    is_ball : bool
-        Whether no way through the ball is confirmed.
-    rim_is_elsewhere : bool
-        Whether it does not stand where its rim is seen.
-    masked : tuple of MaskedPart
-        What no map is to use.
-    """
-
-    name: str
-    paired: int
-    expected: int
-    is_ball: bool
-    masked: tuple[MaskedPart, ...]
-    rim_is_elsewhere: bool = False
-
-    @property
-    def share(self) -> float:
-        """Share of its corners that are where the scene shows them."""
-        return self.paired / max(self.expected, 1)
-
-    def __str__(self) -> str:
-        """Return one sentence."""
-        found = (
-            f"{self.paired} of {self.expected} corners seen through `{self.name}` are where the scene shows them"
-        )
-        if self.rim_is_elsewhere:
-            return (
-                f"`{self.name}` does not stand where its rim is seen, and no more than {self.paired} corners are"
-                " seen through it: the ball is not confirmed, and is masked in every map; give its place to a"
-                " millimetre, or print smaller squares"
-            )
-        if self.is_ball:
-            cure = "look for dirt on it, check its place, radius and glass, or print smaller squares"
-            return f"only {found}: the ball is not confirmed, and is masked in every map; {cure}"
-        return f"only {found}: this way through the glass is masked in every map"
-
-
-def unconfirmed_ways(
-    scene: Scene,
-    expected: Mapping[str, int],
-    paired: Mapping[str, int],
-    place_mm: Mapping[str, float],
-    rim_mm: Mapping[str, Vector3] | None = None,
-) -> tuple[Unconfirmed, ...]:
-    """Ways and balls that corners do not confirm, balls first.
-
-    Parameters
-    ----------
-    scene : Scene
-        As fitted.
-    expected, paired : mapping
-        Way through the glass -> corners that the scene shows on it, and those that are there.
-    place_mm : mapping
-        Ball that may have moved -> standard deviation of its place sideways, once all corners are seen.
-    rim_mm : mapping, optional
-        Ball that does not stand where its own rim is seen -> its centre there.
-    """
-    rim_mm = rim_mm or {}
-    failed = {
-        way
-        for way, count in expected.items()
-        if count >= BRANCH_CORNERS and paired.get(way, 0) < BRANCH_LIMIT * count
-    }
-    balls = []
-    for sphere in scene.spheres:
-        ways = [way for way in expected if sphere.is_on(branch_of(way))]
-        count = sum(expected[way] for way in ways)
-        there = sum(paired.get(way, 0) for way in ways if way not in failed)
-        elsewhere = sphere.name in rim_mm and 0 < there < FEW
-        if sphere.name in place_mm and count and (elsewhere or not there):
-            parts = tuple(MaskedPart(UNCONFIRMED, through=branch_of(way)) for way in ways)
-            at = [sphere, *([replace(sphere, centre_mm=rim_mm[sphere.name])] if elsewhere else [])]
-            outlines = [_around(one, scene.camera, WIDER * place_mm[sphere.name]) for one in at]
-            total = sum(paired.get(way, 0) for way in ways)
-            balls.append(Unconfirmed(sphere.name, total, count, True, (*outlines, *parts), elsewhere))
-            failed -= set(ways)
-    ways_alone = [
-        Unconfirmed(
-            way, paired.get(way, 0), expected[way], False, (MaskedPart(UNCONFIRMED, through=branch_of(way)),)
-        )
-        for way in sorted(failed)
-    ]
-    return (*balls, *ways_alone)
-
-
-def _around(sphere: Sphere, camera: Camera, wider_mm: float) -> MaskedPart:
-    """Outline of a ball in the raw frame, of a radius larger by so much."""
-    eye, centre = np.array(camera.position_mm), np.array(sphere.centre_mm)
-    away = centre - eye
-    distance = float(np.linalg.norm(away))
-    towards = away / distance
-    half = np.arcsin(min((sphere.radius_mm + wider_mm) / distance, 0.99))
-    aside = np.linalg.svd(towards[None, :])[2][1:]
-    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    ring = np.cos(angle)[:, None] * aside[0] + np.sin(angle)[:, None] * aside[1]
-    points = eye + distance * (np.cos(half) * towards + np.sin(half) * ring)
-    return MaskedPart(UNCONFIRMED, hull_px(camera.project(points)))
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """A patch of corners that are not seen.
-
-    Parameters
-    ----------
-    frame, way : str
-        Where.
-    corners : int
-        In the patch.
-    middle_px : (float, float)
-        Its middle, u, v.
-    masked : MaskedPart
-        What no map is to use: its corners, and half a square around them.
-    """
-
-    frame: str
-    way: str
-    corners: int
-    middle_px: tuple[float, float]
-    masked: MaskedPart
-
-    def __str__(self) -> str:
-        """Return one sentence."""
-        where = f"through `{self.way}`" if self.way else "beside the glass"
-        u, v = self.middle_px
-        return (
-            f"{self.frame}: {self.corners} corners side by side {where}, around pixel ({u:.0f}, {v:.0f}), are not"
-            " seen: something that the scene does not list seems to stand there (a support, dirt, a shadow); it is"
-            " masked in every map"
-        )
-
-
-def hidden_patches(frames: Sequence[MeasuredFrame]) -> tuple[Hidden, ...]:
-    """Patches of lost corners in frames, the largest first."""
-    found = []
-    bare = [frame.index for frame in frames if not frame.corners.glass and len(frame)]
-    if not bare:
-        return ()
-    low, high = np.concatenate(bare).min(axis=0), np.concatenate(bare).max(axis=0)
-    for frame in frames:
-        lost = frame.lost
-        on_board = ((lost.index >= low) & (lost.index <= high)).all(axis=1)
-        for way in np.unique(lost.branch_name).tolist():
-            away = (lost.branch_name == way) & (lost.rim_px > BORDER_PX) & on_board
-            seen = frame.index[(frame.branch_name == way) & (frame.rim_px > BORDER_PX)]
-            if np.count_nonzero(away) < PATCH or not len(seen):
-                continue
-            index = np.concatenate((lost.index[away], seen))
-            count = int(np.count_nonzero(away))
-            patch = _largest(index, np.arange(count))
-            if len(patch) < PATCH:
-                continue
-            rng = np.random.default_rng(0)
-            reached = sum(
-                len(_largest(index, rng.choice(len(index), count, replace=False))) >= len(patch)
-                for _ in range(DRAWS)
-            )
-            if reached <= FALSE_ALARMS * DRAWS:
-                corners, axes = lost.pixel[away][patch], lost.axes_px[away][patch]
-                u, v = corners.mean(axis=0).tolist()
-                around = corners[:, None, :] + np.concatenate((axes, -axes), axis=2).swapaxes(1, 2)
-                masked = MaskedPart(UNLISTED, hull_px(around.reshape(-1, 2)))
-                found.append(Hidden(frame.name, way, len(patch), (u, v), masked))
-    return tuple(sorted(found, key=lambda one: -one.corners))
-
-
-def _largest(index: NDArray[np.int64], chosen: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Members of `chosen`, as places in it, that form the largest patch of the lattice."""
-    at = index[chosen] - index.min(axis=0)
-    board = np.zeros(np.ptp(index, axis=0) + 1, bool)
-    board[at[:, 0], at[:, 1]] = True
-    label, _ = scipy.ndimage.label(board, np.ones((3, 3)))
-    own = label[at[:, 0], at[:, 1]]
-    return np.flatnonzero(own == np.bincount(own).argmax())
