@@ -20,7 +20,7 @@ from typing import Any
 from correction.fitted.map_sigma import SigmaLimit
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.aperture import through_pupil
-from correction.maps.correction_map import CorrectionMap, build_correction_map, outside_glass
+from correction.maps.correction_map import CorrectionMap, build_correction_map, code_here, outside_glass
 from correction.maps.corrector import Corrector
 from correction.maps.dewarp import Dewarp
 from ground.errors import GroundError
@@ -103,8 +103,8 @@ def prepare(
     layers : int
         Views of a node that are joined, where several paths through the glass show it; 1 takes the best.
     maps : Path, optional
-        Folder of stored correction maps, by the hash of their scene; a map that is missing or damaged is made and
-        put there.
+        Folder of stored correction maps, by the hash of their scene; a map that is missing, damaged or of another
+        program is made and put there.
     limit : SigmaLimit, optional
         Nodes of which the map is less sure are left out.
     grid : PlaneGrid, optional
@@ -173,7 +173,7 @@ def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -
         try:
             stored = CorrectionMap.load(path)
             stored.check(scene)
-            if stored.grid == (grid or grid_of(scene.camera)):
+            if stored.made_by == code_here() and stored.grid == (grid or grid_of(scene.camera)):
                 return stored
         except (GroundError, TracerError):
             path.unlink()  # damaged or of an older layout: made again below

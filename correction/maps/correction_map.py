@@ -46,6 +46,7 @@ from ground.config import Pair
 from ground.errors import MapFileError
 from ground.map_file import checked, load_arrays, save_arrays
 from ground.memory import require_memory
+from ground.program_code import code_digest
 from ground.short_repr import short_repr
 from tracer.bodies import CONTACT_TOL_MM, Capsule
 from tracer.scene.scene import Scene, SceneBound
@@ -69,12 +70,18 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
 }
 
 
+def code_here() -> str:
+    """Digest of the code that makes maps in this program."""
+    return code_digest("ground", "tracer", "correction")
+
+
 class CorrectionHeader(RayHeader):
     """What the header of a stored correction map holds."""
 
     origin_mm: Pair
     pitch_mm: Annotated[float, Field(gt=0.0)]
     sensor_px: Annotated[list[Annotated[int, Field(ge=2)]], Field(min_length=2, max_length=2)]
+    made_by: str = ""
 
 
 @short_repr
@@ -104,6 +111,8 @@ class CorrectionMap(SceneBound):
         Width and height of the frames that the map corrects.
     scene_hash : str
         Content hash of the scene.
+    made_by : str
+        Of one that was read: digest of the code that made it (`code_here`).
     """
 
     grid: PlaneGrid
@@ -116,6 +125,7 @@ class CorrectionMap(SceneBound):
     branches: Sequence[Branch]
     sensor_px: tuple[int, int]
     scene_hash: str
+    made_by: str = ""
 
     @property
     def layers(self) -> int:
@@ -163,6 +173,7 @@ class CorrectionMap(SceneBound):
             "origin_mm": list(self.grid.origin_mm),
             "pitch_mm": self.grid.pitch_mm,
             "sensor_px": list(self.sensor_px),
+            "made_by": code_here(),
         }
         save_arrays(path, KIND, header, self.arrays())
 
@@ -187,7 +198,14 @@ class CorrectionMap(SceneBound):
         (x0, y0), (columns, rows) = said.origin_mm, said.sensor_px
         grid = PlaneGrid((x0, y0), said.pitch_mm, (height, width))
         branches = tuple(map(tuple, said.branches))
-        made = cls(grid, **arrays, branches=branches, sensor_px=(columns, rows), scene_hash=said.scene_hash)
+        made = cls(
+            grid,
+            **arrays,
+            branches=branches,
+            sensor_px=(columns, rows),
+            scene_hash=said.scene_hash,
+            made_by=said.made_by,
+        )
         if not made._sound():
             raise MapFileError(f"{path}: holds values that no map has; make the map again")
         return made
@@ -266,9 +284,13 @@ def build_correction_map(
     work.direct()
     work.glass()
     work.join()
-    sensor_px, branches = scene.camera.sensor_px, ray_map.branches
     found = CorrectionMap(
-        grid, **work.arrays, branches=branches, sensor_px=sensor_px, scene_hash=ray_map.scene_hash
+        grid,
+        **work.arrays,
+        branches=ray_map.branches,
+        sensor_px=scene.camera.sensor_px,
+        scene_hash=ray_map.scene_hash,
+        made_by="",
     )
     return _outside_outlines(found, scene)
 

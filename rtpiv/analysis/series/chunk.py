@@ -17,14 +17,14 @@ from daq.runs.lab_readings import said_in_files
 from ground.whole_file import whole_file
 from piv.correlation.vector_field import ONE_PICTURE
 from piv.correlation.windows import WindowGrid
-from piv.errors import FrameError, PairError
+from piv.errors import FrameError, PairError, SeriesError
 from piv.files.vector_file import vectors_netcdf
 from rtpiv.analysis.pairs.evaluation import Correlated, Evaluation, PairMethod, Task, correlated, evaluated
 from rtpiv.analysis.pairs.pair_vectors import PairResult, vectors_of_pairs
 from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.series_folder import Marker, sound_content, write_marker
-from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair
+from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair, versions_here
 from rtpiv.analysis.series.still_frames import still_in
 
 
@@ -46,6 +46,8 @@ def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None)
         The file cannot be written.
     FrameError
         Frames of one pulse are of several kinds of number.
+    SeriesError
+        This process has other code than the one that planned the chunk.
     """
     beat = each_pair or (lambda: None)
     correction_of(job.maps, job.method)
@@ -104,7 +106,8 @@ def results_of(job: ChunkJob, most: int) -> Iterator[PairResult]:
 
 
 def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
-    """Each pair of a chunk correlated, or why it is not."""
+    """Each pair of a chunk correlated, or why it is not; SeriesError if this process has other code."""
+    _require_the_planned_code(job.method)
     corrector, method, still = correction_of(job.maps, job.method).corrector, job.method, still_in(job)
     for pair, a, b in zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True):
         if isinstance(a, str) or isinstance(b, str):
@@ -118,6 +121,21 @@ def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
             continue
         is_one = pair.crc32[0] == pair.crc32[1]  # of pixels as acquired: each pulse loses a background of its own
         yield pair, ONE_PICTURE if is_one else seen
+
+
+def _require_the_planned_code(method: Method) -> None:
+    """SeriesError where this process, a worker perhaps, computes with other code than the one that planned."""
+    planned, here = method.recipe["versions"], versions_here()
+    unlike = [
+        f"{name} {planned[name]} where it was planned, {here[name]} here"
+        for name in here
+        if planned[name] != here[name]
+    ]
+    if unlike:
+        raise SeriesError(
+            f"this process has another program than the one that planned its chunk ({'; '.join(unlike)}): it was"
+            " replaced meanwhile, or this computer has another; begin again, with one program everywhere"
+        )
 
 
 def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:

@@ -29,7 +29,7 @@ from piv.preprocessing.pod import pod_patterns, without_patterns
 from piv.preprocessing.preparation import MINIMUM, POD, SLIDING_MINIMUM, UNSEEDED
 from piv.preprocessing.series_light import series_mean, series_minimum, without_light
 from piv.preprocessing.sliding_minimum import DARK_SHARE, REACH_STEPS, without_sliding_minimum
-from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair, digest
+from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair, digest, versions_here
 from rtpiv.analysis.series.shared_file import SharedFile
 
 Frame = NDArray[Any]
@@ -57,11 +57,10 @@ def light_of(
         There is nothing that it could be made from.
     """
     used = _used(background, pairs, unseeded)
-    return (
-        None
-        if used is None
-        else SharedFile(folder / "background.npz", digest([background, [p.crc32 for p in used]]))
-    )
+    if used is None:
+        return None
+    told = [versions_here(), background, [p.crc32 for p in used]]
+    return SharedFile(folder / "background.npz", digest(told))
 
 
 def make_light(

@@ -1,8 +1,9 @@
 """What a series consists of: pairs in their order, and the chunks that are evaluated apart.
 
 A chunk's file is a function of its job and of nothing else: the raw frames by their checksums, the correction, the
-settings, the versions of what computes.  All that goes into `ChunkJob.key`.  A sliding minimum looks at frames of
-the chunks before and after, so a job names these too, and no vector depends on where a series is cut.
+settings, the versions of what computes, our own code among them.  All that goes into `ChunkJob.key`.  A sliding
+minimum looks at frames of the chunks before and after, so a job names these too, and no vector depends on where a
+series is cut.
 
 Chunks hold 2^m pairs: statistics are merged by a tree over pairs whose upper part is the tree over chunks
 (`piv.statistics.merge_tree`).
@@ -23,6 +24,7 @@ from correction.grid import PlaneGrid
 from correction.maps.dewarp import Dewarp
 from daq.runs.journal_lines import ReadingRecord
 from daq.runs.lab_readings import Shown, shown_over
+from ground.program_code import code_digest
 from piv.correlation.settings import PivSettings
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from piv.preprocessing.sliding_minimum import REACH_STEPS
@@ -34,6 +36,13 @@ from tracer.scene.scene import Scene
 LAYOUT = 2
 CHUNK_PAIRS = 16  # about half a minute of one core at 4 million pixels
 COMPUTES = ("rtpiv", "numpy", "numba", "scipy")
+_ANALYSIS = ("rtpiv/analysis/pairs", "rtpiv/analysis/series")
+CODE = ("ground", "piv", "tracer", "correction", "daq/frames", "daq/runs", *_ANALYSIS)
+
+
+def versions_here() -> dict[str, str]:
+    """Versions of what computes in this process; of our own code a digest, since many share a version."""
+    return {**{name: version(name) for name in COMPUTES}, "code": code_digest(*CODE)}
 
 
 @dataclass(frozen=True)
@@ -102,7 +111,7 @@ class Method:
         """Everything that a vector depends on but its frames, as plain data."""
         return {
             "layout": LAYOUT,
-            "versions": {name: version(name) for name in COMPUTES},
+            "versions": versions_here(),
             "correction": content_key(self.scene, self.dewarp, limit=self.limit, grid=self.grid),
             **({} if self.grid is None else {"grid": asdict(self.grid)}),
             "settings": asdict(self.settings),

@@ -27,7 +27,8 @@ LAYOUT = 2
 
 def still_of(folder: Path, pairs: Sequence[SeriesPair], method: Method) -> SharedFile:
     """File of the mask of a series, which may not be there yet."""
-    told = [LAYOUT, method.recipe["correction"], method.recipe.get("grid"), [pair.crc32 for pair in _some(pairs)]]
+    by = [method.recipe[name] for name in ("versions", "correction")]
+    told = [LAYOUT, *by, method.recipe.get("grid"), [pair.crc32 for pair in _some(pairs)]]
     return SharedFile(folder / "still.npz", digest(told))
 
 

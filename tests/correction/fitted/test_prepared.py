@@ -7,7 +7,7 @@ import pytest
 
 from correction.fitted import prepared
 from correction.fitted.prepared import PreparedCorrections, content_key, prepare
-from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.maps.correction_map import CorrectionMap, build_correction_map, code_here
 from correction.maps.corrector import Corrector
 from correction.maps.dewarp import fit_dewarp_pairs
 from tests.correction.small_scenes import small_scene
@@ -69,3 +69,17 @@ def test_maps_on_the_disk_are_used_again_unless_they_are_damaged(scene, tmp_path
     PreparedCorrections(tmp_path).of(scene)
     assert traced.call_count == 1
     assert CorrectionMap.load(tmp_path / f"{scene.content_hash()}.map").layers == 1
+
+
+def test_a_map_of_another_program_is_made_again(scene, tmp_path, mocker):
+    """As after an update: a scene has its name, and its map has who made it."""
+    mocker.patch("correction.maps.correction_map.code_digest", return_value="as it was before")
+    PreparedCorrections(tmp_path).of(scene)
+    path = tmp_path / f"{scene.content_hash()}.map"
+    assert CorrectionMap.load(path).made_by == "as it was before"
+    mocker.stopall()
+    traced = mocker.spy(prepared, "build_ray_map")
+    PreparedCorrections(tmp_path).of(scene)
+    PreparedCorrections(tmp_path).of(scene)
+    assert traced.call_count == 1
+    assert CorrectionMap.load(path).made_by == code_here()
