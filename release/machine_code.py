@@ -2,9 +2,10 @@
 
     python -m release.machine_code build/machine_code
 
-A day's work is done on this computer first, with a cache of its own: the demo, and the maps and a frame of every
-example.  What that has left in the cache says which functions are called with which types; a process for each kind
-then compiles the same for it.  It runs none of them, so this computer need not be of that kind.
+A day's work is done on this computer first, with a cache of its own: the demo, the first hour of the README, whose
+balls stand on rods, a lab of which `init` was told nothing, and the maps and a frame of every example.  What that
+has left in the cache says which functions are called with which types; a process for each kind then compiles the
+same for it.  It runs none of them, so this computer need not be of that kind.
 """
 
 import os
@@ -23,6 +24,19 @@ from ground.jit.kernel_cache import PACKAGES, ROOT, digest_of
 from ground.jit.shipped import KINDS, MADE_BY
 
 SIDE_PX = 256  # of the sensor that looks at the examples
+FIRST_HOUR = (  # in a folder for it, with a lab beside it of which nothing was told
+    "init ../plain --yes",
+    "init . --yes --balls 2 --arrangement behind --glass acrylic --support-mm 8 --sensor-px 1024 1024"
+    " --pixel-pitch-um 5.5",
+    "check .",
+    "trace scene.yaml -o trace",
+    "acquire plan-target.yaml --bench bench.yaml --simulate --home",
+    "calibrate runs/*plan-target -o fit",
+    "acquire plan-shift.yaml --bench bench.yaml --simulate --home --scene fit/scene.yaml",
+    "report runs/*plan-shift --scene fit/scene.yaml",
+    "acquire plan-flow.yaml --bench bench-flow.yaml --simulate --home --operator me",
+    "mean runs/*plan-flow --scene fit/scene.yaml",
+)
 
 
 def main() -> None:
@@ -45,7 +59,7 @@ def _run(*words: str, **environment: str) -> None:
 
 
 def work() -> None:
-    """A first day: the demo, and every example as somebody would look at it."""
+    """A first day: the demo, the first hour of a new lab, and every example as somebody would look at it."""
     import numpy as np
 
     from correction import Corrector, build_correction_map
@@ -56,6 +70,13 @@ def work() -> None:
 
     with tempfile.TemporaryDirectory() as place:
         demo(Path(place) / "demo")
+        lab = Path(place) / "lab"
+        lab.mkdir()
+        for command in FIRST_HOUR:
+            words = [
+                str(hit) for word in command.split() for hit in (sorted(lab.glob(word)) if "*" in word else [word])
+            ]
+            subprocess.run([sys.executable, "-m", "rtpiv", *words], cwd=lab, check=True)
     for path in sorted(examples().glob("*.yaml")):
         if path.name.startswith(("bench", "plan")):
             continue

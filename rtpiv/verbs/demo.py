@@ -1,5 +1,6 @@
 """`rtpiv demo`: a whole campaign through two glass balls on a simulated bench, without any hardware."""
 
+import shutil
 from pathlib import Path
 
 from daq.bench.bench_file import load_bench
@@ -7,6 +8,7 @@ from daq.bench.opened import require_camera_libraries
 from daq.runs.run_views import target_views
 from ground.terminal import console
 from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.analysis.series.series_folder import FILE as SERIES
 from rtpiv.example_files import examples
 from rtpiv.verbs.acquire import LiveFrames, acquire
 from rtpiv.verbs.calibrate import calibrate
@@ -29,7 +31,7 @@ def demo(out: Named = "demo") -> Path:
         Folder: ``trace/`` what the scene shows, ``runs/`` a target run and a shift run, corrected as the frames
         arrived, ``nominal/`` the target corrected with what the experimenter knows, ``fit/`` the geometry found,
         ``fitted/`` the target corrected with it, ``report/`` the page and the vectors, ``flow/`` the mean of a
-        jet.
+        jet.  What an earlier demo has left there is replaced, but for its runs.
 
     Returns
     -------
@@ -81,6 +83,8 @@ def demo(out: Named = "demo") -> Path:
             plan, lit, out / "runs", simulate=True, home=True, operator="demo", frames=LiveFrames(scene=fitted)
         )
         assert flow is not None
+        if (out / "flow" / SERIES).exists():  # of an earlier demo: `mean` never replaces vectors of another run
+            shutil.rmtree(out / "flow")
         mean(flow, out / "flow", scene=fitted)
         screen.print(
             f"Look at {page}, {out / 'flow' / 'mean.html'}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}",

@@ -101,6 +101,7 @@ def test_a_user_s_whole_way(installed):
     said = installed("rtpiv", "doctor", "--bench", files / "bench-sim.yaml", fails=True)  # no box is here
     assert "hides ours" not in said
     installed("rtpiv", "demo")
+    installed("rtpiv", "demo")  # into the same folder, as whoever has seen it once would
     page = here / "demo" / "report" / "report.html"
     assert "<style>" in page.read_text(encoding="utf-8")
     installed("python", "-P", files / "tour.py", "tour")
