@@ -41,7 +41,8 @@ FIRST_HOUR = (  # in a folder for it, with a lab beside it of which nothing was 
 
 def main() -> None:
     """Do the day's work, then compile for all kinds at once."""
-    made, here = Path(sys.argv[1]) / f"{MADE_BY}{numba.__version__}", Path(sys.argv[1]) / "here"
+    place = Path(sys.argv[1]).resolve()  # those who work elsewhere leave it here as well
+    made, here = place / f"{MADE_BY}{numba.__version__}", place / "here"
     _run("work", RTPIV_CACHE=str(here))
     compiling = []
     for kind in KINDS:
