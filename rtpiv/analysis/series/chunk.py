@@ -127,9 +127,9 @@ def _require_the_planned_code(method: Method) -> None:
     """SeriesError where this process, a worker perhaps, computes with other code than the one that planned."""
     planned, here = method.recipe["versions"], versions_here()
     unlike = [
-        f"{name} {planned[name]} where it was planned, {here[name]} here"
+        f"{name} {planned.get(name, 'unknown')} where it was planned, {here[name]} here"
         for name in here
-        if planned[name] != here[name]
+        if planned.get(name) != here[name]  # an older program may have planned, which did not say all
     ]
     if unlike:
         raise SeriesError(

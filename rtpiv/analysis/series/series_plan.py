@@ -42,7 +42,7 @@ CODE = ("ground", "piv", "tracer", "correction", "daq/frames", "daq/runs", *_ANA
 
 def versions_here() -> dict[str, str]:
     """Versions of what computes in this process; of our own code a digest, since many share a version."""
-    return {**{name: version(name) for name in COMPUTES}, "code": code_digest(*CODE)}
+    return {**{name: version(name) for name in COMPUTES}, "code of rtpiv": code_digest(*CODE)}
 
 
 @dataclass(frozen=True)

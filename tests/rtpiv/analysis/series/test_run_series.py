@@ -1,8 +1,6 @@
 """A series: the same bytes however it is cut, whoever works on it, and whatever happens in between."""
 
 import json
-import pickle
-import re
 import shutil
 import subprocess
 import sys
@@ -254,26 +252,6 @@ def test_other_settings_are_never_mixed(copy, folder, run, capsys):
     with pytest.raises(SeriesError, match="made with other settings"):
         mean_flow(Chunks.of(out))
     assert again(out, folder, run, "minimum").kept == PAIRS - 4
-
-
-def test_vectors_of_another_program_are_never_mixed(copy, folder, run, capsys, monkeypatch):
-    """A checkout that is brought up to date has the same version, and may have other numbers."""
-    out, _ = copy
-    monkeypatch.setattr("rtpiv.analysis.series.series_plan.code_digest", lambda *parts: "of an update")
-    assert again(out, folder, run).kept == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert re.search(r"3 finished chunks will be made again: code [0-9a-f]{16} there, of an update now", said)
-
-
-def test_a_worker_of_another_program_makes_no_chunk(folder, run, tmp_path, monkeypatch):
-    """Planned here, carried out after somebody has replaced the program, or on a computer that has another."""
-    given = given_of(run)
-    [job, *_] = jobs_of(tmp_path, given.pairs, method_of(folder), None)
-    assert job.key
-    monkeypatch.setattr("rtpiv.analysis.series.series_plan.code_digest", lambda *parts: "of an update")
-    with pytest.raises(SeriesError, match=r"code [0-9a-f]{16} where it was planned, of an update here"):
-        evaluate_chunk(pickle.loads(pickle.dumps(job)))
-    assert not chunk_path(tmp_path, 0).exists()
 
 
 def test_vectors_of_another_run_are_not_replaced(copy, folder, tmp_path):
