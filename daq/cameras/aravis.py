@@ -40,7 +40,7 @@ from daq.cameras.libaravis import (
 from daq.cameras.pixels import unpack, warm_up
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import (
-    apply_or_restore,
+    apply_settings,
     count_missed_triggers,
     enable_chunks,
     exposure_us,
@@ -56,6 +56,7 @@ from daq.errors import (
     CameraTimeout,
     CameraUsageError,
     FrameIncomplete,
+    SettingRefused,
 )
 
 FAKE = "Fake"
@@ -179,7 +180,7 @@ class AravisCamera:
         if self._stream:
             raise CameraUsageError("the camera is armed; disarm it first")
         with self._errors("configure"):
-            readback = apply_or_restore(nodes, settings, self._configured)
+            readback = apply_settings(nodes, settings)
             self._configured.update(readback)
             self._configured.update(enable_chunks(nodes, chunks))
         self._chunks = tuple(chunks)
@@ -501,7 +502,8 @@ class _Translate:
         return None
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if not isinstance(error, AravisError):
+        if not isinstance(error, AravisError | SettingRefused):
             return
-        self._camera._probe(PROBE_MIN_S)
-        raise CameraError(f"{self._what}: {error}") from error
+        self._camera._probe(PROBE_MIN_S)  # a lost camera refuses everything
+        if isinstance(error, AravisError):
+            raise CameraError(f"{self._what}: {error}") from error

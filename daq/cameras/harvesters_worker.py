@@ -34,14 +34,14 @@ from daq.cameras.harvesters_process import Message, pack_error, receive, send
 from daq.cameras.ids import CameraClock
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import (
-    apply_or_restore,
+    apply_settings,
     count_missed_triggers,
     enable_chunks,
     exposure_us,
     read_known,
     verify_settings,
 )
-from daq.errors import BadFrame, CameraBusy, CameraError, CameraLost, CameraSetupError
+from daq.errors import BadFrame, CameraBusy, CameraError, CameraLost, CameraSetupError, SettingRefused
 
 COMPLAINT = b"GenTL producer does not implement"
 
@@ -147,6 +147,8 @@ class Worker:
         answer: Message = {"answer": message["number"]}
         try:
             answer["result"] = self._calls[message["call"]](**message.get("arguments", {}))
+        except SettingRefused as error:
+            answer |= pack_error(self._find_loss() or error)
         except CameraError as error:
             answer |= pack_error(error)
         except GENICAM_ERRORS as error:
@@ -157,12 +159,16 @@ class Worker:
 
     def _translate(self, error: Exception, call: str) -> CameraError:
         """Whose fault is it: a camera that does not answer a probe is lost, whatever the error says."""
-        if call != "open":
-            try:
-                self._probe()
-            except CameraError as lost:
-                return lost
-        return CameraError(f"{call}: {one_line(error)}")
+        lost = self._find_loss() if call != "open" else None
+        return lost or CameraError(f"{call}: {one_line(error)}")
+
+    def _find_loss(self) -> CameraError | None:
+        """CameraLost where the camera does not answer; a lost camera refuses everything."""
+        try:
+            self._probe()
+        except CameraError as lost:
+            return lost
+        return None
 
     def _open(self) -> Message:
         quiet = {ParameterKey.TIMEOUT_PERIOD_ON_UPDATE_EVENT_DATA_CALL: max(1, round(1e3 * FETCH_S))}
@@ -191,7 +197,7 @@ class Worker:
         return {"vendor": info.vendor, "model": info.model, "serial": info.serial_number, "tl_type": info.tl_type}
 
     def _configure(self, settings: dict[str, Setting], chunks: list[str]) -> dict[str, Setting]:
-        readback = apply_or_restore(self._nodes, settings, self._configured)
+        readback = apply_settings(self._nodes, settings)
         self._configured.update(readback)
         self._configured.update(enable_chunks(self._nodes, chunks))
         self._chunks = chunks

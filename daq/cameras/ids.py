@@ -1,7 +1,8 @@
 """What tells frames apart: ids as a sequence without wraps, the count of what is missing, the camera's clock.
 
-GigE Vision 1.x ids have 16 bits, never take 0 and go 65535 -> 1; GigE Vision 2 and USB3 ids have 64 bits.  An id
-need not start at 0 and is not reset by arming, so only differences mean anything.  Incomplete frames and
+GigE Vision 1.x ids have 16 bits, never take 0 and go 65535 -> 1; GigE Vision 2 and USB3 ids have 64 bits.  A
+producer of another type may pass either on, and CoaXPress tags go 65535 -> 0, so a wrap is seen by the ids alone.
+An id need not start at 0 and is not reset by arming, so only differences mean anything.  Incomplete frames and
 underruns used up ids too, and are subtracted from the gaps so that nothing is counted twice.
 
 The clock that stamps frames is the camera's own.  SFNC 2 names the command `TimestampLatch` and its result
@@ -16,6 +17,7 @@ from daq.cameras.camera import Setting
 from daq.cameras.sfnc import Nodes
 
 LONGEST_GAP = 1_000_000  # ids; a camera that jumps further has begun to count anew
+LONGEST_GAP_AT_WRAP = 1000  # ids; a camera that falls back from elsewhere has begun to count anew
 
 
 @dataclass(slots=True)
@@ -25,13 +27,14 @@ class IdTracker:
     Parameters
     ----------
     bits : int
-        16 for ids that wrap 65535 -> 1, 64 for ids that do not wrap; an id above 65535 makes it 64.
+        16 for ids that wrap at 65535, 64 for others; an id above 65535 makes it 64, and a wrap makes it 16.
     """
 
     bits: int = 64
     repeated: int = 0
     sequence: int = -1
     _last: int | None = None
+    _has_zero: bool = False
     _open: set[int] = field(default_factory=set)
 
     @property
@@ -45,8 +48,11 @@ class IdTracker:
         A frame that comes behind a later one fills its gap and gets its own number; one whose id is no gap gets
         the last number once more.  Neither moves the count.
         """
+        self._has_zero = self._has_zero or frame_id == 0
         if frame_id > 0xFFFF:
             self.bits = 64
+        elif self._last is not None and 0 < self._last - frame_id >= 0x10000 - LONGEST_GAP_AT_WRAP:
+            self.bits = 16
         if self._last is None:
             self.sequence = 0
         else:
@@ -70,8 +76,9 @@ class IdTracker:
     def _difference(self, new: int, old: int) -> int:
         if self.bits == 64:
             return new - old
-        step = (new - old) % 0xFFFF  # 65535 values, 1 to 65535: the wrap skips 0
-        return step if step < 0x8000 else step - 0xFFFF
+        values = 0x10000 if self._has_zero else 0xFFFF  # 1 to 65535: the wrap skips 0
+        step = (new - old) % values
+        return step if step < 0x8000 else step - values
 
 
 NEW = ("TimestampLatch", "TimestampLatchValue")

@@ -98,6 +98,7 @@ PROTOTYPES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_chunk_parser_get_integer_value": (c_int64, (c_void_p, c_void_p, c_char_p, _ERROR)),
     "arv_chunk_parser_get_float_value": (c_double, (c_void_p, c_void_p, c_char_p, _ERROR)),
     "arv_buffer_has_chunks": (c_int, (c_void_p,)),
+    "arv_gc_feature_node_is_locked": (c_int, (c_void_p, _ERROR)),
     "arv_dom_node_get_node_name": (c_char_p, (c_void_p,)),
     "arv_gc_category_get_features": (c_void_p, (c_void_p,)),
     "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
@@ -249,6 +250,10 @@ class AravisNodes:
         """Write a feature; SettingRefused if the camera or its description forbids it."""
         kind, key = self._kind(name), name.encode()
         try:
+            if call("arv_gc_feature_node_is_locked", call("arv_device_get_feature", self._device, key)):
+                raise SettingRefused(
+                    f"{name} = {value!r} is refused: it is locked now"
+                )  # libaravis would write it
             if kind in INTEGERS and isinstance(value, int):
                 call("arv_device_set_integer_feature_value", self._device, key, value)
             elif kind in FLOATS and isinstance(value, int | float):
@@ -260,7 +265,8 @@ class AravisNodes:
             else:
                 raise SettingRefused(f"{name} = {value!r} does not fit a feature of the kind {kind}")
         except (AravisError, ctypes.ArgumentError) as error:
-            raise SettingRefused(f"{name} = {value!r} is refused: {error}") from error
+            known = f" (one of {', '.join(self.entries(name))})" if kind == "Enumeration" else ""
+            raise SettingRefused(f"{name} = {value!r} is refused{known}: {error}") from error
 
     def entries(self, name: str) -> list[str]:
         """Available entries of an enumeration."""

@@ -33,7 +33,7 @@ from daq.cameras.camera import CameraInfo, Counters, Setting, wait_for_frame
 from daq.cameras.formats import FORMATS
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
-from daq.cameras.sfnc import differing
+from daq.cameras.sfnc import differing, order_settings
 from daq.errors import (
     BadFrame,
     CameraError,
@@ -111,7 +111,7 @@ class CoreNodes:
             if name in CHOICES and value not in CHOICES[name]:
                 raise SettingRefused(f"{name} = {value!r} is refused (one of {', '.join(CHOICES[name])})")
         region = {name: settings[name] for name in REGION if name in settings}
-        others = [name for name in settings if name not in (*REGION, "PixelFormat")]
+        others = [name for name in order_settings(settings) if name not in (*REGION, "PixelFormat")]
         try:
             if "PixelFormat" in settings:
                 self._set_format(str(settings["PixelFormat"]))

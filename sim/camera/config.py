@@ -93,6 +93,12 @@ class CameraConfig:
         By how much the camera's clock is faster than this computer's.
     celsius : float
         Temperature that it tells; it does not get warm.
+    dialect : str
+        Whose features it has, by name among `sim.camera.dialects.DIALECTS`; "" for its own.
+    id_bits : int
+        16 for ids that go 65535 -> 1.
+    write_log : str
+        File that gets a line of JSON for every write of a client; "" for none.
     faults : FaultPlan
         Scheduled faults.
     """
@@ -114,6 +120,9 @@ class CameraConfig:
     has_chunks: bool = True
     clock_ppm: float = 0.0
     celsius: float = 41.5
+    dialect: str = ""
+    id_bits: int = 64
+    write_log: str = ""
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def to_json(self) -> str:

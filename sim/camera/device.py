@@ -7,6 +7,7 @@ from power-up on the camera's own clock.
 Frame numbers and ids rise from power-up and are not reset by AcquisitionStart, as with many real cameras.
 """
 
+import json
 import logging
 import random
 import threading
@@ -14,11 +15,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.camera.config import CameraConfig
+from sim.camera.dialects import features_of
 from sim.camera.exposure import RESET_LINE, Exposure, Lines, Shutter
 from sim.camera.features import CHUNK_FEATURES, CHUNKS
 from sim.camera.packing import payload_bytes
@@ -84,7 +87,8 @@ class SimCamera:
         self.config = config
         without_chunks = () if config.has_chunks else tuple(feature.name for feature in CHUNK_FEATURES)
         without_clock = () if config.has_clock else CLOCK
-        self.registers = RegisterMap(VENDOR, MODEL, (*without_clock, *without_chunks))
+        without = (*without_clock, *without_chunks)
+        self.registers = RegisterMap(VENDOR, MODEL, without, features_of(config.dialect))
         self.sink: Callable[[SimFrame], None] | None = None
         self.on_lost: Callable[[], None] | None = None
         self._source = source or _source_of(config)
@@ -162,7 +166,22 @@ class SimCamera:
         if self.is_lost:
             raise CameraGone
         with self._wake:
-            self.registers.write(address, data)
+            is_taken = False
+            try:
+                self.registers.write(address, data)
+                is_taken = True
+            finally:
+                self._log_write(address, data, is_taken)
+
+    def _log_write(self, address: int, data: bytes, is_taken: bool) -> None:
+        """Note what a client wrote, and under which selectors."""
+        feature = self.registers.at(address)
+        if self.config.write_log and feature is not None:
+            value = self.registers.decoded(feature.name, data)
+            value = next((entry for entry, number in feature.entries if number == value), value)
+            line = [feature.shown or feature.name, value, self.registers.selection(), is_taken]
+            with Path(self.config.write_log).open("a") as file:
+                file.write(json.dumps(line) + "\n")
 
     def line_pulse(self, line: int, rise_ns: int, fall_ns: int) -> None:
         """Take a pulse on an input line, with its edges on the host's monotonic clock."""
@@ -383,7 +402,7 @@ class SimCamera:
                 self._power_up_settings()
                 self._is_acquiring = running
         self._frames += 1
-        frame_id, self._next_id = self._next_id, self._next_id + 1
+        frame_id, self._next_id = self._next_id, self._id_after(self._next_id)
         if number == faults.restart_at:
             self._restart()
             return
@@ -411,8 +430,11 @@ class SimCamera:
         if sink is not None and number not in faults.dropped and struck != "lost":
             sink(frame)
             if number in faults.doubled or struck == "doubled":
-                frame_id, self._next_id = self._next_id, self._next_id + 1
+                frame_id, self._next_id = self._next_id, self._id_after(self._next_id)
                 sink(replace(frame, frame_id=frame_id))
+
+    def _id_after(self, frame_id: int) -> int:
+        return frame_id % 0xFFFF + 1 if self.config.id_bits == 16 else frame_id + 1
 
     def _picture(self, pending: _Pending) -> NDArray[np.uint16]:
         """What the sensor has seen; of a double-height frame both images, A on top."""

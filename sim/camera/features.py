@@ -41,6 +41,12 @@ class Feature:
         Fixed address (a bootstrap register); 0 takes the next free one.
     length : int
         Bytes of the register.
+    shown : str
+        Its name in the description of the camera; "" for `name`, None for a register without a feature.
+    exists_while, writable_while : tuple of (str, tuple)
+        Features with the entries (or numbers) that they must have for this one to be available, or not locked.
+    is_per_entry : bool
+        Whether it has a value of its own under each entry of its selector.
     """
 
     name: str
@@ -56,6 +62,13 @@ class Feature:
     selects: tuple[str, ...] = ()
     address: int = 0
     length: int = 4
+    shown: str | None = ""
+    exists_while: "Conditions" = ()
+    writable_while: "Conditions" = ()
+    is_per_entry: bool = False
+
+
+Conditions = tuple[tuple[str, tuple[str | int, ...]], ...]
 
 
 def _enum(name: str, category: str, *entries: str, locked: bool = False, selects: tuple[str, ...] = ()) -> Feature:

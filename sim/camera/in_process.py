@@ -26,7 +26,7 @@ from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import CameraClock, IdTracker
 from daq.cameras.pixels import unpack
 from daq.cameras.sfnc import (
-    apply_or_restore,
+    apply_settings,
     count_missed_triggers,
     enable_chunks,
     exposure_us,
@@ -164,7 +164,7 @@ class InProcessCamera:
     def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set SFNC features in a safe order; returns what the camera reads back."""
         self._require_disarmed()
-        readback = apply_or_restore(self._nodes, settings, self._configured)
+        readback = apply_settings(self._nodes, settings)
         self._configured.update(readback)
         self._configured.update(enable_chunks(self._nodes, chunks))
         self._chunks = tuple(chunks)

@@ -6,7 +6,8 @@ hit one register exactly, and its value must lie within the feature's limits.
 
 import math
 import struct
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from dataclasses import replace
 from xml.sax.saxutils import escape
 
 from sim.camera.features import (
@@ -17,6 +18,7 @@ from sim.camera.features import (
     FEATURES,
     FLOAT_CHUNKS,
     XML_BASE,
+    Conditions,
     Feature,
 )
 
@@ -45,10 +47,14 @@ class RegisterMap:
         Names for the XML description.
     without : collection of str
         Features that this camera does not have.
+    features : sequence of Feature
+        The table.
     """
 
-    def __init__(self, vendor: str, model: str, without: Container[str] = ()) -> None:
-        features = tuple(feature for feature in FEATURES if feature.name not in without)
+    def __init__(
+        self, vendor: str, model: str, without: Container[str] = (), features: Sequence[Feature] = FEATURES
+    ) -> None:
+        features = tuple(feature for feature in features if feature.name not in without)
         self._features = {feature.name: feature for feature in features}
         self.addresses = _lay_out(tuple(feature for feature in features if feature.kind != "chunk"))
         self._at = {address: self._features[name] for name, address in self.addresses.items()}
@@ -56,6 +62,7 @@ class RegisterMap:
         self.bootstrap = bytearray(BOOTSTRAP_BYTES)
         self._memory = bytearray(top - FEATURE_BASE)
         self.xml = describe(features, self.addresses, vendor, model)
+        self._elsewhere: dict[tuple[str, int], Value] = {}  # of features with a value per entry of their selector
         self.on_write: Callable[[str, Value], None] | None = None
         self.before_read: Callable[[str], None] | None = None
         self.reset()
@@ -64,10 +71,19 @@ class RegisterMap:
         """Give every feature its value after power-up."""
         for name in self.addresses:
             self.put(name, self._features[name].default)
+        self._elsewhere.clear()
 
     def has(self, name: str) -> bool:
         """Whether this camera has a feature."""
         return name in self._features
+
+    def at(self, address: int) -> Feature | None:
+        """Feature whose register begins at an address."""
+        return self._at.get(address)
+
+    def selection(self) -> dict[str, str]:
+        """Entries of all selectors now."""
+        return {name: self.entry(name) for name, feature in self._features.items() if feature.selects}
 
     def feature(self, name: str) -> Feature:
         """A feature's row in the table; KeyError if this camera has none of that name."""
@@ -103,6 +119,8 @@ class RegisterMap:
     def put(self, name: str, value: Value) -> None:
         """Set a feature from inside the camera; limits and access rights do not apply."""
         feature = self._features[name]
+        if feature.selects and name in self.addresses:
+            self._exchange([self._features[one] for one in feature.selects if one in self.addresses], name, value)
         self._store(self.addresses[name], _encode(feature, value))
 
     def read(self, address: int, length: int) -> bytes:
@@ -128,12 +146,26 @@ class RegisterMap:
             raise WriteProtected(feature.name)
         if len(data) > feature.length:
             raise BadValue(f"{feature.name}: {len(data)} bytes do not fit")
+        if not self.holds(feature.exists_while) or not self.holds(feature.writable_while):
+            raise WriteProtected(f"{feature.name} in the present state")
         value = _decode(feature, data)
         self._check(feature, value)
         if self.on_write is not None:
             self.on_write(feature.name, value)
         else:
             self.put(feature.name, value)
+
+    def holds(self, conditions: Conditions) -> bool:
+        """Whether every feature has one of the entries or numbers asked for."""
+        return all(self.integer(name) in _numbers(self._features[name], values) for name, values in conditions)
+
+    def _exchange(self, selected: Sequence[Feature], selector: str, value: Value) -> None:
+        """Put values of the entry that is left aside, and take those of the new one out."""
+        before = self.integer(selector)
+        for feature in selected if before != value else ():
+            if feature.is_per_entry:
+                self._elsewhere[feature.name, before] = self.get(feature.name)
+                self.put(feature.name, self._elsewhere.pop((feature.name, int(value)), feature.default))
 
     def _check(self, feature: Feature, value: Value) -> None:
         if feature.kind in ("string", "command"):
@@ -243,8 +275,39 @@ def _selected(feature: Feature) -> str:
     return "".join(f"<pSelected>{name}</pSelected>" for name in feature.selects)
 
 
-def _node(feature: Feature) -> str:
-    locked = "<pIsLocked>TLParamsLocked</pIsLocked>" if feature.locked else ""
+def _node(feature: Feature, table: Mapping[str, Feature]) -> str:
+    locked = f"<pIsAvailable>{feature.name}_Avl</pIsAvailable>" if feature.exists_while else ""
+    if feature.writable_while:
+        locked += f"<pIsLocked>{feature.name}_Lck</pIsLocked>"
+    elif feature.locked:
+        locked += "<pIsLocked>TLParamsLocked</pIsLocked>"
+    conditions = ""
+    if feature.exists_while:
+        conditions += _condition(f"{feature.name}_Avl", feature.exists_while, table, "?1:0")
+    if feature.writable_while:
+        conditions += _condition(f"{feature.name}_Lck", feature.writable_while, table, "?0:1")
+    return conditions + _own_node(feature, locked)
+
+
+def _numbers(feature: Feature, values: Sequence[str | int]) -> list[int]:
+    """Numbers in a feature's register for entries or numbers."""
+    return [int(dict(feature.entries).get(str(value), value)) for value in values]
+
+
+def _condition(name: str, conditions: Conditions, table: Mapping[str, Feature], answer: str) -> str:
+    """Node that is 1 or 0 by the values of other features."""
+    terms = []
+    for number, (other, values) in enumerate(conditions):
+        terms.append("||".join(f"(V{number}={value})" for value in _numbers(table[other], values)))
+    variables = "".join(
+        f'<pVariable Name="V{number}">{other}_Reg</pVariable>' for number, (other, _) in enumerate(conditions)
+    )
+    terms = [f"({term})" for term in terms]
+    formula = escape(f"({'&&'.join(terms)}){answer}")
+    return f'<IntSwissKnife Name="{name}">{variables}<Formula>{formula}</Formula></IntSwissKnife>\n'
+
+
+def _own_node(feature: Feature, locked: str) -> str:
     value = f"<pValue>{feature.name}_Reg</pValue>"
     if feature.kind == "command":
         return f'<Command Name="{feature.name}">{value}<CommandValue>1</CommandValue></Command>\n'
@@ -280,7 +343,8 @@ def describe(features: Iterable[Feature], addresses: Mapping[str, int], vendor: 
     vendor, model : str
         Names in the head of the description; letters, digits and underscores.
     """
-    features = tuple(features)
+    features, addresses = _as_shown(tuple(features), addresses)
+    table = {feature.name: feature for feature in features}
     categories: dict[str, list[str]] = {}
     for feature in features:
         categories.setdefault(feature.category, []).append(feature.name)
@@ -293,7 +357,7 @@ def describe(features: Iterable[Feature], addresses: Mapping[str, int], vendor: 
         parts.append(f'<Category Name="{category}" NameSpace="Standard">{inner}</Category>\n')
     for feature in features:
         if feature.kind != "string":
-            parts.append(_node(feature))
+            parts.append(_node(feature, table))
         is_chunk = feature.kind == "chunk"
         parts.append(_chunk(feature) if is_chunk else _register(feature, addresses[feature.name]))
     parts.append(
@@ -302,3 +366,26 @@ def describe(features: Iterable[Feature], addresses: Mapping[str, int], vendor: 
     )
     parts.append('<Port Name="Device" NameSpace="Standard"></Port>\n</RegisterDescription>\n')
     return "".join(parts).encode()
+
+
+def _as_shown(
+    features: Sequence[Feature], addresses: Mapping[str, int]
+) -> tuple[tuple[Feature, ...], dict[str, int]]:
+    """The table with the names that the description has, and without what it does not show."""
+    names = {feature.name: feature.shown or feature.name for feature in features if feature.shown is not None}
+
+    def renamed(conditions: Conditions) -> Conditions:
+        return tuple((names[name], values) for name, values in conditions)
+
+    shown = tuple(
+        replace(
+            feature,
+            name=names[feature.name],
+            selects=tuple(names[name] for name in feature.selects if name in names),
+            exists_while=renamed(feature.exists_while),
+            writable_while=renamed(feature.writable_while),
+        )
+        for feature in features
+        if feature.name in names
+    )
+    return shown, {names[name]: address for name, address in addresses.items() if name in names}

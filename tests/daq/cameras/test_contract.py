@@ -1,5 +1,6 @@
 """What every camera backend owes its caller, on every simulated device it can talk to."""
 
+import contextlib
 import itertools
 import math
 import time
@@ -409,6 +410,19 @@ def test_a_lost_camera_says_so_in_time_and_comes_back_reset(faulty):
     camera.configure({"PixelFormat": "Mono12", **SOFTWARE})
     camera.arm()
     assert triggered(camera, 1)[0].meta.sequence == 0
+
+
+def test_a_camera_lost_before_it_is_set_is_lost_and_refuses_nothing(faulty):
+    camera = faulty(FaultPlan(lost_at=0))
+    camera.configure(SOFTWARE)
+    camera.arm()
+    camera.trigger()
+    with pytest.raises(CameraLost):
+        camera.next_frame(0.3)
+    with contextlib.suppress(CameraLost):
+        camera.disarm()
+    with pytest.raises(CameraLost):
+        camera.configure({"PixelFormat": "Mono8", "ExposureTime": 20.0})
 
 
 def test_settings_that_vanish_are_noticed(faulty):

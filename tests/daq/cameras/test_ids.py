@@ -1,5 +1,7 @@
 """Ids that wrap, jump, repeat."""
 
+import pytest
+
 from daq.cameras.ids import IdTracker
 
 
@@ -33,3 +35,22 @@ def test_64_bit_ids_do_not_wrap():
     tracker = IdTracker()
     assert [tracker.note(i) for i in (65535, 65536, 65538)] == [0, 1, 3]
     assert tracker.missing(0) == 1
+
+
+@pytest.mark.parametrize("ids", [(65534, 65535, 1, 2), (65534, 65535, 0, 1)])
+def test_a_wrap_of_16_bits_is_seen_behind_a_producer_of_any_type(ids):
+    tracker = IdTracker()
+    assert [tracker.note(i) for i in ids] == [0, 1, 2, 3]
+    assert (tracker.missing(0), tracker.repeated) == (0, 0)
+
+
+def test_frames_that_are_lost_or_late_at_a_wrap_are_told_behind_a_producer_of_any_type():
+    tracker = IdTracker()
+    assert [tracker.note(i) for i in (65533, 3, 65535, 4)] == [0, 5, 2, 6]
+    assert (tracker.missing(0), tracker.repeated) == (3, 0)
+
+
+def test_a_camera_that_counts_anew_is_no_wrap():
+    tracker = IdTracker()
+    assert [tracker.note(i) for i in (40_000, 1, 2)] == [0, 0, 0]
+    assert (tracker.missing(0), tracker.repeated) == (0, 2)
