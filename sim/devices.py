@@ -2,7 +2,8 @@
 
 What hangs on a timing unit is camera and light:
 
-    camera, camera_b -> Line1 (a trigger)     marker -> Line2 (high over exposure A; resets the exposure counter)
+    camera -> Line1 (a trigger; the box adds camera_b), or wherever a person puts this cable
+    marker -> Line2 (high over exposure A; resets the exposure counter)
     Q-switches -> flashes, the laser's own delay later
 
 A camera lives in another process and draws its picture as soon as it has been exposed.  So its pulses are
@@ -104,8 +105,7 @@ def connect(unit: SimulatedTiming, clock: PacedClock | ScaledClock, wires: Wires
             wires.pulse(line, rise_ns, fall_ns)
 
     unit.listen(Role.MARKER, lambda pulse: hold(MARKER_LINE, pulse))
-    for role in (Role.CAMERA, Role.CAMERA_B):
-        unit.listen(role, lambda pulse: hold(TRIGGER_LINE, pulse))
+    unit.listen_at_cable(lambda pulse: hold(TRIGGER_LINE, pulse))
     unit.listen_to_time(pass_on)
     if lit is None:
         return

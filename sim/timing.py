@@ -74,6 +74,7 @@ class SimulatedTiming:
 
     def __init__(self, table: TimingTable, clock: Clock) -> None:
         self.wiring = table.wiring
+        self.trigger_cable = self.wiring.get(Role.CAMERA)  # output that the camera's trigger input hangs on
         self._light_delays_us = table.head.head().q_switch_to_light_us
         made = emulator_of(table.box)
         options: dict[str, Any] = {"name": table.identity}
@@ -96,6 +97,10 @@ class SimulatedTiming:
         """Hang something on an output; a role that is not wired is never heard."""
         output = self.wiring.get(role)
         self.outputs.listen(lambda pulse: hear(pulse) if pulse.output == output else None)
+
+    def listen_at_cable(self, hear: Callable[[Pulse], object]) -> None:
+        """Hang the camera's trigger input on wherever its cable is."""
+        self.outputs.listen(lambda pulse: hear(pulse) if pulse.output == self.trigger_cable else None)
 
     def listen_to_time(self, hear: Callable[[float], object]) -> None:
         """Call with a time [s] up to which every pulse has been given, again and again."""

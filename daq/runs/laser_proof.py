@@ -11,16 +11,19 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from daq.atomic_write import sync_folder, why
+from daq.errors import DiskError
 from daq.runs.seal import SealBroken, unsealed, write_record
 from ground.plain_file import read_plain
 
 LONGEST_BYTES = 100_000
 COMMAND = "rtpiv laser prove"
+ADDED = "camera_b"  # the box gives its pulses at the output of the camera
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One thing that was tried: whether it is right (None: it could not be seen), and what there is to say."""
+    """One thing that was tried: whether it is right (None: not observed), and what there is to say."""
 
     what: str
     is_right: bool | None
@@ -43,6 +46,8 @@ class Proof:
         Who has done it, and when.
     trials : tuple of Trial
         What was tried.
+    counted : tuple of str
+        Outputs whose pulses were counted.
     """
 
     identity: str
@@ -51,16 +56,19 @@ class Proof:
     who: str
     utc: str
     trials: tuple[Trial, ...]
+    counted: tuple[str, ...] = ()
 
     @property
     def holds(self) -> bool:
-        """Whether everything that was tried is right."""
-        return bool(self.trials) and all(trial.is_right for trial in self.trials)
+        """Whether every output was counted, and everything that was tried is right."""
+        return bool(self.trials) and not self.failures
 
     @property
     def failures(self) -> list[str]:
-        """What is not right, or was not seen, in words."""
-        return [f"{trial.what}: {trial.said}" for trial in self.trials if not trial.is_right]
+        """What is not right, or was not observed, in words."""
+        outputs = {output for role, output in self.channels.items() if role != ADDED}
+        wrong = [f"{trial.what}: {trial.said}" for trial in self.trials if not trial.is_right]
+        return wrong + [f"output {output} was not counted" for output in sorted(outputs - set(self.counted))]
 
 
 def proof_path(bench: Path, laser: str) -> Path:
@@ -71,6 +79,21 @@ def proof_path(bench: Path, laser: str) -> Path:
 def write_proof(path: Path, proof: Proof) -> None:
     """Keep a proof, with its seal; OSError if it cannot be written."""
     write_record(path, asdict(proof))
+
+
+def withdraw_proof(path: Path) -> None:
+    """Take a proof away, name included, before another one is begun: what ends halfway proves nothing.
+
+    Raises
+    ------
+    DiskError
+        It cannot be taken away.
+    """
+    try:
+        path.unlink(missing_ok=True)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise DiskError(f"{path}: {why(error)}; the old proof is still there, so nothing was tried") from error
 
 
 def read_proof(path: Path) -> Proof | None:
@@ -88,7 +111,7 @@ def read_proof(path: Path) -> Proof | None:
     try:
         tree = json.loads(unsealed(raw, required=True))
         trials = tuple(Trial(**trial) for trial in tree.pop("trials"))
-        return Proof(**tree, trials=trials)
+        return Proof(**tree | {"counted": tuple(tree.get("counted", ()))}, trials=trials)
     except SealBroken:
         raise
     except (ValueError, TypeError, KeyError, AttributeError) as error:
@@ -110,4 +133,4 @@ def proof_sentence(bench: Path, laser: str, identity: str, channels: Mapping[str
     when = f"{proof.utc[:10]} by {proof.who}"
     if not proof.holds:
         return f"its proof of {when} has NOT held: {proof.failures[0]}"
-    return f"proven {when}: {'; '.join(trial.said for trial in proof.trials)}"
+    return f"proven {when}: {len(proof.trials)} trials, each of the outputs {', '.join(proof.counted)} counted"

@@ -100,6 +100,20 @@ class TimingBox(Link):
         """Open the same port again after it was lost."""
         self.connect(self._url, self._baud)
 
+    def answers(self) -> bool:
+        """Whether the box says who it is when it is asked once; a port that is lost is not opened again."""
+        with self._lock:
+            if self.lost:
+                return False
+            try:
+                self.port.drain(QUIET_S)
+                self._suspect = False
+                return self._identify() == self.identity
+            except (PortError, ProtocolViolation, CommandRejected):
+                return False
+            finally:
+                self._suspect = True  # its answer may still come
+
     # ---- off -----------------------------------------------------------------------------------
 
     def drop(self) -> None:

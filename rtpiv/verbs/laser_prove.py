@@ -1,26 +1,28 @@
-"""`rtpiv laser prove`: what a box really does, seen by a camera and kept beside the bench file."""
+"""`rtpiv laser prove`: what a box really does at each of its plugs, counted and kept beside the bench file."""
 
 import getpass
 import platform
 from typing import Any, cast
 
 from daq.bench.opened import OpenBench
-from daq.errors import RunUsageError
+from daq.errors import DaqError, RunUsageError
 from daq.plans.pulse_order import pair_exposures
 from daq.runner.laser_session import exposure_of
-from daq.runner.laser_trials import CameraCounter, Helper, trials
+from daq.runner.laser_trials import BoxTrials, Helper
+from daq.runner.pulse_counters import CameraCounter
 from daq.runs.journal import utc_now
-from daq.runs.laser_proof import Proof, proof_path, write_proof
+from daq.runs.laser_proof import Proof, Trial, proof_path, withdraw_proof, write_proof
 from daq.timing.errors import LaserDoubt
 from daq.timing.laser import Laser
 from daq.timing.pulses import PulseTiming
 from ground.terminal import console, error_console
+from stages.errors import StageError
 
 USUAL_DT_US = 100.0
 
 
 def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> None:
-    """Try a laser's box with nothing behind its plugs; say and keep what was seen.
+    """Try a laser's box with nothing behind its plugs; print and keep what was counted.
 
     Parameters
     ----------
@@ -43,24 +45,32 @@ def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> N
     section = hardware.camera_section
     if section.pairs is None:
         raise RunUsageError("the camera counts what the box gives; say how it takes pairs (camera.pairs)")
+    simulation = cast("Any", hardware.simulation)  # reached by name only
+    helper: Helper = _Person() if simulation is None else _SimulatedPerson(simulation)
     counter = CameraCounter(hardware.camera, section)
     exposures = pair_exposures(section.pairs, exposure_of(counter.settings))
     low_us, high_us = exposures.dt_range_us
     dt_us = min(max(low_us, laser.head.min_dt_us, USUAL_DT_US), high_us, laser.head.max_dt_us)
     timing = PulseTiming(dt_us, laser.head.lamp_rate_hz or rate_hz)
-    simulation = cast("Any", hardware.simulation)  # reached by name only
-    helper: Helper = _Person() if simulation is None else _SimulatedPerson(simulation.world.timing[0].line)
-    seen = []
-    for trial in trials(laser, timing, exposures, counter, helper, hardware.clock):
-        seen.append(trial)
-        word = {True: "ok", False: "NOT RIGHT", None: "not seen"}[trial.is_right]
-        console().print(f"{trial.what}: {word} ({trial.said})", soft_wrap=True)
-    channels = {role.value: output for role, output in laser.box.wiring.items()}
-    who = f"{getpass.getuser()} on {platform.node()}"
-    proof = Proof(laser.box.identity, channels, simulation is not None, who, utc_now(), tuple(seen))
+    trials = BoxTrials(laser, timing, exposures, counter, helper, hardware.clock)
     path = proof_path(hardware.bench.path, name)
-    write_proof(path, proof)
-    console().print(f"kept in {path}", soft_wrap=True)
+    withdraw_proof(path)
+    seen: list[Trial] = []
+    try:
+        for trial in trials.run():
+            seen.append(trial)
+            word = {True: "ok", False: "NOT RIGHT", None: "not observed"}[trial.is_right]
+            console().print(f"{trial.what}: {word} ({trial.said})", soft_wrap=True)
+    except (DaqError, StageError) as error:
+        seen.append(Trial("the trials", False, f"ended by an error: {error}"))
+        raise
+    finally:
+        channels = {role.value: output for role, output in laser.box.wiring.items()}
+        who = f"{getpass.getuser()} on {platform.node()}"
+        identity, is_simulated = laser.box.identity, simulation is not None
+        proof = Proof(identity, channels, is_simulated, who, utc_now(), tuple(seen), trials.counted)
+        write_proof(path, proof)
+        console().print(f"kept in {path}", soft_wrap=True)
     if not proof.holds:
         raise LaserDoubt(f"{name} is not proven: {proof.failures[0]}")
 
@@ -75,32 +85,41 @@ class _Person:
             f"Software is no interlock. Type {challenge} when no light can leave: "
         )
 
+    def move_counter(self, output: str, roles: str) -> None:
+        """Ask for it; what is counted shows whether it was done."""
+        _asked(f"Put the counter's trigger cable on output {output} ({roles}) of the box, then press Enter: ")
+
     def pull_cable(self) -> None:
         """Ask for it."""
-        _asked("Pull the cable between computer and box NOW, then press Enter: ")
+        error_console().print("Pull the cable between computer and box NOW.", soft_wrap=True)
 
     def put_back(self) -> None:
         """Ask for it."""
-        _asked("Put the cable back, then press Enter: ")
+        error_console().print("Put the cable back.", soft_wrap=True)
 
 
 class _SimulatedPerson:
     """Somebody at a simulated bench."""
 
-    def __init__(self, line: Any) -> None:  # noqa: ANN401 - a line of the simulation
-        self._line = line
+    def __init__(self, simulation: Any) -> None:  # noqa: ANN401 - stands above us
+        (self._unit,) = simulation.world.timing
+        simulation.clock.is_paced = lambda: True  # its camera is on the clock of the wall
 
     def promise_dark(self, challenge: str) -> str:
         """There is no light."""
         return challenge
 
+    def move_counter(self, output: str, roles: str) -> None:
+        """Move it."""
+        self._unit.trigger_cable = output
+
     def pull_cable(self) -> None:
         """Pull it."""
-        self._line.unplug()
+        self._unit.line.unplug()
 
     def put_back(self) -> None:
         """Put it back."""
-        self._line.plug_in()
+        self._unit.line.plug_in()
 
 
 def _asked(words: str) -> str:

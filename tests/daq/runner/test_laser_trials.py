@@ -1,103 +1,220 @@
 """A box is proven by what a camera sees of it, a box that is not right is found, and who arms is told."""
 
+from itertools import pairwise
+from math import inf
 from types import SimpleNamespace
 
 import pytest
 
+from daq.errors import DaqError
 from daq.runner.laser_session import what_is_proven
-from daq.runner.laser_trials import BURSTS, trials
+from daq.runner.laser_trials import BoxTrials
+from daq.runner.pulse_counters import Counted, Stretch
 from daq.runs.laser_proof import Proof, Trial, proof_path, proof_sentence, read_proof, write_proof
 from daq.runs.seal import SealBroken
 from daq.timing.errors import NotArmed
 from daq.timing.pulses import PulseTiming, Role
 from daq.timing.states import LaserState
 from rtpiv.command_line.cli import DONE, main
+from stages.errors import StageError
 from tests.daq.cameras.rigs import need_harvesters
 from tests.daq.flow_bench import write_flow
-from tests.daq.timing.test_quantum_composers import EXPOSURES, PUMPED, LaserHead, desk
+from tests.daq.timing.test_quantum_composers import EXPOSURES, PUMPED, WIRING, LaserHead, desk
 
 TIMING = PulseTiming(20.0, 10.0)
 
 
-class SeesPulses:
-    """What a camera would tell, without one: when the box has given each of its triggers."""
+class AtPlug:
+    """A counter without a camera: every pulse of the output where its cable hangs, on the clock of the desk."""
 
     def __init__(self, desk):
-        self._desk, self._times = desk, []
-        output = desk.box.wiring[Role.CAMERA]
-        desk.emulator.outputs.listen(
-            lambda pulse: self._times.append(pulse.rises_s) if pulse.output == output else None
-        )
+        self.desk, self.output, self._times, self._marks = desk, None, [], []
+        desk.emulator.outputs.listen(self._hear)
 
-    def count(self, burst):
-        self._times.clear()
-        burst()
-        self._desk.clock.sleep_s(2.0)
-        self._desk.emulator.advance()
-        return list(self._times)
+    def _hear(self, pulse):
+        if pulse.output == self.output:
+            self._times.append(pulse.rises_s)
+
+    def begin(self, roles):
+        self.desk.emulator.advance()
+        self._times, self._marks = [], []
+
+    def mark(self):
+        self.desk.emulator.advance()
+        self._marks.append(self.desk.clock.now_s())
+        return self._marks[-1]
+
+    def end(self):
+        self.desk.clock.sleep_s(2.0)
+        self.desk.emulator.advance()
+        edges = [-inf, *self._marks, inf]
+        between = [[at_s for at_s in self._times if low <= at_s < high] for low, high in pairwise(edges)]
+        return Counted(tuple(Stretch(len(times), tuple(times)) for times in between))
+
+    def close(self):
+        pass
 
 
 class Hands:
-    def __init__(self, desk, code=None, late=False):
-        self._desk, self._code, self._late = desk, code, late
+    """A person; `careless` ones do not do some of what they are asked for."""
+
+    def __init__(self, desk, counter, code=None, careless=(), after_s=0.0):
+        self._desk, self._counter, self._code, self._after_s = desk, counter, code, after_s
+        self._careless, self.asked = careless, []
 
     def promise_dark(self, challenge):
         return self._code or challenge
 
+    def move_counter(self, output, roles):
+        self.asked.append(output)
+        if "counter" not in self._careless or self._counter.output is None:
+            self._counter.output = output
+
     def pull_cable(self):
-        if self._late:
-            self._desk.clock.sleep_s(30.0)
-        self._desk.line.unplug()
+        if "cable" not in self._careless:
+            self._desk.clock.at(self._desk.clock.now_s() + self._after_s, self._desk.line.unplug)
+            self._desk.clock.sleep_s(0.0)
 
     def put_back(self):
+        self._desk.clock.forget()
         self._desk.line.plug_in()
 
 
 def tried(d, **hands):
     d.laser.open("sim://desk")
-    return list(trials(d.laser, TIMING, EXPOSURES, SeesPulses(d), Hands(d, **hands), d.clock))
+    counter = AtPlug(d)
+    return list(BoxTrials(d.laser, TIMING, EXPOSURES, counter, Hands(d, counter, **hands), d.clock).run())
 
 
-@pytest.mark.parametrize("arms", ["run", "run all", "state"])
+def is_certified(d, **hands):
+    """Whether a proof of these trials would hold; a trial that ends by an error is none."""
+    d.laser.open("sim://desk")
+    counter = AtPlug(d)
+    trials = BoxTrials(d.laser, TIMING, EXPOSURES, counter, Hands(d, counter, **hands), d.clock)
+    try:
+        seen = tuple(trials.run())
+    except (DaqError, StageError):
+        return False
+    return Proof("it", wired(d), True, "me", "now", seen, trials.counted).holds
+
+
+FIRMWARE = [{}, {"arms": "run all"}, {"arms": "state"}, {"echo": True}, {"needs_s": 0.03}, {"model": "BNC,575-8"}]
+
+
+@pytest.mark.parametrize("firmware", FIRMWARE)
 @pytest.mark.parametrize("has_lamps", [True, False])
-def test_a_box_that_keeps_to_its_manual_is_proven(arms, has_lamps):
-    wired = {role: output for role, output in PUMPED.items() if role is not Role.CAMERA_B}
-    head = {} if has_lamps else {"wiring": wired, "head": LaserHead(max_rate_hz=100.0)}
-    with desk(arms=arms, **head) as d:
+def test_a_box_that_keeps_to_its_manual_is_proven_at_every_plug(firmware, has_lamps):
+    wires = {role: output for role, output in PUMPED.items() if role is not Role.CAMERA_B}
+    head = {} if has_lamps else {"wiring": wires, "head": LaserHead(max_rate_hz=100.0)}
+    with desk(**firmware, **head) as d:
         found = tried(d)
-        assert [trial.what for trial in found[:3]] == [f"a burst of {pairs}" for pairs in BURSTS]
-        assert all(trial.is_right for trial in found), found
-        assert "without the cable 50 of 50" in found[-1].said
+        assert all(trial.is_right for trial in found), [trial for trial in found if not trial.is_right]
+        whats = [trial.what for trial in found]
+        for role, output in d.box.wiring.items():
+            assert f"output {output} ({role}): the counter's cable" in whats
+            if "lamp" in role:
+                assert f"output {output} ({role}): lamps off" in whats
+            elif role is not Role.MARKER:
+                assert f"output {output} ({role}): the cable pulled in a burst" in whats
+                assert f"output {output} ({role}): a burst of 20" in whats
         assert d.laser.state is LaserState.SAFE
+        assert d.box.wiring == (wires if not has_lamps else WIRING)
 
 
-def one_too_many(d):
-    tick = type(d.emulator._channels[0]).tick
-
-    def one_more(channel, mode):
-        words = channel.words
-        channel.words = words | {"BCO": str(int(words["BCO"]) + 1)}
-        try:
-            return tick(channel, mode)
-        finally:
-            channel.words = words
-
-    for channel in d.emulator._channels:
-        channel.tick = one_more.__get__(channel)
+def channel_of(d, role):
+    return d.emulator._channels[ord(d.box.wiring[role]) - ord("A")]
 
 
-def does_not_count(d):
-    for channel in d.emulator._channels:
-        channel.tick = lambda mode, channel=channel: channel.on
+def counts_otherwise(by, *roles):
+    """The channels of some roles give more or fewer pulses than they were asked for."""
+
+    def spoil(d):
+        for role in roles:
+            channel, tick = channel_of(d, role), type(channel_of(d, role)).tick
+
+            def other(channel, mode, tick=tick):
+                words = channel.words
+                channel.words = words | {"BCO": str(max(0, int(words["BCO"]) + by))}
+                try:
+                    return tick(channel, mode)
+                finally:
+                    channel.words = words
+
+            channel.tick = other.__get__(channel)
+
+    return spoil
+
+
+def does_not_count(*roles):
+    def spoil(d):
+        for role in roles:
+            channel = channel_of(d, role)
+            channel.tick = lambda mode, channel=channel: channel.on
+
+    return spoil
+
+
+def ticks(role, change):
+    """A channel's ticks, changed by a function of (is_active, number of the tick since it was armed)."""
+
+    def spoil(d):
+        channel, tick = channel_of(d, role), type(channel_of(d, role)).tick
+
+        def other(channel, mode):
+            is_active = tick(channel, mode)
+            return change(is_active, channel)
+
+        channel.tick = other.__get__(channel)
+
+    return spoil
+
+
+def is_dead(role):
+    return ticks(role, lambda is_active, channel: False)
+
+
+def stops_at_sixteen(role):
+    return ticks(role, lambda is_active, channel: is_active and channel.done <= 16)
+
+
+def skips_one_and_gives_it_later(d):
+    """One pulse of a burst comes in the next period that has none: the number is right, the spacing is not."""
+    channel, tick, owed = channel_of(d, Role.Q_SWITCH_1), type(channel_of(d, Role.Q_SWITCH_1)).tick, []
+
+    def other(channel, mode):
+        is_active = tick(channel, mode)
+        if is_active and channel.done == 4:
+            owed.append(1)
+            return False
+        if not is_active and channel.on and owed:
+            owed.clear()
+            return True
+        return is_active
+
+    channel.tick = other.__get__(channel)
+
+
+def hears_off_of(words_lost):
+    """Off is heard by the box, and not by some of its channels."""
+
+    def spoil(d):
+        switch = d.emulator._switch
+
+        def other(number, on):
+            if on or number not in words_lost:
+                switch(number, on)
+
+        d.emulator._switch = other
+
+    return spoil
 
 
 def is_deaf_to_stop(d):
     """Off by the word of the laser alone, without a conversation, is not heard."""
     d.box.drop = lambda: None
-    d.laser.confirm_off = lambda: True
 
 
-def hears_off_late(d):
+def is_said_off_late(d):
     """What is said last before the light ends takes a second to get there."""
     stop = d.laser.stop
 
@@ -108,21 +225,158 @@ def hears_off_late(d):
     d.laser.stop = stop_later
 
 
-def needs_a_computer(d):
+def ends_off_late(d):
+    """Off takes half a second inside of the box."""
+    drop = d.box.drop
+
+    def drop_late():
+        if d.laser.state is not LaserState.FIRING:
+            drop()
+            return
+        words = b"".join(d.box.off_bytes())
+        d.clock.at(d.clock.now_s() + 0.5, lambda: (d.emulator.advance(), d.emulator.feed(words)))
+
+    d.box.drop = drop_late
+
+
+def ends_without_a_computer(d):
     """A box that ends by itself as soon as its cable is out has not shown that it counts."""
     d.line.on_cut = d.emulator.person_stops
 
 
-@pytest.mark.parametrize(("spoil", "wrong"), [
-    (one_too_many, {"a burst of 1", "a burst of 7", "a burst of 20", "the cable pulled in a burst"}),
-    (does_not_count, {"the cable pulled in a burst"}), (is_deaf_to_stop, {"off in a burst"}),
-    (hears_off_late, {"off in a burst"}), (needs_a_computer, {"the cable pulled in a burst"}),
-])  # fmt: skip
-def test_a_box_that_does_not_keep_to_it_is_found(spoil, wrong):
+def goes_on_without_a_computer(d):
+    """Without its cable it forgets its count."""
+
+    def forget():
+        for channel in d.emulator._channels:
+            if channel.words["CMOD"] == "BURS":
+                channel.words["BCO"] = "1000"
+
+    d.line.on_cut = forget
+
+
+def goes_on_later_without_a_computer(d):
+    """Some time after a burst whose end nobody has confirmed it gives another one."""
+    d.line.on_cut = lambda: d.clock.at(d.clock.now_s() + 5.3, lambda: (d.emulator.advance(), d.emulator._run()))
+
+
+def swaps(first, second):
+    """Two plugs at its back are labelled the wrong way round."""
+
+    def spoil(d):
+        emit, labels = d.emulator.outputs.emit, {first: second, second: first}
+        d.emulator.outputs.emit = lambda pulse: emit(pulse._replace(output=labels.get(pulse.output, pulse.output)))
+
+    return spoil
+
+
+def gives_twice(output):
+    """Every pulse of a plug is followed by another one."""
+
+    def spoil(d):
+        emit = d.emulator.outputs.emit
+
+        def twice(pulse):
+            emit(pulse)
+            if pulse.output == output:
+                emit(pulse._replace(rises_s=pulse.rises_s + 0.05, falls_s=pulse.falls_s + 0.05))
+
+        d.emulator.outputs.emit = twice
+
+    return spoil
+
+
+def leaks(into, of):
+    """A plug gives what belongs to another one as well."""
+
+    def spoil(d):
+        emit = d.emulator.outputs.emit
+
+        def leak(pulse):
+            emit(pulse)
+            if pulse.output == of:
+                emit(pulse._replace(output=into))
+
+        d.emulator.outputs.emit = leak
+
+    return spoil
+
+
+def runs_at(share):
+    """Its crystal is another one: periods are shorter or longer than what reads back."""
+
+    def spoil(d):
+        class Words(dict):
+            def __getitem__(self, key):
+                return (
+                    str(float(super().__getitem__(key)) * share)
+                    if key == "PER" and d.ticking
+                    else super().__getitem__(key)
+                )
+
+        d.ticking, begin = False, d.emulator._begin_period
+        d.emulator._t0.words = Words(d.emulator._t0.words)
+
+        def begin_period(time_s):
+            d.ticking = True
+            begin(time_s)
+            d.ticking = False
+
+        d.emulator._begin_period = begin_period
+
+    return spoil
+
+
+def fires_with_the_lamps(d):
+    """A Q-switch opens as soon as lamps run, before anybody fires."""
+    leaks("B", "A")(d)
+
+
+def lamps_run_on(d):
+    """Off leaves T0 and the lamps as they are, and reads back as off."""
+    switch = d.emulator._switch
+
+    def other(number, on):
+        if on or number not in (0, 1, 3):
+            switch(number, on)
+
+    ask = d.emulator._setting
+    d.emulator._switch = other
+    d.emulator._setting = lambda number, word, command: (
+        "0"
+        if command.asks and word == "STAT" and number in (0, 1, 3) and d.laser.state is not LaserState.FIRING
+        else ask(number, word, command)
+    )
+
+
+Q1, Q2 = Role.Q_SWITCH_1, Role.Q_SWITCH_2
+ALL = (Q1, Q2, Role.CAMERA, Role.MARKER)
+WRONG = {
+    "one more at every plug": counts_otherwise(1, *ALL), "one fewer at every plug": counts_otherwise(-1, *ALL),
+    "Q-switch 1 one more": counts_otherwise(1, Q1), "Q-switch 2 one more": counts_otherwise(1, Q2),
+    "Q-switch 2 one fewer": counts_otherwise(-1, Q2), "camera one more": counts_otherwise(1, Role.CAMERA),
+    "marker one fewer": counts_otherwise(-1, Role.MARKER), "nothing is counted": does_not_count(*ALL),
+    "Q-switch 1 never counts": does_not_count(Q1), "Q-switch 2 never counts": does_not_count(Q2),
+    "Q-switches never count": does_not_count(Q1, Q2), "Q-switch 2 is dead": is_dead(Q2),
+    "the marker is dead": is_dead(Role.MARKER), "lamp 2 is dead": is_dead(Role.LAMP_2),
+    "lamp 1 at half its rate": ticks(Role.LAMP_1, lambda is_active, channel: is_active and channel.done % 2),
+    "counts to sixteen": stops_at_sixteen(Q2), "a pulse is late": skips_one_and_gives_it_later,
+    "off is not heard by a Q-switch": hears_off_of({0, 2}), "deaf to the first off": is_deaf_to_stop,
+    "off is said late": is_said_off_late, "off takes half a second": ends_off_late,
+    "ends when the cable is out": ends_without_a_computer, "forgets its count then": goes_on_without_a_computer,
+    "begins again then": goes_on_later_without_a_computer, "Q-switches swapped": swaps("B", "D"),
+    "Q-switch and camera swapped": swaps("B", "E"), "lamp and Q-switch swapped": swaps("A", "B"),
+    "every pulse twice": gives_twice("D"), "the camera's pulses at a Q-switch": leaks("D", "E"),
+    "lamps at a Q-switch": fires_with_the_lamps, "a Q-switch at a lamp": leaks("A", "B"),
+    "twice as fast": runs_at(0.5), "a tenth too slow": runs_at(1.1), "lamps run on": lamps_run_on,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_no_box_that_is_wrong_in_one_way_is_certified(wrong):
     with desk() as d:
-        spoil(d)
-        found = tried(d)
-        assert wrong <= {trial.what for trial in found if not trial.is_right}, found
+        WRONG[wrong](d)
+        assert not is_certified(d)
 
 
 def test_without_the_code_nothing_leaves():
@@ -132,11 +386,32 @@ def test_without_the_code_nothing_leaves():
         assert d.pulses(Role.CAMERA) == 0
 
 
-def test_a_cable_that_was_pulled_too_late_has_shown_nothing():
+@pytest.mark.parametrize(("hands", "unseen"), [
+    ({"careless": ("cable",)}, "went on answering"),  # Enter, or the end of input, is no proof
+    ({"after_s": 9.8}, "went on answering"),
+    ({"careless": ("counter",)}, "is the counter's cable there?"),
+])  # fmt: skip
+def test_what_a_person_did_not_do_is_not_observed_and_certifies_nothing(hands, unseen):
     with desk() as d:
-        found = tried(d, late=True)
-        assert found[-1].is_right is None
-        assert "prove again" in found[-1].said
+        found = tried(d, **hands)
+        (said, *_) = [trial.said for trial in found if trial.is_right is None]
+        assert unseen in said
+    with desk() as d:
+        assert not is_certified(d, **hands)
+
+
+def test_a_box_that_is_silent_while_it_fires_shows_no_lost_link():
+    with desk() as d:
+        answers = d.box.answers
+        d.box.answers = lambda: d.laser.state is not LaserState.FIRING and answers()
+        assert any("would not be noticed" in trial.said for trial in tried(d) if trial.is_right is None)
+
+
+def test_a_box_that_does_not_count_is_not_tried():
+    with desk() as d:
+        d.box.counts = False
+        with pytest.raises(NotArmed, match="does not count pulses"):
+            tried(d)
 
 
 RIGHT = (Trial("a burst of 7", True, "7 of 7"), Trial("off in a burst", True, "off: 10 of 50"))
@@ -151,13 +426,15 @@ def test_a_proof_is_kept_with_the_bench_and_said_to_who_arms(tmp_path):
 
     assert "it was never proven on this bench (rtpiv laser prove)" in said()
     path = proof_path(bench, "laser")
-    proof = Proof("QC,9528,1", CHANNELS, False, "me on a desk", "2027-01-02T03:04:05Z", RIGHT)
+    proof = Proof("QC,9528,1", CHANNELS, False, "me on a desk", "2027-01-02T03:04:05Z", RIGHT, ("B", "E"))
     write_proof(path, proof)
     assert read_proof(path) == proof
-    assert said() == "proven 2027-01-02 by me on a desk: 7 of 7; off: 10 of 50"
+    assert said() == "proven 2027-01-02 by me on a desk: 2 trials, each of the outputs B, E counted"
     assert "another box, or other wiring" in said(identity="QC,9528,2")
     assert "another box, or other wiring" in said(channels=CHANNELS | {"lamp_1": "A"})
-    write_proof(path, Proof("QC,9528,1", CHANNELS, True, "me", "2027-01-02", RIGHT))
+    write_proof(path, Proof("QC,9528,1", CHANNELS, False, "me", "2027-01-02", RIGHT, ("E",)))
+    assert "has NOT held: output B was not counted" in said()  # as before outputs were counted one by one
+    write_proof(path, Proof("QC,9528,1", CHANNELS, True, "me", "2027-01-02", RIGHT, ("B", "E")))
     assert "only a simulation" in said()
     assert said(simulated=True).startswith("proven")
     failed = Trial("a burst of 20", False, "21 of 20")
@@ -179,9 +456,10 @@ def test_who_is_asked_for_the_code_is_told_whether_the_box_is_proven(tmp_path):
     with desk() as d:
         d.laser.open("sim://desk")
         assert "it was never proven on this bench" in what_is_proven(hardware, "laser", d.laser)
-        proof = Proof(d.laser.box.identity, wired(d), False, "me", "2027-01-02", RIGHT)
+        counted = tuple(wired(d).values())
+        proof = Proof(d.laser.box.identity, wired(d), False, "me", "2027-01-02", RIGHT, counted)
         write_proof(proof_path(hardware.bench.path, "laser"), proof)
-        assert "proven 2027-01-02 by me: 7 of 7" in what_is_proven(hardware, "laser", d.laser)
+        assert "proven 2027-01-02 by me: 2 trials" in what_is_proven(hardware, "laser", d.laser)
 
 
 @pytest.mark.slow
@@ -190,8 +468,9 @@ def test_the_verb_proves_a_simulated_box_by_its_camera(tmp_path, capsys):
     bench, _ = write_flow(tmp_path)
     assert main(["laser", "prove", "--bench", str(bench), "--simulate", "--rate-hz", "10"]) == DONE
     said = " ".join(capsys.readouterr().out.split())
-    assert "a burst of 20: ok (20 of 20)" in said
-    assert "without the cable 50 of 50" in said
+    for plug in ("B (q_switch_1)", "D (q_switch_2)", "E (camera)"):
+        assert f"output {plug}: a burst of 20: ok (20 of 20)" in said
+        assert f"output {plug}: the cable pulled in a burst: ok (100 of 100)" in said
     proof = read_proof(proof_path(bench, "laser"))
     assert proof is not None
     assert proof.holds
