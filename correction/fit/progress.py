@@ -20,7 +20,6 @@ from correction.target.board_search import SATURATED
 from correction.target.corners import saturated_fraction
 from correction.target.lattice_growth import Saddles, lattice_saddles
 from correction.target.marks import find_marks
-from piv.errors import FrameError
 from tracer.camera import Vector3
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
@@ -45,7 +44,6 @@ class Progress:
             raise ViewsMissing("a frame of the bare target at z = 0 is needed: it defines the world; take one")
         if nominal.spheres and not self.glass_frames:
             raise ViewsMissing("the scene has spheres but no frame shows the target through them; take one")
-        _refuse_saturated(frames)
         self.board, self.say, self.history = board, say, list[FitStep]()
         self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames]
         self.focal_free = len({f.height_mm for f in self.bare_frames}) >= 3
@@ -59,6 +57,9 @@ class Progress:
         self.explained = 0.0
         self.others: list[NDArray[np.float64]] = []
         self.found_saddles: dict[str, Saddles] = {}
+        for warning in map(_saturation_warning, frames):
+            if warning:
+                self.note(FitStep(warning))
 
     def unknowns_of(
         self,
@@ -112,11 +113,12 @@ class Progress:
         return {name: (x, y, z) for name, (x, y, z), is_beside in places if is_beside}
 
 
-def _refuse_saturated(frames: Sequence[TargetFrame]) -> None:
-    for frame in frames:
-        share = saturated_fraction(frame.image)
-        if share > SATURATED:
-            raise FrameError(
-                f"{frame.name}: {100.0 * share:.0f} % of the pixels are saturated, which displaces every edge;"
-                " expose shorter or close the aperture"
-            )
+def _saturation_warning(frame: TargetFrame) -> str:
+    """Return a warning about a frame with saturated paper: its edges move, those of a corner all alike."""
+    share = saturated_fraction(frame.image)
+    if share <= SATURATED:
+        return ""
+    return (
+        f"warning: {frame.name}: {100.0 * share:.0f} % of the pixels are saturated, which widens bright squares;"
+        " corners are used where their edges are sharp, but expose shorter for the best accuracy"
+    )

@@ -25,6 +25,7 @@ from correction.target.board_origin import Placing
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.corners import CornerSearch, refine_corners
 from correction.target.lattice_growth import Patch
+from correction.target.scale_search import crossing_corners
 
 UPRIGHT = 0.8  # cosine between an axis of the board and where it is expected: 37 degrees
 LEAST_LINE = 3  # corners on a line of the lattice that count it as one of the board
@@ -63,11 +64,10 @@ def place_by_count(
         patch.position_px,
         patch.axes_px,
         sign=patch.sign,
-        search=CornerSearch(board.arm, 0.5, max_shift=0.3),
+        search=CornerSearch(board.arm, patch.error_px, max_shift=0.3),
     )
-    corners = Patch(
-        patch.index[fit.valid], fit.position_px[fit.valid], patch.axes_px[fit.valid], patch.sign[fit.valid]
-    )
+    crossing = crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign)
+    corners = replace(patch, position_px=fit.position_px).take(fit.valid & crossing)
     if len(corners.index) < LEAST_LINE**2:
         raise TargetNotFound("the corners of the board are too blurred to be measured; check focus and light")
     turn, expected = _as_expected(corners, *view)

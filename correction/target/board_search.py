@@ -22,10 +22,10 @@ from correction.target.board_count import place_by_count
 from correction.target.board_origin import Placing, place_by_discs, place_by_prediction
 from correction.target.chessboard import Chessboard
 from correction.target.codes import Marker, place_by_codes, read_markers, square_px
-from correction.target.corners import saturated_fraction
 from correction.target.lattice_fit import LEAST_BOARD, BoardDetection, measure_lattice
 from correction.target.lattice_growth import Patch, grow_patches
 from correction.target.marks import find_marks
+from correction.target.scale_search import find_patches
 from correction.target.size_seen import CLEARLY_OFF, size_seen
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
@@ -33,7 +33,7 @@ from piv.resampling.sample import checked_frame
 Predict = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 NEAR_DISCS = 6  # squares around the origin in which the view and its prediction are compared
 SCALES = 0.7, 1.4  # of the view near the discs against its prediction: a ball shows them twice as large, or turned
-SATURATED = 0.02  # fraction of pixels at full scale from which edges are displaced
+SATURATED = 0.02  # fraction of pixels at full scale from which bright squares are seen widened
 FAR_SQUARES = 512  # half side of the largest board looked at
 
 
@@ -59,7 +59,7 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     FrameError
         Not a frame.
     TargetNotFound
-        No lattice, no discs, another board, or a saturated frame; the message says which and the cure.
+        No lattice, no discs, or another board; the message says which and the cure.
     """
     if board.is_plain:
         raise TargetNotFound("a plain board is found by its edges and a prediction of its view; give one")
@@ -178,19 +178,13 @@ def _patches(
     image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], list[Patch], list[Marker]]:
     """Check the frame; return it with its patches of lattice, and the markers of the board in it."""
-    full = saturated_fraction(np.asarray(image))
     frame = checked_frame(image)
     if mask is not None and mask.shape != frame.shape:
         raise FrameError(f"the mask has shape {mask.shape}, the frame {frame.shape}; they must agree")
     if frame.dtype == np.float32 and not np.isfinite(frame.sum(dtype=np.float64)):
         raise FrameError("the frame holds NaN or infinity; fill those pixels and mask them")
-    if full > SATURATED:
-        raise TargetNotFound(
-            f"{100 * full:.0f} % of the pixels are at full scale {int(frame.max())}, which displaces every edge;"
-            " expose shorter or close the aperture"
-        )
     markers = [] if board.codes is None else read_markers(frame, board)
-    patches = grow_patches(find_marks(frame, board, mask, square_px(board, markers) if markers else None))
+    patches = find_patches(frame, board, mask, square_px(board, markers) if markers else None)
     if not patches or len(patches[0].index) < LEAST_BOARD:
         seen = len(patches[0].index) if patches else 0
         raise TargetNotFound(_why_no_lattice(frame, board, seen))

@@ -17,10 +17,12 @@ from correction.target.chessboard import Chessboard
 from correction.target.corners import CornerSearch
 from correction.target.lattice_growth import STEPS, Patch, lattice_axes
 from correction.target.marks import refine_marks
+from correction.target.scale_search import crossing_corners
 from correction.target.smooth_view import as_the_largest_piece_says, on_smooth_map
 
 LEAST_BOARD = 12  # corners: the six squares around the discs and a little more
 MOST_FOREIGN = 0.2  # of the corners may lie off the smooth view of the others
+MISFIT_TIMES, LEAST_MISFIT = 5.0, 0.05  # of the median residual of all corners; of the half contrast, at least
 EXTENSIONS = 2  # rings of corners added around those found
 
 
@@ -87,6 +89,7 @@ def measure_lattice(
         Too many corners lie off one smooth view, or too few could be fitted.
     """
     index, start, axes = _claims(placed, board)
+    error_px = max(patch.error_px for patch, _ in placed)
     smooth = on_smooth_map(index, start, axes, _deep(board, index))
     foreign = int(np.count_nonzero(~smooth))
     if foreign > MOST_FOREIGN * len(index) or (discs_count and not _holds_discs(index[smooth], board)):
@@ -99,6 +102,7 @@ def measure_lattice(
     position, sigma, blurs = np.empty((3, 0, 2))
     tried: set[tuple[int, int]] = set()
     refused: dict[str, int] | None = None
+    misfit = np.inf
     for extension in range(1 + EXTENSIONS):
         fit = refine_marks(
             frame,
@@ -107,14 +111,20 @@ def measure_lattice(
             start,
             axes,
             mask,
-            search=CornerSearch(board.arm, 5.0 if extension else 0.5, max_shift=0.3),
+            search=CornerSearch(board.arm, 5.0 if extension else error_px, max_shift=0.3),
         )
         refused = fit.counts() if refused is None else refused
-        known_index = np.concatenate((known_index, index[fit.valid]))
-        known_axes = np.concatenate((known_axes, axes[fit.valid]))
-        position = np.concatenate((position, fit.position_px[fit.valid]))
-        sigma = np.concatenate((sigma, fit.sigma_px[fit.valid]))
-        blurs = np.concatenate((blurs, fit.blurs_px[fit.valid]))
+        valid = fit.valid
+        if board.dots is None:  # an edge of what covers a square passes for one of the square
+            valid = valid & crossing_corners(frame, board, fit.position_px, axes, board.corner_sign(index))
+            if valid.any():
+                misfit = min(misfit, max(MISFIT_TIMES * float(np.median(fit.residual[valid])), LEAST_MISFIT))
+            valid &= fit.residual <= misfit
+        known_index = np.concatenate((known_index, index[valid]))
+        known_axes = np.concatenate((known_axes, axes[valid]))
+        position = np.concatenate((position, fit.position_px[valid]))
+        sigma = np.concatenate((sigma, fit.sigma_px[valid]))
+        blurs = np.concatenate((blurs, fit.blurs_px[valid]))
         lattice_axes(known_index, position, known_axes, len(board.depths_mm) > 1)
         tried.update((int(i), int(j)) for i, j in index)
         flat = position - _beside(board, known_index, position, known_index)

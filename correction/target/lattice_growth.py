@@ -161,12 +161,21 @@ class Patch:
         Columns: displacement by one square along i and along j.
     sign : (N,) int8
         +1 if the square to +i, +j is bright, and of dots.
+    error_px : float
+        How far off the positions may be.
     """
 
     index: NDArray[np.int64]
     position_px: NDArray[np.float64]
     axes_px: NDArray[np.float64]
     sign: NDArray[np.int8]
+    error_px: float = 0.5
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Patch":
+        """Return the corners where `chosen` (N,)."""
+        return Patch(
+            self.index[chosen], self.position_px[chosen], self.axes_px[chosen], self.sign[chosen], self.error_px
+        )
 
 
 def grow_patches(saddles: Saddles) -> list[Patch]:

@@ -176,9 +176,25 @@ def test_wrong_boards_are_named():
         find_board((3400 - rendered(to_board).astype(int)).astype(np.uint16), BOARD)
     with pytest.raises(TargetNotFound, match=r"discs measure 0\.[34]\d squares across"):
         find_board(rendered(to_board), Chessboard(disc_mm=0.5))
+
+
+def test_white_paper_at_full_scale_moves_no_corner():
+    to_board = view(5.0)
     overexposed = np.clip(rendered(to_board).astype(int) * 2, 0, 4095).astype(np.uint16)
-    with pytest.raises(TargetNotFound, match=r"full scale 4095.*expose shorter"):
-        find_board(overexposed, BOARD)
+    found = find_board(overexposed, BOARD)
+    assert len(found) > 250
+    assert miss_mm(found, to_board) < 0.012
+
+
+@pytest.mark.parametrize(("counts", "blur_px"), [(8.0, 0.7), (12.0, 0.7), (4.0, 2.5), (8.0, 2.5)])
+def test_noise_and_soft_edges_do_not_break_the_lattice(counts, blur_px):
+    """Counts of noise of a contrast of 140, in squares of 60 px."""
+    to_board = view(4.0, px_per_mm=24.0)
+    image = soft_board(to_board, SHAPE, discs=BOARD.discs, blur_px=blur_px, low=60.0, high=200.0)
+    noise = np.random.default_rng(3).normal(0.0, counts, SHAPE)
+    found = find_board(np.clip(np.rint(image + noise), 0, 255).astype(np.uint8), BOARD)
+    assert len(found) >= 36
+    assert miss_mm(found, to_board) < 0.3 / 24.0
 
 
 def test_a_frame_of_nan_is_a_frame_error():
