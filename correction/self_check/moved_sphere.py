@@ -99,6 +99,12 @@ class SelfCheck:
         return tuple(m for m in self.moves if m.explains >= AS_GOOD * self.moves[0].explains)
 
     @property
+    def attributes(self) -> dict[str, str]:
+        """Attributes of a file of results; `spheres_moved` only where one has."""
+        names = " or ".join(one.name for one in self.moved)
+        return {"self_check": self.sentence} | ({"spheres_moved": names} if names else {})
+
+    @property
     def sentence(self) -> str:
         """In words."""
         seen = f"{self.particles} particles seen twice in {self.pairs} pairs"

@@ -16,6 +16,7 @@ from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.analysis.self_check import spheres_checked
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
@@ -129,7 +130,10 @@ def mean(
         told = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
         view = SeriesView(folder, None if series is not None or told == NOTHING_TOLD else told)
         found = mean_of_series(view)
+        check = None
         if output.files:
+            check, said_of_spheres = spheres_checked(folder, series[0] if series else None)
+            found = replace(found, spheres=said_of_spheres)
             write_mean(view, found)
         by_ensemble = None
         if series is not None and ensemble is not None:
@@ -147,7 +151,7 @@ def mean(
         if output.files:
             from rtpiv.analysis.report.mean import write_mean_page
 
-            write_mean_page(folder / "mean.html", view, found, output.figures, by_ensemble, series)
+            write_mean_page(folder / "mean.html", view, found, output.figures, by_ensemble, series, check)
         show_through(screen, view.scene)
         screen.print(where_lit(view.standing))
         show_mean(

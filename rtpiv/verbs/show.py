@@ -162,8 +162,8 @@ def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) ->
 def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collection[str] = ()) -> None:
     """Say how well a mean flow is known, and why pairs are left out but for those of which it was `said`."""
     seen = mean.count > 0
-    if mean.doubt:
-        screen.print(mean.doubt, style="bold red")
+    for each in mean.doubts:
+        screen.print(each, style="bold red")
     screen.print(f"mean of {counted(mean.used, 'pair')}; {len(mean.left_out)} are left out")
     lost = [(tag, why) for tag, why in mean.left_out if tag not in said]
     for tag, why in lost[:SHOWN]:

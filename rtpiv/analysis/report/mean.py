@@ -10,16 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.errors import SheetError
 from correction.evaluate.regions import Region, Regions
-from correction.self_check.moved_sphere import FALSE_ALARMS, SelfCheck, check_spheres
+from correction.self_check.moved_sphere import FALSE_ALARMS, SelfCheck
 from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import tells_a_scale_alone
-from piv.errors import PairError
 from rtpiv.analysis.digits import two_digits, with_sigma
-from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
-from rtpiv.analysis.light_sheet import FlowFrames, flow_frames, read_pairs
+from rtpiv.analysis.fit_beside import FIT_FILE
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
@@ -35,7 +32,6 @@ from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.steepness import Steepness
 from rtpiv.analysis.through_glass import through_glass
-from tracer.scene.scene_file import load_scene
 
 SHOWN_PAIRS = 60
 NOT_KNOWN = {"timing error of dt": "not stated"}  # by whoever wrote the plan
@@ -48,6 +44,7 @@ def write_mean_page(
     figures: bool = False,
     ensemble: EnsembleFlow | None = None,
     series: tuple[SeriesInput, Evaluated] | None = None,
+    check: SelfCheck | None = None,
 ) -> None:
     """Write the page of a mean flow.
 
@@ -65,11 +62,13 @@ def write_mean_page(
         The same by ensemble correlation.
     series : (SeriesInput, Evaluated), optional
         What it was evaluated from, if that is at hand: frames and one pair are shown, and the run's books.
+    check : SelfCheck, optional
+        Whether the spheres stand where they were calibrated.
     """
     about, folder, scene = view.about, view.folder, view.scene
     page = Page(f"{about['run']}: mean flow{behind_glass(scene)}", f"{mean.used} pairs", twice=figures)
-    if mean.doubt:
-        page.warning(mean.doubt + ".")
+    for doubt in mean.doubts:
+        page.warning(doubt + ".")
     corrector, regions = view.correction.corrector, regions_of_mean(view, mean)
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
     through_lead(page, through, scene, float(corrector.recovered.mean()))
@@ -92,12 +91,12 @@ def write_mean_page(
     if ensemble is not None:
         ensemble_chapter(page, view, ensemble)
     left_out_chapter(page, mean)
-    if series is not None:
-        self_check_chapter(page, series[0])
-        if is_run(series[0].run):  # frames of others have no books
-            books_chapter(page, RunFolder.open(series[0].run))
-            notes_chapter(page, RunFolder.open(series[0].run))
-            readings_chapter(page, RunFolder.open(series[0].run))
+    if check is not None:
+        show_self_check(page, check)
+    if series is not None and is_run(series[0].run):  # frames of others have no books
+        books_chapter(page, RunFolder.open(series[0].run))
+        notes_chapter(page, RunFolder.open(series[0].run))
+        readings_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene)
     light_sheet_line(page, view.standing)
     calibration_chapter(page, folder / FIT_FILE, scene)
@@ -225,43 +224,14 @@ def left_out_chapter(page: Page, mean: MeanFlow) -> None:
         page.table(("pair", "why"), mean.left_out[:SHOWN_PAIRS], f"Pairs that are left out{more}")
 
 
-ENOUGH_PAIRS = 50  # evenly from those given
-
-
-def self_check_of(given: FlowFrames) -> SelfCheck:
-    """Ask the particles of some pairs.
-
-    Raises
-    ------
-    SheetError, SceneError
-        There are too few pairs that can be read, or the sheet runs through a body.
-    """
-    every = len(given.pairs)
-    chosen = np.unique(np.linspace(0, every - 1, min(every, ENOUGH_PAIRS)).round().astype(int))
-    pairs = [given.pairs[number] for number in chosen]
-    return check_spheres(given.scene, lambda: read_pairs(given, pairs, "looking for spheres that have moved"))
-
-
 HEAD = ("sphere", "move x, y, z [um]", "sigma [um]", "by chance", "explains")
-
-
-def self_check_chapter(page: Page, series: SeriesInput) -> None:
-    """Add the chapter, where a run shows particles behind glass in enough pairs."""
-    scene = load_scene(series.out / SCENE_FILE)
-    if not scene.bodies:
-        return
-    try:
-        found = self_check_of(flow_frames([series.run], scene))
-    except (PairError, SheetError):
-        return
-    show_self_check(page, found)
 
 
 def show_self_check(page: Page, found: SelfCheck) -> None:
     """Show what was found."""
     page.heading("Do the spheres stand where they were calibrated?")
     if found.moved:
-        page.warning(found.sentence)
+        page.warning(found.sentence + ".")
     else:
         page.text(found.sentence + ".")
     rows = [

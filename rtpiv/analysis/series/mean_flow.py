@@ -17,7 +17,7 @@ stresses); the fitted map (`rtpiv.analysis.series.series_mean`); and a steady fl
 that meet it aslant show as one within it (`piv.statistics.out_of_plane`).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,6 +90,8 @@ class MeanFlow:
         What is known of the velocity through the sheet.
     by_ensemble : Vectors, optional
         The same by ensemble correlation, if that was asked for.
+    spheres : mapping of str to str
+        `SelfCheck.attributes` of its run; None or empty where particles were not asked.
     """
 
     x_mm: Floats
@@ -113,6 +115,7 @@ class MeanFlow:
     slope: Floats | None = None
     out_of_plane: OutOfPlane = NOTHING_TOLD
     by_ensemble: Vectors | None = None
+    spheres: Mapping[str, str] | None = None
 
     def __str__(self) -> str:
         """How many pairs it is of, and how many places have a mean."""
@@ -135,14 +138,17 @@ class MeanFlow:
         return f"<p>{self}</p><table><tr><th>median</th><th>u</th><th>v</th></tr>{cells}</table>"
 
     @property
-    def doubt(self) -> str:
-        """Why the mean as a whole is not to be believed, in a sentence; empty if nothing speaks against it."""
-        if self.usual_share >= BELIEVED_SHARE:
-            return ""
-        return (
-            f"only {100 * self.usual_share:.0f} % of the vectors of a usual pair were measured; check seeding, "
-            "focus, background and dt before this mean is believed"
-        )
+    def doubts(self) -> list[str]:
+        """Why the mean as a whole is not to be believed, a sentence each; empty if nothing speaks against it."""
+        found = []
+        if self.usual_share < BELIEVED_SHARE:
+            found.append(
+                f"only {100 * self.usual_share:.0f} % of the vectors of a usual pair were measured; check seeding,"
+                " focus, background and dt before this mean is believed"
+            )
+        if self.spheres and "spheres_moved" in self.spheres:
+            found.append(self.spheres["self_check"])
+        return found
 
     @property
     def gaps(self) -> str:

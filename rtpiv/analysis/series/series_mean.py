@@ -131,6 +131,7 @@ def mean_vectors(
         "delta_t_sigma_share": np.float64(mean.dt_sigma_share),
         "no_map_sigma": mean.no_map_sigma or "known",
     }
+    said |= mean.spheres or {}
     if mean.slope is not None:
         said["out_of_plane"] = mean.out_of_plane.sentence
     beside = {name: (each, "1") for name, each in (more or {}).items()}
