@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import DiskError
+from ground.printable import utf8
 from ground.whole_file import whole_file
 
 
@@ -20,7 +21,7 @@ def write_text(path: Path, text: str, among_many: bool = False) -> None:
     """
     try:
         with whole_file(path, among_many=among_many) as stream:
-            stream.write(text.encode())
+            stream.write(utf8(text))
         sync_folder(path.parent)
     except OSError as error:
         raise DiskError(f"{path}: {why(error)}; make room, then try again") from error
@@ -28,7 +29,7 @@ def write_text(path: Path, text: str, among_many: bool = False) -> None:
 
 def write_json(path: Path, tree: Any, among_many: bool = False) -> None:  # noqa: ANN401 - anything JSON can hold
     """Write plain data as `write_text` does."""
-    write_text(path, json.dumps(tree, indent=1), among_many)
+    write_text(path, json.dumps(tree, indent=1, ensure_ascii=False), among_many)
 
 
 def copy_whole(source: Path, copy: Path) -> None:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from hashlib import sha256
-from os import O_CREAT, O_RDONLY, O_RDWR, SEEK_CUR, SEEK_SET, close, fstat, lseek
+from os import O_CREAT, O_RDONLY, O_RDWR, SEEK_CUR, SEEK_SET, close, fsencode, fstat, lseek
 from os import open as open_descriptor
 from os.path import samestat
 from pathlib import Path
@@ -110,7 +110,7 @@ def folder_held(folder: Path) -> Iterator[None]:
 @contextmanager
 def _standing_for(folder: Path) -> Iterator[None]:
     """Hold the file that stands for a folder."""
-    name = sha256(str(folder.resolve()).encode()).hexdigest()[:32]
+    name = sha256(fsencode(folder.resolve())).hexdigest()[:32]
     path = Path(gettempdir()) / f"rtpiv-{name}.held"
     descriptor = open_descriptor(path, O_RDWR | O_CREAT, 0o600)
     try:

@@ -74,6 +74,8 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
             found = import_module("rtpiv.face").value_of(found)
         elif name == "correct":
             found = import_module("rtpiv.face").quiet(found)
+        elif name == "report":
+            found = import_module("rtpiv.face").in_own_style(found)
     else:
         raise AttributeError(f"rtpiv has no {name!r}; it has {', '.join(__all__)}")
     globals()[name] = found

@@ -40,8 +40,16 @@ def _leave(done: list[int]) -> None:
     os._exit(done[0])
 
 
+def _be_in_utf8() -> None:
+    """Begin again with UTF-8 as the encoding of names, where the locale (LC_ALL=C) has plain ASCII or another."""
+    if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
+        os.environ["PYTHONUTF8"] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+
+
 def main() -> int:
     """Run one verb; return the exit code."""
+    _be_in_utf8()
     try:
         gc.set_threshold(GARBAGE)  # by Python's own threshold a tenth of a short command's time was such looking
         sys.excepthook = sys.__excepthook__  # from here on it is answered below

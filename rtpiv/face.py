@@ -14,10 +14,22 @@ from tempfile import TemporaryDirectory
 from typing import ParamSpec, TypeVar
 
 from ground.terminal import silence
+from rtpiv.analysis.pictures.own_style import own_style
 
 P = ParamSpec("P")
 R = TypeVar("R")
 FOR_PEOPLE = ("pictures", "files")  # whether pages and the like are written, of a verb or of its `output`
+
+
+def in_own_style(verb: Callable[P, R]) -> Callable[P, R]:
+    """Return the same function, whose pictures do not depend on the settings of a script."""
+
+    @wraps(verb)
+    def called(*args: P.args, **named: P.kwargs) -> R:
+        with own_style():
+            return verb(*args, **named)
+
+    return called
 
 
 def quiet(verb: Callable[P, R]) -> Callable[P, R]:
@@ -25,7 +37,7 @@ def quiet(verb: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(verb)
     def called(*args: P.args, **named: P.kwargs) -> R:
-        with silence():
+        with silence(), own_style():
             return verb(*args, **named)
 
     return called
@@ -38,7 +50,7 @@ def value_of(verb: Callable[P, R]) -> Callable[P, R]:
     @wraps(verb)
     def called(*args: P.args, **named: P.kwargs) -> R:
         given = takes.bind(*args, **named)
-        with silence():
+        with silence(), own_style():
             if given.arguments.get("out") is not None:
                 return verb(*args, **named)
             with TemporaryDirectory(prefix="rtpiv-", ignore_cleanup_errors=True) as folder:

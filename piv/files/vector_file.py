@@ -26,6 +26,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ground.printable import utf8
 from ground.whole_file import whole_file
 from piv.correlation.vector_field import VectorFlag
 from piv.errors import VectorFileError
@@ -43,6 +44,7 @@ LONG_NAMES = {
     "slant_sigma_u": "standard uncertainty of u by the velocity through the sheet",
     "slant_sigma_v": "standard uncertainty of v by the velocity through the sheet",
 }  # fmt: skip
+VTK_TITLE_BYTES = 255  # in one line, of the legacy format
 LARGEST = 1 << 31  # bytes of a file that is read
 DAMAGE = (ValueError, TypeError, IndexError, KeyError, AttributeError, OverflowError, AssertionError, EOFError,
           MemoryError, NotImplementedError, struct.error)  # fmt: skip
@@ -144,11 +146,10 @@ def netcdf(variables: Mapping[str, Variable], attributes: Mapping[str, Any]) -> 
         for name, one in variables.items():
             variable = file.createVariable(name, _kind(one.values), one.dimensions)
             variable[:] = one.values
-            variable.units = one.unit
-            for what, said in one.more.items():
-                setattr(variable, what, said)
+            for what, said in {"units": one.unit, **one.more}.items():
+                setattr(variable, what, utf8(said))
         for name, value in {"Conventions": "CF-1.8", **attributes}.items():
-            setattr(file, name, value)
+            setattr(file, name, utf8(value) if isinstance(value, str) else value)  # SciPy would take ASCII alone
         file.flush()
         return buffer.getvalue()
 
@@ -272,14 +273,15 @@ def write_vtk(path: Path, vectors: Vectors) -> list[Path]:
     written = []
     for number in range(count):
         name = path.with_suffix(".vtk") if count == 1 else path.with_name(f"{path.stem}_{number:05d}.vtk")
-        _write(name, "\n".join((*_vtk_lines(vectors, number), "")).encode("ascii", "replace"))
+        _write(name, utf8("\n".join((*_vtk_lines(vectors, number), ""))))
         written.append(name)
     return written
 
 
 def _vtk_lines(vectors: Vectors, number: int) -> Iterator[str]:
     title = str(vectors.attributes.get("title", "")) or f"rtpiv {vectors.called('u')}, {vectors.called('v')}"
-    yield from ("# vtk DataFile Version 3.0", title[:200], "ASCII", "DATASET RECTILINEAR_GRID")
+    line = utf8(" ".join(title.split()))[:VTK_TITLE_BYTES].decode("utf-8", "ignore")
+    yield from ("# vtk DataFile Version 3.0", line, "ASCII", "DATASET RECTILINEAR_GRID")
     yield f"DIMENSIONS {len(vectors.x_mm)} {len(vectors.y_mm)} 1"
     for letter, axis in (("X", vectors.x_mm), ("Y", vectors.y_mm), ("Z", np.zeros(1))):
         yield f"{letter}_COORDINATES {len(axis)} double"

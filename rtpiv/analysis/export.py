@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING
+from ground.printable import utf8
 from ground.whole_file import whole_file
 from piv.files.frame_file import write_frame
 from piv.files.vector_file import Variable, Vectors, netcdf, write_vtk
@@ -50,7 +51,7 @@ def write_tecplot(path: Path, vectors: Vectors) -> list[Path]:
         text.write(f" STRANDID=1, SOLUTIONTIME={time_s:.9g}\n")
         columns = [x, y, *(np.nan_to_num(one[number]) for one in fields.values()), vectors.measured[number]]
         np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g")
-    return _written(path.with_suffix(".dat"), text.getvalue().encode("utf-8"))
+    return _written(path.with_suffix(".dat"), utf8(text.getvalue()))
 
 
 def write_matlab(path: Path, vectors: Vectors) -> list[Path]:
@@ -67,7 +68,8 @@ def write_matlab(path: Path, vectors: Vectors) -> list[Path]:
 
 def _title(vectors: Vectors, path: Path) -> str:
     """What a file is called: as it says itself, or by its name."""
-    return str(vectors.attributes.get("title") or path.stem).replace('"', "")
+    title = str(vectors.attributes.get("title") or path.stem).replace('"', "")
+    return utf8(" ".join(title.split())).decode()
 
 
 def _written(path: Path, content: bytes) -> list[Path]:

@@ -13,6 +13,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from io import TextIOWrapper
 from typing import Any, TextIO
 
 import ground.jit.compile_news as compile_news
@@ -20,6 +21,7 @@ from daq.signal_handling import SIGNALLED, flush_or_leave, handle_signals
 from ground.errors import UntrustedProgram
 from ground.named_program import VARIABLE, trust
 from ground.printable import printable
+from rtpiv.analysis.pictures.own_style import ENVIRONMENT
 from rtpiv.command_line.exit_codes import DEVICE as DEVICE  # who calls main compares with these
 from rtpiv.command_line.exit_codes import DONE as DONE
 from rtpiv.command_line.exit_codes import INTERRUPTED as INTERRUPTED
@@ -62,6 +64,9 @@ def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a letter that the terminal lacks ends no verb
+            stream.reconfigure(errors="backslashreplace")
     options = _options(arguments)
     verb, threads, trusted = options.pop("verb"), options.pop("threads"), options.pop("trust")
     if verb is None:
@@ -69,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return USAGE
     if trusted is not None:  # for children as well
         os.environ[VARIABLE] = ",".join(filter(None, (os.environ.get(VARIABLE), trusted)))
-    os.environ.update(ONE_THREAD | NO_PLUGINS | os.environ)
+    os.environ.update(ONE_THREAD | NO_PLUGINS | os.environ | ENVIRONMENT)
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling

@@ -17,6 +17,7 @@ from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import TargetView, board_of, height_sigma_mm, load_kept, target_views
 from ground.plain_words import counted
+from ground.printable import readable_name
 from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS
 from rtpiv.analysis.calibration import Calibration, calibration_of
@@ -105,7 +106,7 @@ def calibrate(
         write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
         show_calibration(console(), found, pictures)
         if pictures:
-            _draw(out, found, nominal.camera.shape, folder.resolve().name)
+            _draw(out, found, nominal.camera.shape, readable_name(folder))
         console().print(
             f"scene.yaml, covariance{', map sigma and pictures' if pictures else ' and map sigma'} are in {out}"
         )

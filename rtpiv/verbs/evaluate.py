@@ -13,6 +13,7 @@ from daq.frames.source import is_source
 from daq.runs.names import is_run
 from daq.runs.pairs import pairs_of
 from daq.runs.run_views import where_lit
+from ground.printable import readable_name
 from ground.terminal import console
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import Preparation
@@ -126,7 +127,7 @@ def evaluate(
     how = PairMethod("", details, choice.settings, preparation, output.pictures, choice.out_of_plane)
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
-        name = run.resolve().name
+        name = readable_name(run)
         with results_in(out, USUAL, lambda folder: holds_series_of(folder, name), COPIES) as out:
             series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
             return _series(screen, series, how, output, workers)

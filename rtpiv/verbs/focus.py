@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 
 from daq.atomic_write import write_text
+from ground.printable import readable_name
 from ground.terminal import console
 from rtpiv.analysis.focus import FocusScan, focus_scan
 from rtpiv.analysis.report.focus import best_rows, said_of, write_focus_page
@@ -37,7 +38,7 @@ def focus(run: Sequence[Named] | Named, /, out: Named | None = None) -> FocusSca
     run = one_of(run)
     with results_in(out if out is not None else run) as folder:
         scan = focus_scan(run)
-        write_focus_page(folder / "focus.html", run.resolve().name, scan)
+        write_focus_page(folder / "focus.html", readable_name(run), scan)
         found = {
             each.part: {"z_mm": each.z_mm, "sigma_mm": each.sigma_mm, "diameter_px": each.diameter_px}
             for each in scan.best

@@ -10,6 +10,7 @@ from daq.frames.source import is_source
 from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import where_lit
+from ground.printable import readable_name
 from ground.terminal import console
 from piv.errors import PairError
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
@@ -103,7 +104,7 @@ def mean(
     with ExitStack() as held:
         series = None
         if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
-            name, choice = path.resolve().name, piv_choice(**options)
+            name, choice = readable_name(path), piv_choice(**options)
             if is_run(path) and out is None:
                 out = RunFolder(path).own("series")
             alone = results_in(out, USUAL, lambda there: holds_series_of(there, name), COPIES)
@@ -139,7 +140,7 @@ def mean(
         if series is not None and ensemble is not None:
             given = series[0]
             by_ensemble = ensemble_flow(given, found, ensemble, workers)
-            said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
+            said = {"run": readable_name(path), "scene_hash": given.method.scene.content_hash()}
             said |= view.readings
             seen = view.correction.corrector.map
             slope = known_slopes(seen, view.scene, by_ensemble.windows, SUMMED)

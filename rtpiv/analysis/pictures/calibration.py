@@ -26,7 +26,7 @@ from rtpiv.analysis.pictures.plane_axes import (
     Figure,
     colour_bar,
     draw_outlines,
-    plain_decades,
+    log_scale,
     plane_panels,
 )
 from rtpiv.analysis.pictures.saved import save_picture, short
@@ -113,9 +113,9 @@ def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:
     for place, step in zip(places, steps, strict=True):
         axes.annotate(f"  {step.corners}", (step.rms_px, place), va="bottom", fontsize=8)
     axes.set_yticks(places, [step.name for step in steps], fontsize=8)
-    axes.set(xscale="log", xlabel="rms per axis [px], with the number of corners", title="convergence of the fit")
+    axes.set(xlabel="rms per axis [px], with the number of corners", title="convergence of the fit")
     axes.invert_yaxis()
-    plain_decades(axes.xaxis)
+    log_scale(axes.xaxis)
     axes.grid(alpha=0.3)
     save_picture(figure, path, 100)
 

@@ -49,8 +49,15 @@ def colour_bar(shown: ScalarMappable, axes: Axes, label: str, extend: str = "nei
     return bar
 
 
-def plain_decades(axis: Axis) -> None:
-    """Label decades, and 2 and 5 between few, as plain numbers: formulas would take longer than the curves."""
+def log_scale(axis: Axis, base: float = 10.0) -> None:
+    """Make an axis logarithmic, or leave it linear where nothing positive is drawn, which Matplotlib refuses.
+
+    Decades, and 2 and 5 between few, have plain numbers as labels: formulas would take longer than the curves.
+    """
+    if not 0.0 < axis.get_minpos() < np.inf:
+        return
+    set_scale = axis.axes.set_xscale if axis is axis.axes.xaxis else axis.axes.set_yscale
+    set_scale("log", base=base)
     axis.set_major_formatter("{x:g}")
     low, high = axis.get_view_interval()
     between = "25" if high < FEW_DECADES * low else ""

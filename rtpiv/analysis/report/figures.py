@@ -24,7 +24,7 @@ from rtpiv.analysis.pictures.plane_axes import (
     bare_figure,
     colour_bar,
     draw_outlines,
-    plain_decades,
+    log_scale,
     plane_panels,
 )
 from tracer.scene.scene import Scene
@@ -139,11 +139,11 @@ def radius_figure(
             axes.plot(radius, rms, "o-", color=colour, markersize=4, label=f"{name}, rms error")
             sigma = [scatter.sigma_px[component] for scatter in rings.values()]
             axes.plot(radius, sigma, "--", color=colour, linewidth=1.0, label="its own sigma")
-        axes.set(xlabel="r / R", yscale="log", xlim=(0.0, None), title=COMPONENTS[component])
+        axes.set(xlabel="r / R", xlim=(0.0, None), title=COMPONENTS[component])
         axes.grid(True, which="both", color=NOTHING, linewidth=0.5)
     panels[0].set_ylabel("error [px]")
     for axes in panels:
-        plain_decades(axes.yaxis)
+        log_scale(axes.yaxis)
     _legend_below(figure, panels[0])
     return figure
 
@@ -186,8 +186,8 @@ def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
     for colour, (name, (edges, values)) in zip(SERIES, counts.items(), strict=False):
         axes.stairs(values, edges, label=name, color=colour)
     filled = [float(edges[np.nonzero(values)[0][-1] + 1]) for edges, values in counts.values() if values.any()]
-    axes.set(yscale="log", xlabel="grey level", ylabel="pixels", xlim=(0.0, max(filled, default=None)))
-    plain_decades(axes.yaxis)
+    axes.set(xlabel="grey level", ylabel="pixels", xlim=(0.0, max(filled, default=None)))
+    log_scale(axes.yaxis)
     axes.legend(frameon=False, fontsize=8)
     return figure
 

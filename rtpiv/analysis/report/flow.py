@@ -30,7 +30,7 @@ from rtpiv.analysis.pictures.plane_axes import (
     bare_figure,
     colour_bar,
     draw_outlines,
-    plain_decades,
+    log_scale,
     plane_panels,
 )
 from rtpiv.analysis.report.figures import HEAT, SERIES
@@ -135,11 +135,10 @@ def convergence_figure(found: History) -> Figure:
     known = np.isfinite(found.off_px) & (found.off_px > 0.0)
     axes.plot(found.pairs[known], found.off_px[known], "o-", color=SERIES[0], label="first n pairs minus all")
     axes.plot(found.pairs, found.expected_px, "--", color=SERIES[1], linewidth=1.0, label="independent pairs")
-    axes.set(xlabel="pairs n", ylabel="rms difference [px]", yscale="log")
-    axes.set_xscale("log", base=2)
-    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlabel="pairs n", ylabel="rms difference [px]")
+    log_scale(axes.xaxis, base=2)
     axes.grid(True, which="major", color=NOTHING, linewidth=0.5)
-    plain_decades(axes.yaxis)
+    log_scale(axes.yaxis)
     axes.legend(frameon=False, fontsize=8)
     return figure
 

@@ -156,11 +156,12 @@ def mean_lead(
 def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
     """The figures that matter next: value, name, what it is measured against."""
     known = mean.count > 0
-    worth = float(np.nanmedian(mean.effective.samples[known])) if known.any() else float("nan")
+    samples = mean.effective.samples[known]
+    worth = f"{np.nanmedian(samples):.0f}" if np.isfinite(samples).any() else "-"
     return [
         (f"{mean.used}", "pairs in the mean", f"{len(mean.left_out)} are left out"),
         (f"{int(known.sum())}", "places with a mean", f"of {known.size}"),
-        (f"{worth:.0f}", "effective samples, median of all places", mean.effective.way),
+        (worth, "effective samples, median of all places", mean.effective.way),
     ]
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from ground.printable import utf8
 from ground.whole_file import whole_file
 from rtpiv.analysis.pictures.saved import lay_out, write_png
 from rtpiv.analysis.through_glass import ThroughGlass, percent
@@ -198,7 +199,7 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page and its figures, each atomically, the page last."""
-        for name, content in (*self._files.items(), (path.name, self.html().encode())):
+        for name, content in (*self._files.items(), (path.name, utf8(self.html()))):
             with whole_file(path.with_name(name)) as stream:
                 stream.write(content)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from correction.grid import PlaneGrid
 from daq.runs.acquired import full_scale
 from daq.runs.run_views import tells_a_scale_alone
+from ground.printable import readable_name
 from piv.correlation.vector_field import VectorField
 from piv.preprocessing import preparation
 from piv.preprocessing.preparation import RAW, Preparation
@@ -67,7 +68,7 @@ class Preview:
 def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures: bool = False) -> None:
     """Write the page of a series that was evaluated."""
     page = Page(
-        f"{given.run.resolve().name}: a flow{behind_glass(given.method.scene)}",
+        f"{readable_name(given.run)}: a flow{behind_glass(given.method.scene)}",
         f"{books.pairs} pairs",
         twice=figures,
     )
@@ -222,5 +223,5 @@ def _provenance(page: Page, given: SeriesInput) -> None:
     content, scene = given.method.content, given.method.scene
     of_scene = [] if tells_a_scale_alone(scene) else [("scene", scene.content_hash())]
     settings = ", ".join(f"{name} {value}" for name, value in content["settings"].items())
-    page.facts([("run", given.run.resolve().name), *of_scene,
+    page.facts([("run", readable_name(given.run)), *of_scene,
                 ("correlation", settings), ("rtpiv", version("rtpiv"))])  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rtpiv.analysis.pictures.plane_axes import SOFT, Figure, plain_decades
+from rtpiv.analysis.pictures.plane_axes import SOFT, Figure, log_scale
 from rtpiv.analysis.report.figures import HEAT, SERIES
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.time_series import TimeSeries
@@ -74,10 +74,10 @@ def _spectra(found: TimeSeries, points: NDArray[np.int64], unit: str) -> Figure:
     for axes, point in zip(figure.subplots(len(points), sharex=True, squeeze=False)[:, 0], points, strict=True):
         for number, name in enumerate(COMPONENTS):
             density = found.spectrum.density[:, point, number]
-            axes.loglog(found.spectrum.frequency_hz, density, color=SERIES[number], linewidth=0.9, label=name)
+            axes.plot(found.spectrum.frequency_hz, density, color=SERIES[number], linewidth=0.9, label=name)
             axes.axhline(found.spectrum.noise[point, number], color=SERIES[number], linewidth=0.8, linestyle="--")
-        plain_decades(axes.xaxis)
-        plain_decades(axes.yaxis)
+        log_scale(axes.xaxis)
+        log_scale(axes.yaxis)
         axes.set_ylabel(f"({_place(found, point)}) mm\n[({unit})²/Hz]")
         axes.legend(loc="upper right", frameon=False, ncols=2)
     axes.set_xlabel("f [Hz]")

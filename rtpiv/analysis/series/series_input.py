@@ -18,6 +18,7 @@ from daq.runs.glass_place import with_glass_at
 from daq.runs.names import is_run
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
 from daq.runs.run_views import scene_file, shows_light_sheet, where_lit
+from ground.printable import readable_name
 from piv.errors import PairError
 from piv.files.frame_file import stem_of
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
@@ -176,7 +177,7 @@ class SeriesInput:
     @property
     def name(self) -> str:
         """Of the run."""
-        return self.run.resolve().name
+        return readable_name(self.run)
 
     def light(self) -> SharedFile | None:
         """The background of the whole series, made if it is not there yet; raises as `make_light`."""
