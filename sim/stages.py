@@ -51,6 +51,7 @@ class ScrewTable(Table):
     lead_error_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 1.0
     scale_error_ppm: float = 0.0
     power_up_mm: Positive | None = None
+    noise_steps: Annotated[int, Field(ge=0, le=1000)] = 0  # by which a reading at rest flickers, to each side
     origin: Literal["low switch", "high switch"] = "low switch"  # where the firmware counts from
 
     @property
@@ -102,7 +103,7 @@ class SimulatedStages:
     ) -> None:
         self.config = config
         self.clock = clock
-        self.motors = {name: Motor(screws[name].mechanics()) for name in config.axes}
+        self.motors = {name: Motor(screws[name].mechanics(), screws[name].noise_steps) for name in config.axes}
         self.lines: dict[str, Line] = {}
         self._turns_in_vain = 0
         self._zero_mm = {name: screws[name].zero_mm for name in config.axes}

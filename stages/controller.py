@@ -220,6 +220,11 @@ class Controller(Link, MotionController):
         super()._forget_references()
         self._at_rest.clear()
 
+    def _near(self, channel: str, counts_per_mm: float = 1.0) -> Callable[[float, float], bool]:
+        """Whether two readings of a channel differ by no more than noise."""
+        noise = self.noise_mm(channel) * counts_per_mm
+        return lambda first, second: abs(first - second) <= noise
+
     def _settled(self, key: str, ask: Callable[[], T], same: Callable[[T, T], bool] = operator.eq) -> T:
         """Return a reading at rest that two answers agree on: of one damaged answer nothing is ever believed.
 

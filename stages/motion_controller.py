@@ -22,6 +22,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from stages.axis_settings import LONGEST_TOLERANCE_UM
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.controller_tables import AnyControllerTable
 from stages.errors import NotReferenced, StageUsageError
@@ -53,6 +54,9 @@ class Channel:
     axis: str = ""
     limits_mm: tuple[float, float] = (-math.inf, math.inf)
     tolerance_mm: float = math.inf
+
+
+NOISE_COUNTS = 40  # a servo at rest may flicker by 20 counts to each side
 
 
 class MotionController(ABC):
@@ -158,6 +162,15 @@ class MotionController(ABC):
             position_mm = self.position_mm(channel)
             self.vouch(channel)
             return position_mm
+
+    def noise_mm(self, channel: str) -> float:
+        """How far two readings of a channel at rest may differ.
+
+        Of a controller that does not tell its counts, as far as two readings of an axis in its tolerance may.
+        """
+        known = self._channels[channel]
+        tolerance_mm = 2.0 * min(known.tolerance_mm, LONGEST_TOLERANCE_UM * 1e-3)
+        return min(tolerance_mm, NOISE_COUNTS / known.steps_per_mm) if known.steps_per_mm else tolerance_mm
 
     @abstractmethod
     def _still_referenced(self, channel: str) -> bool:

@@ -72,7 +72,7 @@ class ForeignBox(Emulator):
     def position_mm(self, channel: str) -> float:
         """What the counter says."""
         one = self._channels[channel]
-        return (self._read(one) - one.zero) / one.steps_per_mm
+        return (self._read(one) - one.zero + one.motor.flicker()) / one.steps_per_mm
 
     def _read(self, one: _Channel) -> int:
         return one.motor.encoder_steps if self._encoder else one.motor.steps

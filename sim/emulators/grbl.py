@@ -220,9 +220,12 @@ class GrblEmulator(Emulator):
         self._work()
 
     def _report(self) -> grbl.Status:
-        place = tuple(self._place_mm(name) for name in NAMES)
+        place = tuple(self._place_mm(name) + self._noise_mm(name) for name in NAMES)
         substate = self._substate if self._state == "Hold" else None
         return grbl.Status(self._state, place, substate=substate, extras=(("FS", "0,0"),))
+
+    def _noise_mm(self, name: str) -> float:
+        return self.motors[name].flicker() / self.settings[100 + NAMES.index(name)] if name in self.motors else 0.0
 
     def _place_mm(self, name: str) -> float:
         if name not in self.motors:

@@ -102,7 +102,7 @@ class IselEmulator(Emulator):
                 self._axes = names if known else self._axes
                 self.say(dnc.Ack("0" if known else "3").to_bytes())
             case dnc.AskPosition() if self._axes:
-                steps = tuple(self._position(name) for name in self._axes)
+                steps = tuple(self._position(name) + self.motors[name].flicker() for name in self._axes)
                 self.say(dnc.Position(steps).to_bytes())
             case dnc.ReferenceSpeeds(speeds) if self._axes:
                 self._reference_speeds = [*speeds, *self._reference_speeds[len(speeds) :]]

@@ -287,7 +287,7 @@ class PiEmulator(Emulator):
         if self._command_set is not None:
             plain["CSV?"] = self._command_set
         per_axis: dict[str, Callable[[_Axis], str]] = {
-            "POS?": lambda axis: f"{axis.position_mm:.7f}",
+            "POS?": lambda axis: f"{axis.position_mm + axis.motor.flicker() / axis.counts_per_mm:.7f}",
             "MOV?": lambda axis: f"{axis.target_mm:.7f}",
             "ONT?": lambda axis: str(int(not axis.motor.running and axis.servo)),
             "SVO?": lambda axis: str(int(axis.servo)),

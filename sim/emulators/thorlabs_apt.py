@@ -325,7 +325,7 @@ class AptEmulator(Emulator):
     def _ask(self, channel: _Channel, order: apt.Order) -> None:
         place, ident = channel.place, channel.ident
         values = {
-            Kind.MOT_REQ_POSCOUNTER: channel.position,
+            Kind.MOT_REQ_POSCOUNTER: channel.position + channel.motor.flicker(),
             Kind.MOT_REQ_GENMOVEPARAMS: channel.backlash,
             Kind.MOT_REQ_MOVERELPARAMS: channel.relative,
         }

@@ -281,7 +281,7 @@ class ZaberEmulator(Emulator):
 
     def _get(self, name: str, device: int, axes: list[_Axis], axis: int) -> tuple[bool, str]:
         if name == "pos":
-            return True, " ".join(str(box.position) for box in axes)
+            return True, " ".join(str(box.position + box.motor.flicker()) for box in axes)
         if name == "system.serial":
             return True, str(self._serial + device)
         if name == "system.axiscount":

@@ -21,6 +21,7 @@ for itself.
 """
 
 import math
+import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -107,14 +108,18 @@ class Motor:
     ----------
     mechanics : Mechanics
         What it drives.
+    noise_steps : int
+        A servo at rest hunts: what is read flickers by as much to each side.
     """
 
-    def __init__(self, mechanics: Mechanics) -> None:
+    def __init__(self, mechanics: Mechanics, noise_steps: int = 0) -> None:
         self.mechanics = mechanics
         self.listener: Listener | None = None
         self.watcher: Callable[[Glide], None] | None = None
         self.obstacle_mm: float | None = None
         self.is_jammed = False  # the carriage is stuck where it is
+        self.noise_steps = noise_steps
+        self._noise = random.Random(0)
         self.time_s = 0.0
         self._pulses = 0.0
         self._speed = 0.0
@@ -136,6 +141,10 @@ class Motor:
     def encoder_steps(self) -> int:
         """What an encoder on the motor shaft counts."""
         return self.steps - self._lost_steps
+
+    def flicker(self) -> int:
+        """Steps by which what is read now differs from the count."""
+        return self._noise.randint(-self.noise_steps, self.noise_steps) if self.noise_steps else 0
 
     @property
     def running(self) -> bool:

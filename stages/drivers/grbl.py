@@ -42,6 +42,7 @@ from stages.errors import (
     WrongDevice,
 )
 from stages.link import QUIET_S, Stream
+from stages.motion_controller import NOISE_COUNTS
 from stages.protocols import grbl
 
 AXES = ("X", "Y", "Z")
@@ -147,7 +148,8 @@ class GrblController(Controller):
             self._raise_if_held(status)  # it would not vouch for a position
             return status.position_mm[index], status.state == "Alarm"
 
-        place_mm, locked = self._settled(channel, ask)
+        near = self._near(channel)
+        place_mm, locked = self._settled(channel, ask, lambda a, b: near(a[0], b[0]) and a[1] == b[1])
         if locked:
             self._forget_references()
         return place_mm
@@ -156,9 +158,13 @@ class GrblController(Controller):
         """Whether a channel that was sent somewhere is not there."""
         if channel not in self._sent_to_mm:
             return False
-        index = AXES.index(channel)
-        step_mm = 1.0 / self._settings[STEPS + index]
-        return abs(status.position_mm[index] - self._sent_to_mm[channel]) > step_mm + REPORTED_MM
+        here_mm = status.position_mm[AXES.index(channel)]
+        return not self._near(channel)(here_mm, self._sent_to_mm[channel])
+
+    def noise_mm(self, channel: str) -> float:
+        """By the counts of the board, as fine as it reports them."""
+        step_mm = 1.0 / self._settings[STEPS + AXES.index(channel)] + REPORTED_MM
+        return min(super().noise_mm(channel), NOISE_COUNTS * step_mm)
 
     def _still_referenced(self, channel: str) -> bool:
         if self._mark is not None:

@@ -173,7 +173,7 @@ class IselController(Controller):
         if self._sent_to is None:
             return
         (index, steps), self._sent_to = self._sent_to, None
-        if self._steps()[index] != steps:
+        if not self._near(channel, self._scale(channel))(self._steps()[index], steps):
             raise MotionStopped(f"{self.name} channel {channel} rests short of its target and did not say why")
 
     def _still_referenced(self, channel: str) -> bool:
@@ -231,11 +231,20 @@ class IselController(Controller):
             self._raise(code, f"taking {command.to_bytes()!r}")
 
     def _steps(self) -> tuple[int, ...]:
-        steps = self._settled("P", self._steps_once)
+        steps = self._settled("P", self._steps_once, self._agree)
         if steps is None:
             self._forget_references()
             raise NotReferenced(f"{self.name} has lost its reference (was it switched off?); home it")
         return steps
+
+    def _agree(self, first: tuple[int, ...] | None, second: tuple[int, ...] | None) -> bool:
+        """Whether two readings are of one place, whatever else is wrong; two refusals agree as well."""
+        if first is None or second is None:
+            return first is second
+        return all(
+            self._near(name, self._scale(name))(a, b) if name in self._channels else a == b
+            for name, a, b in zip(AXES, first, second, strict=False)
+        )
 
     def _steps_once(self) -> tuple[int, ...] | None:
         """Steps of every axis; None if the controller says that it is not initialised, so has restarted."""

@@ -38,7 +38,6 @@ from stages.protocols import pi_gcs2 as gcs
 ON_LIMIT_SWITCH = (49, 216)
 _MAKER = re.compile(r"(?i)physik|\bPI\b")  # a Grbl board answers the ? in *IDN? with commas as well
 COMMAND_SET = 2.0  # the newest that is spoken here
-NOISE_MM = 0.001  # an encoder at rest may flicker by some counts
 
 
 class PiController(Controller):
@@ -120,7 +119,7 @@ class PiController(Controller):
                 raise StageUsageError(f"{self.name} axis {channel} moves; wait until it rests")
             return self._value("POS?", channel)
 
-        return self._settled(channel, ask, lambda a, b: abs(a - b) <= NOISE_MM)
+        return self._settled(channel, ask, self._near(channel))
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Nothing to check: the controller refuses what it cannot do, with error 8."""

@@ -55,7 +55,6 @@ from stages.protocols.apt_words import Kind
 from stages.stop_latch import StopLatch
 
 SHORT_MM = 0.02  # a motion that ends further from its target was ended by something
-NOISE_MM = 0.001  # a servo at rest flickers by some counts
 BEGINS_S = 0.3  # a box that has taken a command may still seem to rest for as long
 MARKS = range(257, 1024)  # counts: nothing to speak of if somebody should ever make that move
 DOUBT = 256  # the mark of a channel that must not be believed, though there was no restart
@@ -156,7 +155,7 @@ class AptController(AptQuestions):
             return self._count(channel)
 
         scale = self._scale(channel)
-        return self._settled(channel, ask, lambda a, b: abs(a - b) <= NOISE_MM * scale) / scale
+        return self._settled(channel, ask, self._near(channel, scale)) / scale
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """StageUsageError if a value does not fit the setting it goes to."""
@@ -305,8 +304,7 @@ class AptController(AptQuestions):
     def _is_there(self, channel: str) -> bool:
         if channel not in self._sent_to:
             return True
-        tolerance = NOISE_MM * self._scale(channel)
-        count = self._agreed(lambda: self._count(channel), lambda a, b: abs(a - b) <= tolerance)
+        count = self._agreed(lambda: self._count(channel), self._near(channel, self._scale(channel)))
         return abs(count - self._sent_to[channel]) <= SHORT_MM * self._scale(channel) + 1
 
     def _raise_why(self, channel: str, bits: int, was_homing: bool) -> None:

@@ -134,8 +134,11 @@ class ZaberController(Controller):
             raise MotionStopped(f"{self.name} channel {channel} was stopped at its knob")
 
     def position_mm(self, channel: str) -> float:
-        """Microsteps / scale, from a checksummed answer or from two equal ones."""
-        return self._settled(channel, lambda: self._integer(channel, "get pos")) / self._scale(channel)
+        """Microsteps / scale, from two answers that agree within the noise of a servo."""
+        scale = self._scale(channel)
+        return (
+            self._settled(channel, lambda: self._integer(channel, "get pos"), self._near(channel, scale)) / scale
+        )
 
     def known_mm(self, channel: str) -> float:
         """Position; an answer without any flag vouches for it, else the flags are asked for."""

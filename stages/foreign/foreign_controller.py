@@ -34,7 +34,7 @@ from stages.errors import (
     OutOfRange,
     StageUsageError,
 )
-from stages.foreign.library import ForeignLibrary
+from stages.foreign.library import STILL_MM, ForeignLibrary
 from stages.motion_controller import Channel
 from stages.stop_latch import StopLatch
 
@@ -79,6 +79,8 @@ class ForeignController(ForeignLibrary):
     def _still_referenced(self, channel: str) -> bool:
         """Look whether the channel reads what it read when it came to rest."""
         busy, here_mm = self._look(channel)
+        if not busy and abs(here_mm - self._rests_mm[channel]) > STILL_MM:  # does it only hunt?
+            here_mm = math.inf if (rests_mm := self._at_rest(channel)) is None else rests_mm
         return not busy and abs(here_mm - self._rests_mm[channel]) <= THERE_MM
 
     def _forget_references(self) -> None:

@@ -1,9 +1,10 @@
 """A library that moves stages, as far as it is talked to: loaded, asked, stopped and closed in its one thread.
 
-What it is asked has a deadline (`stages.foreign.calls`). A position is what a stage at rest reads: not busy,
-read twice with `AGAIN_S` between, both the same. Where asking fails, the library is lost: the box behind it may
-have been off, and nothing else would tell. What is made of the answers is said in
-`stages.foreign.foreign_controller`.
+What it is asked has a deadline (`stages.foreign.calls`). A position is what a stage at rest reads: not busy, read
+twice with `AGAIN_S` between, both the same. A servo may hunt: then it is the mean of more readings that stay
+within `noise_mm` and do not all go one way, as those of a knob that is turned would. Where asking fails, the
+library is lost: the box behind it may have been off, and nothing else would tell. What is made of the answers is
+said in `stages.foreign.foreign_controller`.
 """
 
 import math
@@ -30,7 +31,8 @@ from stages.motion_controller import Channel, MotionController
 from stages.stop_latch import StopLatch
 
 AGAIN_S = 0.05  # between two readings of a position
-STILL_MM = 0.001  # two readings of a stage at rest differ by less
+STILL_MM = 0.001  # two readings of a stage at rest differ by less, unless it hunts
+READINGS = 7  # of a stage that hunts; 2 of 7! = 5040 orders go one way
 
 T = TypeVar("T")
 
@@ -155,12 +157,18 @@ class ForeignLibrary(MotionController):
 
     def _at_rest(self, channel: str) -> float | None:
         """What a stage at rest reads; None if it moves."""
-        busy, first_mm = self._look(channel)
-        if busy:
-            return None
-        self.clock.sleep_s(AGAIN_S)
-        busy, again_mm = self._look(channel)
-        return None if busy or abs(again_mm - first_mm) > STILL_MM else again_mm
+        reads_mm: list[float] = []
+        while len(reads_mm) < READINGS:
+            if reads_mm:
+                self.clock.sleep_s(AGAIN_S)
+            busy, here_mm = self._look(channel)
+            reads_mm.append(here_mm)
+            if busy or max(reads_mm) - min(reads_mm) > self.noise_mm(channel):
+                return None
+            if len(reads_mm) == 2 and abs(reads_mm[1] - reads_mm[0]) <= STILL_MM:
+                return here_mm
+        goes_one_way = sorted(reads_mm) in (reads_mm, reads_mm[::-1])
+        return None if goes_one_way else math.fsum(reads_mm) / READINGS
 
     def _reading_mm(self, channel: str) -> float:
         here_mm = self._at_rest(channel)

@@ -21,7 +21,7 @@ from typing import Any
 from ground.named_program import named_program
 from stages.controller_tables import AdapterTable, ForeignTable, MicroManagerTable
 from stages.errors import PortUnavailable, StageUsageError, WrongDevice
-from stages.foreign.foreign_controller import THERE_MM, ForeignController
+from stages.foreign.foreign_controller import ForeignController
 
 STAGE, XY_STAGE = 5, 6  # the core's types of devices
 MOST_BYTES = 1_000_000
@@ -91,8 +91,10 @@ class MicroManager(ForeignController):
         partner_mm = self._read_mm(f"{label}/{partner}")
         if not math.isfinite(partner_mm):
             raise StageUsageError(f"{label}/{partner} reads {partner_mm}; nothing was sent")
-        if abs(targets.get(partner, math.inf) - partner_mm) > THERE_MM:
-            targets[partner] = partner_mm
+        noise_mm = self.noise_mm(channel)
+        if abs(targets.get(partner, math.inf) - partner_mm) > noise_mm:
+            rests_mm = self._rests_mm.get(f"{label}/{partner}", math.inf)
+            targets[partner] = rests_mm if abs(rests_mm - partner_mm) <= noise_mm else partner_mm  # does it hunt?
         targets[axis] = target_mm
         self._core.setXYPosition(label, targets["x"] / self._mm_per_unit, targets["y"] / self._mm_per_unit)
 
