@@ -61,3 +61,15 @@ def test_a_knob_that_is_turned_is_motion_and_a_noisy_stage_is_not(noisy, box, sp
     with pytest.raises((StageUsageError, NotReferenced)):
         _ = made.stage.axis("a").position_mm
     assert motor.running
+
+
+@pytest.mark.parametrize("box", ["micromanager", "positioners"])
+def test_a_slowly_turned_knob_is_motion_within_the_noise(noisy, box):
+    """At 40 um/s seven readings stay within 20 um and go one way."""
+    made = noisy(box, 0)
+    made.stage.home()
+    made.stage.move({"a": 40.0})
+    motor = made.world.motors["a"]
+    motor.go(motor.steps + 20 * STEPS_PER_MM, 0.04 * STEPS_PER_MM, 1e7)
+    with pytest.raises((StageUsageError, NotReferenced)):
+        _ = made.stage.axis("a").position_mm
