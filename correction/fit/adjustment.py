@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.fit.judge.prior_pulls import length_errors, prior_pulls, widened
 from correction.fit.judge.result import FitStep, FittedCorners, SceneFit
 from correction.fit.judge.verdict import Left, judge_model
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors, whitening
@@ -194,8 +195,14 @@ class Adjustment:
         unit = np.ones(len(at))
         unit[len(at) - len(of_shapes) :] = 0.0 if verdict.alarms else likely_scale(normal, slope, len(of_shapes))
         slope, normal = slope * unit, normal * np.outer(unit, unit)
-        alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
         alike = [replace(lattice, rate=lattice.rate * unit) for lattice in rest.lattices]
+        alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
+        if verdict.cause is None:
+            spread = with_correlation(alone, alike, rest.correlation)
+            pulls = prior_pulls(unknowns, solution.x, normal[:free, :free], spread)
+            verdict = replace(verdict, pulls=pulls)
+        prior, step = widened(unknowns, solution.x, verdict.pulls, len(at))
+        alone = np.asarray(np.linalg.inv(normal + np.diag(prior)), dtype=np.float64)
         on_print = [weights.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)]
         printed = print_errors(on_print)
         covariance = with_correlation(alone, alike, rest.correlation)
@@ -204,12 +211,15 @@ class Adjustment:
         if len(at) > free:
             draws = np.column_stack((draws, newton_step(wide, at, slope, normal)))
         draws = np.column_stack((draws, alone @ (unit[:, None] * weights.pulled_alike(used, parts))))
+        draws = np.column_stack((draws, alone @ step))
         root = wide.columns @ draws
         sizes = (unit[len(at) - len(of_shapes) :] * of_shapes)[:, None]
         shapes = ShapeRoot(balls, sizes * draws[len(at) - len(of_shapes) :])
         for change, (ball, shape) in zip(verdict.changes, verdict.shapes, strict=True):
             root, shapes = np.column_stack((root, change)), shapes.with_columns(change.shape[1])
             shapes = shapes.with_change(ball, shape)
+        scale = length_errors(unknowns, solution.x, verdict.pulls)
+        root, shapes = np.column_stack((root, scale)), shapes.with_columns(scale.shape[1])
         scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
         corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(

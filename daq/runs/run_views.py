@@ -18,7 +18,7 @@ from correction.errors import BoardError, CorrectionError
 from correction.grid import grid_of
 from correction.maps.dewarp import Dewarp, fit_dewarp
 from correction.target import Chessboard
-from correction.target.board_file import PrintedBoard, read_board
+from correction.target.board_file import UNMEASURED, PrintedBoard, read_board
 from daq.atomic_write import write_text
 from daq.errors import RunDamaged
 from daq.runs.acquired import read_acquired, run_of
@@ -214,6 +214,7 @@ def board_of(
         Run folders and frames.
     square_mm, disc_mm : float, optional
         What somebody says of the board; otherwise squares are those of `Chessboard`, and discs as wide in them.
+        Such a print is as unsure as that of a board file without measured bars.
     board : Path, optional
         Or a board file that says it.
 
@@ -247,7 +248,9 @@ def board_of(
             said[name], by[name] = value, f"{path} says"
     usual = Chessboard()
     square = said["square_mm"] or usual.square_mm
-    return Chessboard(square, said["disc_mm"] or usual.disc_mm / usual.square_mm * square)
+    disc = said["disc_mm"] or usual.disc_mm / usual.square_mm * square
+    unsure = 0.0 if runs else UNMEASURED
+    return Chessboard(square, disc, scale_sigma=(unsure, unsure))
 
 
 def _printed(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], sizes: Sequence[str]) -> Chessboard:

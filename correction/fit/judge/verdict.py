@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
+from correction.fit.judge.prior_pulls import PriorPull
 from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
 from correction.fit.seen.hidden_patches import Hidden, hidden_patches
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
@@ -67,6 +68,8 @@ class Verdict:
         What glass says of the light of the target frames, where that cannot be the told one.
     unexplained : tuple of WayTest or None
         The test of every way once the cause of an alarm is known; None where there is no such cause.
+    pulls : tuple of PriorPull
+        Priors that fail their joint test.
     """
 
     ways: tuple[WayTest, ...]
@@ -80,6 +83,7 @@ class Verdict:
     smear: ColourSmear | None = None
     wrong_light: str = ""
     unexplained: tuple[WayTest, ...] | None = None
+    pulls: tuple[PriorPull, ...] = ()
 
     @property
     def alarms(self) -> tuple[WayTest, ...]:
@@ -139,7 +143,7 @@ class Verdict:
         """The verdict in words."""
         bodies = map(str, (*self.unlisted, *self.hidden))
         light = ([str(self.smear)] if self.many_colours else []) + ([self.wrong_light] if self.wrong_light else [])
-        found = (*bodies, *light)
+        found = (*map(str, self.pulls), *bodies, *light)
         balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
         ways += [in_words(self.rims)] if self.rims else []
         if self.alarms:
@@ -151,7 +155,8 @@ class Verdict:
         """Whether nothing speaks against the model."""
         balls = any(one.is_ball for one in self.unconfirmed)
         bodies = any(not one.rim_of for one in self.unlisted)
-        return not (self.alarms or self.hidden or bodies or self.many_colours or self.wrong_light or balls)
+        seen = self.alarms or self.hidden or bodies or balls or self.pulls
+        return not (seen or self.many_colours or self.wrong_light)
 
     @property
     def masked(self) -> tuple[MaskedPart, ...]:
@@ -214,6 +219,7 @@ class Verdict:
             "unlisted": [asdict(part) for part in self.unlisted],
             "unconfirmed": [asdict(one) for one in self.unconfirmed],
             "rims": [asdict(one) for one in self.rims],
+            "pulls": [asdict(pull) for pull in self.pulls],
             "smear": asdict(self.smear) if self.smear else None,
             "suspects": [one.to_dict() for one in self.suspects],
             "independent_corners": {

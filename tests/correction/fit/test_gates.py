@@ -44,7 +44,7 @@ def fitted(rms_px: float = 0.02, **ways: tuple[int, int]) -> Any:
     )
     lost = unconfirmed_ways(SCENE, expected, paired, PLACE_MM)
     return Fitted(
-        verdict=SimpleNamespace(alarms=(), able_px=0.02, sentences=(), unconfirmed=lost),
+        verdict=SimpleNamespace(alarms=(), able_px=0.02, sentences=(), unconfirmed=lost, pulls=()),
         corners=corners,
         expected_behind=sum(expected.values()),
         paired_behind=sum(paired.values()),

@@ -1,5 +1,7 @@
 """Heights of the board as the stages measured them, and the board itself, from the run and from nobody's name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -69,9 +71,11 @@ def test_a_run_knows_its_board_and_nobody_contradicts_it(tmp_path):
         board_of([frame, other])
 
 
-def test_lone_files_have_the_board_that_is_told(tmp_path):
-    assert board_of([tmp_path / "a.tif"]) == Chessboard()
-    assert board_of([tmp_path / "a.tif"], 5.0, 2.0) == Chessboard(5.0, 2.0)
+def test_lone_files_have_the_given_board_with_the_scale_sigma_of_an_unmeasured_print(tmp_path):
+    unmeasured = PrintedBoard(kind="chessboard", square_mm=5.0, disc_mm=2.0).board()
+    assert unmeasured.scale_sigma == (0.005, 0.005)
+    assert board_of([tmp_path / "a.tif"]) == replace(unmeasured, square_mm=2.5, disc_mm=1.0)
+    assert board_of([tmp_path / "a.tif"], 5.0, 2.0) == unmeasured
 
 
 BOARD = PrintedBoard(

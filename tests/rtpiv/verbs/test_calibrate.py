@@ -79,7 +79,7 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
         < max(grid["nominal glass"]["behind glass"]["rms_px"])
     )
     said = " ".join(out.split())
-    assert "nearly one unknown" not in said  # it costs nothing: the page and the file say it
+    assert "nearly one unknown" in said  # the scale of a print that was not measured, and what is as large as it
     assert "in the sigma of the map" in said
     assert any("nearly one unknown" in each for each in summary["weak"])
     assert "saddles" not in err
