@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from piv.errors import FrameDamaged, FrameError
 from piv.files.frame_file import COPY, checksum, read_frame
 
-AMONG_OTHERS = ("daq.frames.hdf5_stack", "daq.frames.video", "daq.frames.davis")
+AMONG_OTHERS = ("daq.frames.hdf5_stack", "daq.frames.video", "daq.frames.double_frames", "daq.frames.davis")
 
 
 def read_named(place: Path, shape: tuple[int, int] | None = None, crc32: str | None = None) -> NDArray[Any]:

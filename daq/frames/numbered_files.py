@@ -1,100 +1,182 @@
-"""Numbered files: `B%05d_a.tif` with `B%05d_b.tif` beside it, or `im%05d.tif`, whose neighbours are pairs.
+"""Files of frames: a folder, a pattern of their names, or a pattern for each of first and second frames.
 
-Numbers may have gaps.  Where both frames have a number of their own, it alone says which pairs a frame is in
-(`daq.frames.pairing`), counted from the lowest: one that is missing does not swap the rest.  A folder of
-numbered frames is the one pattern that all of them follow.
+A pattern has one ``%05d`` or ``%d`` for a number, or ``*`` for any text.  Which frames are pairs, their names say
+(`daq.frames.name_schemes`), or the pattern of the second frames does; else they are a sequence, whose neighbours
+are pairs (`daq.frames.pairing`).  Numbers may have gaps: one that is missing does not swap the rest.
+
+What a folder holds besides is set aside: hidden files, which macOS writes beside each (``._im0001.tif``), and a
+few of another name, such as frames of the target.
 """
 
 import re
-from collections import defaultdict
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
+from daq.frames.name_schemes import (
+    FEW_STRAYS,
+    Scheme,
+    counted_from_1,
+    natural,
+    pattern_of,
+    schemes_of,
+    sequences_of,
+    skeleton,
+)
 from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
+from daq.frames.tiff_pages import page_count
 from piv.errors import PairError
-from piv.files.frame_file import FRAME_ENDINGS
+from piv.files.frame_file import FRAME_ENDINGS, page_of
 
-_NUMBER = re.compile(r"%0?(\d*)d")
-_FIRST = re.compile(r"(?<![A-Za-z0-9])([aA])(?=\.[^.]+$)|(?<=d)([aA])(?=\.[^.]+$)")
-
-
-def second_of(pattern: str) -> str | None:
-    """Pattern of second frames, ``_b``, that belongs to one of first frames, ``_a``; None if it has no letter."""
-    letter = _FIRST.search(pattern)
-    if letter is None:
-        return None
-    at = letter.start()
-    return f"{pattern[:at]}{chr(ord(pattern[at]) + 1)}{pattern[at + 1 :]}"
+_WILD = re.compile(r"%0?(\d*)d|\*")
+WITH = "@@"  # between the patterns of first and second frames
+MOST_NAMED = 4  # patterns in a message
+MOST_NUMBER = 10**9  # of a pair; larger ones are times
+LISTED = 3  # pairs that are named before anything is computed
 
 
-class NumberedFiles:
-    """Files whose names differ by a number.
+class FoundFiles:
+    """Frames that were found, and which of them are pairs."""
 
-    Parameters
-    ----------
-    path : Path
-        Pattern with one ``%05d``, ``%d`` or the like in the name of the file.
+    _pairs: list[FramePlaces]
+    _alone: int
+    is_sequence = False  # whose pairs no name tells
+    set_aside: Sequence[str] = ()  # frames of another name
 
-    Raises
-    ------
-    PairError
-        No file has such a name; or letters say which frames are pairs, and a pairing says it too.
-    """
+    def _keep(self, folder: Path, pairs: Sequence[tuple[str, str]], count: int) -> None:
+        """Keep pairs in their order; their numbers are those of the files where one counts them."""
+        numbers = _numbers_of([first for first, _ in pairs])
+        self._pairs = [
+            (number, folder / first, folder / second)
+            for number, (first, second) in zip(numbers, pairs, strict=True)
+        ]
+        self._alone = count - len({name for pair in pairs for name in pair})
 
-    def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
-        number = _NUMBER.search(path.name)
-        assert number is not None
-        before, after = path.name[: number.start()], path.name[number.end() :]
-        digits = f"\\d{{{int(number[1])},}}" if number[1] else r"\d+"
-        name = re.compile(f"{re.escape(before)}({digits}){re.escape(after)}")
-        try:
-            found = [(match, file) for file in path.parent.iterdir() if (match := name.fullmatch(file.name))]
-        except OSError as error:
-            raise PairError(f"{path.parent}: cannot be looked into ({error.strerror})") from None
-        files = {int(match[1]): file for match, file in sorted(found, key=lambda each: each[1].name)}
-        if not files:
-            raise PairError(f"{path}: no file has such a name")
-        letter = _FIRST.search(path.name)
-        if letter is None:
-            low = min(files)
-            self._pairs, self._alone = pairing.pairs({n - low + 1: file for n, file in files.items()})
+    def _keep_sequence(self, folder: Path, frames: dict[Fraction, str], pairing: Pairing) -> None:
+        """Keep the pairs of a sequence, or of each file that holds both frames as pages."""
+        order = [frames[value] for value in sorted(frames)]
+        if pairing is NEIGHBOURS and (pages := page_count(folder / order[0])) > 1:
+            if pages > 2:
+                raise PairError(
+                    f"{folder / order[0]}: holds {pages} pages, and so may the others; give one of these files"
+                )
+            self._keep(folder, [(f"{name}@1", f"{name}@2") for name in order], 2 * len(order))
             return
-        if pairing != NEIGHBOURS:
-            raise PairError(f"{path}: the letters say which frames are pairs; leave the numbers behind @ out")
-        second = chr(ord(path.name[letter.start()]) + 1)
-        self._pairs, self._alone = [], 0
-        for n, file in sorted(files.items()):
-            at = len(file.name) - len(path.name) + letter.start()
-            partner = file.with_name(file.name[:at] + second + file.name[at + 1 :])
-            if partner.is_file():
-                self._pairs.append((n, file, partner))
-            else:
-                self._alone += 1
-
-    @classmethod
-    def takes(cls, path: Path) -> bool:
-        """Whether the name has one number to be put in, and the ending of a frame."""
-        return len(_NUMBER.findall(path.name)) == 1 and path.suffix.lower() in FRAME_ENDINGS
+        self.is_sequence = pairing is NEIGHBOURS
+        numbered = {number: folder / name for number, name in counted_from_1(frames).items()}
+        self._pairs, self._alone = pairing.pairs(numbered)
 
     def pairs(self) -> Sequence[FramePlaces]:
         """Pairs in their order; their numbers are those of the files, or of pairs of files."""
         return self._pairs
 
     def alone(self) -> int:
-        """Frames without a partner; of second frames without a first one nobody asks."""
+        """Frames without a partner."""
         return self._alone
 
     def file_of(self, place: Path) -> Path:
-        """The frame's own."""
-        return place
+        """The frame's own, or the file that holds it as a page."""
+        return page_of(place)[0]
 
 
-_DIGITS = re.compile(r"\d+")
-Parts = tuple[str, str]  # of a name, before and behind its number
+class NumberedFiles(FoundFiles):
+    """Files whose names follow a pattern.
+
+    Parameters
+    ----------
+    path : Path
+        Pattern with one ``%05d``, ``%d``, ``*`` or the like in the name of the file.
+
+    Raises
+    ------
+    PairError
+        No file has such a name, or they are second frames; or names say which frames are pairs, and a pairing says
+        it too.
+    """
+
+    def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
+        folder, found = path.parent, matches(path)
+        if not found:
+            raise PairError(f"{path}: no file has such a name")
+        names = set(found.values())
+        is_letter = False
+        for scheme in schemes_of(frames_in(folder)):
+            if (
+                names <= scheme.names
+                and skeleton(scheme.pairs[0][1]) == skeleton(next(iter(names)))
+                and not (names & {first for first, _ in scheme.pairs})
+            ):
+                raise PairError(
+                    f"{path}: these are second frames; give the first ones, {_quoted(folder / scheme.first)}"
+                )
+            pairs = [pair for pair in scheme.pairs if pair[0] in names]
+            if names <= scheme.names and pairs:
+                is_letter = skeleton(pairs[0][0]) != skeleton(pairs[0][1])
+                if pairing is NEIGHBOURS:
+                    partners = {second for _, second in pairs}
+                    self._keep(folder, pairs, len(names | partners))
+                    return
+        if is_letter:
+            raise PairError(f"{path}: the letters say which frames are pairs; leave the numbers behind @ out")
+        if "*" in path.name:
+            self._keep_sequence(folder, _one_sequence(folder, sequences_of(names)), pairing)
+        else:
+            self._keep_sequence(folder, {Fraction(int(text)): name for text, name in found.items()}, pairing)
+
+    @classmethod
+    def takes(cls, path: Path) -> bool:
+        """Whether the name has one place for a number, the ending of a frame, and is no file's own."""
+        return (
+            len(list(_WILD.finditer(path.name))) == 1
+            and path.suffix.lower() in FRAME_ENDINGS
+            and not path.exists()
+        )
 
 
-class FrameFolder(NumberedFiles):
-    """Frames of a folder, by the pattern of their names.
+class PatternPair(FoundFiles):
+    """Files in pairs by a pattern for each of both: what stands for ``*`` or ``%05d`` is the same in both names.
+
+    Parameters
+    ----------
+    path : Path
+        Both patterns with ``@@`` between them; the second one without a folder lies where the first does.
+
+    Raises
+    ------
+    PairError
+        No pair of files has such names.
+    """
+
+    def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
+        first, second = (Path(text) for text in str(path).split(WITH))
+        second = second if len(second.parts) > 1 else first.with_name(second.name)
+        if pairing is not NEIGHBOURS:
+            raise PairError(f"{path}: the patterns say which frames are pairs; leave the numbers behind @ out")
+        for pattern in (first, second):
+            if not NumberedFiles.takes(pattern):
+                raise PairError(f"{pattern}: a pattern has one %d, %05d or * in the name of a frame, in quotes")
+        firsts, seconds = matches(first), matches(second)
+        both = sorted(firsts.keys() & seconds.keys(), key=natural)
+        if not both:
+            raise PairError(
+                f"{first}: {len(firsts)} files have such a name, and {len(seconds)} that of {second}; no two have"
+                " the same text in place of the number"
+            )
+        numbers = _numbers_of([firsts[text] for text in both])
+        self._pairs = [
+            (number, first.parent / firsts[text], second.parent / seconds[text])
+            for number, text in zip(numbers, both, strict=True)
+        ]
+        self._alone = len(firsts) + len(seconds) - 2 * len(both)
+
+    @classmethod
+    def takes(cls, path: Path) -> bool:
+        """Whether there are two patterns."""
+        return str(path).count(WITH) == 1
+
+
+class FrameFolder(FoundFiles):
+    """Frames of a folder, in pairs as their names say.
 
     Parameters
     ----------
@@ -104,59 +186,114 @@ class FrameFolder(NumberedFiles):
     Raises
     ------
     PairError
-        Its frames follow several patterns, or none.
+        Its frames are of several series, or names can be read in several ways; the message has commands.
     """
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
-        super().__init__(path / pattern_in(path), pairing)
+        names = frames_in(path)
+        schemes, few = schemes_of(names), FEW_STRAYS * len(names)
+        covering = [scheme for scheme in schemes if len(names) - len(scheme.names) <= few]
+        if len(covering) == 1 and len(sequences_of([first for first, _ in covering[0].pairs])) == 1:
+            (scheme,) = covering
+            if pairing is not NEIGHBOURS:
+                raise PairError(f"{path}: the names say which frames are pairs; leave the numbers behind @ out")
+            self._keep(path, scheme.pairs, len(scheme.names))
+            self.set_aside = sorted(names - scheme.names)
+            return
+        if schemes:
+            raise PairError(_several(path, names, schemes))
+        sequence = _one_sequence(path, sequences_of(names), few)
+        self._keep_sequence(path, sequence, pairing)
+        self.set_aside = sorted(names - set(sequence.values()))
 
     @classmethod
     def takes(cls, path: Path) -> bool:
         """Whether it is a folder with numbered frames."""
-        return path.is_dir() and bool(_numbered(path))
+        return path.is_dir() and any(re.search(r"\d", Path(name).stem) for name in frames_in(path))
 
 
-def pattern_in(folder: Path) -> str:
-    """Return the pattern of the numbered frames of a folder, such as ``B%05d_a.tif``.
-
-    Of several numbers in the names the one is taken that leaves the fewest patterns: ``im%05d_cam1.tif``.  Files
-    without a number, such as a picture of the target, are left aside.
+def frames_in(folder: Path) -> set[str]:
+    """Return the names of frames in a folder; of its subfolders, with their names, if it has none itself.
 
     Raises
     ------
     PairError
-        There are several patterns, or no numbered frame.
+        It cannot be looked into.
     """
-    names = _numbered(folder)
-    if not names:
-        raise PairError(f"{folder}: holds no numbered frames")
-    most = max(len(_DIGITS.findall(Path(name).stem)) for name in names)
-    found = min((_patterns(names, place) for place in range(-1, -most - 1, -1)), key=len)
-    if len(found) > 1:
-        raise PairError(
-            f"{folder}: its frames have several names; name one of them, in quotes: {', '.join(found)}"
-        )
-    return found[0]
-
-
-def _numbered(folder: Path) -> list[str]:
-    """Names of frames with a number."""
     try:
-        names = [file.name for file in folder.iterdir() if file.suffix.lower() in FRAME_ENDINGS]
+        found = {file.name for file in folder.iterdir() if is_frame(file)}
+        if not found:
+            inside = (file for each in folder.iterdir() if each.is_dir() for file in each.iterdir())
+            found = {f"{file.parent.name}/{file.name}" for file in inside if is_frame(file)}
     except OSError as error:
         raise PairError(f"{folder}: cannot be looked into ({error.strerror})") from None
-    return sorted(name for name in names if _DIGITS.search(Path(name).stem))
+    return found
 
 
-def _patterns(names: list[str], place: int) -> list[str]:
-    """Patterns of names whose number at `place` differs; a second frame's goes with that of its first."""
-    widths: dict[Parts, set[int]] = defaultdict(set)
-    for name in names:
-        runs = list(_DIGITS.finditer(Path(name).stem))
-        number = runs[place] if -place <= len(runs) else runs[0]
-        widths[name[: number.start()], name[number.end() :]].add(len(number[0]))
-    texts = {
-        f"{before}%0{min(each)}d{behind}" if len(each) == 1 else f"{before}%d{behind}"
-        for (before, behind), each in widths.items()
-    }
-    return sorted(texts - {second for text in texts if (second := second_of(text)) is not None})
+def is_frame(file: Path) -> bool:
+    """Whether a name is that of a frame, and no hidden file's."""
+    return file.suffix.lower() in FRAME_ENDINGS and not file.name.startswith(".")
+
+
+def matches(pattern: Path) -> dict[str, str]:
+    """Return the names of files that follow a pattern, by the text in place of its number."""
+    wild = _WILD.search(pattern.name)
+    assert wild is not None
+    digits = ".*" if wild[0] == "*" else f"\\d{{{int(wild[1])},}}" if wild[1] else r"\d+"
+    before, after = pattern.name[: wild.start()], pattern.name[wild.end() :]
+    name = re.compile(f"{re.escape(before)}({digits}){re.escape(after)}")
+    try:
+        there = sorted(file.name for file in pattern.parent.iterdir() if is_frame(file))
+    except OSError as error:
+        raise PairError(f"{pattern.parent}: cannot be looked into ({error.strerror})") from None
+    return {match[1]: file for file in there if (match := name.fullmatch(file))}
+
+
+def first_pairs(pairs: Sequence[FramePlaces]) -> str:
+    """Return the names of the first pairs, for a person to check before anything is computed."""
+    named = [f"{first.name} + {second.name}" for _, first, second in pairs[:LISTED]]
+    return f"pairs: {', '.join(named)}{', ...' if len(pairs) > LISTED else ''} ({len(pairs)} in all)"
+
+
+def _numbers_of(firsts: Sequence[str]) -> Sequence[int]:
+    """Numbers of pairs: the one number that differs in the names of their first frames, or their order."""
+    texts = [re.findall(r"\d+", Path(name).stem) for name in firsts]
+    for each in reversed(list(zip(*texts, strict=False))):
+        numbers = [int(text) for text in each]
+        if len(set(numbers)) == len(numbers) and sorted(numbers) == numbers and numbers[-1] < MOST_NUMBER:
+            return numbers
+    return range(len(firsts))
+
+
+def _one_sequence(folder: Path, found: list[dict[Fraction, str]], few: float = 0.0) -> dict[Fraction, str]:
+    """Return the sequence that nearly all frames are of; PairError with patterns if there are several."""
+    if not found:
+        raise PairError(f"{folder}: holds no numbered frames")
+    longest = max(found, key=len)
+    if sum(map(len, found)) - len(longest) > few:
+        some = ", ".join(
+            sorted({_quoted(folder / pattern_of(list(each.values()))) for each in found})[:MOST_NAMED]
+        )
+        raise PairError(f"{folder}: its frames are of several series; name one of them, in quotes: {some}")
+    return longest
+
+
+def _several(folder: Path, names: set[str], schemes: Sequence[Scheme]) -> str:
+    """Say which series there are, each by the words that choose it."""
+    ways = []
+    for scheme in sorted(schemes, key=lambda scheme: (scheme.mark_at, scheme.first)):
+        for part in sequences_of([first for first, _ in scheme.pairs]):
+            pairs = [pair for pair in scheme.pairs if pair[0] in set(part.values())]
+            first, second = (pattern_of(each) for each in zip(*pairs, strict=True))
+            where = folder / second if "/" in second else Path(second)
+            ways.append(f"{_quoted(folder / first)} --second {_quoted(where)}")
+    rest = sequences_of(names - frozenset().union(*(scheme.names for scheme in schemes)))
+    ways += [_quoted(folder / pattern_of(list(each.values()))) for each in rest if len(each) > 1]
+    return (
+        f"{folder}: its frames are of several series, or can be paired in several ways; in place of the folder"
+        f" give one of these, with its quotes: {'  or  '.join(ways[:MOST_NAMED])}"
+    )
+
+
+def _quoted(path: Path) -> str:
+    return f'"{path}"'

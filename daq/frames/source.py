@@ -21,6 +21,8 @@ from daq.frames.pairing import FramePlaces, Pairing, pairing_of
 from piv.errors import PairError
 
 KINDS = (  # the first that takes a name
+    "daq.frames.double_frames:DoubleFrames",
+    "daq.frames.numbered_files:PatternPair",
     "daq.frames.numbered_files:NumberedFiles",
     "daq.frames.numbered_files:FrameFolder",
     "daq.frames.tiff_pages:TiffPages",

@@ -11,6 +11,17 @@ from piv.errors import FrameError
 from piv.files.frame_file import MOST_PAGES, TIFF_ENDINGS, page_of
 
 
+def page_count(path: Path) -> int:
+    """Return how many images a TIFF holds, without small previews; 1 for another file, or a damaged one."""
+    if path.suffix.lower() not in TIFF_ENDINGS:
+        return 1
+    try:
+        with open_plain(path) as stream, tifffile.TiffFile(stream) as tiff:
+            return sum(not page.aspage().is_reduced for page in tiff.pages)
+    except Exception:  # whatever a decoder meets in a damaged file, which is said where it is read
+        return 1
+
+
 class TiffPages:
     """Pages of a stack.
 

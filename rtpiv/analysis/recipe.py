@@ -12,6 +12,7 @@ distance is FAR_MM / s pixels.  How far away the true camera stands is not known
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from correction.errors import MapUsageError
 from correction.fitted.map_sigma import SigmaLimit
@@ -19,7 +20,9 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
 from correction.target import Chessboard
 from daq.atomic_write import write_text
+from daq.frames.numbered_files import WITH
 from daq.runs.acquired import read_acquired
+from daq.runs.names import is_run
 from daq.runs.run_views import FAR_MM, board_of, dewarp_of
 from piv.resampling.sample import Method
 from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
@@ -57,6 +60,11 @@ class CorrectionRecipe:
         What a pixel shows of the plane, of frames of others that were taken without glass: in place of a scene.
     mask : path, optional
         Picture as large as a raw frame: what is white in it takes no part in anything.
+    second : path, optional
+        Pattern of the second frames of pairs, such as "A%03d_2.tif" where "A%03d_1.tif" is that of the first ones,
+        in quotes: what stands for ``%03d`` or ``*`` is the same in both.
+    both : {"top-bottom", "left-right", "interlaced"}, optional
+        How both frames of a pair lie in each file, where one holds both.
     """
 
     target_clear: Path | str | None = None
@@ -66,6 +74,22 @@ class CorrectionRecipe:
     sigma_limit_px: Positive | None = None
     mm_per_px: Positive | None = None
     mask: Path | str | None = None
+    second: Path | str | None = None
+    both: Literal["top-bottom", "left-right", "interlaced"] | None = None
+
+    def frames_of(self, path: Path) -> Path:
+        """Return the name of frames in pairs (`daq.frames.source`), with what is given of their pairs.
+
+        Raises
+        ------
+        MapUsageError
+            The frames are in pairs already, by a run or by the other option.
+        """
+        if self.second is None and self.both is None:
+            return path
+        if is_run(path) or (self.second is not None and self.both is not None):
+            raise MapUsageError("--second and --both are for frames of others, one of them", place=path)
+        return Path(f"{path}{WITH}{self.second}" if self.second is not None else f"{path}@{self.both}")
 
     def scene_of(self, scene: Path | None, frame: Path, out: Path) -> Path | None:
         """Return the scene file of frames of others: the one given, or one of a camera alone, written into `out`.

@@ -162,6 +162,8 @@ def correct(
             raise RunUsageError("is a run", place=path, cure=cure)
     if recipe.mm_per_px is not None:
         raise MapUsageError("a scene says what its pixels show; leave --mm-per-px out")
+    if recipe.second is not None or recipe.both is not None:
+        raise MapUsageError("frames are corrected one by one; leave --second and --both to rtpiv evaluate")
     fitted = recipe.masked(scene if isinstance(scene, Scene) else load_scene(scene))
     particles = not check_target and shows_light_sheet(frames)
     loaded = fitted.in_light_sheet() if particles else fitted

@@ -41,6 +41,7 @@ from rtpiv.options.numbers import steps
 Window = Literal["gaussian", "square"]
 Side = Annotated[int, Interval(ge=SMALLEST_WINDOW_PX, le=1024)]
 FINAL_PX, FINEST_PX = 32, 16  # sides of the windows that places find, unless something is said of either
+LEAST_VALID = 0.15  # share of windows; of unlike frames 0.02 to 0.1 are valid
 LARGEST_FIRST = 2  # times the last window at least: a first window as small as that finds next to nothing
 
 
@@ -73,6 +74,9 @@ class PivOptions(TypedDict, total=False):
         Of the Gaussian in each frame, in sides (default 0.3).
     min_valid : float
         Smallest share of a window's weight on valid pixels (default 0.3).
+    least_valid : float
+        Smallest share of windows with valid vectors, median of the pairs of a series, that is no error: of frames
+        that are no pairs a few per cent are valid by chance (default 0.15; 0 accepts any).
     smoothing_px : float
         Of the predictor between passes (default a quarter of the last window).
     denoise : float
@@ -106,6 +110,7 @@ class PivOptions(TypedDict, total=False):
     window: Window
     window_sigma: WindowSigma
     min_valid: MinValid
+    least_valid: Annotated[float, Interval(ge=0.0, le=1.0)]
     smoothing_px: NotNegative | None
     denoise: NotNegative
     extra_passes: ExtraPasses
@@ -127,6 +132,7 @@ class PivChoice:
     settings: PivSettings
     preparation: Preparation | None
     out_of_plane: OutOfPlane = NOTHING_TOLD
+    least_valid: float = LEAST_VALID
 
 
 class _Settings(Table):
@@ -135,6 +141,7 @@ class _Settings(Table):
     def choice(self) -> PivChoice:
         """Return them; PairError if they contradict each other."""
         given = self.model_dump(exclude_unset=True)
+        least_valid = given.pop("least_valid", LEAST_VALID)
         prepare, window = given.pop("prepare", None), given.pop("window", "gaussian")
         final, finest = given.pop("final_window_px", None), given.pop("finest_window_px", None)
         sides = windows_of(given.pop("first_window_px", None), final or FINAL_PX, given.pop("passes", None))
@@ -144,7 +151,8 @@ class _Settings(Table):
             given["window_sigma"] = 0.0
         through = OutOfPlane(given.pop("sigma_w_m_s", None), given.pop("w_over_u", None))
         settings = PivSettings(windows_px=sides, finest_px=finest, **given)
-        return PivChoice(settings, None if prepare is None else Preparation(tuple(prepare)), through)
+        preparation = None if prepare is None else Preparation(tuple(prepare))
+        return PivChoice(settings, preparation, through, least_valid)
 
 
 _KEYS: dict[str, Any] = {

@@ -10,8 +10,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeVar
 
+import numpy as np
+
 from ground.plain_words import counted
 from ground.terminal import console, progress
+from piv.correlation.vector_field import VectorFlag, could_be_measured
 from piv.errors import PairError, SeriesError
 from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import SLIDING_MINIMUM
@@ -26,6 +29,7 @@ from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.workers import carried_out, workers_for
 
 R = TypeVar("R")
+CHUNKS_LOOKED_AT = 4  # for the share of valid vectors
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,8 @@ def run_series(
     Raises
     ------
     PairError, SeriesError
-        Too few pairs for the background, or none gave a vector; or the folder holds chunks of another run.
+        Too few pairs for the background, or none gave a vector, or few windows did; or the folder holds chunks of
+        another run.
     DiskError
         A file cannot be written; what is whole stays.
     RunUnsuitable
@@ -134,6 +139,16 @@ def run_series(
         reasons = _failures(folder, jobs)
     if len(reasons) == len(given.pairs):
         raise PairError(f"no pair gave a vector; the first: {next(iter(reasons.values()))}")
+    share = _valid_share(folder, jobs)
+    if share < series.least_valid:
+        a, b = (place.name for place in given.pairs[0].frames)
+        raise PairError(
+            f"only {100.0 * share:.0f} % of the windows have a valid vector, median of the pairs: {a} and {b}, and"
+            " the others like them, are no pairs, or show no particles, or move too far",
+            place=series.run,
+            cure="name pairs by --second, by @2-3,4-5 behind the name or by --both; give a larger --first-window;"
+            " or keep these vectors with --least-valid 0",
+        )
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
     return Evaluated(len(given.pairs), reasons, series=folder, kept=kept)
 
@@ -182,6 +197,16 @@ def _announce(folder: SeriesFolder, about: SeriesFile) -> None:
         )
     why = "; ".join(unlike.differences) or "its frames, or the times between them, are others"
     console().print(f"{folder.path}: {finished} will be made again: {why}", style="bold red")
+
+
+def _valid_share(folder: SeriesFolder, jobs: Sequence[ChunkJob]) -> float:
+    """Return the share of windows with valid vectors, of those that see a flow, median of pairs of all chunks."""
+    some = np.unique(np.linspace(0, len(jobs) - 1, CHUNKS_LOOKED_AT).round().astype(int))
+    shares = []
+    for flags in (folder.vectors(jobs[k].number, jobs[k].key).fields["flag"] for k in some):
+        asked = could_be_measured(flags).sum(axis=(1, 2))
+        shares += list((flags == VectorFlag.VALID).sum(axis=(1, 2))[asked > 0] / asked[asked > 0])
+    return float(np.median(shares)) if shares else 1.0
 
 
 def _failures(folder: SeriesFolder, jobs: Sequence[ChunkJob]) -> dict[str, str]:

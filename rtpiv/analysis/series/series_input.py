@@ -12,13 +12,17 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
 from daq.atomic_write import copy_whole, why, write_text
 from daq.errors import DiskError
+from daq.frames.likeness import require_pairs
+from daq.frames.numbered_files import MOST_NAMED, FoundFiles, first_pairs
 from daq.frames.source import is_source, source_of
 from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import with_glass_at
 from daq.runs.names import is_run
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
 from daq.runs.run_views import scene_file, shows_light_sheet, where_lit
+from ground.plain_words import counted
 from ground.printable import readable_name
+from ground.terminal import console
 from piv.errors import PairError
 from piv.files.frame_file import stem_of
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
@@ -167,12 +171,15 @@ class SeriesInput:
         Its pairs.
     method : Method
         How each is evaluated.
+    least_valid : float
+        Share of windows with valid vectors, median of the pairs, below which the series is an error.
     """
 
     run: Path
     out: Path
     given: PairsOfSeries
     method: Method
+    least_valid: float = 0.0
 
     @property
     def name(self) -> str:
@@ -229,7 +236,10 @@ def series_input(
     """
     foreign = not is_run(run) and is_source(run)
     if foreign:
-        scene = recipe.scene_of(scene, source_of(run).pairs()[0][1], out)
+        source = source_of(run)
+        if isinstance(source, FoundFiles):
+            _announce(run, source)
+        scene = recipe.scene_of(scene, source.pairs()[0][1], out)
     elif recipe.mm_per_px is not None:
         raise PairError(SCALE_KNOWN, place=run)
     if foreign and scene is None:
@@ -257,7 +267,19 @@ def series_input(
         limit = replace(limit, sigma=replace(seen, scene_hash=through.content_hash()))
     method = Method(through, dewarp, choice.settings, choice.preparation or usual, limit)
     method = replace(method, out_of_plane=choice.out_of_plane)
-    return SeriesInput(run, out, given, method)
+    return SeriesInput(run, out, given, method, choice.least_valid)
+
+
+def _announce(run: Path, source: FoundFiles) -> None:
+    """Name the first pairs, and what is in none, before anything is computed; PairError as `require_pairs`."""
+    if source.is_sequence:
+        require_pairs(run, source.pairs())
+    said = [first_pairs(source.pairs())]
+    if source.alone():
+        said.append(f"{counted(source.alone(), 'frame')} without a partner, in no pair")
+    if source.set_aside:
+        said.append(f"set aside: {', '.join(source.set_aside[:MOST_NAMED])}")
+    console().print("; ".join(said), soft_wrap=True, highlight=False)
 
 
 def keep_scene(scene: Path, out: Path, loaded: Scene | None = None) -> None:

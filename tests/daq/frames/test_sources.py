@@ -9,7 +9,6 @@ import pytest
 import tifffile
 
 from daq.frames.named_frame import read_named
-from daq.frames.numbered_files import pattern_in
 from daq.frames.source import KINDS, is_source, source_of
 from piv.errors import FrameDamaged, FrameError, PairError
 from piv.files.frame_file import checksum
@@ -83,7 +82,18 @@ def stand_in(monkeypatch):
     monkeypatch.setitem(sys.modules, "lvpyio", StandIn())
 
 
-ALL = [letters, numbers, pages, in_pairs, nexus, by_name, folder, davis]
+def second_pattern(folder, stack):
+    letters(folder, stack)
+    return folder / "B%05d_a.tif@@B%05d_b.tif"
+
+
+def double(folder, stack):
+    for number, pair in enumerate(stack):
+        tifffile.imwrite(folder / f"im{number}.tif", np.vstack(pair))
+    return Path(f"{folder}@top-bottom")
+
+
+ALL = [second_pattern, double, letters, numbers, pages, in_pairs, nexus, by_name, folder, davis]
 
 
 def test_every_kind_is_under_contract(tmp_path):
@@ -193,28 +203,10 @@ def test_numbers_of_more_digits_and_other_names_are_told_apart(tmp_path):
     assert [n for n, *_ in source_of(tmp_path / "B%05d_a.tif").pairs()] == [0, 1, 2, 100000]
 
 
-@pytest.mark.parametrize(
-    ("names", "pattern"),
-    [
-        (["im0007.tif", "im0008.tif"], "im%04d.tif"),
-        (["im9.tif", "im10.tif"], "im%d.tif"),
-        (["d2_B00001_A.png", "d2_B00001_B.png"], "d2_B%05d_A.png"),
-        (["im00001_cam1.tif", "im00002_cam1.tif", "im00003_cam1.tif"], "im%05d_cam1.tif"),
-        (["007a.bmp", "007b.bmp"], "%03da.bmp"),
-    ],
-)
-def test_a_folder_is_the_one_pattern_of_its_frames(tmp_path, names, pattern):
-    for name in (*names, "notes.txt", "mask.tif"):
-        (tmp_path / name).write_bytes(b"")
-    assert is_source(tmp_path)
-    assert pattern_in(tmp_path) == pattern
-    assert source_of(tmp_path).pairs() == source_of(tmp_path / pattern).pairs()
-
-
 def test_a_folder_with_several_numberings_asks_which(tmp_path):
     for name in ("im001.tif", "im002.tif", "B00001_a.tif", "B00001_b.tif"):
         (tmp_path / name).write_bytes(b"")
-    with pytest.raises(PairError, match=r"name one of them, in quotes: .*B%05d_a.tif, .*im%03d.tif"):
+    with pytest.raises(PairError, match=r'B%05d_a.tif" --second "B%05d_b.tif"  or  ".*im%03d.tif"'):
         source_of(tmp_path)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "frame.tif").write_bytes(b"")

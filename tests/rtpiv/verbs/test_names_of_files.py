@@ -20,7 +20,7 @@ from piv.files.vector_file import Variable, Vectors, netcdf, read_vectors, write
 from rtpiv.command_line.cli import DONE, main
 from tests.piv.conftest import make_pair
 
-NAMES = ("Messung ä µ 漢 100% $x$", "Опыт №3 — 50 %", "e\u0301té 🙂 [a] 'b'")  # the second letter is composed
+NAMES = ("Messung ä µ 漢 100% $x$", "Опыт №3 — 50 %d", "e\u0301té 🙂 [a] 'b'")  # the second letter is composed
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
 LATIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "latin-1"}
 OPTIONS = ("--mm-per-px", "0.1", "--dt-us", "100", "--final-window", "32", "--workers", "1")

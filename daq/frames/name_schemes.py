@@ -1,0 +1,203 @@
+"""Which frames of a folder are pairs, by their names alone.
+
+First frame and second frame are told apart by one mark in their names: ``a``/``b`` (B00001_a, 0001A, a0001, LA),
+``0``/``1`` or ``1``/``2`` (A001_1, img0001_frame0), or the words first and second.  A mark counts only where the
+other name is there as well, and where it is no number of a camera, run, plane or repetition.  Names without a mark
+are a sequence, in order of their number or of their time.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from math import gcd
+from statistics import median
+
+MARKS = {"a": "b", "A": "B", "first": "second", "First": "Second", "FIRST": "SECOND"}
+FRAME_WORD = re.compile(r"(?:f|fr|frame|frm|im|img|image|pic|l|las|laser|p|pulse|e|exp|expo|exposure|t|shot)?")
+OTHER_WORD = re.compile(
+    r"c|cam|camera|r|rep|repeat|run|set|case|test|[xyz]|pos|position|plane|phase|view|ch|channel|day|probe"
+)
+LEAST_PAIRED = 0.5  # of the frames of a scheme: others have lost their partner
+FEW_STRAYS = 0.2  # of all frames of a folder at most, such as frames of the target
+MARK_DIGITS = 2  # of a number that tells first from second frame at most; a longer one counts
+JITTER = 0.2  # of the usual time between frames, in names that are times
+APART = 3  # times as long between pairs as within them, at least, where the gaps between numbers say it
+_NUMBER = re.compile(r"\d+(?:\.\d+(?![\d.]))?")
+_DIGITS = re.compile(r"\d+")
+_LETTERS = re.compile(r"[^\W\d_]+")
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Frames whose names tell first and second frames apart.
+
+    Parameters
+    ----------
+    first, second : str
+        Patterns of their names, ``A%03d_1.tif``, or ``run%*_1.tif`` where several numbers vary.
+    pairs : tuple of (str, str)
+        In order.
+    names : frozenset of str
+        All frames that follow it, those without a partner as well.
+    """
+
+    first: str
+    second: str
+    pairs: tuple[Pair, ...]
+    names: frozenset[str]
+
+    @property
+    def mark_at(self) -> int:
+        """How far from the end of a name its mark stands: the last one is the most likely."""
+        first, second = self.pairs[0]
+        alike = next(k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b)
+        return len(first) - alike
+
+
+def schemes_of(names: Collection[str]) -> list[Scheme]:
+    """Return all ways in which marks in the names make pairs, each with most of its frames in pairs."""
+    found: dict[tuple[str, str], list[Pair]] = defaultdict(list)
+    there = frozenset(names)
+    groups: dict[str, set[str]] = defaultdict(set)
+    for name in there:
+        groups[skeleton(name)].add(name)
+    for name in sorted(there, key=natural):
+        for start, end, mark in _marks_in(name, groups[skeleton(name)]):
+            partner = f"{name[:start]}{mark}{name[end:]}"
+            if partner in there:
+                side = f"{skeleton(name[:start])}\0{name[start:end]}>{mark}\0{skeleton(name[end:])}"
+                found[side, skeleton(partner)].append((name, partner))
+    schemes = []
+    for pairs in found.values():
+        first, second = pairs[0]
+        of_both = frozenset(groups[skeleton(first)] | groups[skeleton(second)])
+        in_pairs = len({name for pair in pairs for name in pair})
+        if in_pairs == 2 * len(pairs) >= LEAST_PAIRED * len(of_both):
+            schemes.append(Scheme(*patterns_of(pairs), tuple(pairs), of_both))
+    return schemes
+
+
+def _marks_in(name: str, group: Collection[str]) -> Iterator[tuple[int, int, str]]:
+    """Places of what may be the mark of a first frame, and the mark of the second one."""
+    stem = name.rpartition(".")[0]
+    for word in _LETTERS.finditer(stem):
+        text = word[0]
+        before = text[:-1].lower() if len(text) > 1 else _word_before(stem, word.start())
+        is_own = len(text) == 1 or FRAME_WORD.fullmatch(before) or text[-2].isupper() != text[-1].isupper()
+        if text in MARKS and len(text) > 1:
+            yield word.start(), word.end(), MARKS[text]
+        elif text[-1] in MARKS and is_own and not OTHER_WORD.fullmatch(before):
+            yield word.end() - 1, word.end(), MARKS[text[-1]]
+    numbers = list(_DIGITS.finditer(stem))
+    for place in reversed(range(len(numbers))):
+        number = numbers[place]
+        if len(number[0]) > MARK_DIGITS or int(number[0]) > 1 or len(numbers) < 2:
+            continue
+        values = {int(_DIGITS.findall(each)[place]) for each in group}
+        before, is_last = _word_before(stem, number.start()), place == len(numbers) - 1
+        fits = FRAME_WORD.fullmatch(before) or (is_last and not OTHER_WORD.fullmatch(before))
+        if fits and values in ({0, 1}, {1, 2}) and min(values) == int(number[0]):
+            yield number.start(), number.end(), f"{int(number[0]) + 1:0{len(number[0])}d}"
+            return  # of two such numbers the last one is the mark
+
+
+def _word_before(stem: str, place: int) -> str:
+    """Letters right before a place, or before a separator there."""
+    before = re.search(r"([^\W\d_]*)[\s_.\-=]*$", stem[:place])
+    return before[1].lower() if before is not None else ""
+
+
+def skeleton(name: str) -> str:
+    """Return a name with # in place of each number."""
+    return _DIGITS.sub("#", name)
+
+
+def natural(name: str) -> list[tuple[int, int, str]]:
+    """Return a key that sorts names by their numbers."""
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", name)]
+
+
+def patterns_of(pairs: Sequence[Pair]) -> Pair:
+    """Return the patterns of first and second frames, with ``%03d`` in place of the number that counts pairs.
+
+    Where several numbers count, ``*`` stands for all of the name between the first of them and the last one.
+    """
+    firsts, seconds = zip(*pairs, strict=True)
+    return pattern_of(firsts), pattern_of(seconds)
+
+
+def pattern_of(names: Sequence[str]) -> str:
+    """Return the pattern of names that differ by numbers alone; the last number counts where none differs."""
+    runs = [list(_DIGITS.finditer(name)) for name in names]
+    if not runs[0]:
+        return names[0]
+    varying = [place for place in range(len(runs[0])) if len({each[place][0] for each in runs}) > 1]
+    low, high = (varying[0], varying[-1]) if varying else (_counting(runs[0]),) * 2
+    start, end = runs[0][low].start(), runs[0][high].end()
+    widths = {len(each[low][0]) for each in runs}
+    number = "*" if low != high else f"%0{min(widths)}d" if len(widths) == 1 else "%d"
+    return f"{names[0][:start]}{number}{names[0][end:]}"
+
+
+def _counting(runs: Sequence[re.Match[str]]) -> int:
+    """Place of the number that counts in a single name: the longest, the last of several."""
+    return max(range(len(runs)), key=lambda place: (len(runs[place][0]), place))
+
+
+def sequences_of(names: Collection[str]) -> list[dict[Fraction, str]]:
+    """Sort names without marks into sequences, by the number or time in them; one for each camera or run."""
+    groups: dict[str, list[str]] = defaultdict(list)
+    for name in sorted(names, key=natural):
+        groups[_NUMBER.sub("#", name)].append(name)
+    found: list[dict[Fraction, str]] = []
+    for group in groups.values():
+        texts = [_NUMBER.findall(name.rpartition(".")[0]) for name in group]
+        if not texts[0]:
+            continue
+        varying = [k for k in range(len(texts[0])) if len({each[k] for each in texts}) > 1]
+        counts = {k: len({each[k] for each in texts}) for k in varying}
+        if len(varying) > 1 and max(counts.values()) < len(group):  # each camera has every number
+            counting = max(varying, key=lambda k: (counts[k], k))
+            parts: dict[tuple[str, ...], dict[Fraction, str]] = defaultdict(dict)
+            for name, each in zip(group, texts, strict=True):
+                parts[(*each[:counting], *each[counting + 1 :])][Fraction(each[counting])] = name
+            found += parts.values()
+        elif len(varying) > 1:  # a date and a time: their order counts
+            found.append({Fraction(k): name for k, name in enumerate(group, 1)})
+        else:
+            last = varying[0] if varying else len(texts[0]) - 1
+            found.append({Fraction(each[last]): name for name, each in zip(group, texts, strict=True)})
+    return found
+
+
+def counted_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:
+    """Number the frames of a sequence from 1, with gaps where some were lost.
+
+    Numbers in steps of 10 count by tens; times count by the usual time between them.  Where the frames of a pair
+    stand much closer together than pairs follow each other, those of pair n are 2 n - 1 and 2 n.
+    """
+    values = sorted(frames)
+    low, gaps = values[0], [b - a for a, b in pairwise(values)]
+    if not gaps:
+        return {1: frames[low]}
+    least, usual = min(gaps), Fraction(median(gaps))
+    short = [gap <= (1 + Fraction(JITTER)) * least for gap in gaps]
+    apart = all(gap >= APART * least for gap, near in zip(gaps, short, strict=True) if not near)
+    if apart and not all(short) and not any(a and b for a, b in pairwise(short)):
+        numbers, number = [1], 1
+        for near in short:  # a frame without a partner is a first one, and leaves the number of its partner free
+            number = number + 1 if near else number + 2 - (number + 1) % 2
+            numbers.append(number)
+        return {number: frames[value] for number, value in zip(numbers, values, strict=True)}
+    step = Fraction(gcd(*(int(gap) for gap in gaps))) if all(gap.denominator == 1 for gap in gaps) else usual
+    if len(gaps) > 1 and step < usual and all(abs(gap / usual - round(gap / usual)) <= JITTER for gap in gaps):
+        step = usual if usual > 2 else step  # frames by the millisecond: 0, 33, 67, 100
+    numbers = [1]
+    for gap in gaps:
+        numbers.append(numbers[-1] + max(1, round(gap / step)))
+    return {number: frames[value] for number, value in zip(numbers, values, strict=True)}

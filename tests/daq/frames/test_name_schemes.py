@@ -1,0 +1,277 @@
+"""Names of frames as public data sets, programs and labs give them: right pairs, or advice that leads to them."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from daq.frames.double_frames import part_of
+from daq.frames.likeness import layout_of, likeness, require_pairs
+from daq.frames.numbered_files import WITH, first_pairs
+from daq.frames.source import is_source, source_of
+from piv.errors import PairError
+from rtpiv.command_line.cli import DONE, USAGE, main
+from tests.piv.conftest import make_pair
+
+N = range(1, 5)
+
+
+def pairs_by(first, second, numbers=N):
+    return [(first.format(n), second.format(n)) for n in numbers]
+
+
+def sequence(name, numbers):
+    names = [name.format(n) for n in numbers]
+    return list(zip(names[::2], names[1::2], strict=True))
+
+
+# What a program or set of data calls its frames: pairs, and what else lies in the folder
+SCHEMES = {
+    "PIV challenge": (pairs_by("A{:03d}_1.tif", "A{:03d}_2.tif"), []),
+    "PIV challenge, 0 first": (pairs_by("B{:05d}_0.tif", "B{:05d}_1.tif"), []),
+    "frames 0 and 1": (pairs_by("img{:04d}_frame0.tif", "img{:04d}_frame1.tif"), []),
+    "letter in front": (pairs_by("a{:04d}.tif", "b{:04d}.tif"), []),
+    "capital in front": (pairs_by("A{:04d}.bmp", "B{:04d}.bmp"), []),
+    "Insight": (pairs_by("jet{:06d}.T000.D000.P003.H001.LA.tif", "jet{:06d}.T000.D000.P003.H001.LB.tif"), []),
+    "dash": (pairs_by("x{:d}-a.png", "x{:d}-b.png"), []),
+    "letter in the middle": (pairs_by("img_a_{:04d}.jpg", "img_b_{:04d}.jpg"), []),
+    "one camera of many": (pairs_by("Cam1_{:04d}A.tif", "Cam1_{:04d}B.tif"), []),
+    "OpenPIV": (pairs_by("exp1_{:03d}_a.bmp", "exp1_{:03d}_b.bmp"), []),
+    "PIVlab": (pairs_by("PIVlab_{:04d}_A.jpg", "PIVlab_{:04d}_B.jpg"), []),
+    "frame before number": (pairs_by("frame1_{:03d}.tif", "frame2_{:03d}.tif"), []),
+    "frameA": (pairs_by("frameA_{:02d}.tif", "frameB_{:02d}.tif"), []),
+    "pulses": (pairs_by("shot{:d}_pulse1.tiff", "shot{:d}_pulse2.tiff"), []),
+    "words": (pairs_by("{:03d}_first.tif", "{:03d}_second.tif"), []),
+    "two digits": (pairs_by("run7_{:03d}_01.tif", "run7_{:03d}_02.tif"), []),
+    "dots": (pairs_by("vortex.{:04d}.0.pgm", "vortex.{:04d}.1.pgm"), []),
+    "equals": (pairs_by("n={:d} f=0.tif", "n={:d} f=1.tif"), []),
+    "subfolders": (pairs_by("A/{:04d}.tif", "B/{:04d}.tif"), []),
+    "subfolders with words": (pairs_by("frame0/im{:04d}.tif", "frame1/im{:04d}.tif"), []),
+    "one pair": ([("A001_1.tif", "A001_2.tif")], []),
+    "Karman": ([("karman_01.bmp", "karman_02.bmp")], []),
+    "numbers": (sequence("im{:04d}.tif", range(8)), []),
+    "numbers of any width": (sequence("im{:d}.tif", range(7, 15)), []),
+    "steps of ten": (sequence("im{:05d}.tif", range(0, 80, 10)), []),
+    "seconds": (sequence("t={:.4f}s.tif", [k * 1e-3 for k in range(8)]), []),
+    "milliseconds, rounded": (sequence("jet_{:04d}ms.tif", [round(k * 33.33) for k in range(8)]), []),
+    "bursts in microseconds": (sequence("{:09d}us.tif", [k * 20000 + d for k in range(4) for d in (0, 150)]), []),
+    "date and time": (sequence("2024-03-12_10-{0[0]:d}-{0[1]:03d}.tif", [divmod(701 * k, 1000) for k in N]), []),
+    "macOS": (sequence("im{:04d}.tif", range(6)), [f"._im{k:04d}.tif" for k in range(6)]),
+    "a stray target": (sequence("im{:04d}.tif", range(12)), ["target_01.tif", "notes.txt"]),
+    "a stray mask in pairs": (pairs_by("B{:05d}_a.tif", "B{:05d}_b.tif", range(12)), ["mask2.png", ".DS_Store"]),
+    "per cent and d": (pairs_by("50 %d {:03d}_a.tif", "50 %d {:03d}_b.tif"), []),
+    "other letters": (pairs_by("Strömung_{:03d}_1.tif", "Strömung_{:03d}_2.tif"), []),
+}  # fmt: skip
+
+
+def lay(folder, pairs, others=()):
+    for name in (*(name for pair in pairs for name in pair), *others):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"")
+    return folder
+
+
+def found_in(path, folder):
+    return [tuple(str(place.relative_to(folder)) for place in places) for _, *places in source_of(path).pairs()]
+
+
+def test_schemes_of_names_give_the_right_pairs(tmp_path):
+    assert len(SCHEMES) > 30
+    for name, (pairs, others) in SCHEMES.items():
+        folder = lay(tmp_path / name, pairs, others)
+        assert is_source(folder), name
+        assert found_in(folder, folder) == pairs, name
+        assert source_of(folder).alone() == 0, name
+
+
+def test_lost_frames_cost_their_own_pairs(tmp_path):
+    for name, (pairs, others) in SCHEMES.items():
+        if len(pairs) < 4 or name == "date and time":  # whose order alone is known
+            continue
+        folder = lay(tmp_path / name, pairs, others)
+        (folder / pairs[1][0]).unlink()
+        left = [pair for pair in pairs if pair != pairs[1]]
+        assert found_in(folder, folder) == left, name
+        assert source_of(folder).alone() == 1, name
+
+
+# Folders that can be read in several ways: what is right is among the commands that the refusal names
+SEVERAL = {
+    "two cameras": pairs_by("im{:05d}_cam1.tif", "im{:05d}_cam2.tif"),
+    "two cameras by letter": pairs_by("camA_{:04d}.tif", "camB_{:04d}.tif"),
+    "two runs": pairs_by("run1_{:04d}.tif", "run2_{:04d}.tif"),
+    "planes": pairs_by("z1_{:04d}.tif", "z2_{:04d}.tif"),
+}
+ALL_WAYS = {
+    "two series": (pairs_by("jet_{:03d}_a.tif", "jet_{:03d}_b.tif"), pairs_by("w_{:03d}_a.tif", "w_{:03d}_b.tif")),
+    "cases A and B": (pairs_by("A{:03d}_1.tif", "A{:03d}_2.tif"), pairs_by("B{:03d}_1.tif", "B{:03d}_2.tif")),
+    "two cameras in pairs": (
+        pairs_by("Cam1_{:04d}A.tif", "Cam1_{:04d}B.tif"), pairs_by("Cam2_{:04d}A.tif", "Cam2_{:04d}B.tif"),
+    ),
+}  # fmt: skip
+
+
+def ways_of(error):
+    """The words that a refusal says to give, one list a way."""
+    return [shlex.split(way) for way in re.findall(r'"[^"]+"(?: --second "[^"]+")?', str(error))]
+
+
+def test_advice_of_a_refusal_followed_literally_gives_the_right_pairs(tmp_path):
+    for name, pairs in SEVERAL.items():
+        folder = lay(tmp_path / name, pairs)
+        with pytest.raises(PairError, match="name one of them, in quotes") as refused:
+            source_of(folder)
+        firsts = [first for first, _ in pairs]
+        found = [found_in(Path(path), folder) for (path,) in ways_of(refused.value)]
+        assert [list(zip(firsts[::2], firsts[1::2], strict=True))] == found[:1], name
+        assert len(found) == 2, name
+    for name, series in ALL_WAYS.items():
+        folder = lay(tmp_path / name, [pair for pairs in series for pair in pairs])
+        with pytest.raises(PairError, match="several") as refused:
+            source_of(folder)
+        found = [found_in(Path(WITH.join((first, second))), folder) for first, _, second in ways_of(refused.value)]
+        assert found[:2] == list(series), name
+
+
+def test_a_pattern_of_first_frames_has_their_partners(tmp_path):
+    folder = lay(tmp_path / "day", pairs_by("A{:03d}_1.tif", "A{:03d}_2.tif"))
+    right = pairs_by("A{:03d}_1.tif", "A{:03d}_2.tif")
+    for pattern in (
+        "A%03d_1.tif",
+        "A%d_1.tif",
+        "A*_1.tif",
+        f"A*_1.tif{WITH}A*_2.tif",
+        f"A%03d_1.tif{WITH}A%03d_2.tif",
+    ):
+        assert found_in(folder / pattern, folder) == right, pattern
+    with pytest.raises(PairError, match="second frames") as refused:
+        source_of(folder / "A%03d_2.tif")
+    ((words),) = ways_of(refused.value)
+    assert found_in(Path(words[0]), folder) == right
+    swapped = [(second, first) for first, second in right]
+    assert found_in(folder / f"A%03d_2.tif{WITH}A%03d_1.tif", folder) == swapped  # who says so gets it
+    assert "A001_1.tif + A001_2.tif" in first_pairs(source_of(folder).pairs())
+    for wrong in (f"A%03d_1.tif{WITH}C%03d_2.tif", f"A%03d_1.tif{WITH}A001_2.tif"):
+        with pytest.raises(PairError):
+            source_of(folder / wrong)
+
+
+def test_second_frames_in_another_folder(tmp_path):
+    pairs = pairs_by("early/im{:03d}.tif", "late/im{:03d}.tif")
+    folder = lay(tmp_path, pairs)
+    assert found_in(Path(f"{folder / 'early/im%03d.tif'}{WITH}{folder / 'late/im%03d.tif'}"), folder) == pairs
+
+
+def moved(seed, shift=(3.0, 1.0), shape=(96, 112)):
+    return make_pair(lambda u, v: shift, shape, seed=seed)
+
+
+def interlaced(a, b):
+    both = a.copy()
+    both[1::2] = b[1::2]
+    return both
+
+
+JOINED = {"top-bottom": lambda a, b: np.vstack((a, b)), "left-right": lambda a, b: np.hstack((a, b)),
+          "interlaced": interlaced}  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", JOINED)
+@pytest.mark.parametrize("shift", [(3.0, 0.5), (-7.0, 4.0), (0.3, 5.0), (12.0, -9.0)])
+def test_both_exposures_in_one_file_are_found(layout, shift):
+    one, other = (JOINED[layout](*moved(seed, shift)) for seed in (1, 2))
+    across, _ = likeness(one, other)
+    assert layout_of(one, other, across) == layout
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, 2.0), (8.0, -3.0)])
+def test_frames_of_one_exposure_are_not_taken_for_two(shift):
+    a, b = moved(3, shift)
+    c, _ = moved(4, shift)
+    for one, other in ((a, b), (a, c), (b, c), (a[::-1], c)):
+        assert layout_of(one, other, likeness(one, other)[0]) is None
+
+
+def write(folder, frames, name="im{:04d}.tif"):
+    folder.mkdir(parents=True)
+    for number, frame in enumerate(frames):
+        tifffile.imwrite(folder / name.format(number), frame, photometric="minisblack")
+    return folder
+
+
+def test_parts_of_a_file_have_their_own_rows():
+    a, b = moved(5)
+    for layout, join in JOINED.items():
+        parts = {
+            "top-bottom": ("top", "bottom"),
+            "left-right": ("left", "right"),
+            "interlaced": ("rows1", "rows2"),
+        }[layout]
+        one, other = (part_of(join(a, b), part) for part in parts)
+        if layout == "interlaced":
+            np.testing.assert_array_equal(one[::2], a[::2])
+            np.testing.assert_array_equal(other[1::2], b[1::2])
+            assert one.shape == a.shape
+        else:
+            np.testing.assert_array_equal(one, a)
+            np.testing.assert_array_equal(other, b)
+    assert part_of(np.zeros((5, 4)), "top").shape == part_of(np.zeros((5, 4)), "bottom").shape == (2, 4)
+
+
+OPTIONS = ["--mm-per-px", "0.1", "--dt-us", "100", "--final-window", "32", "--no-pictures", "--workers", "1"]
+
+
+def followed(words, capsys, out):
+    """Medians of the series [px] that a command gives."""
+    from piv.files.vector_file import read_vectors
+
+    assert main(["evaluate", *words, *OPTIONS, "-o", str(out)]) == DONE, capsys.readouterr().err
+    vectors = [read_vectors(file) for file in sorted((out / "chunks").glob("*.nc"))]
+    return np.nanmedian(np.concatenate([v.fields["displacement_x"] for v in vectors]), axis=(1, 2))
+
+
+@pytest.mark.parametrize("layout", JOINED)
+def test_a_folder_of_double_frames_is_refused_and_evaluated_as_is_said(tmp_path, layout, capsys):
+    shifts = (2.0, 3.0, 4.0)
+    frames = [JOINED[layout](*moved(k, (u, 2.5))) for k, u in enumerate(shifts)]
+    folder = write(tmp_path / "day ä", frames)
+    assert main(["evaluate", str(folder), *OPTIONS, "-o", str(tmp_path / "wrong")]) == USAGE
+    advice = re.search(r"give (--both \S+)", capsys.readouterr().err)
+    assert advice is not None
+    for where in (folder, folder / "im%04d.tif"):
+        found = followed([str(where), *advice[1].split()], capsys, tmp_path / f"out {where.name}")
+        np.testing.assert_allclose(found, shifts, atol=0.1)
+        assert "im0000.tif@" in capsys.readouterr().out
+
+
+def test_a_folder_of_files_with_two_pages(tmp_path, capsys):
+    folder = write(tmp_path / "day", [np.stack(moved(k, (k + 2.0, 1.0))) for k in range(3)], "B{:05d}.tif")
+    np.testing.assert_allclose(followed([str(folder)], capsys, tmp_path / "out"), (2.0, 3.0, 4.0), atol=0.1)
+    other = write(tmp_path / "three", [np.stack((*moved(k), moved(k)[0])) for k in range(3)])
+    assert main(["evaluate", str(other), *OPTIONS, "-o", str(tmp_path / "o")]) == USAGE
+    assert "holds 3 pages" in capsys.readouterr().err
+
+
+def test_a_sequence_that_lost_its_first_frame(tmp_path, capsys):
+    folder = write(tmp_path / "day", [frame for k in range(4) for frame in moved(k)][1:])
+    assert main(["evaluate", str(folder), *OPTIONS, "-o", str(tmp_path / "wrong")]) == USAGE
+    advice = re.search(r'give "(.+?)"', capsys.readouterr().err)
+    assert advice is not None
+    found = followed([advice[1]], capsys, tmp_path / "out")
+    np.testing.assert_allclose(found, (3.0, 3.0, 3.0), atol=0.1)
+    require_pairs(folder, source_of(Path(advice[1])).pairs())
+
+
+def test_frames_that_are_no_pairs_are_an_error_and_can_be_kept(tmp_path, capsys):
+    folder = write(tmp_path / "day", [moved(k)[0] for k in range(6)])
+    for verb in ("evaluate", "mean"):
+        words = [verb, str(folder), *OPTIONS[: 6 if verb == "mean" else None]]
+        assert main([*words, "-o", str(tmp_path / verb)]) == USAGE
+        said = capsys.readouterr()
+        assert "windows have a valid vector" in said.err
+        assert "im0000.tif + im0001.tif" in said.out
+        assert main([*words, "--least-valid", "0", "-o", str(tmp_path / verb)]) == DONE
+        capsys.readouterr()
