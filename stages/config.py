@@ -34,6 +34,8 @@ Embed `StagesTable` in the table of a larger file; `validate` of `ground.config`
 its line.
 """
 
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -104,6 +106,20 @@ class AxisTable(Table):
             home_timeout_s=self.home_timeout_s,
             reading_um=self.reading_um,
         )
+
+
+def shared_ports(ports: Mapping[str, str]) -> list[str]:
+    """Name the devices that are given one port, a sentence for each port; "" is no port."""
+    users: dict[str, list[str]] = {}
+    for name, port in ports.items():
+        if port:
+            users.setdefault(port if "://" in port else os.path.realpath(port), []).append(name)
+    return [
+        f"{' and '.join(names)} have the same port {ports[names[0]]}; give each box its own (devices on one line, "
+        "as a chain of Zaber or PI devices, are one controller with several channels)"
+        for names in users.values()
+        if len(names) > 1
+    ]
 
 
 class StagesTable(Table):

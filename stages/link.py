@@ -92,7 +92,9 @@ class Link(ABC):
                 f"{where} has answered before and gives no clear answer now; is it switched off, or is its cable "
                 "loose? See to it, then open it again"
             )
-        words = [f"{where} {instead_of(port.heard())}", self.first_day]
+        sent = [chunk.data for chunk in port.trace if chunk.sent]
+        own = type(self).__module__.rpartition(".")[2]
+        words = [f"{where} {instead_of(port.heard(), sent, own)}", self.first_day]
         return " ".join([*filter(None, words), f"rtpiv probe {port.url} tries other rates and boxes"])
 
     def close(self) -> None:

@@ -37,7 +37,7 @@ from daq.errors import PlanError, SettingRefused
 from ground.config import Document, Name, Table
 from ground.plain_words import slip
 from ground.usual import Usual
-from stages.config import AxisTable, Positive, StagesTable
+from stages.config import AxisTable, Positive, StagesTable, shared_ports
 from tracer.scene.scene import Scene
 
 Preset = Literal["free_running", "software", "edge", "falling_edge", "pulse_width", "burst"]
@@ -195,6 +195,9 @@ class BenchTable(Table):
                     problems.append(f"{key}: {name} {named[name]:g} mm is outside its limits_mm{hint}")
                 elif key.startswith("glass") and self.stages.axes[name].carries != GLASS:
                     problems.append(f"{key}: axis {name!r} does not carry the glass")
+        ports = {name: str(getattr(table, "port", "")) for name, table in self.stages.controllers.items()}
+        ports |= {name: str(device.get("port") or "") for name, device in self.devices.items()}
+        problems += shared_ports(ports)
         for name in {STAGES, CAMERA} & set(self.devices):
             problems.append(f"devices.{name}: that device has a section of its own; give this one another name")
         for name, axis in self.stages.axes.items():

@@ -37,13 +37,20 @@ class IselEmulator(Emulator):
         Text of the version; None for a C142, which has no such command.
     fastest : int
         Largest speed that it takes [steps/s]: 10 000 by the guide of the iMC-S8.
+    slowest : int
+        Smallest.
     """
 
     def __init__(
-        self, motors: Mapping[str, Motor], clock: Clock, model: str | None = "iMC-S8 V2.1", fastest: int = 10_000
+        self,
+        motors: Mapping[str, Motor],
+        clock: Clock,
+        model: str | None = "iMC-S8 V2.1",
+        fastest: int = 10_000,
+        slowest: int = 30,
     ) -> None:
         super().__init__(motors, clock)
-        self._model, self._fastest = model, fastest
+        self._model, self._fastest, self._slowest = model, fastest, slowest
         self._waiting: deque[dnc.Command | ProtocolViolation] = deque()
         self._to_reference: deque[str] = deque()
         self._legs: deque[tuple[str, int, float]] = deque()
@@ -140,7 +147,7 @@ class IselEmulator(Emulator):
     def _move(self, pairs: tuple[tuple[int, int], ...], absolute: bool) -> None:
         if len(pairs) != (4 if len(self._axes) == 3 else len(self._axes)):
             self.say(dnc.Ack("7").to_bytes())
-        elif any(not dnc.SLOWEST <= speed <= self._fastest for _, speed in pairs):
+        elif any(not self._slowest <= speed <= self._fastest for _, speed in pairs):
             self.say(dnc.Ack("D").to_bytes())
         elif set(self._axes) - self._referenced:
             self.say(dnc.Ack("R").to_bytes())

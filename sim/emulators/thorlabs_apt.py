@@ -42,7 +42,7 @@ def _per_second(model: str) -> tuple[float, float, bool]:
     if re.match("[TK]DC|[TK]BD|BBD", model):
         loops = 6e6 / 2048 if model[1:3] == "DC" else 1e6 / 102.4
         return loops / 65536, loops * loops / 65536, True
-    if re.match("TST001|BSC[01]0|MST601", model):
+    if re.match("TST001|(BSC|SCC)[01]0|MST601", model):
         return 1.0, 1.0, False
     return 1 / 53.68, 90.9, False
 

@@ -41,10 +41,11 @@ FAMILIES = (
     # the same three: T = 102.4 us
     Family(r"[TK]BD\d+|BBD[12]0\d", 65536 * BRUSHLESS_S, 65536 * BRUSHLESS_S**2, True),
     # InstrumentKit, pylablib: microsteps as they are
-    Family(r"TST001|BSC00\d|BSC10\d|MST601", 1.0, 1.0, False),
-    # pylablib; thorlabs-apt-device BSC: 409600 microsteps/mm, 21987328 for 1 mm/s, 4506 for 1 mm/s2; for LTS also
-    # pyAPT and thorpy (github.com/freespace/pyAPT/pull/8, UniNE-CHYN/thorpy/pull/2), tried on an LTS300
-    Family(r"TST101|KST[12]01|BSC20\d|MST602|LTS(150|300)\w*", 53.68, 1.0 / 90.9, False),
+    Family(r"TST001|BSC00\d|(BSC|SCC)10\d|MST601", 1.0, 1.0, False),
+    # pylablib, in whose issues 14, 21, 46 a BSC20x calls itself SCC20x; thorlabs-apt-device BSC: 409600
+    # microsteps/mm, 21987328 for 1 mm/s, 4506 for 1 mm/s2; for LTS also pyAPT and thorpy
+    # (github.com/freespace/pyAPT/pull/8, UniNE-CHYN/thorpy/pull/2), tried on an LTS300
+    Family(r"TST101|KST[12]01|(BSC|SCC)20\d|MST602|LTS(150|300)\w*", 53.68, 1.0 / 90.9, False),
 )
 
 

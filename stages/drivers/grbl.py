@@ -46,13 +46,13 @@ from stages.motion_controller import NOISE_COUNTS
 from stages.protocols import grbl
 
 AXES = ("X", "Y", "Z")
-HOMING_ENABLED, REPORT_INCHES = 22, 13
+HOMING_ENABLED, REPORT_INCHES, REPORTS = 22, 13, 10
+MACHINE_POSITIONS = 1  # bit of REPORTS
 STEPS, RATE, ACCELERATION = 100, 110, 120  # + 0, 1, 2 for X, Y, Z
 BANNER_S = 1.5
 REPORT_S = 0.2  # a report is given at once, or not at all
 MARKS = range(2, 251)  # tool numbers that nobody uses by habit
 REPORTED_MM = 0.001  # positions have three decimals
-LOCKED = 9
 RESET_BY_A_PERSON = (3, 6)  # in motion, while homing: this driver resets only to stop a reference run
 REFUSALS = {
     5: "homing is switched off ($22=0)",
@@ -242,6 +242,8 @@ class GrblController(Controller):
         self._settings = self._agreed(self._read_settings)
         if self._settings[REPORT_INCHES]:
             raise WrongDevice(f"{self.name} reports inches; set $13=0 on the board")
+        if not int(self._settings.get(REPORTS, MACHINE_POSITIONS)) & MACHINE_POSITIONS:
+            raise WrongDevice(f"{self.name} reports work positions; set ${REPORTS}=1 on the board")
         for channel in self._channels.values():
             number = STEPS + AXES.index(channel.name)
             own = self._settings[number]
@@ -328,7 +330,7 @@ class GrblController(Controller):
 
         status = self._transact(grbl.RealTime(grbl.STATUS).to_bytes(), accept)
         if not status.machine:
-            raise WrongDevice(f"{self.name} reports work positions; set $10=1 on the board")
+            raise WrongDevice(f"{self.name} reports work positions; set ${REPORTS}=1 on the board")
         return status
 
     def _raise_if_alarm_or_restart(self, answer: object) -> None:
@@ -348,7 +350,7 @@ class GrblController(Controller):
 
         answer = self._transact(grbl.Line(text).to_bytes(), accept, moves=moves)
         if isinstance(answer, grbl.Refusal):
-            if answer.code == LOCKED:
+            if answer.code == grbl.LOCKED:
                 self._forget_references()  # an alarm or a restart that was not heard of
                 raise NotReferenced(f"{self.name}: locked by an alarm or a restart; home it")
             reason = REFUSALS.get(answer.code, "refused")

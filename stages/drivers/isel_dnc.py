@@ -34,6 +34,7 @@ from stages.protocols import isel_dnc as dnc
 
 AXES = ("X", "Y", "Z")
 C142 = "C142"
+IDLE = 30  # steps/s of an axis that does not move, as in the examples of the guide
 FASTEST_RAMP = 4000  # Hz/ms
 NOT_INITIALISED = "4"
 
@@ -113,7 +114,7 @@ class IselController(Controller):
             return self._steps()[AXES.index(channel)] / self._scale(channel)
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """StageUsageError if the speed is outside 30..30000 steps/s or the ramp above 4000 Hz/ms."""
+        """StageUsageError if the speed is outside 1..30000 steps/s or the ramp above 4000 Hz/ms."""
         scale = self._scale(channel)
         if not dnc.SLOWEST <= round(speed_mm_s * scale) <= dnc.FASTEST:
             low, high = dnc.SLOWEST / scale, dnc.FASTEST / scale
@@ -212,7 +213,7 @@ class IselController(Controller):
             self.port.write(command.to_bytes())
 
     def _motion(self, index: int, distance: int, speed: int) -> dnc.Move:
-        pairs = [(0, dnc.SLOWEST)] * (4 if self._axes == 3 else self._axes)
+        pairs = [(0, IDLE)] * (4 if self._axes == 3 else self._axes)
         pairs[index] = (distance, speed)
         return dnc.Move(tuple(pairs), absolute=False)
 
@@ -261,7 +262,8 @@ class IselController(Controller):
 
     def _raise(self, code: str, doing: str) -> None:
         """Turn an error character into what it means for the axes."""
-        meaning = f"{self.name}, {doing}: {dnc.MEANING[code]} ({code})"
+        cure = "; change speed_mm_s: the guide has 30 to 10000 steps/s" if code == "D" else ""
+        meaning = f"{self.name}, {doing}: {dnc.MEANING[code]} ({code}){cure}"
         if code in "29" + NOT_INITIALISED:
             self._forget_references()
         if code == "2":

@@ -321,7 +321,9 @@ class AptController(AptQuestions):
             raise LimitHit(f"{where} ran into a limit switch; home it")
         if self._complaint:
             raise CommandRejected(f"{where} refused to move: {self._complaint}", self._complaint)
-        raise MotionStopped(f"{where} has ended its motion before its end: stopped, or switched off, at the box?")
+        raise MotionStopped(
+            f"{where} has ended its motion before its end: stopped, switched off or without power?"
+        )
 
     def _stop_bytes(self) -> Sequence[bytes]:
         how = words.STOP_AT_ONCE if self._family.has_encoder else words.STOP_SLOWING

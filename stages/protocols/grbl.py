@@ -42,10 +42,15 @@ ALARMS = {
     9: "homing found no switch",
 }
 
+LOCKED = 9  # refused: an alarm or a restart stands
+UNNAMED = 0  # a refusal or an alarm told in words that are not known
+VERBOSE_ALARMS = {  # FluidNC with verbose errors tells them by name
+    "hard limit": 1, "soft limit": 2, "abort cycle": 3, "probe fail initial": 4, "probe fail contact": 5,
+    "homing fail reset": 6, "homing fail door": 7, "homing fail pulloff": 8, "homing fail approach": 9,
+}  # fmt: skip
+
 _NUMBER = r"-?\d{1,9}\.\d{1,6}"
-_STATUS = re.compile(
-    rf"<([A-Z][a-z]+)(?::(\d{{1,3}}))?\|(MPos|WPos):({_NUMBER}(?:,{_NUMBER})*)((?:\|[A-Za-z]+:[^|<>]*)*)>"
-)
+_STATUS = re.compile(rf"<([A-Z][a-z]+)(?::(\d{{1,3}}))?\|(MPos|WPos):({_NUMBER}(?:,{_NUMBER})*)((?:\|[^|<>]*)*)>")
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,13 +272,14 @@ def parse_answer(line: bytes) -> Answer:
     text = text_of(line)
     if text == "ok":
         return Ok()
-    if match := re.fullmatch(r"error:(\d{1,3})", text):
-        return Refusal(int(match[1]))
-    if match := re.fullmatch(r"ALARM:(\d{1,3})", text, re.IGNORECASE):
-        return Alarm(int(match[1]))
+    if match := re.fullmatch(r"error: ?(\d{1,3}|[A-Z].{0,80})", text):
+        in_words = LOCKED if "lock" in match[1].lower() else UNNAMED
+        return Refusal(int(match[1]) if match[1].isdecimal() else in_words)
+    if match := re.fullmatch(r"ALARM: ?(\d{1,3}|[A-Z].{0,80})", text, re.IGNORECASE):
+        return Alarm(int(match[1]) if match[1].isdecimal() else VERBOSE_ALARMS.get(match[1].lower(), UNNAMED))
     if match := re.fullmatch(r"\$(\d{1,4})=(.{0,200})", text):
         return Setting(int(match[1]), match[2])
-    if match := re.fullmatch(r"\[([A-Za-z0-9]+):(.*)\]", text):
+    if match := re.fullmatch(r"\[([A-Za-z0-9][A-Za-z0-9 +_]{0,30}):(.*)\]", text):
         return Feedback(match[1], match[2])
     if match := re.fullmatch(r"(Grbl|GrblHAL) (\S+) \[(.{0,80} for help)\]", text):
         return Banner(match[2], match[1], match[3])

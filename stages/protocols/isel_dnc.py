@@ -25,7 +25,7 @@ from stages.protocols.framing import Example, LineStream, text_of
 
 GUIDE = "isel, iMC-M/-MP/-S8 Programming Guide 06/2010, as open clients of the controller quote it"
 
-SLOWEST, FASTEST = 30, 30_000  # steps/s a motion may name; a box refuses what is too fast for it (D)
+SLOWEST, FASTEST = 1, 30_000  # steps/s a motion may name; a box refuses what it does not go (D)
 STEPS_LIMIT = 1 << 23  # positions are 24 bit, signed
 
 MEANING = {

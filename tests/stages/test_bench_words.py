@@ -11,9 +11,20 @@ from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
 from sim.mechanics.clock import ScaledClock, VirtualClock
 from sim.stages import SimulatedStages
+from stages.config import StagesTable
 from stages.controller import Channel
 from stages.drivers_by_name import DRIVERS, driver_class
-from stages.errors import CommandRejected, DeviceLost, NoReply, PortUnavailable, StageError, StageUsageError
+from stages.errors import (
+    CommandRejected,
+    DeviceLost,
+    NoReply,
+    PortUnavailable,
+    StageError,
+    StageUsageError,
+    WrongDevice,
+)
+from stages.protocols import grbl
+from stages.stage import Stage
 from stages.who_answers import kind_of_box
 from tests.stages.benches import screws, stages_table
 
@@ -173,3 +184,135 @@ def test_a_box_that_is_too_slow_says_so(bench, fastest, moves):
     else:
         with pytest.raises(CommandRejected, match="speed not allowed"):
             made.stage.move({"a": 60.0})
+
+
+class Echo(Emulator):
+    """Gives back what it is sent, and may answer as well."""
+
+    answer = b""
+
+    def _take(self, data):
+        self.say(data + self.answer)
+
+
+@pytest.mark.parametrize("answer", [b"", b"\r\nok\r\n"])
+@pytest.mark.parametrize("sort_of_box", DRIVERS)
+def test_a_line_with_echo(sort_of_box, answer):
+    clock = VirtualClock()
+    line = Line(Echo({}, clock), clock)
+    line.emulator.answer = answer
+    LINES["echo"] = line
+    with pytest.raises(NoReply, match="gives back what it is sent; switch the echo") as caught:
+        driver_of(sort_of_box, clock).connect("sim://echo")
+    assert "swapped" not in str(caught.value)
+
+
+class OldGrbl(Emulator):
+    """Grbl 0.9j, as users of Universal G-code Sender have recorded it."""
+
+    def _take(self, data):
+        for line in data.replace(b"?", b"?\n").splitlines():
+            if line == b"?":
+                self.say(b"<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>\r\n")
+            elif line == b"$I":
+                self.say(b"[0.9j.20160303:]\r\nok\r\n")
+            elif line:
+                self.say(b"Grbl 0.9j ['$' for help]\r\n" if line == b"\x18" else b"ok\r\n")
+
+
+def test_an_old_grbl_is_told_which_one_is_needed():
+    clock = VirtualClock()
+    LINES["old"] = Line(OldGrbl({}, clock), clock)
+    with pytest.raises(NoReply, match=r"has Grbl 0\.9 or older, and Grbl 1\.1 is needed") as caught:
+        driver_of("grbl", clock).connect("sim://old")
+    assert "swapped" not in str(caught.value)
+
+
+class BabblingGrbl(Emulator):
+    """A board whose answers are cut."""
+
+    def _take(self, data):
+        self.say(b"[VER:1.1h.2019\r\nok\r\n")
+
+
+def test_the_right_driver_is_not_called_the_wrong_one():
+    clock = VirtualClock()
+    LINES["cut"] = Line(BabblingGrbl({}, clock), clock)
+    with pytest.raises(NoReply, match="none that is whole; is the cable good") as caught:
+        driver_of("grbl", clock).connect("sim://cut")
+    assert "swapped" not in str(caught.value)
+
+
+@pytest.mark.parametrize("reports", [0, 2, 510])
+def test_work_positions_are_refused_before_anything_moves(bench, reports):
+    with pytest.raises(WrongDevice, match=r"set \$10=1 on the board"):
+        bench("grbl", firmware={"settings": {10: reports}})
+
+
+@pytest.mark.parametrize("reports", [1, 3, 511])
+def test_machine_positions_are_taken_whatever_else_is_reported(bench, reports):
+    assert bench("grbl", firmware={"settings": {10: reports}}).controller.identity
+
+
+def test_two_boxes_on_one_port_are_named(tmp_path):
+    table = stages_table("grbl").model_dump(exclude_none=True)
+    (tmp_path / "by-id").symlink_to("/dev/ttyUSB7")
+    for port, other in (("/dev/ttyUSB7", "/dev/ttyUSB7"), ("/dev/ttyUSB7", str(tmp_path / "by-id"))):
+        table["controllers"] = {
+            "portal": {"driver": "grbl", "port": port},
+            "rail": {"driver": "isel_dnc", "port": other},
+            "box": {"driver": "grbl", "port": "/dev/ttyUSB8"},
+        }
+        with pytest.raises(StageUsageError, match=r"portal and rail have the same port /dev/ttyUSB7; give each"):
+            Stage(StagesTable.model_validate(table))
+
+
+@pytest.mark.parametrize(("line", "code"), [
+    (b"ALARM:1", 1), (b"ALARM: Hard Limit", 1), (b"ALARM: Homing Fail Approach", 9), (b"ALARM: Unhomed", 0),
+])  # fmt: skip
+def test_alarms_in_words_are_alarms(line, code):
+    assert grbl.parse_answer(line) == grbl.Alarm(code)
+
+
+@pytest.mark.parametrize(("line", "code"), [
+    (b"error:15", 15), (b"error: GCode cannot be executed in lock or alarm state", 9), (b"error: Bad value", 0),
+])  # fmt: skip
+def test_refusals_in_words_are_refusals(line, code):
+    assert grbl.parse_answer(line) == grbl.Refusal(code)
+
+
+@pytest.mark.parametrize(
+    "field", ["|Sc:XY", "|T:0|TLR:0", "|FW:grblHAL", "|A:", "|D1", "|In:-1", "|SD:12.5,/a b.nc"]
+)
+def test_further_fields_of_a_report_are_none_of_ours(field):
+    found = grbl.parse_answer(f"<Idle|MPos:1.000,-2.500,0.000|FS:0,0{field}>".encode())
+    assert (found.state, found.position_mm) == ("Idle", (1.0, -2.5, 0.0))
+
+
+@pytest.mark.parametrize("line", [b"[NVS STORAGE:*FLASH]", b"[FREE MEMORY:102K]", b"[NEWOPT:ENUMS,RT+,HOME]"])
+def test_further_lines_of_grblhal_are_feedback(line):
+    assert isinstance(grbl.parse_answer(line), grbl.Feedback)
+
+
+@pytest.mark.parametrize("model", ["SCC201", "SCC203", "SCC101"])
+def test_a_rack_that_calls_itself_by_its_card_goes_like_its_rack(bench, model):
+    made = bench("thorlabs_apt", firmware={"model": model})
+    made.stage.home()
+    made.stage.move({"a": 10.0})
+    begun_s = made.clock.now_s()
+    made.stage.move({"a": 110.0})
+    assert 100.0 / 20.0 < made.clock.now_s() - begun_s < 100.0 / 20.0 + 1.5
+
+
+@pytest.mark.parametrize("slowest", [10, 30])
+def test_a_slow_speed_is_the_boxs_to_refuse(bench, slowest):
+    approach = {"side": "from_below", "distance_mm": 0.1, "speed_mm_s": 0.05}  # 20 steps/s
+    made = bench("isel_dnc", firmware={"slowest": slowest}, approach=approach)
+    made.stage.home()
+    made.stage.move({"a": 40.0})
+    if slowest <= 20:
+        made.stage.move({"a": 40.05})
+        assert made.stage.where_mm()["a"] == pytest.approx(40.05, abs=0.01)
+    else:
+        with pytest.raises(CommandRejected, match=r"speed not allowed \(D\).* change speed_mm_s"):
+            made.stage.move({"a": 40.05})

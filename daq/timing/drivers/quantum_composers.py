@@ -192,7 +192,9 @@ class QuantumComposersBox(TimingBox):
             if any(self._flag(number, "STAT") for number in numbers):
                 raise LaserDoubt(f"{self.name} does not end its burst")
             if not ran_on:
-                raise LaserDoubt(f"{self.name} has not run to the end of its burst; was it stopped at its keys?")
+                raise LaserDoubt(
+                    f"{self.name} has not run to the end of its burst; was it stopped at its keys, or off?"
+                )
 
     # ---- inside ------------------------------------------------------------------------------------
 
