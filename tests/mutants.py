@@ -111,7 +111,7 @@ MUTANTS: tuple[tuple[str, str, str], ...] = (
      "test_what_cannot_be_set_is_refused_with_its_reason_and_put_back"),
     ('if call("arv_gc_feature_node_is_locked",', 'if not call("arv_gc_feature_node_is_locked",',
      "test_what_is_asked_is_set_and_nothing_elsewhere"),
-    ("if len(names) > 1", "if len(names) > 2", "test_two_boxes_on_one_port_are_named"),
+    ("users.setdefault(port if", "users.setdefault(name if", "test_two_boxes_on_one_port_are_named"),
     ("if any(len(data) >= LEAST_ECHO and data in said", "if any(len(data) < LEAST_ECHO and data in said",
      "test_a_line_with_echo"),
     ("if re.search(OLD_GRBL, said):", "if not said:", "test_an_old_grbl_is_told_which_one_is_needed"),
