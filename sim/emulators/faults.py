@@ -75,9 +75,9 @@ class FaultSchedule:
             self.unplugged = True
         return self.unplugged
 
-    def strike(self, fault: Fault) -> None:
-        """Let the next answer meet a fault."""
-        self._by_answer[self._count] = fault
+    def strike(self, fault: Fault, times: int = 1) -> None:
+        """Let the next answers meet a fault."""
+        self._by_answer.update(dict.fromkeys(range(self._count, self._count + times), fault))
 
     def mute(self) -> None:
         """Let no answer come any more, though the line lives."""

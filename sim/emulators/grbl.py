@@ -107,6 +107,11 @@ class GrblEmulator(Emulator):
         self.advance()
         self._real_time(code)
 
+    @property
+    def is_held(self) -> bool:
+        """Whether a feed hold stands that only a person, or a reset, ends."""
+        return self._state == "Hold"
+
     def person_stops(self) -> None:
         """The button for feed hold."""
         self.button()

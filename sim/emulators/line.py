@@ -99,6 +99,7 @@ class Line:
         self.plugged = 0  # times that somebody put the plug in; what was opened before is dead
         self.baud: int | None = None  # rate at which the box listens; None for any
         self.hooks = Hooks()
+        self.has_echo = False  # the host hears itself
         self.on_cut: Callable[[], None] | None = None
         self.after_traffic: Callable[[], None] | None = None  # called without the lock
         self.on_told: Callable[[bytes], None] | None = None  # called before the box hears it
@@ -165,6 +166,8 @@ class Line:
                 self.on_told(data)
             while data and not self.dead:
                 now, data = self.hooks.cut("byte", data)
+                if self.has_echo:
+                    self._coming.append(TimedReply(self.clock.now_s(), now))
                 self.emulator.feed(now)
                 self.hooks.count("byte", len(now))
             self._collect()

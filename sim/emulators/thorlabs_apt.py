@@ -249,7 +249,7 @@ class AptEmulator(Emulator):
             channel.home()
 
     def turn_wheel(self, name: str, steps: int) -> None:
-        """Somebody turns the wheel of a channel that rests; without power nothing reads it."""
+        """Somebody turns the wheel of a channel, whether it rests or not; without power nothing reads it."""
         self.advance()
         if self.is_on:
             self._channels[name].turn(steps)

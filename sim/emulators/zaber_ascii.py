@@ -85,6 +85,8 @@ class _Axis:
             self.motor.brake(self.ramp())
 
     def turn(self, steps: int) -> None:
+        if self.motor.running and self.phase != "knob":  # manual control interrupts a command
+            self.flags |= {"NI"} | ({"WR"} if self.phase in ("to sensor", "off sensor") else set())
         self.phase = "knob"
         self.flags |= {"NC"}
         self.motor.go(self.motor.steps + steps, self.speed() / 4.0, self.ramp())
@@ -178,7 +180,7 @@ class ZaberEmulator(Emulator):
             axis.stop()
 
     def turn_knob(self, device: int, axis: int, steps: int) -> None:
-        """Somebody turns the knob of an axis that rests; without power nothing reads it."""
+        """Somebody turns the knob of an axis, whether it rests or not; without power nothing reads it."""
         self.advance()
         if self.is_on:
             self._axes[device, axis].turn(steps)

@@ -148,6 +148,7 @@ class _Stop:
 
     begin_s: float
     out_of_reach: dict[int, float]  # lines, and until when what moved there has gone on without a rest
+    only: int | None = None  # the line that it is about; None: all
     end_s: float = field(default=math.inf)
 
 
@@ -195,14 +196,14 @@ class Witness:
 
     # ---- what it is told -----------------------------------------------------------------------
 
-    def stopped(self, at_s: float | None = None) -> None:
-        """Somebody has stopped the bench."""
+    def stopped(self, at_s: float | None = None, only: Line | None = None) -> None:
+        """Somebody has stopped the bench, or what hangs on one line."""
         at_s = self.clock.now_s() if at_s is None else at_s
         self._bring_up()
         out_of_reach = {
             id(axis.line): at_s for axis in self.axes.values() if axis.motor.running and not axis.line.reached
         }
-        self._stops.append(_Stop(at_s, out_of_reach))
+        self._stops.append(_Stop(at_s, out_of_reach, None if only is None else id(only)))
 
     def _cut(self, line: Line) -> None:
         """A plug is pulled; a stop of this moment may not have come through."""
@@ -211,10 +212,11 @@ class Witness:
             if now_s - stop.begin_s <= STOP_S:
                 stop.out_of_reach[id(line)] = now_s
 
-    def cleared(self) -> None:
-        """Somebody has cleared the stop: things may move again."""
+    def cleared(self, only: Line | None = None) -> None:
+        """Somebody has cleared the stop, or that of one line alone: things may move again."""
         for stop in self._stops:
-            stop.end_s = min(stop.end_s, self.clock.now_s())
+            if only is None or stop.only == id(only):
+                stop.end_s = min(stop.end_s, self.clock.now_s())
 
     def slipped(self, axis: str, distance_mm: float) -> None:
         """A carriage slips now where nobody can know it; forgiven until its axis is homed."""
@@ -348,6 +350,8 @@ class Witness:
         line = id(self.axes[glide.axis].line)
         for stop in self._stops:
             late_s = stop.begin_s + STOP_S
+            if stop.only not in (None, line):
+                continue
             if glide.begin_s <= stop.out_of_reach.get(line, -math.inf):
                 stop.out_of_reach[line] = max(stop.out_of_reach[line], glide.end_s)
                 continue

@@ -10,6 +10,8 @@ begins.
 import math
 import random
 import threading
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from sim.emulators.faults import Fault
@@ -96,7 +98,7 @@ class Player:
             case ["halt"]:
                 stage.halt()
             case ["clear"]:
-                self.witness.cleared()
+                self._cleared()
                 stage.clear_stop()
             case ["where"]:
                 self._ask()
@@ -125,9 +127,13 @@ class Player:
             case ["resume" | "reset" as button, controller]:
                 self._press(controller, button)
             case ["turn", axis, distance_mm]:
-                device, _, channel = str(AXES[axis]["channel"]).partition("/")
-                steps = round(distance_mm * AXES[axis]["steps_per_mm"])
-                lines[AXES[axis]["controller"]].emulator.turn_knob(int(device), int(channel), steps)
+                self._turn(axis, distance_mm)
+            case ["noise", axis, steps]:
+                self.bench.world.motors[axis].noise_steps = steps
+            case ["bounce", axis]:
+                self._bounce(axis)
+            case ["echo", controller, has_echo]:
+                lines[controller].has_echo = has_echo
             case ["beside", other, main]:
                 self._beside(other, main)
             case _:
@@ -166,8 +172,15 @@ class Player:
                 for other in self.bench.lines.values():
                     other.close()
                 raise Killed
-            case ["fault", kind, delay_s]:
-                line.faults.strike(Fault(kind, delay_s=delay_s))
+            case ["fault", kind, delay_s, *times]:
+                line.faults.strike(Fault(kind, delay_s=delay_s), *times)
+            case ["turn", axis, distance_mm]:
+                self._turn(axis, distance_mm)
+            case ["bounce", axis]:
+                self._bounce(axis)
+            case ["replug", after_s]:
+                self._unplug(controller)
+                self.bench.clock.after(after_s, line.plug_in)
 
     def _disarm(self) -> None:
         """What has not happened by now does not happen; what is unplugged stays so."""
@@ -184,14 +197,52 @@ class Player:
         self.bench.stage.stop_quietly()
 
     def _person(self, controller: str) -> None:
+        """Somebody stops the box at its keys; what is held there stays so until it is released there."""
+        self._take_over(controller, self.bench.lines[controller].emulator.person_stops)
+        self._note_hold(controller)
+
+    def _turn(self, axis: str, distance_mm: float) -> None:
+        """Somebody turns a knob, which ends what the axis was sent on."""
+        controller, channel = AXES[axis]["controller"], str(AXES[axis]["channel"])
+        emulator, steps = self.bench.lines[controller].emulator, round(distance_mm * AXES[axis]["steps_per_mm"])
+        device, slash, number = channel.partition("/")
+        turn = (
+            partial(emulator.turn_knob, int(device), int(number))
+            if slash
+            else partial(emulator.turn_wheel, channel)
+        )
+        self._take_over(controller, lambda: turn(steps), axis)
+
+    def _bounce(self, axis: str) -> None:
+        """A switch closes for a moment; within a reference run nothing could tell it from the right one."""
+        line, channel = self.bench.lines[AXES[axis]["controller"]], str(AXES[axis]["channel"])
+        motor = line.emulator.motors[channel]
+        line.emulator.advance()
+        if motor.listener is not None and line.emulator.is_on and line.emulator.purpose(channel) == "move":
+            motor.listener.on_edge("high", True)
+
+    def _cleared(self) -> None:
+        """A person releases the bench; a box that is held at its own keys is not released by that."""
+        self.witness.cleared()
+        self._note_hold("portal")
+
+    def _note_hold(self, controller: str) -> None:
+        line = self.bench.lines[controller]
+        if getattr(line.emulator, "is_held", False):
+            self.witness.stopped(only=line)
+
+    def _take_over(self, controller: str, act: Callable[[], object], only: str = "") -> None:
+        """Let a person do something that ends motions; one that ends short of its target is a stop."""
         emulator = self.bench.lines[controller].emulator
         emulator.advance()
         before = {
             name: motor.target
             for name, motor in emulator.motors.items()
-            if motor.running and emulator.purpose(name) != "hand"
+            if motor.running
+            and emulator.purpose(name) != "hand"
+            and (not only or name == str(AXES[only]["channel"]))
         }
-        emulator.person_stops()
+        act()
         for name, target in before.items():
             motor = emulator.motors[name]
             short = abs(target - motor.target) * motor.mechanics.lead_mm / motor.mechanics.steps_per_rev
@@ -201,12 +252,14 @@ class Player:
 
     def _press(self, controller: str, button: str) -> None:
         """Somebody lets a held board go on, or resets it at a pendant."""
+        self.witness.cleared(self.bench.lines[controller])
         self.bench.lines[controller].emulator.button(grbl.RESUME if button == "resume" else grbl.RESET)
 
     def _restart(self, controller: str, off_s: float) -> None:
         """Power fails."""
         if controller == self._pressed_at:
             self._forget_press()
+        self.witness.cleared(self.bench.lines[controller])
         self.bench.lines[controller].power_cycle(off_s)
 
     def _unplug(self, controller: str) -> None:
@@ -218,10 +271,10 @@ class Player:
     def _forget_press(self) -> None:
         """Nothing tells a person's stop any more, if the program has not heard of it by now."""
         if self._pressed_at and not self.bench.stage.held:
-            self.witness.cleared()
+            self._cleared()
 
     def _start_program(self) -> None:
-        self.witness.cleared()
+        self._cleared()
         self.bench.start_program()
 
     def _beside(self, other: list[Any], main: list[Any]) -> None:

@@ -17,11 +17,13 @@ from tests.fuzz.benches.bench import AXES, TABLE
 
 Trap = list[Any]
 CONTROLLERS = tuple(TABLE.controllers)
+TURNED = ("glass_x", "glass_z", "target_x")  # axes with a knob or a wheel
 LONGEST_TRAPS = {"byte": 160, "answer": 16, "answer byte": 260, "write": 16}
 WEIGHTS = {
     "move": 26, "several": 8, "move_one": 6, "jog": 8, "home": 6, "home all": 4, "stop": 3, "halt": 2, "clear": 6,
     "where": 4, "connect": 4, "program": 2, "wait": 3, "restart": 4, "unplug": 2, "plug": 3, "person": 2,
-    "slip": 2, "shove": 2, "block": 1, "beside": 2, "resume": 2, "reset": 1, "turn": 1,
+    "slip": 2, "shove": 2, "block": 1, "beside": 2, "resume": 3, "reset": 1, "turn": 2, "noise": 1, "bounce": 1,
+    "echo": 0.5,
 }  # fmt: skip
 FOLLOWS = 0.3
 FOLLOW_UPS = {
@@ -29,6 +31,7 @@ FOLLOW_UPS = {
     "restart": ("where", "move", "home"), "person": ("stop", "resume", "clear", "move"),
     "stop": ("clear", "resume", "move"), "resume": ("where", "move"), "clear": ("move", "several"),
     "kill": ("where", "move", "home"),
+    "turn": ("stop", "clear", "move", "where"), "replug": ("connect", "home", "where"), "bounce": ("home", "move"),
     "reset": ("move", "home"), "halt": ("move",), "slip": ("home",), "home": ("move", "several"),
 }  # fmt: skip
 
@@ -108,7 +111,13 @@ def _do(rng: random.Random, kind: str) -> list[Any]:
         case "resume" | "reset":
             return [kind, "portal"]
         case "turn":
-            return ["turn", rng.choice(("glass_x", "glass_z")), _round(rng.uniform(-3.0, 3.0))]
+            return ["turn", rng.choice(TURNED), _round(rng.uniform(-3.0, 3.0))]
+        case "noise":
+            return ["noise", axis, rng.choice((0, 1))]
+        case "bounce":
+            return ["bounce", axis]
+        case "echo":
+            return ["echo", controller, rng.random() < 0.4]
         case "slip":
             return ["slip", axis, _round(rng.uniform(-5.0, 5.0))]
         case "shove" | "block":
@@ -134,11 +143,15 @@ def _trap(rng: random.Random, do: list[Any]) -> Trap:
     kind = rng.choice(("late", "lost", "cut", "doubled", "garbled", "split"))
     action = rng.choices(
         (["restart", _off_s(rng)], ["unplug"], ["person"], ["stop"], ["halt"], ["kill"], ["resume"], ["reset"],
-         ["fault", kind, rng.choice((0.2, 0.55, 2.0))]),
-        (22, 6, 10, 20, 5, 6, 3, 3, 25),
+         ["fault", kind, rng.choice((0.2, 0.55, 2.0)), rng.choice((1, 1, 1, 2, 5, 30))],
+         ["turn", rng.choice(TURNED), _round(rng.uniform(-3.0, 3.0))], ["replug", rng.choice((0.0, 0.05, 0.3))],
+         ["bounce", rng.choice(moved or list(AXES))]),
+        (20, 5, 14, 18, 5, 6, 4, 4, 22, 6, 4, 2),
     )[0]  # fmt: skip
     if action[0] in ("resume", "reset"):
         controller = "portal"
+    if action[0] in ("turn", "bounce"):
+        controller = AXES[action[1]]["controller"]
     if action[0] == "fault":
         return [controller, "answer", rng.randint(1, LONGEST_TRAPS["answer"]), action]
     if rng.random() < 0.35:

@@ -14,10 +14,19 @@ DURING = {
     "glass": [["move", {"glass_z": 30.0}], ["home", ["glass_z"]]],
     "target": [["move", {"target_z": 5.0}], ["home", ["target_z"]]],
     "rail": [["move", {"rail_z": 10.0}], ["home", ["rail_z"]]],
+    "side": [["move", {"target_x": 20.0}], ["home", ["target_x"]]],
 }
 AFTER = [["where"], ["move", {"rail_z": -25.0}], ["move", {"target_z": 8.0}], ["clear"], ["resume", "portal"],
          ["move", {"glass_z": 2.0}]]  # fmt: skip
-ACTIONS = [["restart", 0.0], ["restart", 0.3], ["person"], ["stop"], ["halt"], ["kill"], ["unplug"]]
+ACTIONS = [["restart", 0.0], ["restart", 0.3], ["person"], ["stop"], ["halt"], ["kill"], ["unplug"],
+           ["replug", 0.05], ["fault", "garbled", 0.0, 5]]  # fmt: skip
+OF_THE_BOX = {
+    "portal": [["reset"], ["resume"], ["bounce", "camera_x"]],
+    "glass": [["turn", "glass_z", 2.0], ["turn", "glass_z", -2.0], ["bounce", "glass_z"]],
+    "side": [["turn", "target_x", 2.0], ["turn", "target_x", -2.0], ["bounce", "target_x"]],
+    "target": [["bounce", "target_z"]],
+    "rail": [["bounce", "rail_z"]],
+}
 CASES = [(controller, number) for controller in DURING for number in range(2)]
 
 
@@ -47,7 +56,7 @@ def played(playground, controller, do, what, number, action):
 @pytest.mark.parametrize(("controller", "number"), CASES)
 def test_at_some_places(controller, number):
     playground, do = Playground(longest_s=0), DURING[controller][number]
-    for place, action in zip(itertools.cycle((1, 7) if number else (3, 9)), ACTIONS):
+    for place, action in zip(itertools.cycle((1, 7) if number else (3, 9)), ACTIONS + OF_THE_BOX[controller]):
         played(playground, controller, do, "byte", 7 * place, action)
 
 
@@ -59,5 +68,5 @@ def test_at_every_place(controller, number):
     assert count["byte"] > 5
     for what, most in count.items():
         for place in range(1, most + 1, max(1, most // 50)):
-            for action in ACTIONS:
+            for action in ACTIONS + OF_THE_BOX[controller]:
                 played(playground, controller, do, what, place, action)
