@@ -32,7 +32,7 @@ from sim.camera.gige.process import device_process
 from sim.camera.in_process import DEVICES
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
-from sim.devices import connect, recorded_reading
+from sim.devices import connect, external_pulses, external_synchroniser, recorded_reading
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.expected import expected_s
@@ -126,6 +126,10 @@ class SimulatedBench:
                     if isinstance(opened, ReadingSection) and opened.port is not None:
                         self._gauges[name] = LINES.get(opened.port.removeprefix("sim://"))
                     self._wire(name, device)
+            if table.synchroniser is not None and shows == FLOW:
+                pulses = external_pulses(table.synchroniser, bench.table.camera)
+                unit = self._stack.enter_context(external_synchroniser(pulses, self.world, self.clock))
+                connect(unit, self.clock, self._wires, self.world.lit)
             if table.keeps:
                 self._watched = self._watch(table, stages)
         except BaseException:

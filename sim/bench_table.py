@@ -79,6 +79,13 @@ class HandErrorsTable(Table):
     division_um: Annotated[float, Field(gt=0.0, le=1000.0)] = 10.0
 
 
+class SynchroniserTable(Table):
+    """A synchroniser of another program, which triggers camera and laser all the time."""
+
+    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)]
+    dt_us: Annotated[float, Field(gt=0.0, le=1e6)]
+
+
 class SimulationTable(Table):
     """The `simulation` section of a bench file."""
 
@@ -102,6 +109,7 @@ class SimulationTable(Table):
     ] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     hand: HandErrorsTable = HandErrorsTable()
     flow: FlowTable = FlowTable()
+    synchroniser: SynchroniserTable | None = None
     faults: FaultsTable = FaultsTable()
     cameras: dict[Name, FurtherCameraTable] = Field(default_factory=dict)
     schedule: list[Fault] = Field(default_factory=list)  # of a rehearsal: what goes wrong, and when

@@ -15,11 +15,15 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
+from daq.bench.bench_table import CameraSection
 from daq.bench.reading import ReadingSection
+from daq.timing.protocols.pivlab_synchroniser import Sequence, Switch
 from daq.timing.pulses import Q_SWITCHES, Role
 from daq.timing.switches import SwitchTable
 from daq.timing.timing_table import TimingTable
+from sim.bench_table import SynchroniserTable
 from sim.camera.wires import Wires
 from sim.emulators.device import Clock
 from sim.emulators.flow_meter import FlowMeter
@@ -33,6 +37,13 @@ from sim.timing_boxes.pulsing import Pulse
 from sim.world import World
 
 TRIGGER_LINE, MARKER_LINE = 1, 2
+EXTERNAL: dict[str, Any] = {
+    "box": "pivlab_oltsync",
+    "port": "of another program",
+    "identity": "oltSync:9999",
+    "channels": {"camera": "1", "q_switch_1": "2", "q_switch_2": "3", "marker": "4"},
+    "head": {"max_rate_hz": 1e4},
+}
 LAG_S = 0.03  # more than an exposure lasts
 
 
@@ -75,6 +86,34 @@ def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterat
             for name, address in unit.switches.items()
         }
         yield section.model_copy(update={"port": port, "identity": None, "switches": switches})
+
+
+def external_pulses(table: SynchroniserTable, camera: CameraSection) -> Sequence:
+    """Place the pulses of a synchroniser about the gap between the two exposures, as its own program would."""
+    assert camera.pairs is not None
+    exposure_us, dead_us = float(camera.settings["ExposureTime"]), camera.pairs.dead_us
+    gap_us = camera.pairs.start_delay_us + exposure_us + dead_us / 2.0
+    lights = [round(gap_us + side * table.dt_us / 2.0) for side in (-1, 1)]
+    triggers: tuple[int, ...] = (0, 10)
+    if camera.pairs.shape == "straddling":
+        again_us = round(exposure_us + dead_us)
+        triggers += (again_us, again_us + 10)
+    pins = (triggers, *((light_us, light_us + 10) for light_us in lights), (0, round(gap_us)))
+    return Sequence(EXTERNAL["identity"], round(1e6 / table.rate_hz), pins)
+
+
+@contextmanager
+def external_synchroniser(pulses: Sequence, world: World, clock: Clock) -> Iterator[SimulatedTiming]:
+    """Let a synchroniser run while the block does, started before by its own program."""
+    unit = SimulatedTiming(TimingTable(**EXTERNAL), clock)
+    unit.line.send(pulses.to_bytes() + Switch(pulses.device, True).to_bytes())
+    world.timing.append(unit)
+    unit.start()
+    try:
+        yield unit
+    finally:
+        unit.close()
+        world.timing.remove(unit)
 
 
 def connect(unit: SimulatedTiming, clock: PacedClock | ScaledClock, wires: Wires, lit: LitFlow | None) -> None:

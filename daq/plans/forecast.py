@@ -124,7 +124,7 @@ def _sheet_blocked(bench: Bench, step: Step) -> str:
     """Why the laser would refuse to fire where a step has everything; "" if it would not."""
     if step.pulses is None:
         return ""
-    laser = bench.more.get(step.pulses.laser)
+    laser = bench.more.get(step.pulses.laser or "")
     if laser is None or not isinstance(laser.section, TimingTable):
         return ""
     wanted_mm, near = laser.section.clear_mm, dict[str, float]()

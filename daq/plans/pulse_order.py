@@ -1,11 +1,12 @@
 """What a step asks of a pulsed laser, and whether laser and camera of a bench can do it; nothing is open."""
 
 from dataclasses import dataclass
+from math import inf
 
 from daq.bench.bench_table import Bench, trigger_is_software
 from daq.bench.pairs_section import UNEVEN, PairsSection
 from daq.errors import PlanError
-from daq.timing.pulses import PairExposures, PulseTiming, Role, schedule_of
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role, schedule_of
 from daq.timing.timing_table import TimingTable
 
 SHARED = ("shape", "dead_us", "start_delay_us", "second_exposure_us")  # of cameras on one trigger line
@@ -17,12 +18,12 @@ class PulseOrder:
 
     Parameters
     ----------
-    laser : str
-        Device of the bench.
+    laser : str or None
+        Device of the bench; None where somebody else's synchroniser triggers laser and camera.
     dt_us, rate_hz : float
         Between the pulses of a pair, and pairs a second.
     chunk : int
-        Pairs that are fired in one go.
+        Pairs that are fired in one go, or taken in one go from an external synchroniser.
     warm_up_s : float
         Least time that the lamps run before the first pair.
     lost_at_most : float
@@ -33,7 +34,7 @@ class PulseOrder:
         What somebody has measured, such as with a photodiode, and its standard deviation.
     """
 
-    laser: str
+    laser: str | None
     dt_us: float
     rate_hz: float
     chunk: int
@@ -92,11 +93,16 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
         dt, rate and exposures do not go together.
     """
     section, camera = pairs_section(bench), bench.table.camera
-    device = bench.more.get(order.laser)
-    if device is None or not isinstance(device.section, TimingTable):
-        lasers = [name for name, other in bench.more.items() if isinstance(other.section, TimingTable)]
+    lasers = {name: one.section for name, one in bench.more.items() if isinstance(one.section, TimingTable)}
+    timing = None if order.laser is None else lasers.get(order.laser)
+    if order.laser is not None and timing is None:
         raise PlanError(
             f"{bench.path}: devices has no timing unit {order.laser!r}; there are {', '.join(lasers) or 'none'}"
+        )
+    if order.laser is None and lasers:
+        raise PlanError(
+            f"{bench.path}: the plan names no laser, and the bench has {', '.join(lasers)}; name it (laser: "
+            f"{next(iter(lasers))}), or take it out of the bench file if another synchroniser triggers the camera"
         )
     settings = camera.settings
     if settings.get("TriggerMode") != "On" or trigger_is_software(settings):
@@ -108,21 +114,24 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
     if not isinstance(exposure_us, int | float) or isinstance(exposure_us, bool):
         raise PlanError(f"{bench.path}: camera.settings does not say ExposureTime, so no pulse can be placed")
     exposures = pair_exposures(section, float(exposure_us))
-    schedule_of(order.timing, device.section.head.head(), exposures)
-    if section.shape == "straddling" and Role.CAMERA_B not in device.section.wiring:
+    head = LaserHead(inf) if timing is None else timing.head.head()
+    schedule_of(order.timing, head, exposures)
+    check_marker(section, float(exposure_us), order.rate_hz)
+    if timing is None:
+        return
+    if section.shape == "straddling" and Role.CAMERA_B not in timing.wiring:
         raise PlanError(f"{bench.path}: frames of shape straddling need a trigger for B; wire channel camera_b")
-    if section.shape != "straddling" and Role.CAMERA_B in device.section.wiring:
+    if section.shape != "straddling" and Role.CAMERA_B in timing.wiring:
         raise PlanError(
             f"{bench.path}: channel camera_b would trigger unwanted exposures; frames of shape "
             f"{section.shape} have one trigger a pair"
         )
-    most = int(device.section.chunk_s * order.rate_hz + 1e-9)
+    most = int(timing.chunk_s * order.rate_hz + 1e-9)
     if not 1 <= order.chunk <= most:
         raise PlanError(
             f"a chunk of {order.chunk} pairs at {order.rate_hz:g} Hz: 1 to {most} fit into the "
-            f"{device.section.chunk_s:g} s of {order.laser}"
+            f"{timing.chunk_s:g} s of {order.laser}"
         )
-    check_marker(section, float(exposure_us), order.rate_hz)
 
 
 def check_same_trigger(bench: Bench, name: str, order: PulseOrder) -> None:

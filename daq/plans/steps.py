@@ -72,6 +72,11 @@ class Step:
         return self.pulses is not None or self.group > 1
 
     @property
+    def is_lit_from_outside(self) -> bool:
+        """Whether another program's synchroniser triggers laser and camera."""
+        return self.pulses is not None and self.pulses.laser is None
+
+    @property
     def targets_mm(self) -> dict[str, float]:
         """Position of every axis as a dict."""
         return dict(self.positions_mm)

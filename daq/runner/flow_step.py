@@ -28,14 +28,14 @@ from typing import Any
 from daq.errors import FramesLost
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
+from daq.runner.external_light import ExternalLight, require_rate_seen
 from daq.runner.interrupts import Interrupts
 from daq.runner.laser_session import LaserSession, require_rate
 from daq.runner.pair_source import Chunk, Pair, PairSource
 from daq.runner.pair_writer import PairWriter
 from daq.runner.progress import Progress
-from daq.runs.frame_accounting import ELSEWHERE, LEFT, SURPLUS
+from daq.runs.frame_accounting import ELSEWHERE, EXTERNAL, LEFT, SURPLUS
 from daq.runs.journal import utc_now
-from daq.timing.laser import Laser
 
 SPARE = 2  # pairs fired beyond those that are still wanted: the first ones are lost most easily
 BARREN, MANY = 2, 10  # chunks in a row without a pair; one is enough if so many were fired
@@ -55,8 +55,8 @@ class FlowStep:
         Gets the number of frames of the first camera.
     tell : callable
         Called with what is being done, after every pair.
-    light : LaserSession
-        The laser of the session.
+    light : LaserSession or ExternalLight
+        The laser of the session, or somebody else's.
     """
 
     def __init__(
@@ -65,13 +65,13 @@ class FlowStep:
         interrupts: Interrupts,
         progress: Progress,
         tell: Callable[[str], None],
-        light: LaserSession,
+        light: LaserSession | ExternalLight,
     ) -> None:
         self._sides = sides
         self._interrupts = interrupts
         self._progress = progress
         self._tell = tell
-        self._laser_session = light
+        self._light = light
 
     def take(self, step: Step, record: Mapping[str, Any]) -> bool:
         """Have every pair of a step on the disk; False if the end was asked for before the last one.
@@ -100,7 +100,7 @@ class FlowStep:
             side.cut_to(step, place)
             side.require_same_exposure()
             side.source.begin_step()
-        laser = self._laser_session.prepare(order, self._sides[0].source.exposures.settings, self._tell)
+        laser: Any = self._light.prepare(order, self._sides[0].source.exposures.settings, self._tell)
         for side in self._sides[1:]:
             exposures = side.source.exposures
             require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
@@ -120,7 +120,12 @@ class FlowStep:
                         place += 2
             finally:
                 for side, chunk in zip(self._sides, chunks, strict=True):
-                    side.close(step, chunk, number, utc)
+                    self._light.account(chunk)
+                    side.close(step, chunk, number, utc, self._light.synchroniser)
+            if self._light.synchroniser == EXTERNAL:
+                if self._interrupts.wanted:
+                    return place >= step.frames
+                require_rate_seen(chunks[0], order.rate_hz)
             # The last frame of a chunk is a B: a marker that calls it an A is found here.
             for side in self._sides:
                 side.source.trust_marker(is_final=False)
@@ -146,10 +151,14 @@ class FlowStep:
         return "; ".join(f"of {side.source.name} {chunk.sentence()}" for side, chunk in told)
 
     def _chunk(
-        self, order: PulseOrder, laser: Laser, chunks: Sequence[Chunk], wanted: int
+        self,
+        order: PulseOrder,
+        laser: Any,  # noqa: ANN401 - what the light has prepared
+        chunks: Sequence[Chunk],
+        wanted: int,
     ) -> Generator[tuple[Pair, ...], None, None]:
         """Fire, and yield the pairs that are sure, one a camera, as many as are wanted."""
-        light = self._laser_session.exposures
+        light = self._light.exposures
         assert light is not None
         sources = [side.source for side in self._sides]
         try:
@@ -158,18 +167,20 @@ class FlowStep:
                 if len(sources) > 1:
                     source.tell_clock()
             fired = chunks[0].fired
-            watch = self._laser_session.fire(
-                laser, fired, lambda: all(source.exposures.is_armed for source in sources)
-            )
+            watch = self._light.fire(laser, fired, lambda: all(source.exposures.is_armed for source in sources))
             with watch, ExitStack() as streams:
-                self._tell("firing")
+                self._tell(self._light.doing)
                 found = []
                 for source, chunk in zip(sources, chunks, strict=True):
-                    found.append(streams.enter_context(closing(source.pairs(order, laser, light, chunk))))
+                    stream = source.pairs(order, lambda: self._light.is_firing, light, chunk)
+                    found.append(streams.enter_context(closing(stream)))
                 for pairs in streams.enter_context(
                     closing(synchronise_pairs(sources, found, chunks, order.rate_hz))
                 ):
                     if chunks[0].kept == wanted:
+                        if self._light.synchroniser == EXTERNAL:  # it goes on, whatever was wanted
+                            self._drop(chunks, LEFT, pairs)
+                            break
                         self._drop(chunks, SURPLUS, pairs)
                         continue
                     flipped = [source.is_flipped(pair) for source, pair in zip(sources, pairs, strict=True)]

@@ -16,12 +16,13 @@ from daq.cameras.camera import Setting
 from daq.errors import DaqError, PlanError, RunInterrupted, RunUsageError
 from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
 from daq.runner.interrupts import Interrupts
+from daq.runner.pair_source import Chunk
 from daq.runs.laser_proof import proof_sentence
 from daq.runs.run_folder import RunFolder
 from daq.timing.conditions import Conditions
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
-from daq.timing.states import LaserState
+from daq.timing.states import EMITS, LaserState
 from daq.timing.supervisor import LaserSupervisor
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import StageError
@@ -123,6 +124,9 @@ class LaserSession:
         What was asked for meanwhile.
     """
 
+    synchroniser = ""  # that triggers camera and light; "" for a box of the bench
+    doing = "firing"
+
     def __init__(self, hardware: OpenBench, folder: RunFolder, operator: Operator, interrupts: Interrupts) -> None:
         self._hardware = hardware
         self._folder = folder
@@ -138,6 +142,14 @@ class LaserSession:
     def state(self) -> LaserState | None:
         """What is believed of the laser; None before it is asked for."""
         return None if self._laser is None else self._laser.state
+
+    @property
+    def is_firing(self) -> bool:
+        """Whether triggers are to be expected."""
+        return self.state in EMITS
+
+    def account(self, chunk: Chunk) -> None:
+        """Nothing: the box has counted what it fired."""
 
     def prepare(self, order: PulseOrder, settings: Mapping[str, Setting], tell: Callable[[str], None]) -> Laser:
         """Bring the laser to where it can be armed with these pulses; nothing is fired.
@@ -165,6 +177,7 @@ class LaserSession:
         require_rate(settings, section.frames, order.rate_hz)
         check_marker(section, exposure_us, order.rate_hz)
         self.exposures = pair_exposures(section, exposure_us)
+        assert order.laser is not None
         laser = cast("Laser", self._hardware.devices[order.laser])
         self._laser = laser
         if laser.state is LaserState.UNKNOWN:

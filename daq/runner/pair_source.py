@@ -5,7 +5,7 @@ Several cameras are asked in turn by one thread, so a source that has nothing ye
 
 import time
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 
 from daq.bench.pairs_section import PairsSection
@@ -17,9 +17,7 @@ from daq.runner.clock_calibration import Shot
 from daq.runner.pair_finder import BrightnessSign, MarkerPolarity, PairFinder, mean_counts
 from daq.runner.step_readings import ask_clock
 from daq.runs.frame_accounting import LEFT
-from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
-from daq.timing.states import EMITS
 from ground.plain_words import counted
 
 
@@ -31,6 +29,7 @@ class Chunk:
     kept: int = 0
     surplus: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    kept_ns: list[int] = field(default_factory=list)  # camera clock of every pair that is kept
 
     @property
     def lost(self) -> int:
@@ -117,7 +116,7 @@ class PairSource:
         return at_ns
 
     def pairs(
-        self, order: PulseOrder, laser: Laser, light: PairExposures, chunk: Chunk
+        self, order: PulseOrder, is_firing: Callable[[], bool], light: PairExposures, chunk: Chunk
     ) -> Generator[Pair | None, None, None]:
         """Pairs that are sure, None now and then, until the burst has ended and no frame comes."""
         exposures = self.exposures
@@ -139,7 +138,7 @@ class PairSource:
                     seen, heard_s = seen + 1, exposures.now_s()
                     continue
                 if frame is None:
-                    is_over = laser.state not in EMITS
+                    is_over = not is_firing()
                     if is_over and (seen >= 2 * chunk.fired or exposures.now_s() - heard_s > timeout_s):
                         break
                     heard_s = heard_s if seen or is_over else exposures.now_s()  # the first light may be far
@@ -175,6 +174,7 @@ class PairSource:
             raise
         second = self.exposures.hand_over(second)
         chunk.kept += 1
+        chunk.kept_ns.append(first.meta.timestamp_ns)
         return first, second
 
     def drop(self, chunk: Chunk, why: str, *frames: Frame) -> None:

@@ -93,7 +93,7 @@ class PairWriter:
                 facts["exposure_us"] = section.second_exposure_us
             self.pipeline.submit(Job(step, step.first_frame + place + half, placed, facts))
 
-    def close(self, step: Step, chunk: Chunk, number: int, utc: str) -> None:
+    def close(self, step: Step, chunk: Chunk, number: int, utc: str, synchroniser: str = "") -> None:
         """Write the counts of a chunk, once its pairs are on the disk."""
         self.pipeline.flush()
         self.journal.append(
@@ -110,4 +110,5 @@ class PairWriter:
             lost=chunk.lost,
             dropped=dict(sorted(chunk.dropped.items())),
             never_came=chunk.never_came,
+            **({"synchroniser": synchroniser} if synchroniser else {}),
         )

@@ -22,6 +22,7 @@ from daq.plans.forecast import forecast, simulated_s
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest
+from daq.runner.external_light import ExternalLight
 from daq.runner.flow_step import FlowStep
 from daq.runner.interrupts import Interrupts
 from daq.runner.laser_session import LaserSession, NoOperator, Operator
@@ -154,7 +155,9 @@ class Runner:
             flow = None
             if any(step.pulses is not None for step in left):
                 writers = [camera.pair_writer() for camera in used]
-                flow = FlowStep(writers, self.interrupts, self.progress, self._tell, self._laser_session)
+                external = any(step.is_lit_from_outside for step in left)
+                light = ExternalLight(self._hardware.bench, self.interrupts) if external else self._laser_session
+                flow = FlowStep(writers, self.interrupts, self.progress, self._tell, light)
             self._note_cameras(used)
             for step in left:
                 self._between_steps(len(self._steps) - step.index)

@@ -26,7 +26,7 @@ from daq.runner.progress import watch
 from daq.runner.session import Request, Run, begin, check_disk, run_session
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import Moved, read_displacements
-from daq.runs.frame_accounting import chunk_sentences, rejected_sentence
+from daq.runs.frame_accounting import UNCHECKED, chunk_sentences, rejected_sentence
 from daq.runs.gaps import gap_sentence
 from daq.runs.run_folder import RunFolder
 from ground.errors import ConfigError
@@ -49,6 +49,10 @@ ENDS = "Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses betwee
 ENDS_IN_LIGHT = (
     "Ctrl-C switches the laser off and ends within the step, whose pairs are kept; twice stops the axes now;"
     " Ctrl-Z pauses between steps"
+)
+ENDS_IN_FOREIGN_LIGHT = (
+    "Ctrl-C ends within the step, whose pairs are kept, and leaves the laser to its own program; twice stops the"
+    " axes now; Ctrl-Z pauses between steps"
 )
 
 
@@ -170,7 +174,8 @@ def acquire(
     is_lit = any(step.pulses is not None for step in steps.steps)
     hangs = "" if is_lit else f"; the target's stage should hold: {steps.table.shows}"
     screen.print(f"run {folder.path}{hangs}")
-    screen.print(ENDS_IN_LIGHT if is_lit else ENDS)
+    is_foreign = any(step.is_lit_from_outside for step in steps.steps)
+    screen.print(ENDS_IN_FOREIGN_LIGHT if is_foreign else ENDS_IN_LIGHT if is_lit else ENDS)
     run_and_report(screen, Run(request, rehearsed, steps, folder), home, person, live=frames.live)
     return folder.path
 
@@ -297,6 +302,8 @@ def print_forecast(
         f"travel in mm: {travel or 'none'}; "
         f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
     )
+    if any(step.is_lit_from_outside for step in plan.steps):
+        screen.print(UNCHECKED, soft_wrap=True, highlight=False)
     if said.link:
         screen.print(said.link, soft_wrap=True, highlight=False)
     for violation in said.violations:

@@ -12,6 +12,7 @@ from daq.errors import PlanError
 from daq.plans.forecast import forecast_from_home, time_said
 from daq.plans.plan import Plan, load_plan, plan_questions, read_plan
 from daq.plans.plan_table import px_per_mm
+from daq.runs.frame_accounting import UNCHECKED
 from ground.plain_words import counted
 from rtpiv.verbs.check import WRONG
 
@@ -44,6 +45,7 @@ class Benches:
                 plan = load_plan(path, bench)
                 fitting.append(f"{_plan_said(path, plan, bench)} on {named.name}")
                 questions += plan_questions(plan, bench)
+                questions += [UNCHECKED] if any(step.is_lit_from_outside for step in plan.steps) else []
             except WRONG as error:
                 reasons.append(error)
         if fitting:

@@ -137,7 +137,7 @@ def require_person(person: Operator, steps: Sequence[Step], by_hand: Sequence[st
     """
     if by_hand and not isinstance(person, TerminalOperator):
         raise RunUsageError(no_hands(by_hand))
-    if isinstance(person, NoOperator) and any(step.pulses is not None for step in steps):
+    if isinstance(person, NoOperator) and any(step.pulses and not step.is_lit_from_outside for step in steps):
         person.confirmation_code("", "")
 
 

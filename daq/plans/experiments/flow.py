@@ -2,7 +2,8 @@
 
     experiment: flow
     view: glass
-    laser: laser                # name of the timing unit under `devices` of the bench file
+    laser: laser                # name of the timing unit under `devices` of the bench file; left out, another
+                                # program's synchroniser triggers laser and camera, and dt_us is what was set there
     pairs: 1000
     dt_us: 80.0                 # between the two pulses of a pair
     rate_hz: 10.0               # pairs a second
@@ -51,7 +52,7 @@ class FlowPlan(PlanTable):
 
     experiment: Literal["flow"]
     view: View
-    laser: Name
+    laser: Name | None = None
     cameras: Annotated[list[Name], Field(max_length=8)] = Field(default_factory=list)
     pairs: Annotated[int, Field(ge=1, le=MOST_PAIRS)]
     dt_us: Annotated[Positive, Usual(0.2, 1e5)]
@@ -69,6 +70,8 @@ class FlowPlan(PlanTable):
     def _fits_together(self) -> "FlowPlan":
         if "frames" in self.model_fields_set:
             raise ValueError("a flow is planned in pairs; say pairs instead of frames")
+        if self.laser is None and "warm_up_s" in self.model_fields_set:
+            raise ValueError("warm_up_s belongs to a laser; leave it out where another program triggers it")
         if self.dt_sigma_us is not None and self.dt_measured_us is None:
             raise ValueError("dt_sigma_us belongs to a dt_measured_us; say both or none")
         if self.dt_measured_us is not None and not 0.5 <= self.dt_measured_us / self.dt_us <= 2.0:

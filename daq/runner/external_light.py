@@ -1,0 +1,99 @@
+"""Light of an external synchroniser: its own program fires, and the camera takes pairs as they are triggered.
+
+Nothing is armed, counted or switched off here. A chunk is a number of pairs: it begins with the first trigger,
+whenever the person starts the other program, and ends when all of its pairs are there, though the synchroniser
+goes on. What cannot be checked is in `daq.runs.frame_accounting.UNCHECKED`.
+"""
+
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from statistics import median
+from typing import Self
+
+from daq.bench.bench_table import Bench
+from daq.cameras.camera import Setting
+from daq.errors import RunUsageError
+from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
+from daq.runner.interrupts import Interrupts
+from daq.runner.laser_session import exposure_of, require_rate
+from daq.runner.pair_source import Chunk
+from daq.runs.frame_accounting import EXTERNAL, LEFT
+from daq.timing.pulses import LaserHead, PairExposures, schedule_of
+
+WAITING = "waiting for the triggers of the synchroniser; start it in its own program"
+
+
+ENOUGH_GAPS = 3  # between pairs, to tell a rate where one may be lost
+RATE_TOLERANCE = 0.02  # share by which triggers may come at another rate than the plan says
+
+
+def require_rate_seen(chunk: Chunk, rate_hz: float) -> None:
+    """Refuse a synchroniser that runs at another rate than the plan says, by the camera's clock.
+
+    Raises
+    ------
+    RunUsageError
+        With the rate at which pairs came.
+    """
+    gaps_ns = [late - soon for soon, late in pairwise(chunk.kept_ns)]
+    if len(gaps_ns) < ENOUGH_GAPS or not all(chunk.kept_ns):
+        return
+    seen_hz = 1e9 / median(gaps_ns)
+    if abs(seen_hz / rate_hz - 1.0) > RATE_TOLERANCE:
+        raise RunUsageError(
+            f"the synchroniser triggers {seen_hz:.4g} pairs/s by the camera's clock, and the plan says rate_hz: "
+            f"{rate_hz:g}; make them the same, and begin a new run"
+        )
+
+
+class ExternalLight:
+    """What a flow step asks of its light, where that is not ours; see `LaserSession` for the other one.
+
+    Parameters
+    ----------
+    bench : Bench
+        With the camera.
+    interrupts : Interrupts
+        A wish for the end also ends the wait for the first trigger.
+    """
+
+    most_pairs = 10**9
+    synchroniser = EXTERNAL
+    doing = WAITING
+
+    def __init__(self, bench: Bench, interrupts: Interrupts) -> None:
+        self._bench, self._interrupts = bench, interrupts
+        self.exposures: PairExposures | None = None
+
+    @property
+    def is_firing(self) -> bool:
+        """Whether triggers are to be expected."""
+        return not self._interrupts.wanted
+
+    def prepare(self, order: PulseOrder, settings: Mapping[str, Setting], tell: Callable[[str], None]) -> Self:
+        """Refuse what the camera, as it reads back, cannot take of these pairs."""
+        section = pairs_section(self._bench)
+        exposure_us = exposure_of(settings)
+        require_rate(settings, section.frames, order.rate_hz)
+        check_marker(section, exposure_us, order.rate_hz)
+        self.exposures = pair_exposures(section, exposure_us)
+        schedule_of(order.timing, LaserHead(float("inf")), self.exposures)
+        return self
+
+    def fire(self, laser: Self, pairs: int, armed: Callable[[], bool]) -> Self:
+        """Nothing: triggers come by themselves."""
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def wait(self) -> None:
+        """Nothing: what is triggered after the last pair is no part of the chunk."""
+
+    def account(self, chunk: Chunk) -> None:
+        """Say how many triggers a chunk had: no box has counted them, so those that the camera has seen."""
+        chunk.fired = chunk.kept + (sum(chunk.dropped.values()) + 1) // 2
+        chunk.surplus += (chunk.dropped[LEFT] + 1) // 2
