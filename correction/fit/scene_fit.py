@@ -26,8 +26,8 @@ from correction.fit.judge.result import FitStep, SceneFit, check
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.smear import Dispersion
-from correction.fit.seen.unconfirmed_ways import unconfirmed_ways
-from correction.fit.seen.unlisted_parts import View, unlisted_parts
+from correction.fit.seen.unconfirmed_ways import masked_around, unconfirmed_ways
+from correction.fit.seen.unlisted_parts import View, compare_views
 from correction.fit.seen.unsure_rims import beside_rim, unsure_rims, windows_beside
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.fit.solve.solver import Corners, residuals
@@ -100,8 +100,7 @@ def fit_scene(
         light = replace(seen.told, unsure_nm=seen.unsure_nm)
     doubt = doubt_of(nominal, light, _rivals(fit, priors, light), priors.wavelength_nm)
     measured = replace(back_from_light(fit.scene, nominal, light), masked=(*by_hand, *fit.verdict.masked))
-    board = work.board.stretched(fit.unknowns.stretch(fit.unknowns.full(fit.x)))
-    return replace(fit, measured_scene=measured, light=doubt, board=board)
+    return replace(fit, measured_scene=measured, light=doubt)
 
 
 def _estimated(work: Progress) -> SceneFit:
@@ -130,13 +129,27 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
         views.append(View(frame.name, frame.image, pose, sigma_mm))
     sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
     place = {name[:-2]: size for name, size in sigma.items() if name.endswith(".x")}
-    unlisted = unlisted_parts(fit.scene, views, work.board, [frame.index for frame in work.bare], place)
+    board = work.board.stretched(fit.unknowns.stretch(full))
+    radii = np.linalg.norm(fit.ball_root[:, -1], axis=1).tolist()
+    sizes = {ball.name: size for ball, size in zip(fit.scene.spheres, radii, strict=True)}
+    lattice = [frame.index for frame in work.bare]
+    compared = compare_views(fit.scene, views, board, lattice, place, sizes)
     paired = {way: fit.paired(way) for way in fit.expected}
     lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene))
-    rims = unsure_rims(fit.scene, fit.ball_root, {one.name for one in lost if one.is_ball})
+    lost_balls = {one.name for one in lost if one.is_ball}
+    off = tuple(rim for rim in compared.rims if rim.ball not in lost_balls)
+    rims = unsure_rims(fit.scene, fit.ball_root, lost_balls)
     hidden = tuple(patch for patch in fit.verdict.hidden if not beside_rim(rims, patch.middle_px))
-    verdict = replace(fit.verdict, unlisted=unlisted, unconfirmed=lost, hidden=hidden, rims=rims)
-    return replace(fit, verdict=verdict)
+    verdict = replace(
+        fit.verdict,
+        unlisted=compared.unlisted,
+        unconfirmed=lost,
+        hidden=hidden,
+        rims=rims,
+        misfits=compared.misfits,
+        rims_off=tuple((rim, masked_around(rim, fit.scene)) for rim in off),
+    )
+    return replace(fit, verdict=verdict, board=board)
 
 
 def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float64]) -> NDArray[np.float64]:

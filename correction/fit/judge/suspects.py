@@ -35,7 +35,7 @@ from correction.fit.seen.pixel_lock import PixelLock, unlocked
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.solve.doubted import SCALES, WALL, doubted_shapes, likely_scales
 from correction.fit.solve.linear_change import as_linear
-from correction.fit.solve.moved_board import on_moved_board
+from correction.fit.solve.moved_board import moved_as_board, on_moved_board
 from correction.fit.solve.solver import (
     Corners,
     Residuals,
@@ -79,9 +79,10 @@ class Suspect:
         By how much the squares would go down.
     share : float
         Of the squares that noise does not explain.
-    change : (F, 1 + q) float64 or None
-        Of the full vector, if it is what is wrong, and what its q numbers leave open once they are free; None if
-        no map can follow it: the shape of a ball seen through walls.
+    change : (F, .) float64 or None
+        Of the full vector, if it is what is wrong, and what its q numbers leave open once they are free, 1 + q
+        columns, twice where board or camera may have changed; None if no map can follow it: the shape of a ball
+        seen through walls.
     shape : (5, 1 + q) float64
         The same of the ball's `SHAPES` [mm], if they are what is wrong; (0, 0) if not.
     left : tuple of (N, 2) float64
@@ -146,7 +147,8 @@ class _Candidate:
     `moves` (F, q) is what it does to the full vector: all zero if it is no change of the map by itself, or one
     that the vector cannot say, `is_shape`. `by_hand`: the fit section held it, which it need not. `board`: how it
     moves each corner's piece of the board (N, 6, q), for each frame, if that is what it moves. `is_alike`: its
-    numbers are of one kind and size.
+    numbers are of one kind and size. `since` (F, q): how the full vector is otherwise, per number, since the frames
+    with glass were taken, if it is that, and not the board, what has changed.
     """
 
     ball: str
@@ -158,6 +160,12 @@ class _Candidate:
     board: Columns | None = None
     is_shape: bool = False
     is_alike: bool = False
+    since: NDArray[np.float64] | None = None
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether it moves residuals by its columns alone: the full vector cannot say it."""
+        return self.is_shape or (self.since is not None and self.board is None)
 
 
 @dataclass(frozen=True)
@@ -268,7 +276,7 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
         if one.board is not None:
             return on_moved_board(unknowns, at[:free], at[free:], one.board[number] * one.ordinary, corners)
         part = residuals(wider, at, corners)
-        if not one.is_shape:
+        if not one.is_linear:
             return part
         to_scale = np.asarray(corners.whiten) @ np.linalg.inv(np.asarray(seen.frames[number].corners.whiten))
         beyond = to_scale @ one.columns[number] * one.ordinary
@@ -297,12 +305,14 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
         factors = region_factors(behind, left)
     inverse = np.linalg.inv(found.normal + np.eye(len(at)))[:, free:]
     open_still = inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
-    moving = wider.columns[:, : free if one.board is not None or one.is_shape else None]
+    moving = wider.columns[:, : free if one.board is not None or one.is_linear else None]
     moving = np.column_stack((moving, _held_camera(unknowns)))
     stands, other = cleared(unknowns, full)[0], wider.full(at)
     added, unsaid_px = as_linear(unknowns, stands, other, moving)
     change = np.column_stack((other - stands + added, wider.columns @ open_still))
     of_own = one.ordinary[:, None] * np.column_stack((at[free:], open_still[free:]))
+    if one.since is not None:  # either the board has changed, or what looks at it: one as likely as the other
+        change = np.sqrt(0.5) * np.column_stack((change, change + one.since @ of_own))
     worth = gain - size * np.log(count)
     found_now = replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
     return replace(found_now, unsaid_px=unsaid_px)
@@ -334,13 +344,20 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     places = [unknowns.place(frame.corners.height_number) for frame in seen.frames]
     posed = [rate[:, :, place] for rate, place in zip(rates, places, strict=True)]
     nodes_mm = np.concatenate([frame.corners.node_mm for frame in seen.frames])
-    moves: tuple[tuple[NDArray[np.float64], Say, Columns, bool], ...] = (
-        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), _moved, _moved_ways(seen), False),
-        (np.full(3, SAG_MM), partial(_bent, nodes_mm), _bent_ways(seen), True),
+    aside = -moved_as_board(unknowns, full)
+    moves: tuple[tuple[NDArray[np.float64], Say, Columns, NDArray[np.float64] | None], ...] = (
+        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), _moved, _moved_ways(seen), aside),
+        (np.full(3, SAG_MM), partial(_bent, nodes_mm), _bent_ways(seen), None),
     )
-    for ordinary, say, board, alike in moves:
+    for ordinary, say, board, since in moves:
         columns = [rate @ ways for rate, ways in zip(posed, board, strict=True)]
-        yield _Candidate("", ordinary, columns, say, still[:, : len(ordinary)], board=board, is_alike=alike)
+        yield _Candidate(
+            "", ordinary, columns, say, still[:, : len(ordinary)], board=board, is_alike=since is None, since=since
+        )
+    focus = unknowns.full_names.index("camera.focal_px")
+    behind = [rate[:, :, [focus]] * frame.corners.glass for rate, frame in zip(rates, seen.frames, strict=True)]
+    longer = np.eye(len(full))[:, [focus]]
+    yield _Candidate("", np.array([CAMERA_ORDINARY["focal_px"]]), behind, _refocused, still[:, :1], since=longer)
 
 
 def _held_numbers(
@@ -483,6 +500,13 @@ def _more_uneven(ball: str, degree: int, value: NDArray[np.float64], sigma: NDAr
 def _moved(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
     by = ", ".join(f"{axis} {v:+.3f}" for axis, v in zip("xyz", value[:3], strict=True))
     return f"board or camera seem to have moved between the bare frames and those with glass, by {by} mm"
+
+
+def _refocused(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    return (
+        "the lens seems to have been focused or zoomed between the bare frames and those with glass: focal_px changed"
+        f" by {float(value[0]):+.2g} +- {float(sigma[0]):.1g} px; take all frames again with the focus locked"
+    )
 
 
 def _bent(nodes_mm: NDArray[np.float64], value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:

@@ -25,8 +25,9 @@ from correction.fit.judge.prior_pulls import PriorPull
 from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
 from correction.fit.seen.hidden_patches import Hidden, hidden_patches
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
+from correction.fit.seen.rims_seen import RimSeen
 from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
-from correction.fit.seen.unconfirmed_ways import Unconfirmed
+from correction.fit.seen.unconfirmed_ways import Misfit, Unconfirmed
 from correction.fit.seen.unlisted_parts import Unlisted
 from correction.fit.seen.unsure_rims import UnsureRim, in_words
 from correction.fit.solve.correlation import Correlation, Lattice, correlation_of
@@ -66,6 +67,10 @@ class Verdict:
         Colours that smear corners beyond what is told; None where too few corners tell.
     wrong_light : str
         What glass says of the light of the target frames, where that cannot be the told one.
+    misfits : tuple of Misfit
+        Ways through the glass that frames show bent otherwise than the scene bends them.
+    rims_off : tuple of (RimSeen, tuple of MaskedPart)
+        Balls whose rim is not where the scene shows it, and what no map is to use for that.
     unexplained : tuple of WayTest or None
         The test of every way once the cause of an alarm is known; None where there is no such cause.
     pulls : tuple of PriorPull
@@ -82,6 +87,8 @@ class Verdict:
     rims: tuple[UnsureRim, ...] = ()
     smear: ColourSmear | None = None
     wrong_light: str = ""
+    misfits: tuple[Misfit, ...] = ()
+    rims_off: tuple[tuple[RimSeen, tuple[MaskedPart, ...]], ...] = ()
     unexplained: tuple[WayTest, ...] | None = None
     pulls: tuple[PriorPull, ...] = ()
 
@@ -141,7 +148,8 @@ class Verdict:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in words."""
-        bodies = map(str, (*self.unlisted, *self.hidden))
+        off = (rim for rim, _ in self.rims_off)
+        bodies = map(str, (*off, *self.misfits, *self.unlisted, *self.hidden))
         light = ([str(self.smear)] if self.many_colours else []) + ([self.wrong_light] if self.wrong_light else [])
         found = (*map(str, self.pulls), *bodies, *light)
         balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
@@ -155,7 +163,8 @@ class Verdict:
         """Whether nothing speaks against the model."""
         balls = any(one.is_ball for one in self.unconfirmed)
         bodies = any(not one.rim_of for one in self.unlisted)
-        seen = self.alarms or self.hidden or bodies or balls or self.pulls
+        glass = balls or self.misfits or self.rims_off
+        seen = self.alarms or self.hidden or bodies or glass or self.pulls
         return not (seen or self.many_colours or self.wrong_light)
 
     @property
@@ -164,7 +173,9 @@ class Verdict:
         unlisted = [part for one in self.unlisted for part in one.masked]
         unconfirmed = [part for one in self.unconfirmed for part in one.masked]
         hidden, rims = [one.masked for one in self.hidden], [one.masked for one in self.rims]
-        return (*unlisted, *unconfirmed, *hidden, *rims)
+        misfits = [one.masked for one in self.misfits]
+        off = [part for _, parts in self.rims_off for part in parts]
+        return (*unlisted, *unconfirmed, *misfits, *off, *hidden, *rims)
 
     @property
     def many_colours(self) -> bool:
@@ -220,6 +231,8 @@ class Verdict:
             "unconfirmed": [asdict(one) for one in self.unconfirmed],
             "rims": [asdict(one) for one in self.rims],
             "pulls": [asdict(pull) for pull in self.pulls],
+            "misfits": [asdict(one) for one in self.misfits],
+            "rims_off": [asdict(rim) for rim, _ in self.rims_off],
             "smear": asdict(self.smear) if self.smear else None,
             "suspects": [one.to_dict() for one in self.suspects],
             "independent_corners": {

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from correction.fit.seen.rims_seen import RimSeen
 from correction.masked import hull_px
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Vector3
@@ -72,6 +73,48 @@ class Unconfirmed:
             cure = "look for dirt on it, check its place, radius and glass, or print smaller squares"
             return f"only {found}: the ball is not confirmed, and is masked in every map; {cure}"
         return f"only {found}: this way through the glass is masked in every map"
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A way through the glass that a frame shows bent otherwise than the scene bends it.
+
+    Parameters
+    ----------
+    way : str
+        Spheres crossed, joined by " > ".
+    share : float
+        Of its pixels that show another square.
+    ball : str
+        The ball on the way that is most likely not as the scene says.
+    frame : str
+        Where it is seen.
+    """
+
+    way: str
+    share: float
+    ball: str
+    frame: str
+
+    @property
+    def masked(self) -> MaskedPart:
+        """The part that no map is to use."""
+        return MaskedPart(UNCONFIRMED, through=branch_of(self.way))
+
+    def __str__(self) -> str:
+        """Return one sentence."""
+        return (
+            f"{self.frame}: {100.0 * self.share:.0f} % of what is seen through `{self.way}` are other squares than"
+            f" the scene shows: radius, glass or place of `{self.ball}` are not as the scene says, it is hollow,"
+            " or a ball that the scene does not list stands there; this way is masked in every map; measure the"
+            " ball, or list what stands there"
+        )
+
+
+def masked_around(rim: RimSeen, scene: Scene) -> tuple[MaskedPart, ...]:
+    """Parts that no map is to use around a ball whose rim is not where the scene shows it."""
+    ball = next(ball for ball in scene.spheres if ball.name == rim.ball)
+    return (_around(ball, scene.camera, rim.off_px * rim.pixel_mm),)
 
 
 def unconfirmed_ways(

@@ -1,13 +1,9 @@
 """Bodies that nobody listed: parts of a frame of the target that do not show what the fitted scene shows there.
 
 Corners say little about a bead or a drop: it hides three of them, or none where squares are wide.  The frame
-itself says it, pixel by pixel.  A traced pixel shows a bright square or a dark one.  With W and B the means of the
-frame nearby, over pixels of the same branch that show bright and dark squares, the frame agrees by
+itself says it, pixel by pixel (`view_agreement`).
 
-    a = +-(I - (W + B) / 2) / ((W - B) / 2),   + where a bright square is shown:  1 as it should, -1 as the other.
-
-Asked are pixels off every edge, disc and border of a branch, where squares are wide enough to be seen.  Blur
-changes no sign there, nor does slow shading.  Where a ball shows squares many times as large as they are, the fit
+Where a ball shows squares many times as large as they are, the fit
 may not know which of them a pixel shows: a pixel says nothing whose place is known to less than UNSURE standard
 deviations from the next edge.  What disagrees (a < 0), with all around it that agrees by halves
 (a < HALF), is one part.  Its hull is masked, made wider by a share of a square: next to what disagrees the same
@@ -15,10 +11,15 @@ body agrees by chance.  So do the squares between two parts of one body, a dark 
 that are nearer to each other than SAME_BODY squares are masked with what lies between them.  A part that lies
 within UNSURE standard deviations of the rim of a ball is that ball's, which stands a little elsewhere than the fit
 could tell: it is masked and said, and no alarm.
+
+A view that shows other squares on more than MISFIT of its pixels, or next to their edges alone, is not hidden by a
+body: it is bent otherwise than the scene bends it, and is unconfirmed as a whole (`unconfirmed_ways.Misfit`).  The
+ball that bends it is the one on its way of which other views confirm least, or whose rim is not where the scene
+shows it (`rims_seen`), which is an alarm of its own.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -27,28 +28,27 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.fit.seen.prediction import in_target_frame
-from correction.grid import grid_of
+from correction.fit.seen.rims_seen import RimSeen, rims_off
+from correction.fit.seen.unconfirmed_ways import Misfit
+from correction.fit.seen.view_agreement import BESIDE, Shown
 from correction.masked import hull_px, pixels_in
 from correction.target import Chessboard
 from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart, Point
 from tracer.scene.scene import Scene
-from tracer.strategies.branches import text_of
-from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.branches import branch_of, text_of
+from tracer.strategies.ray_map import RayMap
 from tracer.strategies.sensitivity import TargetPose
-from tracer.strategies.trace import RayStatus
 
-CLEAR_PX = 5  # side of what must show one square: blur and the fit's own errors reach less far
-NARROWEST_PX = 8.0  # views of a square that can be told bright from dark
-NEARBY = 4.0  # squares: side of what W and B are taken from
 HALF = 0.4  # agreement below which a pixel next to one that disagrees belongs to the same part
-LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
 UNSURE = 3.0  # standard deviations of the place that a pixel shows, and of a rim's
 NEARLY_ALL = 0.9
+MISFIT = 0.1  # of the pixels of a view, from which it is bent otherwise than the scene bends it
+ALL_OVER = 0.4  # of the spread of a view's pixels, from which some of them are not in one place
 FEWEST, CERTAIN = 16, 5  # pixels of a part, and those of them that disagree
 SHARE = 0.0005  # of the disc in which the smallest ball is seen, likewise
 JOIN_PX = 9  # side of what joins pixels to parts
 SAME_BODY = 1.5  # squares as seen there
-BESIDE_PX, BESIDE = 4.0, 0.25  # a body reaches so far beyond what is seen of it: pixels, and squares seen there
+WIDER_PX, WIDER = 4.0, 0.25  # a body reaches so far beyond what is seen of it: pixels, and squares seen there
 Pixels = NDArray[np.int64]  # rows and columns (N, 2)
 
 
@@ -76,7 +76,7 @@ class Unlisted:
 
     @property
     def masked(self) -> tuple[MaskedPart, ...]:
-        """What no map is to use."""
+        """Parts that no map is to use."""
         return tuple(MaskedPart(UNCONFIRMED if self.rim_of else UNLISTED, outline) for outline in self.outlines_px)
 
     def __str__(self) -> str:
@@ -118,14 +118,34 @@ class View:
     sigma_mm: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
 
 
-def unlisted_parts(
+@dataclass(frozen=True)
+class Compared:
+    """Frames with glass, compared with what the fitted scene shows.
+
+    Parameters
+    ----------
+    unlisted : tuple of Unlisted
+        Parts that are not what the scene shows, the largest first.
+    misfits : tuple of Misfit
+        Ways through the glass that are bent otherwise than the scene bends them.
+    rims : tuple of RimSeen
+        Rims of listed balls that are not where the scene shows them.
+    """
+
+    unlisted: tuple[Unlisted, ...] = ()
+    misfits: tuple[Misfit, ...] = ()
+    rims: tuple[RimSeen, ...] = ()
+
+
+def compare_views(
     scene: Scene,
     views: Iterable[View],
     board: Chessboard,
     lattice: Sequence[NDArray[np.int64]],
     place_mm: Mapping[str, float] | None = None,
-) -> tuple[Unlisted, ...]:
-    """Parts of frames that are not what a scene shows, the largest first.
+    size_mm: Mapping[str, float] | None = None,
+) -> Compared:
+    """Compare frames with what a scene shows, pixel by pixel, and the rims of all its balls.
 
     Parameters
     ----------
@@ -134,28 +154,38 @@ def unlisted_parts(
     views : iterable of View
         Frames with glass.
     board : Chessboard
+        As large as its print was found to be.
     lattice : sequence of (N, 2) int64
         Corners that bare frames show; beyond them the board may end.
     place_mm : mapping, optional
         Ball -> standard deviation of its place sideways; those not in it are known exactly.
+    size_mm : mapping, optional
+        The same of its radius.
     """
     if not lattice:
-        return ()
+        return Compared()
+    place = dict(place_mm or {})
     index = np.concatenate(lattice)
     bounds = board.corner_mm(index.min(axis=0)), board.corner_mm(index.max(axis=0))
     found: list[Unlisted] = []
+    rims: dict[str, RimSeen] = {}
+    misfits: dict[str, Misfit] = {}
     for view in views:
-        seen = in_target_frame(scene, view.pose)
-        rays = build_ray_map(seen)
-        width = _square_px(rays, board)
-        for depth_mm in board.depths_mm[1:]:
-            rays = _on_plate(rays, build_ray_map(in_target_frame(scene, view.pose.behind(depth_mm))), board)
-        agrees = agreement(rays, view.image, board, bounds, width, board.square_mm / grid_of(seen.camera).pitch_mm)
+        shown = Shown.of(scene, view.pose, board, bounds)
+        seen, rays, width = in_target_frame(scene, view.pose), shown.rays, shown.width_px
+        known_mm = {ball: (far, (size_mm or {}).get(ball, 0.0)) for ball, far in place.items()}
+        for rim in rims_off(seen, shown, view.image, board, bounds, known_mm):
+            rims.setdefault(rim.ball, rim)
+            place[rim.ball] = place.get(rim.ball, 0.0) + rim.off_px * rim.pixel_mm
+        agrees = shown.agreement(view.image)
         least_px = _least_px(seen)
         unsure = list(_parts(agrees, least_px)) if view.sigma_mm is not None else []
         for part in unsure:
             row, column = part[_unsure(part, rays, board, view)].T
             agrees[row, column] = np.nan
+        for misfit in _misfits(shown, agrees, board, view.name, least_px, rims):
+            misfits.setdefault(misfit.way, misfit)
+            agrees[rays.branch == rays.branches.index(branch_of(misfit.way))] = np.nan
         for body in _bodies(_parts(agrees, least_px), width):
             largest = max(body, key=len)
             row, column = largest[len(largest) // 2]
@@ -163,28 +193,63 @@ def unlisted_parts(
             known = [part for one in found for part in one.masked]  # in another frame
             if not any(pixels_in(part, agrees.shape)[row, column] for part in known):
                 way = text_of(rays.branches[int(rays.branch[row, column])])
-                rim = _rim_of(np.concatenate(body), seen, place_mm or {})
-                found.append(Unlisted(view.name, way, sum(map(len, body)), outlines, rim))
-    return tuple(sorted(found, key=lambda one: -one.pixels))
+                rim_of = _rim_of(np.concatenate(body), seen, place)
+                found.append(Unlisted(view.name, way, sum(map(len, body)), outlines, rim_of))
+    by_size = tuple(sorted(found, key=lambda one: -one.pixels))
+    return Compared(by_size, tuple(misfits.values()), tuple(rims.values()))
 
 
-def _on_plate(rays: RayMap, other: RayMap, board: Chessboard) -> RayMap:
-    """Ray map to a plate, from those to the planes of its two levels: pixels land where its level is met first.
+def _misfits(
+    shown: Shown,
+    agrees: NDArray[np.float32],
+    board: Chessboard,
+    frame: str,
+    least_px: float,
+    rims: Mapping[str, RimSeen],
+) -> Iterator[Misfit]:
+    """Ways through the glass that show other squares all over, or beside their edges."""
+    number = np.where(np.isfinite(agrees), shown.rays.branch, BESIDE)
+    asked = np.bincount(number.ravel(), minlength=len(shown.rays.branches))
+    with np.errstate(invalid="ignore"):
+        against = agrees < 0.0
+    wrong = np.bincount(number[against], minlength=len(asked))
+    good = {
+        ball: sum(
+            int(asked[at] - wrong[at])
+            for at, way in enumerate(shown.rays.branches)
+            if ball in way and wrong[at] <= MISFIT * asked[at]
+        )
+        for ball in {ball for way in shown.rays.branches for ball in way}
+    }
+    named: set[str] = set()
+    for at in sorted(np.flatnonzero(wrong >= max(FEWEST, least_px)).tolist(), key=lambda at: -wrong[at]):
+        way = shown.rays.branches[at]
+        everywhere = 0.0 if named & set(way) else ALL_OVER  # another view of a wrong ball may show it in one place
+        if way and (
+            wrong[at] > MISFIT * asked[at] or _beside_edges(number == at, against, shown, board, everywhere)
+        ):
+            suspect = min(way, key=lambda ball: (ball not in rims, good[ball]))
+            named.add(suspect)
+            yield Misfit(text_of(way), float(wrong[at] / asked[at]), suspect, frame)
 
-    Around each mark its level is taken to reach half way to the next; what meets neither level meets the wall
-    between, and shows nothing.
+
+def _beside_edges(
+    view: NDArray[np.bool_],
+    against: NDArray[np.bool_],
+    shown: Shown,
+    board: Chessboard,
+    everywhere: float,
+) -> bool:
+    """Whether what disagrees in a view lies nearer to edges of squares than half of it, and is not in one place.
+
+    Squares that are seen a little aside differ there, all over the view; a body hides them anywhere, or in one
+    place.
     """
-    before = board.depths_mm[1] < 0.0  # the second is then before the first
-    near, far = (other, rays) if before else (rays, other)
-    on_near, on_far = (
-        one.recovered
-        & ((board.depth_mm(np.rint(np.nan_to_num(one.plane_mm) / board.sides_mm).astype(np.int64)) != 0.0) == odd)
-        for one, odd in ((near, before), (far, not before))
-    )
-    plane = np.where(on_near[..., None], near.plane_mm, far.plane_mm)
-    shown = (on_near | on_far) & rays.recovered & other.recovered
-    status = np.where(shown, rays.status, np.uint8(RayStatus.MISSED_PLANE))
-    return replace(rays, plane_mm=plane, status=status)
+    wrong = against[view]
+    from_edge = board.from_edges_mm(shown.rays.plane_mm[view]).min(axis=1)
+    spread = [np.argwhere(each).std(axis=0).sum() for each in (against & view, view)]
+    near = np.quantile(from_edge[wrong], NEARLY_ALL) < np.median(from_edge)
+    return bool(near and spread[0] > everywhere * spread[1])
 
 
 def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float]) -> str:
@@ -207,74 +272,6 @@ def _unsure(part: Pixels, rays: RayMap, board: Chessboard, view: View) -> NDArra
     apart = board.from_edges_mm(rays.plane_mm[part[:, 0], part[:, 1]])
     sigma = view.sigma_mm(part[:, ::-1].astype(np.float64))
     return np.asarray(~(UNSURE * sigma < apart).all(axis=1))
-
-
-def agreement(
-    rays: RayMap,
-    image: NDArray[Any],
-    board: Chessboard,
-    bounds_mm: tuple[NDArray[np.float64], NDArray[np.float64]],
-    width_px: NDArray[np.float64],
-    square_px: float,
-) -> NDArray[np.float32]:
-    """How far each pixel (H, W) of a frame shows the square that it should, -1 to 1; NaN where it is not asked.
-
-    Parameters
-    ----------
-    rays : RayMap
-        To the board's plane.
-    image : (H, W)
-        The frame.
-    board : Chessboard
-    bounds_mm : (2,) and (2,) float64
-        Least and largest x, y of the board that is there.
-    width_px : (H, W) float64
-        Narrow side of a square as seen there.
-    square_px : float
-        Side of a square as seen without glass.
-    """
-    import cv2
-
-    point = np.nan_to_num(rays.plane_mm).astype(np.float64)
-    there = rays.recovered & ((point >= bounds_mm[0]) & (point <= bounds_mm[1])).all(axis=-1)
-    there &= width_px >= NARROWEST_PX
-    bright = board.shade(point) > 0.5
-    kind = np.where(there, 2.0 * rays.branch + bright + 1.0, 0.0).astype(np.float32)
-    around = np.ones((CLEAR_PX, CLEAR_PX), np.uint8)
-    clear = there & (cv2.erode(kind, around) == cv2.dilate(kind, around))
-    light = cv2.blur(image.astype(np.float32), (3, 3))
-    out = np.full(clear.shape, np.nan, np.float32)
-    side = 2 * int(NEARBY * square_px / 2) + 1
-    for number in np.unique(rays.branch[clear]):
-        here = clear & (rays.branch == number)
-        levels = [_mean(light, here & shade, side) for shade in (bright, ~bright)]
-        grey, swing = 0.5 * (levels[0] + levels[1]), 0.5 * (levels[0] - levels[1])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            value = np.where(bright, light - grey, grey - light) / swing
-        asked = here & np.isfinite(value)
-        if asked.any() and LOUD * 1.48 * np.median(np.abs(value[asked] - np.median(value[asked]))) < 1.0:
-            out[asked] = value[asked]
-    return out
-
-
-def _mean(light: NDArray[Any], where: NDArray[np.bool_], side: int) -> NDArray[np.float32]:
-    """Mean (H, W) of the light over a square of pixels, of those `where`; NaN where there are too few."""
-    import cv2
-
-    share, window = where.astype(np.float32), (side, side)
-    total = cv2.blur(light * share, window, borderType=cv2.BORDER_CONSTANT)
-    count = cv2.blur(share, window, borderType=cv2.BORDER_CONSTANT)
-    return np.where(count * side**2 > CLEAR_PX**2, total / np.maximum(count, 1e-9), np.float32(np.nan))
-
-
-def _square_px(rays: RayMap, board: Chessboard) -> NDArray[np.float64]:
-    """Narrow side (H, W) of a square as seen at each pixel; 0 where nobody knows."""
-    by_v, by_u = (np.asarray(np.gradient(rays.plane_mm, axis=axis), np.float64) for axis in (0, 1))
-    square = (by_u**2 + by_v**2).sum(axis=-1)
-    turned = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        widest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * turned**2, 0.0))))
-        return np.asarray(np.nan_to_num(board.square_mm / widest, nan=0.0, posinf=0.0))
 
 
 def _parts(agrees: NDArray[np.float32], least_px: float) -> Iterator[Pixels]:
@@ -323,7 +320,7 @@ def _outlines(body: Sequence[Pixels], width_px: NDArray[np.float64]) -> Iterator
     """Outlines of the parts of a body, two and two that are near each other together."""
     pairs = [(one, other) for one, other in combinations(body, 2) if _near(one, other, width_px)]
     for some in [np.concatenate(pair) for pair in pairs] or body:
-        yield _hull(some, BESIDE_PX + BESIDE * _typical(some, width_px))
+        yield _hull(some, WIDER_PX + WIDER * _typical(some, width_px))
 
 
 def _hull(part: Pixels, wider_px: float) -> tuple[Point, ...]:

@@ -17,11 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.solve.solver import Corners, Residuals, free_rates, landed
-from correction.fit.solve.unknowns import Unknowns
-from tracer.strategies.sensitivity import TARGET
+from correction.fit.solve.unknowns import Unknowns, left_jacobian
+from tracer.strategies.sensitivity import SPHERE, TARGET
 
 RISE_MM = 1.0  # between the two planes; any does
 RISE = TARGET.index("z")
+
+
+def moved_as_board(unknowns: Unknowns, full: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How a full vector (F,) changes where camera and balls move as a board would by its six numbers: (F, 6).
+
+    Frames show camera and board against each other.  Where a board seems to have moved by v, the camera may have
+    moved by -v, and the balls, whose place behind it is seen, with it.
+    """
+    moves = np.zeros((len(full), len(TARGET)))
+    for at in (0, *range(unknowns.glass.start, unknowns.glass.stop, len(SPHERE))):
+        x, y, z = full[at : at + 3]
+        moves[at : at + 3, :3] = np.eye(3)
+        moves[at : at + 3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]  # turn x place
+    moves[3:6, 3:] = np.linalg.inv(left_jacobian(full[3:6]))
+    return moves
 
 
 def on_moved_board(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from correction.fit.scene_fit import fit_scene
-from correction.fit.seen.unlisted_parts import View, unlisted_parts
+from correction.fit.seen.unlisted_parts import Compared, View, compare_views
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from correction.target import Chessboard
@@ -19,6 +19,7 @@ from tests.correction.fit.benches import map_error_px, photograph
 from tests.correction.fit.rendered_labs import compared, photographed
 from tests.slow_cases import slow_but
 from tracer.bodies import Body, Rod, Sphere, Tube, Window
+from tracer.masked import MaskedPart
 from tracer.media import MEDIA, ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
@@ -46,10 +47,20 @@ def frame(stray: str) -> np.ndarray:
     return photograph(lab().with_bodies([*lab().bodies, *bodies]), True, 0.0, 17, SQUARE_MM).image
 
 
+def masked_parts(found: Compared) -> tuple[MaskedPart, ...]:
+    bodies = [part for one in found.unlisted for part in one.masked]
+    return (*bodies, *(one.masked for one in found.misfits))
+
+
 def masked_by(image: np.ndarray) -> Scene:
     """The scene, which lists no stray body, as it comes out of a fit."""
-    parts = unlisted_parts(lab(), [View("glass", image, TargetPose())], BOARD, LATTICE)
-    return replace(lab(), masked=tuple(part for one in parts for part in one.masked))
+    parts = compare_views(lab(), [View("glass", image, TargetPose())], BOARD, LATTICE)
+    return replace(lab(), masked=masked_parts(parts))
+
+
+def are_wrong(*given) -> bool:
+    found = compare_views(*given)
+    return bool(found.unlisted or found.misfits or found.rims)
 
 
 def nodes_off(scene: Scene, stray: str) -> int:
@@ -88,16 +99,14 @@ def test_frames_that_show_what_they_should_mask_nothing(change):
 def test_what_lies_beyond_the_board_is_not_asked():
     image = frame("").copy()
     image[:, 460:] = image.max()
-    assert not unlisted_parts(
-        lab(), [View("glass", image, TargetPose())], BOARD, [np.array([[-17, -17], [9, 17]])]
-    )
+    assert not are_wrong(lab(), [View("glass", image, TargetPose())], BOARD, [np.array([[-17, -17], [9, 17]])])
     assert masked_by(image).masked
 
 
 def test_a_board_at_another_height_is_compared_there():
     pose = TargetPose((0.0, 0.0, -10.0))
     image = photograph(lab(), True, -10.0, 5, SQUARE_MM).image
-    assert not unlisted_parts(lab(), [View("glass", image, pose)], BOARD, LATTICE)
+    assert not are_wrong(lab(), [View("glass", image, pose)], BOARD, LATTICE)
 
 
 def test_squares_of_which_the_fit_does_not_know_which_they_are_say_nothing():
@@ -109,8 +118,8 @@ def test_squares_of_which_the_fit_does_not_know_which_they_are_say_nothing():
     def known_to(sigma_mm: float) -> View:
         return View("glass", image, TargetPose(), lambda pixels: np.full_like(pixels, sigma_mm))
 
-    assert unlisted_parts(off, [known_to(0.01)], BOARD, LATTICE)
-    assert not unlisted_parts(off, [known_to(rate)], BOARD, LATTICE)
+    assert are_wrong(off, [known_to(0.01)], BOARD, LATTICE)
+    assert not are_wrong(off, [known_to(rate)], BOARD, LATTICE)
 
 
 def test_a_rim_whose_place_is_not_known_is_no_body_of_its_own():
@@ -119,7 +128,7 @@ def test_a_rim_whose_place_is_not_known_is_no_body_of_its_own():
     off = lab().with_bodies([low, replace(high, centre_mm=(x + 1.5, y - 0.5, z))])
     near = View("glass", frame(""), TargetPose())
     for place_mm, rim_of in (({}, ""), ({high.name: 1.0}, high.name)):
-        beside = [part for part in unlisted_parts(off, [near], BOARD, LATTICE, place_mm) if not part.way]
+        beside = [part for part in compare_views(off, [near], BOARD, LATTICE, place_mm).unlisted if not part.way]
         assert beside
         assert all(part.rim_of == rim_of for part in beside)
         assert all(part.masked for part in beside)
@@ -160,7 +169,7 @@ def right_lab(kind: str, seed: int) -> tuple[Scene, np.ndarray]:
 def test_right_labs_of_other_kinds_mask_nothing(kind):
     for seed in range(5):
         scene, image = right_lab(kind, seed)
-        assert not unlisted_parts(scene, [View("glass", image, TargetPose())], BOARD, LATTICE), seed
+        assert not are_wrong(scene, [View("glass", image, TargetPose())], BOARD, LATTICE), seed
 
 
 @pytest.mark.slow

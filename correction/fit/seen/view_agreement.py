@@ -1,0 +1,163 @@
+"""Whether a frame of the target shows, pixel by pixel, the squares that a fitted scene shows there.
+
+A traced pixel shows a bright square or a dark one.  With I the frame divided by the transmittance of the pixel's
+ray, W and B its means nearby, over pixels of the same branch that should show bright and dark squares, and
+G = (W + B) / 2, the frame agrees by
+
+    a = +-(I - G) / mean |I - G|,     + where a bright square should be shown:  1 as it should, -1 as the other.
+
+The contrast is what the view has and not what it should have, (W - B) / 2, which vanishes where a view shows other
+squares throughout.  Undivided, the dim rim of a ball that is seen through another one would be a dark square.
+
+Asked are pixels off every edge, disc and border of a branch, where squares are wide enough to be seen and their
+contrast is LOUD times the noise of the view beside the glass.  Blur changes no sign there, nor does slow shading.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.seen.prediction import in_target_frame
+from correction.grid import grid_of
+from correction.target import Chessboard
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.sensitivity import TargetPose
+from tracer.strategies.trace import RayStatus, trace
+
+CLEAR_PX = 5  # side of what must show one square: blur and the fit's own errors reach less far
+NARROWEST_PX = 8.0  # views of a square that can be told bright from dark
+NEARBY = 4.0  # squares: side of what W and B are taken from
+LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
+BLACKEST = 0.001  # share of the pixels below what a camera shows of no light
+DIMMEST = 0.05  # transmittance from which light is compared
+BESIDE = 0  # number of the view beside the glass
+Bounds = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a scene shows of a board at each pixel.
+
+    Parameters
+    ----------
+    rays : RayMap
+        To the board.
+    passed : (H, W) float32
+        Transmittance of the rays.
+    bright : (H, W) bool
+        Whether a bright square is shown.
+    clear : (H, W) bool
+        Where that is sure: off edges, discs and borders, on the board, squares wide enough.
+    width_px : (H, W) float64
+        Narrow side of a square as seen there; 0 where it is not known.
+    nearby_px : int
+        Side of the square of pixels that W and B are taken from.
+    """
+
+    rays: RayMap
+    passed: NDArray[np.float32]
+    bright: NDArray[np.bool_]
+    clear: NDArray[np.bool_]
+    width_px: NDArray[np.float64]
+    nearby_px: int
+
+    @classmethod
+    def of(cls, scene: Scene, pose: TargetPose, board: Chessboard, bounds_mm: Bounds) -> "Shown":
+        """Trace a scene to a board at a pose, whose corners reach from least to largest x, y."""
+        seen = in_target_frame(scene, pose)
+        rays = build_ray_map(seen)
+        width = _square_px(rays, board)
+        for depth_mm in board.depths_mm[1:]:
+            rays = _on_plate(rays, build_ray_map(in_target_frame(scene, pose.behind(depth_mm))), board)
+        passed = np.ones(rays.branch.shape, np.float32)
+        rows, columns = np.nonzero(rays.recovered & (rays.branch != BESIDE))
+        behind = np.stack((columns, rows), axis=1).astype(np.float64)
+        passed[rows, columns] = trace(seen, behind).rays["transmittance"]
+        point = np.nan_to_num(rays.plane_mm).astype(np.float64)
+        there = rays.recovered & ((point >= bounds_mm[0]) & (point <= bounds_mm[1])).all(axis=-1)
+        there &= (width >= NARROWEST_PX) & (passed > DIMMEST)
+        bright = board.shade(point) > 0.5
+        pitch_mm = grid_of(seen.camera).pitch_mm
+        side = 2 * int(NEARBY * board.square_mm / pitch_mm / 2) + 1
+        return cls(rays, passed, bright, _clear(rays, there, bright), width, side)
+
+    def agreement(self, image: NDArray[Any]) -> NDArray[np.float32]:
+        """How far each pixel (H, W) of a frame shows the square that it should; NaN where it is not asked."""
+        import cv2
+
+        light = cv2.blur(image.astype(np.float32), (3, 3))
+        light = (light - np.quantile(light, BLACKEST)) / np.maximum(self.passed, DIMMEST)
+        out, swing = np.full(light.shape, np.nan, np.float32), np.zeros(light.shape, np.float32)
+        for number in np.unique(self.rays.branch[self.clear]):
+            here = self.clear & (self.rays.branch == number)
+            off = light - self.grey(light, here)
+            here &= np.isfinite(off)
+            own = mean_nearby(np.abs(np.where(here, off, 0.0)), here, self.nearby_px)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                out[here], swing[here] = (np.where(self.bright, off, -off) / own)[here], own[here]
+        asked = np.isfinite(out)
+        beside = asked & (self.rays.branch == BESIDE)
+        if not beside.any():
+            return out
+        noise = 1.48 * float(np.median(np.abs(out[beside] - np.median(out[beside])) * swing[beside]))
+        with np.errstate(invalid="ignore"):
+            out[~(swing * self.passed > LOUD * noise)] = np.nan
+        return out
+
+    def grey(self, light: NDArray[np.float32], here: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Half way (H, W) between bright and dark squares nearby, of pixels that are `here`; NaN without both."""
+        bright, dark = (mean_nearby(light, here & shade, self.nearby_px) for shade in (self.bright, ~self.bright))
+        return np.asarray(0.5 * (bright + dark))
+
+
+def mean_nearby(light: NDArray[Any], where: NDArray[np.bool_], side: int) -> NDArray[np.float32]:
+    """Mean (H, W) of the light over a square of pixels, of those `where`; NaN where there are too few."""
+    import cv2
+
+    share, window = where.astype(np.float32), (side, side)
+    light = np.where(where, light, 0.0).astype(np.float32)
+    total = cv2.blur(light, window, borderType=cv2.BORDER_CONSTANT)
+    count = cv2.blur(share, window, borderType=cv2.BORDER_CONSTANT)
+    enough = count * side**2 > CLEAR_PX**2
+    return np.asarray(np.where(enough, total / np.maximum(count, 1e-9), np.nan), dtype=np.float32)
+
+
+def _clear(rays: RayMap, there: NDArray[np.bool_], bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where all pixels around show one square on one branch."""
+    import cv2
+
+    kind = np.where(there, 2.0 * rays.branch + bright + 1.0, 0.0).astype(np.float32)
+    around = np.ones((CLEAR_PX, CLEAR_PX), np.uint8)
+    return np.asarray(there & (cv2.erode(kind, around) == cv2.dilate(kind, around)))
+
+
+def _on_plate(rays: RayMap, other: RayMap, board: Chessboard) -> RayMap:
+    """Ray map to a plate, from those to the planes of its two levels: pixels land where its level is met first.
+
+    Around each mark its level is taken to reach half way to the next; what meets neither level meets the wall
+    between, and shows nothing.
+    """
+    before = board.depths_mm[1] < 0.0  # the second is then before the first
+    near, far = (other, rays) if before else (rays, other)
+    on_near, on_far = (
+        one.recovered
+        & ((board.depth_mm(np.rint(np.nan_to_num(one.plane_mm) / board.sides_mm).astype(np.int64)) != 0.0) == odd)
+        for one, odd in ((near, before), (far, not before))
+    )
+    plane = np.where(on_near[..., None], near.plane_mm, far.plane_mm)
+    shown = (on_near | on_far) & rays.recovered & other.recovered
+    status = np.where(shown, rays.status, np.uint8(RayStatus.MISSED_PLANE))
+    return replace(rays, plane_mm=plane, status=status)
+
+
+def _square_px(rays: RayMap, board: Chessboard) -> NDArray[np.float64]:
+    """Narrow side (H, W) of a square as seen at each pixel; 0 where it is not known."""
+    by_v, by_u = (np.asarray(np.gradient(rays.plane_mm, axis=axis), np.float64) for axis in (0, 1))
+    square = (by_u**2 + by_v**2).sum(axis=-1)
+    turned = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        widest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * turned**2, 0.0))))
+        return np.asarray(np.nan_to_num(board.square_mm / widest, nan=0.0, posinf=0.0))
