@@ -13,6 +13,7 @@ is joined to the area's outline by a cut of no width: what a ray crosses twice t
 decodes the picture and follows its edges; it comes with rtpiv, and the tracer alone does without.
 """
 
+import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ UNLISTED, UNCONFIRMED, LEFT_OUT = "unlisted body", "unconfirmed", "left out"
 MOST_BYTES = 200_000_000  # of a picture
 MOST_PARTS = 1000  # white areas
 FINER = 3  # the outline passes a third of a pixel outside the middle of a pixel
+BIG_TIFF, PHOTOMETRIC, MIN_IS_WHITE, MIN_IS_BLACK = 43, 262, 0, 1  # of the TIFF format
 STRAIGHT_PX = 0.3  # less than that third
 Point = tuple[float, float]
 
@@ -81,7 +83,8 @@ def left_out(path: Path, sensor_px: tuple[int, int]) -> tuple[MaskedPart, ...]:
     Parameters
     ----------
     path : Path
-        PNG, TIFF, BMP or JPEG; what is brighter than half of its brightest is left out.
+        PNG, TIFF, BMP or JPEG; what is above half of its largest number is left out, also of a TIFF whose numbers
+        are shown inverted (MinIsWhite), as tifffile writes arrays of bool.
     sensor_px : (int, int)
         Width and height of the frame.
 
@@ -122,7 +125,7 @@ def _white(path: Path, sensor_px: tuple[int, int]) -> NDArray[np.uint8]:
         raise SceneError(f"mask {path}: cannot be read: {error.strerror or error}") from None
     how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        picture: Any = cv2.imdecode(np.frombuffer(content, np.uint8), how) if content else None
+        picture: Any = cv2.imdecode(np.frombuffer(_with_numbers(content), np.uint8), how) if content else None
     except cv2.error:
         picture = None
     if picture is None:
@@ -139,6 +142,29 @@ def _white(path: Path, sensor_px: tuple[int, int]) -> NDArray[np.uint8]:
             f"mask {path}: leaves out {'all' if white.any() else 'nothing'}; white is what it leaves out"
         )
     return np.asarray(white, np.uint8)
+
+
+def _with_numbers(content: bytes) -> bytes:
+    """Return a TIFF without the word that its numbers are shown inverted: here they are labels, and no light."""
+    order = {b"II": "<", b"MM": ">"}.get(content[:2])
+    if order is None or len(content) < 16:
+        return content
+    (magic,) = struct.unpack_from(f"{order}H", content, 2)
+    at, number, step, value_at = (8, "Q", 20, 12) if magic == BIG_TIFF else (4, "I", 12, 8)
+    altered = bytearray(content)
+    try:
+        (start,) = struct.unpack_from(f"{order}{number}", content, at)
+        (count,) = struct.unpack_from(f"{order}{'Q' if magic == BIG_TIFF else 'H'}", content, start)
+        first = start + (8 if magic == BIG_TIFF else 2)
+        for entry in range(first, first + step * min(count, 1000), step):
+            tag, value = (
+                struct.unpack_from(f"{order}H", content, place)[0] for place in (entry, entry + value_at)
+            )
+            if (tag, value) == (PHOTOMETRIC, MIN_IS_WHITE):
+                struct.pack_into(f"{order}H", altered, entry + value_at, MIN_IS_BLACK)
+    except struct.error:  # damaged, which the decoder says
+        return content
+    return bytes(altered)
 
 
 def _thinned(contour: NDArray[Any]) -> NDArray[np.float64]:

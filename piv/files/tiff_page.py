@@ -20,9 +20,14 @@ from tifffile import COMPRESSION, PHOTOMETRIC
 from ground.memory import MOST_PX, require_memory
 from piv.errors import FrameError
 from piv.files.colours import grey_of
+from piv.files.numbers import NEEDED, as_grey_levels
 
 MOST_PACKED = 1100  # bytes of pixels in a byte of the file
-GREY_BITS = {(1, 8): np.uint8, (1, 16): np.uint16, (3, 32): np.float32}  # by sample format
+GREY_BITS: dict[tuple[int, int], type[np.number[Any]]] = {  # by sample format
+    (1, 8): np.uint8, (1, 16): np.uint16, (1, 32): np.uint32, (1, 64): np.uint64, (3, 32): np.float32,
+    (2, 8): np.int8, (2, 16): np.int16, (2, 32): np.int32, (2, 64): np.int64, (3, 64): np.float64,
+}  # fmt: skip
+OF_OPENCV = (np.uint8, np.uint16, np.float32)
 PLAIN = (COMPRESSION.NONE, COMPRESSION.ADOBE_DEFLATE, COMPRESSION.DEFLATE, COMPRESSION.PACKBITS)
 ALL_SEEN = {1, 2, 3, 4, 5, 6, 7, 8}  # orientations
 
@@ -91,7 +96,10 @@ def grey_page(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN4
         raise FrameError(f"has {samples} channels; one grey image is needed, so export it as such")
     if (form, bits) not in GREY_BITS:
         kind = {1: "uint", 2: "int", 3: "float"}.get(form, "other ")
-        raise FrameError(f"holds {kind}{bits}; uint8, uint16 or float32 is needed")
+        raise FrameError(f"holds {kind}{bits}; {NEEDED}")
+    if _needs_opencv(page) and GREY_BITS[form, bits] not in OF_OPENCV:
+        raise FrameError(f"holds {GREY_BITS[form, bits].__name__} compressed by {_name(page.compression)}; save it"
+                         " uncompressed")  # fmt: skip
     if int(page.imagedepth) != 1:
         raise FrameError("is a volume; one grey image is needed")
     packed = 1 if page.compression == COMPRESSION.NONE else MOST_PACKED
@@ -106,12 +114,15 @@ def grey_page(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN4
     if photometric == PHOTOMETRIC.PALETTE:
         pixels = _from_palette(pixels, page.colormap)
     elif photometric == PHOTOMETRIC.MINISWHITE:
-        if form == 3:
-            raise FrameError("is MinIsWhite in float32, where no number is white; export it as MinIsBlack")
+        if form != 1:
+            raise FrameError(
+                f"is MinIsWhite in {GREY_BITS[form, bits].__name__}, where no number is white; export it as"
+                " MinIsBlack"
+            )
         pixels = np.bitwise_not(pixels)
     elif photometric == PHOTOMETRIC.RGB:
         pixels = grey_of(pixels)
-    return np.ascontiguousarray(_turned(pixels, _orientation(page)))
+    return np.ascontiguousarray(_turned(as_grey_levels(pixels), _orientation(page)))
 
 
 def _needs_opencv(page: Any) -> bool:  # noqa: ANN401

@@ -110,3 +110,25 @@ def test_a_scene_file_names_a_picture_that_stands_beside_it(tmp_path):
 def _loaded(folder, text):
     (folder / "scene.yaml").write_text(text)
     return load_scene(folder / "scene.yaml")
+
+
+@pytest.mark.parametrize("name", ["disc", "outside", "specks"])
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        (bool, {}),  # tifffile writes it with MinIsWhite
+        (bool, {"byteorder": ">"}),
+        (bool, {"bigtiff": True}),
+        (np.uint8, {"photometric": "miniswhite"}),  # ImageJ's inverted table
+        (np.uint8, {"photometric": "minisblack"}),
+        (np.uint16, {"photometric": "miniswhite", "bigtiff": True, "byteorder": ">"}),
+        (np.float32, {"photometric": "minisblack"}),
+    ],
+)
+def test_numbers_of_a_mask_are_labels_however_they_are_shown(tmp_path, name, kind, options):
+    largest = 1 if kind in (bool, np.float32) else np.iinfo(kind).max
+    tifffile.imwrite(tmp_path / "mask.tif", (DRAWN[name] * largest).astype(kind), **options)
+    found = np.zeros((H, W), bool)
+    for part in left_out(tmp_path / "mask.tif", (W, H)):
+        found |= pixels_in(part, (H, W))
+    np.testing.assert_array_equal(found, DRAWN[name])

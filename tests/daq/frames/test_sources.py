@@ -222,16 +222,16 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
     (tmp_path / "empty.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     (tmp_path / "torn.tif").write_bytes(b"II*\0")
     with h5py.File(tmp_path / "two.h5", "w") as file:
-        file["a"], file["b"], file["colour"] = frames()[0], frames()[0], np.zeros((3, 4, 5, 3), np.uint8)
+        file["x"], file["y"], file["colour"] = frames()[0], frames()[0], np.zeros((3, 4, 5, 3), np.uint8)
     with h5py.File(tmp_path / "none.h5", "w") as file:
         file["a"] = np.zeros((4, 4), np.uint16)
     for name, kind, words in (
         ("empty.h5", FrameError, "is no HDF5 file"),
         ("nothing.h5", FrameError, "is no HDF5 file"),
-        ("two.h5", FrameError, "say which stack .* /a, /b"),
-        ("two.h5@/colour", FrameError, "has no stack of images at /colour"),
-        ("two.h5@/c", FrameError, "has no stack of images at /c"),
-        ("none.h5", FrameError, "there is none"),
+        ("two.h5", FrameError, "several stacks of images; name one: .*two.h5@/x, .*two.h5@/y"),
+        ("two.h5@/colour", FrameError, "/colour is 3 x 4 x 5 x 3; images are n x H x W"),
+        ("two.h5@/c", FrameError, "/c is no data set"),
+        ("none.h5", FrameError, "holds no stack of images: /a is 4 x 4"),
         ("torn.tif", FrameError, "TIFF|cannot be read"),
         ("nothing.tif", FrameError, "no such file"),
         ("B%05d_a.tif", PairError, "no file has such a name"),

@@ -48,7 +48,7 @@ def bad_files(folder, frame):
     for name, data in files.items():
         (folder / f"{name}.tif").write_bytes(data)
     tifffile.imwrite(folder / "stack.tif", np.zeros((3, 40, 50), np.uint16), photometric="minisblack")
-    tifffile.imwrite(folder / "int32.tif", np.zeros((40, 50), np.int32))
+    tifffile.imwrite(folder / "half.tif", np.zeros((40, 50), np.float16))
     (folder / "noise.png").write_bytes(b"\x89PNG nothing")
 
 
@@ -59,7 +59,7 @@ def bad_files(folder, frame):
         ("empty.tif", "damaged"),
         ("noise.tif", "damaged"),
         ("stack.tif", "pages"),
-        ("int32.tif", "int32"),
+        ("half.tif", "float16"),
         ("noise.png", "damaged"),
         ("missing.tif", "cannot be read"),
         ("missing.png", "cannot be read"),

@@ -44,7 +44,7 @@ def spoiled(frames, kind):
     return {
         "sizes": (a, b[:-2]),
         "smaller than the scene": (a[:100, :100], b[:100, :100]),
-        "whole numbers": (a.astype(np.int32), b),
+        "half numbers": (a.astype(np.float16), b),
         "constant": (a, np.full_like(b, 90)),
         "stack": (np.stack((a, b)), b),
         "one frame": (a,),
@@ -55,7 +55,7 @@ def spoiled(frames, kind):
 SENTENCES = {
     "sizes": "b.tif: is 224 x 222 px, and 224 x 224 px are expected",
     "smaller than the scene": "a.tif: is 100 x 100 px, and 224 x 224 px are expected",
-    "whole numbers": "a.tif: holds int32; uint8, uint16 or float32 is needed",
+    "half numbers": "a.tif: holds float16; frames are integers of 8 to 64 bits or float32 or float64",
     "constant": "frame B is constant",
     "stack": "a.tif: holds 2 pages; say which",
     "one frame": "give two frames and --scene",
