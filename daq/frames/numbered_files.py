@@ -11,6 +11,7 @@ few of another name, such as frames of the target.
 import re
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 from daq.frames.name_schemes import (
@@ -42,6 +43,8 @@ class FoundFiles:
     _alone: int
     is_sequence = False  # whose pairs no name tells
     set_aside: Sequence[str] = ()  # frames of another name
+    missing = 0  # frames of a sequence, by its numbers
+    gaps: Sequence[tuple[str, str]] = ()  # names before and behind them
 
     def _keep(self, folder: Path, pairs: Sequence[tuple[str, str]], count: int) -> None:
         """Keep pairs in their order; their numbers are those of the files where one counts them."""
@@ -64,6 +67,9 @@ class FoundFiles:
             return
         self.is_sequence = pairing is NEIGHBOURS
         numbered = {number: folder / name for number, name in counted_from_1(frames).items()}
+        steps = [(a, b) for a, b in pairwise(sorted(numbered)) if b > a + 1]
+        self.missing = sum(b - a - 1 for a, b in steps)
+        self.gaps = [(numbered[a].name, numbered[b].name) for a, b in steps]
         self._pairs, self._alone = pairing.pairs(numbered)
 
     def pairs(self) -> Sequence[FramePlaces]:

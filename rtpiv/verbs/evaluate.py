@@ -1,7 +1,9 @@
 """`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Unpack
 
@@ -13,6 +15,7 @@ from daq.frames.source import is_source
 from daq.runs.names import is_run
 from daq.runs.pairs import pairs_of
 from daq.runs.run_views import where_lit
+from ground.plain_file import read_plain
 from ground.printable import readable_name
 from ground.terminal import console
 from piv.errors import PairError, SeriesError
@@ -22,7 +25,7 @@ from rtpiv.analysis.pairs.evaluation import Evaluation, PairDetails, PairMethod,
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pictures.drawing_process import Draw, drawing
 from rtpiv.analysis.recipe import CorrectionRecipe
-from rtpiv.analysis.report.pair_folder import write_pair
+from rtpiv.analysis.report.pair_folder import named_frames, write_pair
 from rtpiv.analysis.series.chunk import Detailed
 from rtpiv.analysis.series.run_series import Evaluated, run_series
 from rtpiv.analysis.series.series_folder import SeriesFolder
@@ -35,6 +38,7 @@ from rtpiv.verbs.show import show_evaluation, show_series, show_through
 from tracer.scene.scene_file import load_scene
 
 USUAL = "evaluation"
+MOST_BYTES = 100_000_000  # of evaluation.json
 COPIES = (SCENE_FILE, FIT_FILE)  # of what was given, beside results
 
 
@@ -50,11 +54,14 @@ class EvaluationOutput:
         Write every figure as SVG and as PNG, not only as it stands in the page.
     pictures : bool
         Write ``report.html``, after all else is written and said.
+    overwrite : bool
+        Replace vectors of other frames in the folder that is named.
     """
 
     vtk: bool = False
     figures: bool = False
     pictures: bool = True
+    overwrite: bool = False
 
 
 def evaluate(
@@ -129,10 +136,11 @@ def evaluate(
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
         name = readable_name(run)
-        with results_in(out, USUAL, lambda folder: holds_series_of(folder, name), COPIES) as out:
+        mine = partial(holds_series_of, name=name)
+        with results_in(out, USUAL, mine, COPIES, output.overwrite) as out:
             series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
             return _series(screen, series, how, output, workers)
-    with results_in(out, USUAL, copies=COPIES) as out:
+    with results_in(out, USUAL, partial(holds_pair_of, frames=paths), COPIES, output.overwrite) as out:
         given = tasks_of(paths, out, scene, recipe, details.shift_mm, dt_us)
         if given.alone:
             screen.print(f"{given.alone} frames lost their partner and are in no pair")
@@ -219,4 +227,13 @@ def holds_series_of(folder: Path, name: str) -> bool:
     try:
         return SeriesFolder(folder).about["run"] == name
     except (RunUnsuitable, SeriesError):
+        return False
+
+
+def holds_pair_of(folder: Path, frames: Sequence[Path]) -> bool:
+    """Whether vectors of these two frames lie in a folder; pairs of a run have folders of their own."""
+    try:
+        known = json.loads(read_plain(folder / "evaluation.json", MOST_BYTES))
+        return [known["frames"], known["frames_from"]] == list(named_frames(frames).values())
+    except (OSError, ValueError, KeyError, TypeError):
         return False

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, Unpack
 
 from daq.errors import RunUnsuitable
@@ -45,10 +46,13 @@ class MeanOutput:
         Write every figure as SVG and as PNG, not only as it stands in the page.
     files : bool
         Write ``mean.nc``, ``mean.html`` and ``mean_ensemble.nc``.
+    overwrite : bool
+        Replace vectors of other frames in the folder that is named.
     """
 
     figures: bool = False
     files: bool = True
+    overwrite: bool = False
 
 
 def mean(
@@ -107,7 +111,7 @@ def mean(
             name, choice = readable_name(path), piv_choice(**options)
             if is_run(path) and out is None:
                 out = RunFolder(path).own("series")
-            alone = results_in(out, USUAL, lambda there: holds_series_of(there, name), COPIES)
+            alone = results_in(out, USUAL, partial(holds_series_of, name=name), COPIES, output.overwrite)
             folder = held.enter_context(alone)
             given = series_input(path, folder, choice, scene, recipe, dt_us)
             books = run_series(given, workers)

@@ -17,6 +17,7 @@ from daq.errors import DiskError, RunUsageError
 from ground.file_lock import folder_held
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+OF_VECTORS = ("evaluation.json", "series.json", "vectors.nc")  # files that tell what a folder holds
 _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())  # by the call that is carried out
 
 
@@ -27,7 +28,11 @@ def _never(folder: Path) -> bool:
 
 @contextmanager
 def results_in(
-    out: Path | str | None, usual: str = "", goes_on: Callable[[Path], bool] = _never, copies: Collection[str] = ()
+    out: Path | str | None,
+    usual: str = "",
+    goes_on: Callable[[Path], bool] = _never,
+    copies: Collection[str] = (),
+    overwrite: bool = False,
 ) -> Iterator[Path]:
     """Give a call the folder for its results, for itself alone, the calls in it included.
 
@@ -44,6 +49,8 @@ def results_in(
         Whether the work of this call has been begun in a folder, and goes on there.
     copies : collection of str
         Names of the files that are no results but copies of what was given.
+    overwrite : bool
+        Replace what vectors of other frames lie in the folder that was named, where `goes_on` tells them apart.
 
     Yields
     ------
@@ -53,7 +60,7 @@ def results_in(
     Raises
     ------
     RunUsageError, DiskError
-        As `require_folder`; or another process works in the folder.
+        As `require_folder`; or another process works in the folder, or it holds vectors of other frames.
     """
     with ExitStack() as held:
         for folder in [Path(out)] if out is not None else _usual(usual):
@@ -70,6 +77,13 @@ def results_in(
             if is_ours or _is_free(folder):
                 break
             held.close()  # somebody was faster, and has finished
+        if goes_on is not _never and not goes_on(folder):
+            others = [folder / name for name in OF_VECTORS if (folder / name).exists()]
+            if others and not overwrite:
+                cure = "give another folder with -o, or --overwrite"
+                raise RunUsageError("holds vectors of other frames", place=folder, cure=cure)
+            for file in others:
+                file.unlink()
         yield folder
 
 

@@ -55,6 +55,8 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
     screen.print(str(evaluation))
     if evaluation.field.doubt:
         screen.print(evaluation.field.doubt, style="bold red")
+    for doubt in evaluation.scale_doubts:
+        screen.print(doubt, style="bold red")
     tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
     if evaluation.shift is None:
         tables.append(
@@ -94,6 +96,8 @@ def show_series(screen: Console, books: "Evaluated") -> None:
         screen.print(f"{tag} is left out: {why}", style="bold red")
     if len(books.failed) > SHOWN:
         screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
+    for doubt in books.doubts:
+        screen.print(doubt, style="bold red")
 
 
 def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:

@@ -66,6 +66,8 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
     through_lead(page, seen.through, evaluation.task.scene, seen.recovered)
     if field.doubt:
         page.warning(field.doubt + ".")
+    for doubt in evaluation.scale_doubts:
+        page.warning(doubt)
     if totals := totals_of(evaluation):
         page.lead(*lead_of(totals[0]))
         if said := offset_said(evaluation):

@@ -1,11 +1,14 @@
 """The folder of an evaluated pair: vectors and figures as JSON, then a page, which alone needs matplotlib."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from daq.atomic_write import write_json
+from ground.printable import utf8
 from piv.files.vector_file import write_list, write_vectors, write_vtk
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import columns_of
@@ -18,6 +21,12 @@ from rtpiv.analysis.report.tables import (
     sigma_rows,
     track_summary,
 )
+
+
+def named_frames(frames: Sequence[Path]) -> dict[str, str]:
+    """Return what the frames of a pair are called, and the folder that they are from."""
+    names = ", ".join(frame.name for frame in frames)
+    return {"frames": utf8(names).decode(), "frames_from": utf8(str(frames[0].parent.resolve())).decode()}
 
 
 def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
@@ -35,6 +44,7 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
         write_vtk(out / "vectors.vtk", vectors)
     summary: dict[str, Any] = {
         **about,
+        **named_frames(task.frames),
         "note": task.note,
         "dt_s": task.dt_s,
         "no_map_sigma": evaluation.no_map_sigma,

@@ -10,17 +10,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeVar
 
-import numpy as np
-
 from ground.plain_words import counted
 from ground.terminal import console, progress
-from piv.correlation.vector_field import VectorFlag, could_be_measured
 from piv.errors import PairError, SeriesError
 from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.pairs.evaluation import Evaluation, PairMethod
 from rtpiv.analysis.pairs.pair_vectors import joined_vectors
 from rtpiv.analysis.series.chunk import Detailed, correction_of, evaluate_chunk, evaluate_chunk_closely
+from rtpiv.analysis.series.series_checks import check_series
 from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder, sound_content
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_pairs import PairsOfSeries
@@ -29,7 +27,6 @@ from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.workers import carried_out, workers_for
 
 R = TypeVar("R")
-CHUNKS_LOOKED_AT = 4  # for the share of valid vectors
 
 
 @dataclass(frozen=True)
@@ -49,6 +46,8 @@ class Evaluated:
         Where the vectors of pairs that are a time apart lie.
     kept : int
         Pairs that an earlier call had evaluated.
+    doubts : tuple of str
+        What the vectors of a series say against its scale, its times or its order.
     """
 
     pairs: int
@@ -56,6 +55,7 @@ class Evaluated:
     details: tuple[Evaluation, ...] = ()
     series: SeriesFolder | None = None
     kept: int = 0
+    doubts: tuple[str, ...] = ()
 
     @cached_property
     def vectors(self) -> Vectors:
@@ -139,18 +139,19 @@ def run_series(
         reasons = _failures(folder, jobs)
     if len(reasons) == len(given.pairs):
         raise PairError(f"no pair gave a vector; the first: {next(iter(reasons.values()))}")
-    share = _valid_share(folder, jobs)
-    if share < series.least_valid:
+    grid = correction_of(jobs[0].maps, method).corrector.map.grid
+    check = check_series(folder, jobs, method.scene, grid.pitch_mm)
+    if check.valid_share < series.least_valid:
         a, b = (place.name for place in given.pairs[0].frames)
         raise PairError(
-            f"only {100.0 * share:.0f} % of the windows have a valid vector, median of the pairs: {a} and {b}, and"
-            " the others like them, are no pairs, or show no particles, or move too far",
+            f"only {100.0 * check.valid_share:.0f} % of the windows have a valid vector, median of the pairs: {a} and"
+            f" {b}, and the others like them, are no pairs, or show no particles, or move too far",
             place=series.run,
             cure="name pairs by --second, by @2-3,4-5 behind the name or by --both; give a larger --first-window;"
             " or keep these vectors with --least-valid 0",
         )
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
-    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept)
+    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept, doubts=check.doubts)
 
 
 def _with_readings(given: PairsOfSeries, tag: str, found: Detailed) -> Detailed:
@@ -197,16 +198,6 @@ def _announce(folder: SeriesFolder, about: SeriesFile) -> None:
         )
     why = "; ".join(unlike.differences) or "its frames, or the times between them, are others"
     console().print(f"{folder.path}: {finished} will be made again: {why}", style="bold red")
-
-
-def _valid_share(folder: SeriesFolder, jobs: Sequence[ChunkJob]) -> float:
-    """Return the share of windows with valid vectors, of those that see a flow, median of pairs of all chunks."""
-    some = np.unique(np.linspace(0, len(jobs) - 1, CHUNKS_LOOKED_AT).round().astype(int))
-    shares = []
-    for flags in (folder.vectors(jobs[k].number, jobs[k].key).fields["flag"] for k in some):
-        asked = could_be_measured(flags).sum(axis=(1, 2))
-        shares += list((flags == VectorFlag.VALID).sum(axis=(1, 2))[asked > 0] / asked[asked > 0])
-    return float(np.median(shares)) if shares else 1.0
 
 
 def _failures(folder: SeriesFolder, jobs: Sequence[ChunkJob]) -> dict[str, str]:

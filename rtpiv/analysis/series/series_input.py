@@ -277,6 +277,10 @@ def _announce(run: Path, source: FoundFiles) -> None:
     said = [first_pairs(source.pairs())]
     if source.alone():
         said.append(f"{counted(source.alone(), 'frame')} without a partner, in no pair")
+    if source.missing:
+        where = ", ".join(f"between {before} and {after}" for before, after in source.gaps[:MOST_NAMED])
+        more = ", ..." if len(source.gaps) > MOST_NAMED else ""
+        said.append(f"{counted(source.missing, 'frame')} missing by number, {where}{more}; in no pair")
     if source.set_aside:
         said.append(f"set aside: {', '.join(source.set_aside[:MOST_NAMED])}")
     console().print("; ".join(said), soft_wrap=True, highlight=False)

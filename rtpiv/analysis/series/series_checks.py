@@ -1,0 +1,113 @@
+"""What the vectors of a whole series say against its pairs: few are valid, they jump, or they are too fast.
+
+A frame that was lost before the files were numbered leaves no gap.  In a time-resolved series the pair across it
+has about twice the displacement of the pairs before and after it; in a series of single pairs those behind it are
+no pairs, and few of their vectors are valid.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.plain_words import counted
+from piv.correlation.vector_field import VectorFlag, could_be_measured
+from rtpiv.analysis.pairs.plausible import scale_doubts
+from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair
+from tracer.scene.scene import Scene
+
+DOUBLED = (1.6, 2.4)  # times the displacement of the neighbours
+STEADY = 0.3  # by how much the neighbours of a doubled pair may differ from each other
+LEAST_MOVED_PX = 0.5  # below it noise decides how many times as far a pair moved
+FEW_VALID = 0.15  # share of windows; of unlike frames 0.02 to 0.1 are valid
+LEAST_UNLIKE = 0.1  # of the pairs: single ones may be blank
+NAMED = 3
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SeriesCheck:
+    """What speaks against the vectors of a series.
+
+    Parameters
+    ----------
+    valid_share : float
+        Share of windows with valid vectors, of those that see a flow; median of the pairs.
+    doubts : tuple of str
+        Sentences.
+    """
+
+    valid_share: float
+    doubts: tuple[str, ...]
+
+
+def check_series(folder: SeriesFolder, jobs: Sequence[ChunkJob], scene: Scene, mm_per_px: float) -> SeriesCheck:
+    """Look through the vectors of all pairs, chunk by chunk.
+
+    Parameters
+    ----------
+    folder : SeriesFolder
+        Where they lie.
+    jobs : sequence of ChunkJob
+        Its chunks, all done.
+    scene : Scene
+        Of the frames.
+    mm_per_px : float
+        What a pixel of the corrected frames shows.
+    """
+    pairs, share_of, moved = list[SeriesPair](), list[float](), list[Floats]()
+    for job in jobs:
+        vectors = folder.vectors(job.number, job.key)
+        flags = vectors.fields["flag"]
+        asked = could_be_measured(flags).sum(axis=(1, 2))
+        valid = flags == VectorFlag.VALID
+        share_of += (valid.sum(axis=(1, 2)) / np.maximum(asked, 1)).tolist()
+        both = np.stack([vectors.fields[f"displacement_{axis}"] for axis in "xy"], axis=-1).astype(np.float64)
+        moved += list(np.where(valid[..., None], both, np.nan))
+        pairs += job.pairs
+    share = float(np.median(share_of)) if share_of else 1.0
+    speeds = [np.linalg.norm(one, axis=-1) * 1e-3 * mm_per_px / pair.dt_s
+              for pair, one in zip(pairs, moved, strict=True) if pair.dt_s is not None]  # fmt: skip
+    speed = np.concatenate([each[np.isfinite(each)] for each in speeds]) if speeds else np.zeros(0)
+    doubts = scale_doubts(float(np.median(speed)) if speed.size else 0.0, scene.camera.sensor_px[0], mm_per_px)
+    return SeriesCheck(share, (*doubts, *_doubled(pairs, moved), *_unlike(pairs, share_of)))
+
+
+def _unlike(pairs: Sequence[SeriesPair], share_of: Sequence[float]) -> tuple[str, ...]:
+    """Name the first of several pairs of which few vectors are valid, where most pairs are sound."""
+    few = [pair for pair, share in zip(pairs, share_of, strict=True) if share < FEW_VALID]
+    if len(few) < LEAST_UNLIKE * len(pairs) or float(np.median(share_of)) < FEW_VALID:
+        return ()
+    a, b = few[0].frames
+    return (
+        f"{counted(len(few), 'pair')} of {len(pairs)} with hardly any valid vector, the first {a.name} + {b.name}:"
+        " was a frame lost before it? Evaluate the frames from there on apart",
+    )
+
+
+def _doubled(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> tuple[str, ...]:
+    """Name pairs of a time-resolved series that moved twice as far as those beside them."""
+    found = []
+    for k in range(1, len(pairs) - 1):
+        before, pair, after = pairs[k - 1 : k + 2]
+        if before.frames[1] != pair.frames[0] or pair.frames[1] != after.frames[0]:
+            continue  # no frame is in two pairs, or one is missing by its number
+        beside = 0.5 * (moved[k - 1] + moved[k + 1])
+        known = np.isfinite(beside + moved[k]).all(axis=-1)
+        square = float((beside[known] ** 2).sum())
+        if not known.any() or square < LEAST_MOVED_PX**2 * known.sum():
+            continue
+        apart = float(((moved[k - 1] - moved[k + 1])[known] ** 2).sum())
+        times = float((beside[known] * moved[k][known]).sum()) / square
+        if DOUBLED[0] <= times <= DOUBLED[1] and apart <= STEADY**2 * square:
+            found.append(f"{pair.frames[0].name} + {pair.frames[1].name}")
+    if not found:
+        return ()
+    which = ", ".join(found[:NAMED]) + (", ..." if len(found) > NAMED else "")
+    return (
+        f"{counted(len(found), 'pair')} moved twice as far as those before and after ({which}): was a frame lost"
+        " before the files were numbered? Leave these frames out",
+    )
