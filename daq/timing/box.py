@@ -166,6 +166,9 @@ class TimingBox(Link):
     def start_lamps(self) -> None:
         """Let the lamps run at the loaded period, and nothing else."""
 
+    def stand_by(self) -> None:
+        """Without lamps: keep running what any off clears, so that `begin` finds it; no output is switched on."""
+
     @abstractmethod
     def confirm(self, schedule: Schedule, lamps: bool) -> None:
         """Ask whether the box still holds a schedule, its lamps run (or not) and every Q-switch is off.

@@ -150,7 +150,10 @@ class Darkness:
         except TimingUsageError:
             raise
         except BaseException as error:
+            was_stopped = self._box.latch.held
             self.say_quietly(str(error) or type(error).__name__)
+            if was_stopped and isinstance(error, LaserDoubt):  # the box has only shown what the stop did
+                raise LaserStopped(f"{self._states.name} was switched off: {self._states.why}") from error
             raise
 
     def _reach(self) -> None:

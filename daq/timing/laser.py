@@ -28,6 +28,7 @@ from daq.timing.box import UNREADABLE, TimingBox
 from daq.timing.conditions import Conditions, Rules, exposure_problem
 from daq.timing.darkness import Darkness
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
+from daq.timing.in_use import OffRequest
 from daq.timing.low_energy import low_energy_burst
 from daq.timing.pulses import (
     LAMPS,
@@ -40,7 +41,7 @@ from daq.timing.pulses import (
     schedule_of,
 )
 from daq.timing.states import EMITS, Event, LaserState, LaserStateMachine, Movers
-from daq.timing.switches import Switches
+from daq.timing.switches import OFF, Switches
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
@@ -83,6 +84,7 @@ class Laser:
         self._rate_hz: float | None = None  # of lamps that run
         self._ends_s = math.inf  # of the burst that goes on
         self.switches = Switches({})  # of door, shutter, key; set by whoever opens them
+        self.off_request = OffRequest(None)  # by another process; set with the switches
         self._conditions = Conditions()  # as they stood at arming
         self._armed_s = -math.inf
 
@@ -159,12 +161,15 @@ class Laser:
         """
         with self._lock, self._dark.doubting():
             self._states.require(LaserState.SAFE)
+            if why := self.switches.objection():
+                raise NotArmed(f"{self.name} does not warm up: {why}")
             rate_hz = rate_hz or self.head.lamp_rate_hz or self.head.max_rate_hz
             self.head.require_rate(rate_hz)
             self.box.token = self._states.token()
             if self.head.lamp_to_q_switch_us is None:
                 self._states.heated_s, self._rate_hz = self._clock.now_s(), None
                 self._states.enter(Event.WARM_UP)
+                self.box.stand_by()
                 return
             lamps = {role: Pulse(0.0, TRIGGER_US) for role in LAMPS if role in self.box.wiring}
             self.box.load(Schedule(1e6 / rate_hz, lamps))
@@ -327,6 +332,8 @@ class Laser:
                 raise LaserStopped(f"{self.name} gives no light: {moves}")
             if self.head.lamp_to_q_switch_us is not None:
                 self.box.start_lamps()
+            else:
+                self.box.stand_by()
             begun_s = self._clock.now_s()
             self.box.begin(self.pairs, camera=False)
             if self.box.counts:
@@ -362,6 +369,8 @@ class Laser:
             self.box.drop()  # first, and without the lock that another verb may hold
         with self._lock:
             self._dark.make_safe()
+            self.off_request.close()
+            self.switches.look(OFF)
             self._ask_anew()
 
     def stop(self, why: str = "stopped on request") -> None:
@@ -394,9 +403,14 @@ class Laser:
     # ---- while it fires --------------------------------------------------------------------------------
 
     def switch_opened(self, why: str) -> None:
-        """Switch off if light is meant to leave; called by whoever reads the switches, after every reading."""
-        if self.emits:
+        """Switch off, from warm-up on; called by whoever reads the switches, while one does not allow light.
+
+        A switch that was open for a moment between two bursts holds the laser until `safe` as well.
+        """
+        if self.state not in (LaserState.SAFE, LaserState.UNKNOWN, LaserState.FAULT):
             self._dark.say_quietly(why)
+        if not self.off_request.is_closed() and not self.off_request.is_confirmed() and self.confirm_off():
+            self.off_request.confirm()
 
     def watch(self, conditions: Conditions) -> None:
         """Judge how things stand while it fires; switch off at once if something was lost.

@@ -22,7 +22,7 @@ from daq.timing.drivers_by_name import driver_class
 from daq.timing.errors import WrongBox
 from daq.timing.in_use import noted
 from daq.timing.laser import Laser
-from daq.timing.switches import Switches
+from daq.timing.switches import OFF, Switches
 from daq.timing.timing_table import TimingTable
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.stop_signals import StopSignals, StopThread
@@ -80,9 +80,12 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
         if watchdog is not None:
             watchdog.know(box.name, table.port, table.baud or box.default_baud, False, box.off_bytes())
             box.watchdog = watchdog
-        laser.switches.watch(laser.switch_opened)
-        with noted(table), _heard_by(laser):
-            yield laser
+        with noted(table) as request:
+            laser.switches.add(OFF, request)
+            laser.off_request = request
+            laser.switches.watch(laser.switch_opened)
+            with _heard_by(laser):
+                yield laser
     finally:
         try:
             laser.close()

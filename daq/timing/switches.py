@@ -24,6 +24,7 @@ from stages.port import ModemLine
 
 POLL_S = 0.01  # between two readings of a switch
 SILENCE_S = 1.0  # of one reading, after which nobody knows
+OFF = "rtpiv laser off"  # name of the switch that another process opens (`in_use.OffRequest`)
 NOBODY = "no switch of door, shutter or key is read by this program: nobody but you watches them"
 
 
@@ -105,6 +106,10 @@ class Switches:
             opened.pop_all()
             return cls(found)
 
+    def add(self, name: str, switch: Switch) -> None:
+        """Read one more; before `watch`."""
+        self._switches[name], self._closed[name] = switch, None
+
     def watch(self, opened: Callable[[str], object]) -> None:
         """Begin to read; `opened` is called with a reason after every reading that does not allow light."""
         for name in self._switches:
@@ -117,7 +122,9 @@ class Switches:
             thread.start()
 
     def look(self, name: str) -> str | None:
-        """Read one switch now; why it does not allow light, as part of a sentence, or None."""
+        """Read one switch now, if there is one; why it does not allow light, as part of a sentence, or None."""
+        if name not in self._switches:
+            return None
         self._asking_s[name] = time.monotonic()
         try:
             closed: bool | None = bool(self._switches[name].is_closed())
@@ -139,9 +146,9 @@ class Switches:
 
     def sentence(self) -> str:
         """Who watches what, for the person who is asked for the code."""
-        if not self._switches:
+        names = ", ".join(name for name in self._switches if name != OFF)
+        if not names:
             return NOBODY
-        names = ", ".join(self._switches)
         return f"read by this program while light is on: {names}; nothing else is"
 
     def close(self) -> None:
@@ -160,6 +167,8 @@ class Switches:
 
 
 def _objection(name: str, closed: bool | None) -> str | None:
+    if name == OFF:
+        return None if closed else f"{OFF} was called; look at the laser, then safe()"
     if closed is None:
         return f"the switch of the {name} cannot be read"
     return None if closed else f"the switch of the {name} is open"

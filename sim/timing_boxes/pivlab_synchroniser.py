@@ -47,6 +47,7 @@ class OltSyncEmulator(PulsingEmulator):
         self._stream = CommandStream()
         self._pins: tuple[tuple[int, ...], ...] = ()
         self._cycle_s = 0.0
+        self._key_is_on = True
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
@@ -59,9 +60,17 @@ class OltSyncEmulator(PulsingEmulator):
         return self._period_begins_s is not None
 
     def person_stops(self) -> None:
-        """The key of the laser is turned."""
+        """The key of the laser is turned off: the box goes on, and nothing that it gives makes light."""
         self.advance()
-        self._end_periods()
+        self._key_is_on = False
+
+    def person_runs(self) -> None:
+        """The key of the laser is turned on again."""
+        self.advance()
+        self._key_is_on = True
+
+    def _lets_out(self) -> bool:
+        return self._key_is_on
 
     def switch_off(self) -> None:
         """Power fails: no pulse."""

@@ -229,6 +229,11 @@ class QuantumComposersEmulator(PulsingEmulator):
         self.advance()
         self._switch(0, False)
 
+    def person_runs(self) -> None:
+        """The key RUN is pressed."""
+        self.advance()
+        self._switch(0, True)
+
     def _begin_period(self, time_s: float) -> None:
         if not self._t0.tick("MOD"):
             active = [False] * len(self._channels)

@@ -12,6 +12,9 @@ import time
 
 import pytest
 
+from daq.timing.switch_off import switch_off
+from tests.system.laser_client import table
+
 KILLS = int(os.environ.get("RTPIV_LASER_KILLS", "50"))
 PAIRS, RATE_HZ = 25, 50.0
 PATIENCE_S = 120.0
@@ -166,3 +169,20 @@ def test_a_signal_switches_off_within_100_ms(bench, how):
 
 def test_the_watchdog_switches_off_after_kill_9_of_the_program(bench):
     after_the_end(bench, lambda fires: fires.client.kill(), 0.35)
+
+
+@pytest.mark.parametrize(("has_lamps", "box"), [(True, "qc9520"), (False, "qc9520"), (False, "pivlab_oltsync")])
+def test_laser_off_of_another_process_ends_a_program_that_fires_chunk_after_chunk(bench, has_lamps, box):
+    """In a burst, in a pause, while it arms: wherever it falls."""
+    for number in range(2):
+        fires = bench(f"off{number}", has_lamps, box=box)
+        fires.wait_for("fires")
+        time.sleep(0.4 + 0.11 * number)  # a chunk takes half a second
+        said = switch_off(table(str(fires.link), box, has_lamps, RATE_HZ))
+        moment_s = time.monotonic()
+        assert said.confirmed, said.words
+        fires.client.wait(PATIENCE_S)
+        time.sleep(1.0)
+        assert fires.pulses_after(moment_s)[0] == 0
+        assert fires.client.returncode != 0
+        assert "rtpiv laser off was called" in (fires.folder / "client.txt").read_text()

@@ -9,18 +9,23 @@ when it is started and stopped; an xmSync says the latter after every line. So w
 off, and that it has taken the numbers; they are sent again before it is armed, because nobody can ask for them.
 Times are whole microseconds.
 
+**An off of another program** is found by its answer, which comes to whoever holds the port: an answer "off" to
+nothing that was sent here, before a burst or in it, ends the run. The key of the laser is not seen by the box.
+
 Off is said to the box by its name (`address`, the bench file's `identity`): a box that has not said who it is
 would not take it from a stranger.
 """
 
 import itertools
 from abc import abstractmethod
+from collections.abc import Callable
 from collections.abc import Sequence as Several
 from typing import ClassVar
 
 from daq.timing.box import TimingBox
 from daq.timing.errors import LaserDoubt, PulsesRefused, WrongBox
 from daq.timing.protocols.pivlab_synchroniser import (
+    Answer,
     AnswerStream,
     Identity,
     LaserIs,
@@ -49,6 +54,18 @@ class _Synchroniser(TimingBox):
 
     is_new: ClassVar[bool]
 
+    _offs_due = 0  # answers to our own off that have not come
+    _was_stopped = False  # by another program, since `stand_by`
+
+    def drop(self) -> None:
+        """Write off, twice, and expect an answer to each."""
+        self._offs_due += 2
+        super().drop()
+
+    def stand_by(self) -> None:
+        """Begin to listen for an off of another program."""
+        self._was_stopped = False
+
     def off_bytes(self) -> Several[bytes]:
         """Off by name, twice; nothing to say to a box whose name is not known."""
         return [SPOILS + 2 * self._off_line()] if self.address else []
@@ -66,11 +83,16 @@ class _Synchroniser(TimingBox):
 
     def confirm(self, schedule: Schedule, lamps: bool) -> None:
         """Send everything again, laser off: nobody can ask for it."""
-        self.load(schedule)
+        with self._lock:
+            self.load(schedule)
+            self._require_untouched()
 
     def end(self) -> None:
-        """Off, and confirmed."""
-        self.silence()
+        """Off, and confirmed; LaserDoubt if another program has switched it off before."""
+        with self._lock:
+            self._hear(self.port.pending())
+            self.silence()
+            self._require_untouched()
 
     # ---- inside ------------------------------------------------------------------------------------
 
@@ -95,6 +117,32 @@ class _Synchroniser(TimingBox):
         if wrong := [role for role, pin in self.wiring.items() if role in LAMPS or pin not in PINS]:
             raise WrongBox(f"{self.name}: {wrong[0]} cannot hang on a synchroniser's pin")
         self.address = self.identity
+        self._offs_due = 0
+
+    def _require_untouched(self) -> None:
+        """Raise if another program has switched off since `stand_by`."""
+        self._hear(self.port.pending())
+        if self._was_stopped:
+            raise LaserDoubt(f"{self.name} was switched off by another program; look at the laser, then safe()")
+
+    def _hear(self, data: bytes) -> None:
+        """Count answers in bytes that came while nothing was asked."""
+        if data:
+            self._suspect = True
+            self._stream().feed(data)
+
+    def _count(self, answer: object) -> None:
+        """Count the answers "off"; one to nothing that was sent here is another program's."""
+        if isinstance(answer, LaserIs | Report) and not answer.on:
+            self._offs_due -= 1
+            self._was_stopped |= self._offs_due < 0
+
+    def _unsolicited(self, data: bytes) -> None:
+        self._hear(data)
+
+    def _drained(self, data: bytes) -> None:
+        self._hear(data)
+        self._offs_due = 0
 
     def _switched(self, line: bytes, moves: bool = False) -> bool:
         """Send what is answered by the state of the laser; return it."""
@@ -104,10 +152,27 @@ class _Synchroniser(TimingBox):
                 return answer.on
             raise ProtocolViolation(f"{self.name}: {answer!r} does not say whether the laser is on")
 
+        self._clear_line()  # first: answers that are drained are no longer due
+        self._offs_due += not moves
         return self._transact(line, accept, moves=moves)
 
     def _stream(self) -> AnswerStream:
-        return AnswerStream()
+        return _CountedAnswers(self._count)
+
+
+class _CountedAnswers(AnswerStream):
+    """Answers, each of which is counted as well."""
+
+    def __init__(self, count: Callable[[object], None]) -> None:
+        super().__init__()
+        self._count = count
+
+    def feed(self, chunk: bytes) -> list[Answer | ProtocolViolation]:
+        """Add bytes; return what is complete."""
+        answers = super().feed(chunk)
+        for answer in answers:
+            self._count(answer)
+        return answers
 
 
 class OltSyncBox(_Synchroniser):
@@ -144,7 +209,9 @@ class OltSyncBox(_Synchroniser):
         with self._lock:
             if self._sequence is None:
                 raise LaserDoubt(f"{self.name} has nothing to start")
+            self._require_untouched()
             if not self._switched(Switch(self.address, True).to_bytes(), moves=True):
+                self._require_untouched()
                 raise LaserDoubt(f"{self.name} does not start")
 
     def _moments(self, schedule: Schedule, pin: str) -> tuple[int, ...]:
@@ -193,7 +260,9 @@ class XmSyncBox(_Synchroniser):
         with self._lock:
             if self._settings is None:
                 raise LaserDoubt(f"{self.name} has nothing to start")
+            self._require_untouched()
             if not self._switched(self._line(True), moves=True):
+                self._require_untouched()
                 raise LaserDoubt(f"{self.name} does not start")
 
     def _line(self, laser: bool) -> bytes:

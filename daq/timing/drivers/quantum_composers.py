@@ -9,6 +9,10 @@ manual says. So T0 is stopped, the outputs are switched on, and T0 is started: o
 begins together in the first period, and so many pulses leave as were asked for. Lamps miss the beats of that
 pause.
 
+**RUN undoes a STOP** (ADR 50). T0 runs from `start_lamps` or `stand_by` until everything is off, between bursts
+too: the key STOP, and every off of another program, clear it. The string that begins a burst therefore asks for T0
+before it stops and starts it. If T0 did not run, off is sent at once, and a person has to release the laser.
+
 **The end of a burst is not told.** STAT stays 1 on a box that arms by RUN, and nothing else can be asked. A burst
 is over when its time is over; then its outputs are written off and read back, so that another RUN, at its keys,
 gives nothing.
@@ -20,8 +24,9 @@ echoed are skipped. What was refused is refused for good: nothing that switches 
 **Lines that get lost.** Every line is answered, and the next one is to wait for that answer (9500 Plus manual,
 p. 38, which advises against several in one string). No manual asks for a pause; but a program for the 575 makes
 one of 50 ms besides. As a rule that would stretch a chunk's arming from 0.1 to 3.6 s, so it is for boxes that need
-it: after a question that was not answered every line waits for as long. Off alone is written in one string. A box
-that takes one line at a time may hear the first of it alone: that stops everything, and it is said again.
+it: those that do not answer every line of a string when they are opened, or later a question. Off and the start of
+a burst are written in one string. A box that takes one line at a time may hear the first line of off alone: that
+stops everything, and it is said again. Such a box is started line by line.
 """
 
 import math
@@ -53,6 +58,7 @@ INSISTS = 6  # how often off is said again to such a box, before anything is ask
 MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
 UNKNOWN_WORD = (2, 3)  # refusals
+STOPPED = "was stopped at its keys, by another program, or was off: T0 does not run; look at the laser, then safe()"
 _CLOCKS = re.compile(r"INT|EXT|XPL|SYS|EXT\d{2,3}")  # a mode, or one word; XPL? is a loop that is not locked
 _SECONDS = re.compile(r"-?\d+\.\d{9,12}")
 _WHOLE = re.compile(r"\d{1,8}")
@@ -135,6 +141,11 @@ class QuantumComposersBox(TimingBox):
             for number in [*self._numbers(*LAMPS), T0]:
                 self._set(number, "STAT", "1", moves=True)
 
+    def stand_by(self) -> None:
+        """Switch T0 on, and no output."""
+        with self._lock:
+            self._set(T0, "STAT", "1", moves=True)
+
     def confirm(self, schedule: Schedule, lamps: bool) -> None:
         """Read everything again that has been loaded."""
         with self._lock:
@@ -152,13 +163,15 @@ class QuantumComposersBox(TimingBox):
                 self._require_seconds(number, "WIDT", pulse.width_us * 1e-6)
 
     def require_lamps(self, on: bool) -> None:
-        """Ask for the states of T0 and of the lamps' outputs."""
+        """Ask for the states of T0, which runs in any case, and of the lamps' outputs."""
         with self._lock:
-            for number in [T0, *self._numbers(*LAMPS)]:
+            for number in self._numbers(*LAMPS):
                 self._require(number, "STAT", "1" if on else "0")
+            if not self._flag(T0, "STAT"):  # last: what follows may restart T0
+                raise LaserDoubt(f"{self.name} {STOPPED}")
 
     def begin(self, pairs: int, camera: bool = True) -> None:
-        """Counts first, then T0 off, outputs on, T0 on: RUN, with which all of them begin."""
+        """Counts first, then in one string: T0 asked and off, outputs on, T0 on: RUN, with which all begin."""
         with self._lock:
             self._require_dark()
             seen = self._numbers(Role.CAMERA, Role.CAMERA_B, Role.MARKER) if camera else []
@@ -172,12 +185,14 @@ class QuantumComposersBox(TimingBox):
             for role in self.wiring:
                 for word, value in self._settings(role)[:3]:  # the last look at what would give other pulses
                     self._require(self._number(role), word, value)
-            self._off(T0)
-            for number in [*burst, T0]:
-                self._set(number, "STAT", "1", moves=True)
+            self.require_lamps(True)
+            if self._pause_s > 0.0:
+                self._start_slowly(burst)
+            else:
+                self._start(burst)
 
     def end(self) -> None:
-        """Every output of the burst off and read back; T0 too, where no lamp needs it.
+        """Every output of the burst off and read back.
 
         Q-switches before anything is asked: a knob may have made the burst endless, and an answer may stay away.
         T0 runs on behind a burst: if it does not, somebody has stopped it, or the box was restarted.
@@ -186,15 +201,10 @@ class QuantumComposersBox(TimingBox):
             numbers = self._numbers(*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
             self._end_outputs(numbers)
             ran_on = self._flag(T0, "STAT")
-            if not self._has_lamps:
-                self._off(T0)
-                numbers.append(T0)
             if any(self._flag(number, "STAT") for number in numbers):
                 raise LaserDoubt(f"{self.name} does not end its burst")
             if not ran_on:
-                raise LaserDoubt(
-                    f"{self.name} has not run to the end of its burst; was it stopped at its keys, or off?"
-                )
+                raise LaserDoubt(f"{self.name} has not run to the end of its burst: it {STOPPED}")
 
     # ---- inside ------------------------------------------------------------------------------------
 
@@ -232,6 +242,22 @@ class QuantumComposersBox(TimingBox):
             )
         self._find_clock_word()
         self._require_steady_clock()
+        self._learn_whether_lines_get_lost()
+
+    def _learn_whether_lines_get_lost(self) -> None:
+        """Send off in one string, and expect an answer to every line of it."""
+        (off,) = self.off_bytes()
+        unanswered = off.count(b"\n")
+
+        def accept(answer: object) -> bool | None:
+            nonlocal unanswered
+            unanswered -= isinstance(answer, Done | Refused)
+            return True if unanswered == 0 else None
+
+        try:
+            self._transact(off, accept)
+        except (NoReply, ProtocolViolation):
+            self._pause_s = PAUSE_S
 
     def _find_clock_word(self) -> None:
         """Learn which of the two words of the clock this box knows, the likelier one first."""
@@ -308,6 +334,35 @@ class QuantumComposersBox(TimingBox):
         self._suspect = True
         for number in numbers:
             self._off(number)
+
+    def _start(self, burst: Sequence[int]) -> None:
+        """Begin a burst in one string, of which the first line asks whether somebody has stopped T0."""
+        lines = [(T0, "0"), *((number, "1") for number in [*burst, T0])]
+        words = [Command(f":PULSE{T0}:STAT", asks=True), *(Command(f":PULSE{n}:STAT", v) for n, v in lines)]
+        unanswered = list(words)
+
+        def accept(answer: object) -> bool | None:
+            word = unanswered[0]
+            if word.asks and isinstance(answer, Value):
+                if answer.text != "1":
+                    raise LaserDoubt(f"{self.name} {STOPPED}")
+            elif word.asks or not isinstance(answer, Done):
+                self._judge(answer, f"{word.keyword} {word.value}")
+                return None
+            unanswered.pop(0)
+            return None if unanswered else True
+
+        self._transact(b"".join(word.to_bytes() for word in words), accept, moves=True)
+
+    def _start_slowly(self, burst: Sequence[int]) -> None:
+        """Begin a burst line by line, and see before and after RUN that no other program has switched off."""
+        witness = [*self._numbers(*LAMPS), *burst][0]
+        self._off(T0)
+        for number in burst:
+            self._set(number, "STAT", "1", moves=True)
+        self._require(witness, "STAT", "1")
+        self._set(T0, "STAT", "1", moves=True)
+        self._require(witness, "STAT", "1")
 
     def _off(self, number: int) -> None:
         self._repeated(lambda: self._set(number, "STAT", "0"))
@@ -429,10 +484,6 @@ class QuantumComposersBox(TimingBox):
 
     def _numbers(self, *roles: Role) -> list[int]:
         return [self._number(role) for role in roles if role in self.wiring]
-
-    @property
-    def _has_lamps(self) -> bool:
-        return any(role in self.wiring for role in LAMPS)
 
 
 def _name(number: int) -> str:

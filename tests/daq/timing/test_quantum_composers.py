@@ -172,7 +172,7 @@ def test_a_box_that_loses_lines_that_come_too_soon_is_asked_more_slowly():
         assert d.box._pause_s == 0.0
 
 
-def test_every_line_but_off_waits_for_the_answer_to_the_one_before():
+def test_every_line_but_off_and_the_start_waits_for_the_answer_to_the_one_before():
     """One command in a string, then its response is read, and so on (9500 Plus manual, p. 38)."""
     with desk() as d:
         log, send, receive = [], d.line.send, d.line.receive
@@ -186,8 +186,11 @@ def test_every_line_but_off_waits_for_the_answer_to_the_one_before():
         d.burst(3)
         d.laser.safe()
         (off,) = d.box.off_bytes()
-        assert all(data.count(b"\n") == 1 for data in log if data not in ("read", off))
-        assert not [late for soon, late in itertools.pairwise(log) if soon != "read" and late not in ("read", off)]
+        starts = [data for data in log if data != "read" and data.startswith(b":PULSE0:STAT?\r\n:")]
+        assert [data.count(b"\n") for data in starts] == [7]  # T0 asked, off, four outputs, RUN
+        strings = ("read", off, *starts)
+        assert all(data.count(b"\n") == 1 for data in log if data not in strings)
+        assert not [late for soon, late in itertools.pairwise(log) if soon != "read" and late not in strings]
         assert len(log) > 500
 
 
@@ -206,7 +209,7 @@ def test_every_lit_period_is_seen_by_the_camera():
         assert all(any(0.0 <= light_s - camera_s < 0.05 for camera_s in seen) for light_s in lit)
 
 
-def test_without_lamps_a_burst_begins_together_and_t0_ends_with_it():
+def test_without_lamps_a_burst_begins_together_and_t0_runs_on_behind_it():
     exposures = PairExposures(900.0, 900.0, 100.0, two_triggers=True)
     with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=400.0), outputs=4) as d:
         d.to_armed(200.0, 300.0, exposures)
@@ -214,6 +217,8 @@ def test_without_lamps_a_burst_begins_together_and_t0_ends_with_it():
         d.laser.wait()
         assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 30
         assert d.pulses(Role.CAMERA) == 60  # both triggers come out at one plug
+        assert d.emulator.is_on_at(0)  # any off is seen by it
+        d.laser.safe()
         assert not d.emulator.is_on_at(0)
 
 

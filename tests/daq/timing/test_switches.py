@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from daq.bench.opened import open_bench
-from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed
+from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow
 from daq.timing.opened import open_laser
 from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
@@ -226,8 +226,10 @@ def test_a_bench_is_opened_with_its_door_open_and_lets_no_light_out(tmp_path):
         laser.disarm()
         CLOSED[unit.switches["door"]] = False
         time.sleep(0.1)
-        with pytest.raises(NotArmed, match="the switch of the door is open"):
-            laser.arm(GOOD, laser.challenge)
+        for is_closed in (False, True):  # closing it releases nothing
+            CLOSED[unit.switches["door"]] = is_closed
+            with pytest.raises(NotNow, match="the switch of the door is open"):
+                laser.arm(GOOD, laser.challenge)
         assert unit.pulses(Role.Q_SWITCH_1) == 0
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from daq.timing.conditions import Conditions
+from daq.timing.errors import NotNow
 from daq.timing.opened import open_laser
 from daq.timing.pulses import PairExposures, PulseTiming
 from daq.timing.states import LaserState
@@ -59,7 +60,9 @@ def test_state_and_off_on_a_box_that_nobody_holds(tmp_path, box, capsys):
     assert main(["laser", "--bench", str(path)]) == DONE
 
 
-def test_off_goes_past_a_program_that_holds_the_port(tmp_path, box, capsys):
+@pytest.mark.parametrize("is_asked", [True, False])
+def test_off_goes_past_a_program_that_holds_the_port(tmp_path, box, capsys, monkeypatch, is_asked):
+    """Asked, it reads back; another user's program, which cannot be asked, finds that T0 does not run."""
     path = on_port(tmp_path, box)
     table = bench_with(tmp_path / "other").devices["laser"].section.model_copy(update={"port": box.path})
     with open_laser(table, SYSTEM_CLOCK) as laser:
@@ -67,13 +70,17 @@ def test_off_goes_past_a_program_that_holds_the_port(tmp_path, box, capsys):
         laser.set(PulseTiming(20.0, 10.0), PairExposures(100.0, 20_000.0, 2.0))
         laser.arm(GOOD, laser.challenge)
         laser.fire(90)
-        assert main(["laser", "off", "--bench", str(path)]) == DEVICE
-        assert "could not be read back" in capsys.readouterr().out
+        if not is_asked:
+            monkeypatch.setattr("daq.timing.switch_off.request_off", lambda port: [])
+        assert main(["laser", "off", "--bench", str(path)]) == (DONE if is_asked else DEVICE)
+        said = "reads back as off to process" if is_asked else "could not be read back"
+        assert said in capsys.readouterr().out
         assert not any(box.is_on_at(number) for number in range(9))
+        assert laser.state is (LaserState.FAULT if is_asked else LaserState.FIRING)
         laser._ends_s = 0.0  # when its time is over, the program that fires finds out
-        with pytest.raises(Exception, match=r"not run to the end|switched off"):
+        with pytest.raises(Exception, match=r"not run to the end|laser off was called"):
             laser.wait()
-        assert laser.state is LaserState.UNKNOWN
+        assert laser.state in (LaserState.UNKNOWN, LaserState.FAULT)
 
 
 @pytest.mark.parametrize(("word", "code"), [("1234", DONE), ("4321", USAGE), ("", USAGE)])
@@ -210,10 +217,15 @@ def test_off_reaches_what_a_running_process_has_open(tmp_path, box, monkeypatch,
     table = bench_with(tmp_path / "elsewhere").devices["laser"].section.model_copy(update={"port": box.path})
     monkeypatch.chdir(tmp_path)
     with open_laser(table, SYSTEM_CLOCK) as laser:
-        laser.warm(10.0)
-        assert main(["laser", "off"]) == DEVICE
-        assert f"laser of process {os.getpid()} ({box.path}): off was sent past" in capsys.readouterr().out
-        assert not any(box.is_on_at(number) for number in range(9))
+        for _ in range(2):
+            laser.warm(10.0)
+            assert main(["laser", "off"]) == DONE
+            words = f"laser of process {os.getpid()} ({box.path}): off, and reads back as off to process"
+            assert words in capsys.readouterr().out
+            assert not any(box.is_on_at(number) for number in range(9))
+            with pytest.raises(NotNow, match="laser off was called"):
+                laser.warm(10.0)
+            laser.safe()  # a person has looked at it
     assert main(["laser", "off"]) == USAGE
     assert "no laser; there is none" in capsys.readouterr().err
 
