@@ -159,6 +159,7 @@ class Controller(Link, MotionController):
             except (NoReply, ProtocolViolation):
                 if self.clock.now_s() >= end_s:
                     raise
+                self.port.drain(QUIET_S)  # a line that answers nonsense at once is not asked without a pause
 
     # ---- motion --------------------------------------------------------------------------------
 

@@ -167,7 +167,7 @@ class Line:
             while data and not self.dead:
                 now, data = self.hooks.cut("byte", data)
                 if self.has_echo:
-                    self._coming.append(TimedReply(self.clock.now_s(), now))
+                    self._coming.append(TimedReply(self.clock.now_s() + LATENCY_S, now))
                 self.emulator.feed(now)
                 self.hooks.count("byte", len(now))
             self._collect()

@@ -317,13 +317,22 @@ class AptController(AptQuestions):
             self._leave_mark(channel, DOUBT)  # nor shall the next program believe it
         if faults:
             raise AxisStalled(f"{where} has ended its motion: {'; '.join(faults)}; clear the way and home it")
+        if at_switch and self._was_driven_back(channel, bits):
+            raise MotionStopped(f"{where} was turned into a limit switch at its wheel; home it")
         if at_switch:
             raise LimitHit(f"{where} ran into a limit switch; home it")
         if self._complaint:
             raise CommandRejected(f"{where} refused to move: {self._complaint}", self._complaint)
         raise MotionStopped(
-            f"{where} has ended its motion before its end: stopped, switched off or without power?"
+            f"{where} has ended its motion before its end: stopped or off at the box, or its power failed?"
         )
+
+    def _was_driven_back(self, channel: str, bits: int) -> bool:
+        """Whether the target lies away from the switch: then something else than our motion went there."""
+        if channel not in self._sent_to:
+            return False
+        count = self._agreed(lambda: self._count(channel), self._near(channel, self._scale(channel)))
+        return bool(bits & (words.LOWER_SWITCH if self._sent_to[channel] > count else words.UPPER_SWITCH))
 
     def _stop_bytes(self) -> Sequence[bytes]:
         how = words.STOP_AT_ONCE if self._family.has_encoder else words.STOP_SLOWING

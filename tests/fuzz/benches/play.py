@@ -45,6 +45,7 @@ class Player:
         self.told = 0
         self.done: list[str] = []
         self._is_alone = True  # no other thread may move what has just been told
+        self._turned = ""  # axis whose knob was turned during the present command: what was read before is old
         self._pressed_at = ""  # the box at which a person has stopped a motion
         self._orphans = False  # something may still move that a killed program has begun
 
@@ -184,6 +185,7 @@ class Player:
 
     def _disarm(self) -> None:
         """What has not happened by now does not happen; what is unplugged stays so."""
+        self._turned = ""
         self.bench.clock.clear()
         for line in self.bench.lines.values():
             line.hooks.clear()
@@ -212,6 +214,7 @@ class Player:
             else partial(emulator.turn_wheel, channel)
         )
         self._take_over(controller, lambda: turn(steps), axis)
+        self._turned = axis
 
     def _bounce(self, axis: str) -> None:
         """A switch closes for a moment; within a reference run nothing could tell it from the right one."""
@@ -310,7 +313,7 @@ class Player:
                 self._told(name, at_mm)
 
     def _told(self, axis: str, at_mm: float) -> None:
-        if not self._is_alone:
+        if not self._is_alone or axis == self._turned:
             return
         self.told += 1
         if not math.isfinite(at_mm):

@@ -34,6 +34,11 @@ FOUND = {
     "a wheel touched so late that the axis brakes into the switch": (
         '[[["home",null],[["side","seconds",0.14,["person"]]]],[["home",["camera_x","camera_y"]],[]]]'
     ),
+    "a wheel turned against the motion until the switch ends it": (
+        '[[["move",{"target_x":34.857}],[["side","answer byte",173,["turn","target_x",-2.914]]]]'
+        ',[["home",["target_x"]],[]]]'
+    ),
+    "a line that begins to echo before a program starts": '[[["echo","portal",true],[]],[["program"],[]]]',
     "half a target of a killed program that the next one's words complete": (
         '[[["move",{"camera_y":-15.052}],[]],[["move",{"target_x":12.71}],[["side","byte",108,["kill"]]]]]'
     ),
