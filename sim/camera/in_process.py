@@ -193,7 +193,7 @@ class InProcessCamera:
         self._exposure_us = exposure_us(nodes)
         self._armed += 1
         self._room = buffers
-        self._opened.sink = self._take
+        self._opened.sink, self._opened.on_lost = self._take, self._hear_of_loss
         nodes.execute("AcquisitionStart")
 
     def clock_ns(self) -> int | None:
@@ -211,11 +211,19 @@ class InProcessCamera:
         return before_ns
 
     def poll(self, timeout_s: float) -> Frame | None:
-        """Next complete frame, or None; FrameIncomplete when one came with pixels missing."""
+        """Next complete frame, or None; FrameIncomplete when one came with pixels missing.
+
+        CameraLost as soon as the camera is: a rehearsal need not wait in real time for what never comes.
+        """
         self._require_armed()
+        device = self._opened
         with self._told:
-            self._told.wait_for(lambda: self._waiting or self._incomplete != self._incomplete_told, timeout_s)
+            self._told.wait_for(
+                lambda: self._waiting or self._incomplete != self._incomplete_told or device.is_lost, timeout_s
+            )
             if not self._waiting and self._incomplete == self._incomplete_told:
+                if device.is_lost:
+                    raise CameraLost("the camera does not answer; check cable and power")
                 return None
             if not self._waiting:
                 number, self._incomplete_told = self._incomplete - self._incomplete_told, self._incomplete
@@ -283,6 +291,10 @@ class InProcessCamera:
                 self._underrun += 1
             else:
                 self._waiting.append((frame, time.monotonic_ns()))
+            self._told.notify_all()
+
+    def _hear_of_loss(self) -> None:
+        with self._told:
             self._told.notify_all()
 
     def _unpacked(self, frame: SimFrame, sequence: int, received_ns: int) -> Frame:

@@ -50,6 +50,7 @@ HOMING_ENABLED, REPORT_INCHES, REPORTS = 22, 13, 10
 MACHINE_POSITIONS = 1  # bit of REPORTS
 STEPS, RATE, ACCELERATION = 100, 110, 120  # + 0, 1, 2 for X, Y, Z
 BANNER_S = 1.5
+HELD_AFTER_S = 0.5  # between questions while it homes: is it held?
 REPORT_S = 0.2  # a report is given at once, or not at all
 MARKS = range(2, 251)  # tool numbers that nobody uses by habit
 REPORTED_MM = 0.001  # positions have three decimals
@@ -76,6 +77,7 @@ class GrblController(Controller):
     _input: grbl.AnswerStream
     _sent_to_mm: dict[str, float]
     _mark: int | None = None
+    _asked_s: float = 0.0  # when it was last asked while it homes
     _unread: bool = False  # a jog may wait in the board's buffer
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
@@ -103,7 +105,7 @@ class GrblController(Controller):
             self._sent_to_mm = {}
             with self._gate(moves=True):
                 self._homing = True  # before the bytes, so that a stop from another thread sends the right one
-                self._input = grbl.AnswerStream()
+                self._input, self._asked_s = grbl.AnswerStream(), self.clock.now_s()
                 self.port.write(grbl.Line("$H").to_bytes())
 
     def moving(self, channel: str) -> bool:
@@ -397,6 +399,13 @@ class GrblController(Controller):
                 self._unread = False
 
     def _homing_goes_on(self) -> bool:
+        """Look for the end of homing, and whether the board was held before it has read the command.
+
+        A board that homes gives no report, or says Home; one that is held gives one, and would obey later.
+        """
+        if self.clock.now_s() - self._asked_s >= HELD_AFTER_S:
+            self._asked_s = self.clock.now_s()
+            self.port.write(grbl.RealTime(grbl.STATUS).to_bytes())
         for answer in self._input.feed(self.port.pending()):
             if isinstance(answer, grbl.Alarm):
                 self._homing = False
@@ -409,6 +418,10 @@ class GrblController(Controller):
                 raise CommandRejected(f"{self.name}: homing refused (error {answer.code})", answer.code)
             if isinstance(answer, ProtocolViolation):
                 self._suspect = True
+            if isinstance(answer, grbl.Status) and answer.state in ("Hold", "Door") and not _drives(answer):
+                self._homing = False
+                self._reset()
+                raise MotionStopped(f"{self.name} was held at the board before it homed; release it, then home it")
             if isinstance(answer, grbl.Banner):
                 if self._stopped:
                     self._homing = False

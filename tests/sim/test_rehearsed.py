@@ -64,6 +64,16 @@ def test_the_truth_stands_beside_the_bench(rehearsed):
     assert not bench.happened().of_kind("exposed")
 
 
+def test_an_unplugged_camera_costs_no_real_time(rehearsed):
+    bench = rehearsed(fault("unplug", "camera", at_s=0.0))
+    bench.home()
+    begun_s = time.monotonic()
+    for _ in range(2):
+        with pytest.raises(CameraError, match="does not answer"):
+            photograph(bench)
+    assert time.monotonic() - begun_s < 5.0  # timeout_s of this bench is 60 s
+
+
 @pytest.mark.slow
 def test_the_seed_is_that_of_the_world_and_repeats_it_to_the_byte(path):
     def look(seed):

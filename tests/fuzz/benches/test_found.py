@@ -38,6 +38,9 @@ FOUND = {
         '[[["move",{"target_x":34.857}],[["side","answer byte",173,["turn","target_x",-2.914]]]]'
         ',[["home",["target_x"]],[]]]'
     ),
+    "a feed hold between the last look and the command to home, which our own reset released": (
+        '[[["home",["camera_x","camera_y"]],[["portal","answer byte",8,["person"]]]],[["home",null],[]]]'
+    ),
     "a line that begins to echo before a program starts": '[[["echo","portal",true],[]],[["program"],[]]]',
     "half a target of a killed program that the next one's words complete": (
         '[[["move",{"camera_y":-15.052}],[]],[["move",{"target_x":12.71}],[["side","byte",108,["kill"]]]]]'
