@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.bench.bench_table import CameraSection
+from daq.bench.kinds import CounterSection
 from daq.bench.reading import ReadingSection
 from daq.timing.protocols.pivlab_synchroniser import Sequence, Switch
 from daq.timing.pulses import Q_SWITCHES, Role
@@ -33,6 +34,7 @@ from sim.emulators.recorded import RecordedBox
 from sim.light import LitFlow
 from sim.mechanics.clock import PacedClock, ScaledClock, VirtualClock
 from sim.timing import SimulatedTiming
+from sim.timing_boxes.pulse_box import PulseBoxEmulator
 from sim.timing_boxes.pulsing import Pulse
 from sim.world import World
 
@@ -155,6 +157,16 @@ def connect(unit: SimulatedTiming, clock: PacedClock | ScaledClock, wires: Wires
             lit.flash(number, clock.wall_ns(pulse.rises_s + delay_s))
 
         unit.listen(role, flash)
+
+
+@contextmanager
+def simulated_counter(section: CounterSection, world: World, clock: Clock) -> Iterator[CounterSection]:
+    """Hang a pulse box on the trigger cable of the timing unit; yield the section with its port."""
+    emulator = PulseBoxEmulator({}, clock)
+    for unit in world.timing:
+        unit.listen_at_cable(emulator.hear_pulse)
+    with _port(Line(emulator, clock), clock) as port:
+        yield section.model_copy(update={"port": port})
 
 
 @contextmanager

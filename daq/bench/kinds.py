@@ -11,7 +11,9 @@ A kind of another project is a dotted "package.module:Class".
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, Protocol, cast
+from typing import Annotated, Any, Protocol, cast
+
+from pydantic import Field
 
 from daq.bench.bench_table import Bench, CameraSection, NamedCameraSection
 from daq.bench.guards import guard_of
@@ -19,6 +21,7 @@ from daq.cameras import make_camera
 from daq.cameras.camera import Camera
 from daq.cameras.double_height import DoubleHeightCamera
 from daq.errors import RunUsageError
+from daq.timing.drivers.pulse_box import PulseBox
 from daq.timing.laser import Laser
 from daq.timing.opened import open_laser
 from daq.timing.timing_table import TimingTable
@@ -33,6 +36,7 @@ KINDS = {
     "camera": "daq.bench.kinds:CameraKind",
     "timing": "daq.bench.kinds:TimingKind",
     "reading": "daq.bench.gauges:ReadingKind",
+    "counter": "daq.bench.kinds:CounterKind",
 }
 
 
@@ -136,3 +140,30 @@ class TimingKind:
     def places(self, section: TimingTable) -> Iterator[str]:
         """Port of the box."""
         yield f"timing unit: {section.box} on {section.port}"
+
+
+class CounterSection(Table):
+    """A pulse box that counts."""
+
+    port: Annotated[str, Field(min_length=1)]
+
+
+class CounterKind:
+    """A device of kind `counter`, for `rtpiv laser prove`."""
+
+    section = CounterSection
+    simulator = "sim.devices:simulated_counter"
+
+    @contextmanager
+    def open(self, section: CounterSection, bench: Bench, clock: Clock) -> Iterator[PulseBox]:
+        """Connect it."""
+        box = PulseBox(f"counter on {section.port}", clock)
+        try:
+            box.connect(section.port)
+            yield box
+        finally:
+            box.close()
+
+    def places(self, section: CounterSection) -> Iterator[str]:
+        """Port of the box."""
+        yield f"pulse counter on {section.port}"

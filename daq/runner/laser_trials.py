@@ -160,7 +160,8 @@ class BoxTrials:
     def _counted(self, roles: Sequence[Role], give: Callable[[], None]) -> list[Trial]:
         """Count at one plug while pulses are given; judge every stretch once all of its pulses have arrived."""
         self._judges, self._marks_s = [_at_most("before the first burst", 0, None)], []
-        self._counter.begin(roles)
+        schedule = schedule_of(self._timing, self._laser.head, self._exposures)
+        self._counter.begin(roles, schedule.period_us, schedule.pulses[roles[0]])
         try:
             give()
             counted = self._counter.end()

@@ -10,14 +10,15 @@ import time
 from bisect import bisect_right
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, nan
 from typing import Protocol
 
 from daq.bench.bench_table import CameraSection
 from daq.cameras.camera import Camera
 from daq.errors import BadFrame, CameraError, RunUsageError
 from daq.runner.camera_session import CameraSession
-from daq.timing.pulses import Role
+from daq.timing.drivers.pulse_box import PulseBox
+from daq.timing.pulses import Pulse, Role
 
 TAIL_S = 3.0  # without a frame, after which no more are waited for
 PATIENCE_S = 60.0  # until the first frame of the last stretch has come
@@ -43,8 +44,8 @@ class Counted:
 class Counter(Protocol):
     """Something whose input hangs on one plug at a time."""
 
-    def begin(self, roles: Collection[Role]) -> None:
-        """Begin to count at the plug with these roles."""
+    def begin(self, roles: Collection[Role], period_us: float, pulse: Pulse) -> None:
+        """Begin to count at the plug with these roles, whose pulses come one a period."""
         ...
 
     def mark(self) -> float:
@@ -93,7 +94,7 @@ class CameraCounter:
         self._thread: threading.Thread | None = None
         self.settings = self._session.set_up()
 
-    def begin(self, roles: Collection[Role]) -> None:
+    def begin(self, roles: Collection[Role], period_us: float, pulse: Pulse) -> None:
         """Arm the camera, and fetch what it exposes from now on.
 
         Raises
@@ -180,3 +181,49 @@ class CameraCounter:
             if stamp_ns == 0:
                 seen.trouble = "the frames of the camera have no time stamps"
             seen.stamps_ns.append(stamp_ns)
+
+
+class BoxCounter:
+    """Count by a pulse box whose input hangs on the plug; it knows no times.
+
+    Parameters
+    ----------
+    box : PulseBox
+        Connected.
+    """
+
+    def __init__(self, box: PulseBox) -> None:
+        self._box = box
+        self._found: list[int] = []
+
+    def begin(self, roles: Collection[Role], period_us: float, pulse: Pulse) -> None:
+        """Begin to count.
+
+        Raises
+        ------
+        RunUsageError
+            The box cannot count such pulses.
+        """
+        if Role.CAMERA_B in roles:
+            raise RunUsageError(
+                "a pulse box cannot count two triggers a pair; take it out of the bench file: the camera counts"
+            )
+        self._box.expect(period_us, pulse)
+        self._found = []
+
+    def mark(self) -> float:
+        """Begin another stretch."""
+        self._found.append(self._box.restart())
+        return nan
+
+    def end(self) -> Counted:
+        """Return every count; a pulse is counted as soon as it has come."""
+        self._found.append(self._box.stop())
+        most = self._box.most
+        trouble = (
+            f"the pulse box counts to {most} pulses at this rate; lower it" if max(self._found) > most else ""
+        )
+        return Counted(tuple(Stretch(found) for found in self._found), trouble)
+
+    def close(self) -> None:
+        """Nothing is held."""

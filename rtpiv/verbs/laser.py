@@ -68,8 +68,10 @@ def laser(
         return LaserState.SAFE
     chosen = _one(_known(file, name), file)
     assert chosen.bench is not None
-    needed = {chosen.name, CAMERA} if action == "prove" else {chosen.name}
-    with open_bench(load_bench(chosen.bench), simulate, only=needed) as hardware:
+    loaded, needed = load_bench(chosen.bench), {chosen.name}
+    if action == "prove":
+        needed |= {CAMERA, *(name for name, device in loaded.more.items() if device.kind == "counter")}
+    with open_bench(loaded, simulate, only=needed) as hardware:
         opened = hardware.devices[chosen.name]
         assert isinstance(opened, Laser)
         if action == "align":

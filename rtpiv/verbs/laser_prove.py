@@ -9,9 +9,10 @@ from daq.errors import DaqError, RunUsageError
 from daq.plans.pulse_order import pair_exposures
 from daq.runner.laser_session import exposure_of
 from daq.runner.laser_trials import BoxTrials, Helper
-from daq.runner.pulse_counters import CameraCounter
+from daq.runner.pulse_counters import BoxCounter, CameraCounter, Counter
 from daq.runs.journal import utc_now
 from daq.runs.laser_proof import Proof, Trial, proof_path, withdraw_proof, write_proof
+from daq.timing.drivers.pulse_box import PulseBox
 from daq.timing.errors import LaserDoubt
 from daq.timing.laser import Laser
 from daq.timing.pulses import PulseTiming
@@ -44,11 +45,15 @@ def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> N
     """
     section = hardware.camera_section
     if section.pairs is None:
-        raise RunUsageError("the camera counts what the box gives; say how it takes pairs (camera.pairs)")
+        raise RunUsageError(
+            "pulses are placed into the exposures of the camera; say how it takes pairs (camera.pairs)"
+        )
     simulation = cast("Any", hardware.simulation)  # reached by name only
     helper: Helper = _Person() if simulation is None else _SimulatedPerson(simulation)
-    counter = CameraCounter(hardware.camera, section)
-    exposures = pair_exposures(section.pairs, exposure_of(counter.settings))
+    camera = CameraCounter(hardware.camera, section)
+    boxes = [device for device in hardware.devices.values() if isinstance(device, PulseBox)]
+    counter: Counter = BoxCounter(boxes[0]) if boxes else camera
+    exposures = pair_exposures(section.pairs, exposure_of(camera.settings))
     low_us, high_us = exposures.dt_range_us
     dt_us = min(max(low_us, laser.head.min_dt_us, USUAL_DT_US), high_us, laser.head.max_dt_us)
     timing = PulseTiming(dt_us, laser.head.lamp_rate_hz or rate_hz)

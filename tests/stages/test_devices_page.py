@@ -8,8 +8,9 @@ import pytest
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.drivers_by_name import DRIVERS as BOXES
 from daq.timing.protocols import pivlab_synchroniser as pivlab
+from daq.timing.protocols import pulse_box
 from daq.timing.protocols import quantum_composers as qc
-from daq.timing.pulses import PairExposures
+from daq.timing.pulses import PairExposures, Pulse
 from sim.emulators.pi_gcs2 import StageMake
 from sim.timing_boxes.quantum_composers import MODELS
 from stages.drivers_by_name import DRIVERS, driver_class
@@ -17,6 +18,7 @@ from stages.errors import StageError
 from stages.protocols import grbl, isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
 from stages.protocols.apt_words import Kind
 from tests.daq.timing import test_pivlab_synchroniser as sync
+from tests.daq.timing.test_pulse_box import counter
 from tests.daq.timing.test_quantum_composers import PUMPED, LaserHead, desk
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "devices.md"
@@ -178,6 +180,18 @@ def test_every_word_of_the_synchronisers_stands_on_the_page():
             laser.close()
             said |= words_of(b"".join(heard), pivlab.CommandStream, _pivlab)
     assert said == words_on_the_page("pivlab_oltsync")
+
+
+def test_every_word_of_the_pulse_box_stands_on_the_page():
+    with counter() as (box, emulator, _):
+        heard, feed = [], emulator.feed
+        emulator.feed = lambda data: (heard.append(data), feed(data))[1]
+        box.connect("sim://counter")
+        box.expect(1e5, Pulse(0.0, 10.0))
+        box.stop()
+    names = ("version", "start", "stop", "interval", "length", "waits", "pulses")
+    found = pulse_box.CommandStream().feed(b"".join(heard))
+    assert {names[each.code] for each in found} == words_on_the_page("counter")
 
 
 def test_every_row_has_a_source_or_is_called_unproven():

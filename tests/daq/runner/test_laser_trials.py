@@ -35,7 +35,7 @@ class AtPlug:
         if pulse.output == self.output:
             self._times.append(pulse.rises_s)
 
-    def begin(self, roles):
+    def begin(self, roles, period_us, pulse):
         self.desk.emulator.advance()
         self._times, self._marks = [], []
 

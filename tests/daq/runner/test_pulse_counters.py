@@ -10,13 +10,14 @@ from daq.cameras.camera import Counters
 from daq.errors import CameraLost, FrameIncomplete, RunUsageError
 from daq.runner import pulse_counters
 from daq.runner.pulse_counters import CameraCounter
-from daq.timing.pulses import Role
+from daq.timing.pulses import Pulse, Role
 
 SHAPES = {
     "two_blocks": {"shape": "two_blocks", "marker": "spacing", "dead_us": 2.0},
     "straddling": {"shape": "straddling", "marker": "spacing", "dead_us": 2.0},
     "double_height": {"shape": "double_height", "dead_us": 2.0},
 }
+PULSE = Pulse(0.0, 10.0)
 BOOTED_NS = 10**15  # the camera's clock is not ours
 
 
@@ -93,7 +94,7 @@ def counter_of(camera, shape="two_blocks"):
 
 def counted(camera, bursts, shape="two_blocks", roles=(Role.CAMERA,), frames=2):
     counter = counter_of(camera, shape)
-    counter.begin(roles)
+    counter.begin(roles, 1e5, PULSE)
     for pairs in bursts:
         counter.mark()
         camera.expose(frames * pairs)
@@ -120,7 +121,7 @@ def test_frames_of_a_pulse_are_those_of_the_shape_and_of_the_plug(shape, roles, 
 def test_half_a_pair_is_no_pair():
     camera = LateCamera()
     counter = counter_of(camera)
-    counter.begin((Role.CAMERA,))
+    counter.begin((Role.CAMERA,), 1e5, PULSE)
     counter.mark()
     camera.expose(5)
     assert counter.end().stretches[1].pulses == 2.5
@@ -142,4 +143,4 @@ def test_a_plug_without_pulses_is_not_waited_for_for_ever():
 
 def test_a_camera_without_a_clock_cannot_assign_late_frames():
     with pytest.raises(RunUsageError, match="cannot be assigned"):
-        counter_of(LateCamera(has_clock=False)).begin((Role.CAMERA,))
+        counter_of(LateCamera(has_clock=False)).begin((Role.CAMERA,), 1e5, PULSE)

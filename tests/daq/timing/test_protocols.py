@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.timing.protocols import pivlab_synchroniser, quantum_composers
+from daq.timing.protocols import pivlab_synchroniser, pulse_box, quantum_composers
 from stages.errors import ProtocolViolation
 
-GRAMMARS = (quantum_composers, pivlab_synchroniser)
+GRAMMARS = (quantum_composers, pivlab_synchroniser, pulse_box)
 CLASSES = [(grammar, cls) for grammar in GRAMMARS for cls in (*grammar.COMMANDS, *grammar.ANSWERS)]
 
 

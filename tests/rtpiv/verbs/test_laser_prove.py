@@ -44,6 +44,7 @@ def lab(tmp_path, monkeypatch):
         d.hardware = SimpleNamespace(
             bench=SimpleNamespace(path=d.bench),
             camera=None,
+            devices={},
             camera_section=SECTION,
             clock=d.clock,
             simulation=None,
