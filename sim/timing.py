@@ -27,16 +27,22 @@ from sim.emulators.line import Line
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.timing_boxes.pulsing import Outputs, Pulse
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
+from sim.timing_boxes.srs_dg645 import Dg645Emulator
 
 TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
 CLOSED: dict[str, bool] = {}  # whether a switch is closed, by its address
-Firmware = QuantumComposersEmulator | OltSyncEmulator
-SYNCHRONISERS = {"pivlab_oltsync": OltSyncEmulator, "pivlab_xmsync": XmSyncEmulator}
+Firmware = QuantumComposersEmulator | OltSyncEmulator | Dg645Emulator
+SYNCHRONISERS: dict[str, type[OltSyncEmulator]] = {
+    "pivlab_oltsync": OltSyncEmulator,
+    "pivlab_xmsync": XmSyncEmulator,
+}
 _numbers = count()
 
 
 def emulator_of(box: str) -> type[Firmware]:
     """Firmware of the box that a bench file names; all others are of one family."""
+    if box == "srs_dg645":
+        return Dg645Emulator
     return SYNCHRONISERS.get(box, QuantumComposersEmulator)
 
 
@@ -78,7 +84,9 @@ class SimulatedTiming:
         self._light_delays_us = table.head.head().q_switch_to_light_us
         made = emulator_of(table.box)
         options: dict[str, Any] = {"name": table.identity}
-        if issubclass(made, QuantumComposersEmulator):
+        if made is Dg645Emulator:
+            options = made.individual(table.port)
+        elif issubclass(made, QuantumComposersEmulator):
             options = made.individual(table.port) | made.model_of(table.box)
         self._emulator = emulator = made({}, clock, **options)
         self.line = Line(emulator, clock)

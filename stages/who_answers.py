@@ -14,6 +14,7 @@ HANDS = (
     (rb"\x06\x00\x54\x00\x81|\x2a\x04\x06\x00\x81", "a Thorlabs box (driver: thorlabs_apt)"),
     (rb"iMC|[iI]sel", "an isel controller (driver: isel_dnc)"),
     (rb"(^|\n)\?[1-9]\r\n|QC,\d|BNC,\d", "a QC or BNC pulse generator (box: qc9520, bnc575, ..)"),
+    (rb",DG645,", "a DG645 (box: srs_dg645)"),
     (rb"oltSync|Laser:(en|dis)able|Sequence:(OK|Error)", "a PIVlab synchroniser (box: pivlab_oltsync)"),
 )
 OLD_GRBL = rb"Grbl 0\.\d|\[0\.\d[a-z]?\.\d{8}:"  # banner, or answer to $I

@@ -294,6 +294,12 @@ def _pulse_generator(asked: Probe, baud: int) -> Found | None:
         return next((each.text for each in answers if isinstance(each, qc.Value)), "")
 
     identity = text("*IDN") or text("*IDN")  # the first ends what was read at another rate
+    if ",DG645," in identity:
+        lines = (
+            f"devices:\n  laser:\n    {{kind: timing, box: srs_dg645, port: {asked.url}, baud: {baud},\n"
+            "     channels: {q_switch_1: AB, q_switch_2: CD, camera: EF}, head: {max_rate_hz: ..}}"
+        )
+        return Found("delay generator", identity, baud, (), ("what hangs on which output",), lines)
     match = re.match(r"(?i)(QC|QUANTUM|BNC|BERKELEY)\w*,\s*(\d{3,4})", identity)
     if match is None:
         return None

@@ -14,6 +14,7 @@ DRIVERS = {
     "bnc575": _QC,
     "bnc577": _QC,
     "pivlab_oltsync": "daq.timing.drivers.pivlab_synchroniser:OltSyncBox",
+    "srs_dg645": "daq.timing.drivers.srs_dg645:Dg645Box",
     "pivlab_xmsync": "daq.timing.drivers.pivlab_synchroniser:XmSyncBox",
 }
 

@@ -8,7 +8,7 @@ import pytest
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.drivers_by_name import DRIVERS as BOXES
 from daq.timing.protocols import pivlab_synchroniser as pivlab
-from daq.timing.protocols import pulse_box
+from daq.timing.protocols import pulse_box, srs_dg645
 from daq.timing.protocols import quantum_composers as qc
 from daq.timing.pulses import PairExposures, Pulse
 from sim.emulators.pi_gcs2 import StageMake
@@ -18,6 +18,7 @@ from stages.errors import StageError
 from stages.protocols import grbl, isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
 from stages.protocols.apt_words import Kind
 from tests.daq.timing import test_pivlab_synchroniser as sync
+from tests.daq.timing import test_srs_dg645 as dg645
 from tests.daq.timing.test_pulse_box import counter
 from tests.daq.timing.test_quantum_composers import PUMPED, LaserHead, desk
 
@@ -180,6 +181,20 @@ def test_every_word_of_the_synchronisers_stands_on_the_page():
             laser.close()
             said |= words_of(b"".join(heard), pivlab.CommandStream, _pivlab)
     assert said == words_on_the_page("pivlab_oltsync")
+
+
+def test_every_word_of_the_dg645_stands_on_the_page():
+    with dg645.desk() as d:
+        heard, feed = [], d.emulator.feed
+        d.emulator.feed = lambda data: (heard.append(data), feed(data))[1]
+        d.emulator._polarities[1] = 0
+        d.to_armed()
+        d.burst(3)
+        d.laser.close()
+    stream = srs_dg645.CommandStream
+    assert words_of(b"".join(heard), stream, lambda each: each.word + "?" * each.asks) == words_on_the_page(
+        "srs_dg645"
+    )
 
 
 def test_every_word_of_the_pulse_box_stands_on_the_page():

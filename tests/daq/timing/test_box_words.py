@@ -5,6 +5,7 @@ import serial
 
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
+from daq.timing.drivers.srs_dg645 import Dg645Box
 from daq.timing.pulses import Role
 from sim.emulators.device import Emulator
 from sim.emulators.grbl import GrblEmulator
@@ -16,11 +17,13 @@ from sim.mechanics.clock import ScaledClock, VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
+from sim.timing_boxes.srs_dg645 import Dg645Emulator
 from stages.errors import DeviceLost, PortUnavailable, StageError
 
 WIRED = {
     QuantumComposersBox: ({Role.Q_SWITCH_1: "A", Role.CAMERA: "C"}, QuantumComposersEmulator, 38_400),
     OltSyncBox: ({Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}, OltSyncEmulator, 9600),
+    Dg645Box: ({Role.Q_SWITCH_1: "AB", Role.CAMERA: "EF"}, Dg645Emulator, 9600),
     XmSyncBox: ({Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}, XmSyncEmulator, 9600),
 }
 STAGE = Mechanics(lead_mm=5.0, steps_per_rev=800, high_switch_mm=150.0, index_mm=75.0, power_up_mm=20.0)

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.timing.protocols import pivlab_synchroniser, pulse_box, quantum_composers
+from daq.timing.protocols import pivlab_synchroniser, pulse_box, quantum_composers, srs_dg645
 from stages.errors import ProtocolViolation
 
-GRAMMARS = (quantum_composers, pivlab_synchroniser, pulse_box)
+GRAMMARS = (quantum_composers, pivlab_synchroniser, pulse_box, srs_dg645)
 CLASSES = [(grammar, cls) for grammar in GRAMMARS for cls in (*grammar.COMMANDS, *grammar.ANSWERS)]
 
 

@@ -10,10 +10,13 @@ from sim.emulators import emulator_class
 from sim.emulators.isel_dnc import IselEmulator
 from sim.mechanics.clock import VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
-from sim.timing_boxes import pivlab_synchroniser, quantum_composers
+from sim.timing_boxes import pivlab_synchroniser, quantum_composers, srs_dg645
 from stages.drivers_by_name import DRIVERS
 
-TIMING = {"quantum_composers": quantum_composers.EMULATOR, "pivlab_synchroniser": pivlab_synchroniser.EMULATOR}
+TIMING = {
+    "quantum_composers": quantum_composers.EMULATOR, "pivlab_synchroniser": pivlab_synchroniser.EMULATOR,
+    "srs_dg645": srs_dg645.EMULATOR,
+}  # fmt: skip
 HEXADECIMAL = ("thorlabs_apt",)  # what has no text is written as its bytes, a message a line
 FOLDER = Path(__file__).parent / "dialogues"
 SCREW = Mechanics(lead_mm=5.0, steps_per_rev=1600, high_switch_mm=200.0, index_mm=100.0, power_up_mm=60.0)
