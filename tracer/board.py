@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Square = tuple[int, int]
+OLDER: tuple[Square, ...] = ((0, 0), (0, -1), (-1, -1))  # discs of boards whose file names none: no mirror shows
+CHIRAL: tuple[Square, ...] = (*OLDER, (0, 1))  # of new boards: in a mirror they are another figure
 LARGE_DOTS: tuple[Square, ...] = (
     (0, 0),
     (1, 0),
@@ -35,10 +37,14 @@ class Codes:
         OpenCV's name of the set, such as DICT_4X4_1000.
     marker_share : float
         Side of a marker in squares.
+    layout : {"", "new", "legacy"}
+        Which squares carry markers on a board with an even number of rows: ``legacy`` is OpenCV's before 4.6, with
+        a bright square in the upper left corner. Empty where nothing says it but a frame; drawn as ``new``.
     """
 
     dictionary: str
     marker_share: float
+    layout: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ class Board:
 
     square_mm: float = 2.5
     disc_mm: float = 1.0
-    discs: tuple[Square, ...] = field(default=((0, 0), (0, -1), (-1, -1)), kw_only=True)
+    discs: tuple[Square, ...] = field(default=OLDER, kw_only=True)
     squares: tuple[int, int] | None = field(default=None, kw_only=True)
     origin_corner: tuple[int, int] | None = field(default=None, kw_only=True)
     odd_bright: bool = field(default=True, kw_only=True)

@@ -34,6 +34,7 @@ ON_LINE, STRAIGHT = 0.07, 0.03  # squares that such edges may lie beside the lin
 AWAY = np.linspace(-0.45, 0.45, 19)  # squares from the line, where its edge is looked for
 SPOTS = 0.1 * np.array([(-1.0, -1.0), (-1.0, 1.0), (0.0, 0.0), (1.0, -1.0), (1.0, 1.0)])  # of a square, sampled
 Shade = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Seen = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]  # of spots around places
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Ends:
         return found
 
 
-def ends_of(frame: NDArray[Any], patch: Patch) -> Ends:
+def ends_of(frame: NDArray[Any], patch: Patch, marker_share: float = 0.0) -> Ends:
     """Find the ends of the board around a patch of its lattice.
 
     Parameters
@@ -72,7 +73,11 @@ def ends_of(frame: NDArray[Any], patch: Patch) -> Ends:
         The checked frame.
     patch : Patch
         Corners of the board; a few that are none do no harm.
+    marker_share : float
+        Side of markers in bright squares, which are sampled between these and their edges.
     """
+    aside = 0.25 + 0.25 * marker_share
+    spots = aside * np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)]) if marker_share else SPOTS
     shade = _shade_of(frame, patch)
     found: dict[tuple[int, int], int | None] = {}
     for rows in QUARTER_TURNS:  # the lattice is turned until the end that is looked for is the upper one
@@ -81,16 +86,18 @@ def ends_of(frame: NDArray[Any], patch: Patch) -> Ends:
         towards_x, towards_y = (back @ (0.0, 1.0)).astype(int).tolist()
         corners = patch.index @ turn.T
 
-        def turned(places: NDArray[np.float64], back: NDArray[np.float64] = back) -> NDArray[np.float64]:
-            return shade(places @ back.T)
+        def turned(
+            places: NDArray[np.float64], around: NDArray[np.float64], back: NDArray[np.float64] = back
+        ) -> NDArray[np.float64]:
+            return shade(places @ back.T, around)
 
-        line = _upper_end(corners, _brightness(patch, back), turned)
+        line = _upper_end(corners, _brightness(patch, back), turned, spots)
         found[towards_x, towards_y] = None if line is None else line * (towards_x + towards_y)
     return Ends((found[-1, 0], found[0, -1]), (found[1, 0], found[0, 1]))
 
 
-def _shade_of(frame: NDArray[Any], patch: Patch) -> Shade:
-    """Mean of the frame around places (..., 2) of the lattice; NaN out of the frame."""
+def _shade_of(frame: NDArray[Any], patch: Patch) -> Seen:
+    """Mean of the frame at spots (K, 2) around places (..., 2) of the lattice; NaN out of the frame."""
     centre, size = patch.index.mean(axis=0), max(1.0, 0.5 * float(np.ptp(patch.index, axis=0).max()))
     order = max(k for k in range(1, ORDER + 1) if k == 1 or 3 * (k + 1) * (k + 2) // 2 <= len(patch.index))
     powers = [(k, m) for k in range(order + 1) for m in range(order + 1 - k)]
@@ -102,8 +109,8 @@ def _shade_of(frame: NDArray[Any], patch: Patch) -> Shade:
     solution = np.linalg.lstsq(terms(patch.index.astype(np.float64)), patch.position_px, rcond=None)[0]
     light = frame.astype(np.float32)
 
-    def shade(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        pixel = terms(places[..., None, :] + SPOTS) @ solution
+    def shade(places: NDArray[np.float64], spots: NDArray[np.float64]) -> NDArray[np.float64]:
+        pixel = terms(places[..., None, :] + spots) @ solution
         value = scipy.ndimage.map_coordinates(
             light, [pixel[..., 1], pixel[..., 0]], order=1, mode="constant", cval=np.nan
         )
@@ -123,7 +130,9 @@ def _brightness(patch: Patch, back: NDArray[np.float64]) -> Shade:
     return bright
 
 
-def _upper_end(corners: NDArray[np.int64], brightness: Shade, shade: Shade) -> int | None:
+def _upper_end(
+    corners: NDArray[np.int64], brightness: Shade, shade: Seen, spots: NDArray[np.float64]
+) -> int | None:
     """Line at which the board ends at the top, or None.
 
     Parameters
@@ -132,11 +141,13 @@ def _upper_end(corners: NDArray[np.int64], brightness: Shade, shade: Shade) -> i
         Of the patch, column and row.
     brightness, shade : callable
         Of middles of squares: what should be seen, and what is.
+    spots : (K, 2) float64
+        Around the middle of a square, where it is sampled.
     """
     low, high = corners.min(axis=0) - 1, corners.max(axis=0) + BEYOND
     columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
     middle = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1) + 0.5
-    bright, seen = brightness(middle), shade(middle)
+    bright, seen = brightness(middle), shade(middle, spots)
     beside = np.full_like(seen, np.nan)
     beside[1:-1] = 0.5 * (seen[:-2] + seen[2:])
     swing = bright * (seen - beside)  # the contrast, within the board
@@ -152,9 +163,11 @@ def _upper_end(corners: NDArray[np.int64], brightness: Shade, shade: Shade) -> i
     contrast, own = swing[chosen, last], seen[chosen, last]
     paper = np.where(dark, beside[chosen, last], own)
     across = np.broadcast_to((columns[chosen] + 0.5)[:, None], (len(chosen), len(AWAY)))
-    profile = shade(np.stack((across, rows[0] + line + np.broadcast_to(AWAY, across.shape)), axis=-1))
+    profile = shade(np.stack((across, rows[0] + line + np.broadcast_to(AWAY, across.shape)), axis=-1), SPOTS)
     with np.errstate(invalid="ignore", divide="ignore"):  # False out of the frame
         ends = np.abs(profile[:, -1] - paper) < ALIKE * contrast
+        if spots is not SPOTS:  # beside a marker paper looks darker than it is
+            paper = np.where(ends, profile[:, -1], paper)
         share = (profile - own[:, None]) / (paper - own)[:, None]
         edge = AWAY[0] + np.trapezoid(1.0 - share, AWAY, axis=1)  # of an edge from 0 to 1
         place = float(np.median(edge[dark & ends])) if (dark & ends).any() else np.inf

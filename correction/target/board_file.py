@@ -3,6 +3,7 @@
     kind: chessboard
     square_mm: 2.5               # as drawn
     disc_mm: 1.0
+    discs: [[0, 0], [0, -1], [-1, -1], [0, 1]]  # no mirror image of it looks the same; without, the first three
     bars_mm: [190.0, 280.0]      # the bars in the margin as drawn, along x and y
     measured_mm: [189.7, 279.9]  # the same on paper, with a steel rule
 
@@ -36,7 +37,7 @@ from correction.target.chessboard import Chessboard
 from correction.target.codes import with_codes
 from ground.config import Pair, Table, read
 from ground.whole_file import whole_file
-from tracer.board import LARGE_DOTS, Board, Codes, Dots
+from tracer.board import LARGE_DOTS, OLDER, Codes, Dots
 
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
@@ -65,10 +66,16 @@ class PrintedBoard(Table):
         Standard deviation of such a reading.
     square_mm, disc_mm : float, optional
         Of a chessboard, plain without `disc_mm`; squares of a charuco board.
+    discs : list, optional
+        Squares of a chessboard with a disc, columns and rows from the origin; default the three of older boards.
     squares, origin_corner : optional
         How many there are, columns and rows, and the corner that is the origin, counted from the lower left one.
     marker_mm, dictionary : optional
         Of a charuco board: its markers, and OpenCV's name of the set.
+    layout : {"new", "legacy"}, optional
+        Which squares of a charuco board with an even number of rows carry markers: legacy, as OpenCV before 4.6,
+        calib.io and others print it, with a bright square in the upper left corner. Default: as a frame shows it,
+        and new for a board with bars, which `rtpiv target` has drawn.
     pitch_mm, dot_mm, large_dot_mm : float, optional
         Of dots: from one to the next, and diameters of the usual and of the large ones.
     large_dots, bright_dots : optional
@@ -85,9 +92,11 @@ class PrintedBoard(Table):
     kind: Literal["chessboard", "charuco", "dots", "particles"]
     square_mm: Positive | None = None
     disc_mm: Positive | None = None
+    discs: list[Annotated[list[int], Field(min_length=2, max_length=2)]] | None = None
     marker_mm: Positive | None = None
     squares: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
     dictionary: str | None = None
+    layout: Literal["new", "legacy"] | None = None
     origin_corner: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
     pitch_mm: Positive | None = None
     dot_mm: Positive | None = None
@@ -121,6 +130,8 @@ class PrintedBoard(Table):
                 f"step_mm is not 0 and at most {DEEPEST:g} of pitch_mm; a deeper level is hidden from whoever"
                 " looks aslant"
             )
+        if self.layout is not None and self.kind != "charuco":
+            raise ValueError("layout is that of the markers of a charuco board; leave it out")
         if self.measured_mm is not None and self.bars_mm is None:
             raise ValueError(
                 "measured_mm says how long bars are on paper, so say bars_mm, how long they were drawn"
@@ -151,7 +162,8 @@ class PrintedBoard(Table):
             if self.levels is not None:
                 board = replace(board, step_sigma_mm=self.step_sigma_mm or MACHINED_MM)
         elif self.disc_mm is not None:
-            board = replace(board, disc_mm=self.disc_mm, discs=Board().discs)
+            discs = OLDER if self.discs is None else tuple((i, j) for i, j in self.discs)
+            board = replace(board, disc_mm=self.disc_mm, discs=discs)
         if self.squares is not None:
             columns, rows = self.squares
             x, y = self.origin_corner or (columns // 2, rows // 2)
@@ -160,7 +172,8 @@ class PrintedBoard(Table):
             assert self.marker_mm is not None
             assert self.square_mm is not None
             assert self.dictionary is not None
-            board = with_codes(board, Codes(self.dictionary, self.marker_mm / self.square_mm))
+            layout = self.layout or ("" if self.bars_mm is None else "new")  # bars are of `rtpiv target`
+            board = with_codes(board, Codes(self.dictionary, self.marker_mm / self.square_mm, layout))
         return board
 
     @property

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from correction.errors import TargetNotFound
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.lattice_growth import Patch
+from tracer.board import CHIRAL, OLDER
 
 RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
 LEAST_SHARE = 0.5  # of the votes
@@ -69,6 +70,20 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
             raise TargetNotFound(
                 "bright and dark squares are exchanged compared to the board described; describe the board that"
                 " is in the frame"
+            )
+        in_mirror = wanted * (-1, 1)  # but for a shift
+        if _matches(cells, bright, board, in_mirror, shades):
+            raise TargetNotFound(
+                f"the {board.origin_marks} of the board are seen in a mirror: set ReverseX or ReverseY of the"
+                " camera back, or mirrored: true in the camera section of the scene where it looks by a mirror"
+            )
+        older = CHIRAL[: len(OLDER)]
+        if board.discs == CHIRAL and _matches(
+            cells, bright, board, np.array(older), board.is_bright(np.array(older))
+        ):
+            raise TargetNotFound(
+                f"{len(OLDER)} of the {len(CHIRAL)} discs described are in the frame: an older print, or a disc is"
+                f" hidden; bring all into view, or leave discs out of board.yaml for {len(OLDER)} of them"
             )
         return None
     placing, members = fits[0]

@@ -20,18 +20,28 @@ from numpy.typing import NDArray
 from correction.errors import TargetNotFound
 from correction.target.board_count import place_by_count
 from correction.target.board_origin import Placing, place_by_discs, place_by_prediction
-from correction.target.chessboard import Chessboard
-from correction.target.codes import Marker, place_by_codes, read_markers, square_px
-from correction.target.lattice_fit import LEAST_BOARD, BoardDetection, measure_lattice
+from correction.target.chessboard import QUARTER_TURNS, Chessboard
+from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_no_codes
+from correction.target.evidence import View, contradiction, squares_off, turn_and_scale, wrong_size
+from correction.target.lattice_fit import (
+    LEAST_BOARD,
+    MOST_FOREIGN,
+    BoardDetection,
+    holds_discs,
+    measure_lattice,
+)
 from correction.target.lattice_growth import Patch, grow_patches
 from correction.target.marks import find_marks
 from correction.target.scale_search import find_patches
 from correction.target.size_seen import CLEARLY_OFF, size_seen
+from correction.target.smooth_view import on_smooth_map
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
 Predict = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-NEAR_DISCS = 6  # squares around the origin in which the view and its prediction are compared
+HALF = 0.5  # squares
+NEAR_MARKS, ENOUGH = 3, 300  # squares around the origin with all of its marks; corners that show a smooth view
+MOST_TURN_DEG = 45.0  # of the board in its plane: beyond, another quarter turn of it is as likely
 SCALES = 0.7, 1.4  # of the view near the discs against its prediction: a ball shows them twice as large, or turned
 SATURATED = 0.02  # fraction of pixels at full scale from which bright squares are seen widened
 FAR_SQUARES = 512  # half side of the largest board looked at
@@ -64,14 +74,14 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     if board.is_plain:
         raise TargetNotFound("a plain board is found by its edges and a prediction of its view; give one")
     frame, patches, markers = _patches(image, board, mask)
-    placed = place_by_codes(patches, markers)
+    board, placed = _with_codes(frame, patches, markers, board)
     if placed:
-        return measure_lattice(frame, board, placed, mask, discs_count=False)
+        return _measured(frame, board, placed, mask, discs_count=False)
     if board.codes is not None:
-        raise TargetNotFound(_why_no_codes(markers))
+        raise TargetNotFound(why_no_codes(frame, board, markers))
     marked = _with_discs(frame, patches, board)
     if marked is not None:
-        return measure_lattice(frame, board, [marked], mask, discs_count=True)
+        return _measured(frame, board, [marked], mask, discs_count=True)
     raise TargetNotFound(
         f"a lattice of {len(patches[0].index)} corners is in the frame, but not the {len(board.discs)}"
         f" {board.origin_marks} that mark the origin; bring them into view, or give a prediction of the view"
@@ -113,12 +123,15 @@ def track_board(
     index, predicted = corners_in_view(board, predict, (frame.shape[0], frame.shape[1]))
     if len(index) == 0:
         raise TargetNotFound("the prediction puts no corner of the board into the frame; check the nominal camera")
-    placed = place_by_codes(patches, markers)
+    view = index, predicted
+    board, placed = _with_codes(frame, patches, markers, board, view, reach)
     marked = _with_discs(frame, patches, board) if board.discs else None
-    if marked is not None and not _plausible(index, predicted, *marked):
+    if marked is not None and not _plausible(board, view, *marked):
         marked = None
+    if placed:
+        _plausible(board, view, *placed[0])
     if board.codes is not None and not placed and reach is not None:
-        raise TargetNotFound(_why_no_codes(markers))
+        raise TargetNotFound(why_no_codes(frame, board, markers))
     if board.dots is not None and marked is None and reach is not None:
         raise TargetNotFound(
             _why_another_size(patches[0], (index, predicted), board)
@@ -145,7 +158,7 @@ def track_board(
                 predicted = _corrected(index, predicted, patch, placing)
     if not placed:
         raise TargetNotFound(_why_not_placed(index, predicted, patches[0], board))
-    return measure_lattice(frame, board, placed, mask, discs_count=False)
+    return _measured(frame, board, placed, mask, discs_count=False)
 
 
 def corners_in_view(
@@ -191,6 +204,25 @@ def _patches(
     return frame, patches, markers
 
 
+def _measured(
+    frame: NDArray[Any],
+    board: Chessboard,
+    placed: list[tuple[Patch, Placing]],
+    mask: NDArray[np.bool_] | None,
+    discs_count: bool,
+) -> BoardDetection:
+    """Fit the corners of placed patches, or say what in the frame contradicts their place."""
+    reason = contradiction(board, *placed[0])
+    if reason:
+        raise TargetNotFound(reason)
+    found = measure_lattice(frame, board, placed, mask, discs_count)
+    patch = Patch(found.index, found.position_px, found.axes_px, board.corner_sign(found.index))
+    reason = wrong_size(frame, board, patch, Placing(QUARTER_TURNS[0], (0, 0)))
+    if reason and not board.is_plain:
+        raise TargetNotFound(reason)
+    return found
+
+
 def _why_no_lattice(frame: NDArray[Any], board: Chessboard, seen: int) -> str:
     """Say why no lattice of `seen` corners is enough, and which other board it may be."""
     if board.dots is None:
@@ -213,14 +245,6 @@ def _why_no_lattice(frame: NDArray[Any], board: Chessboard, seen: int) -> str:
     )
 
 
-def _why_no_codes(markers: list[Marker]) -> str:
-    """Say why codes place nothing."""
-    return (
-        f"{len(markers)} markers of the board could be read, which are too few to say which squares are seen; use"
-        " squares of 16 px or more, more light, or give the dictionary that it was printed with"
-    )
-
-
 def _with_discs(frame: NDArray[Any], patches: list[Patch], board: Chessboard) -> tuple[Patch, Placing] | None:
     """Patch that holds the discs and its placing, if it is a main part of what is seen.
 
@@ -235,22 +259,69 @@ def _with_discs(frame: NDArray[Any], patches: list[Patch], board: Chessboard) ->
     return None
 
 
-def _plausible(index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, placing: Placing) -> bool:
-    """True if the board near the discs is as large as predicted, and turned so: no view through glass.
+def _with_codes(
+    frame: NDArray[Any],
+    patches: list[Patch],
+    markers: list[Marker],
+    board: Chessboard,
+    view: View | None = None,
+    reach: float | None = None,
+) -> tuple[Chessboard, list[tuple[Patch, Placing]]]:
+    """Place patches by their markers; return the board in the layout that the frame shows, and what is placed.
+
+    Markers of a part of a board may agree in both layouts, a square apart: edges, shades, or a view that is good
+    to `reach` squares must leave one.
+    """
+    found = place_by_codes(patches, markers, board)
+    kept = found
+    if len(kept) > 1:
+        patch, _ = found[0][1][0]
+        patch = patch.take(on_smooth_map(patch.index, patch.position_px, patch.axes_px))
+        kept = [(one, placed) for one, placed in found if not wrong_size(frame, one, patch, placed[0][1])] or found
+    if len(kept) > 1 and view is not None:
+        kept = [one for one in kept if squares_off(view, *one[1][0]) <= max(reach or 0.0, HALF)] or kept
+    if len({placed[0][1] for _, placed in kept}) > 1:
+        raise TargetNotFound(
+            "the markers in the frame agree with both layouts of the board, a square apart; give its layout (new,"
+            " or legacy: OpenCV before 4.6, calib.io) in board.yaml, or show more of the board"
+        )
+    return kept[0] if kept else (board, [])
+
+
+def _plausible(board: Chessboard, view: View, patch: Patch, placing: Placing) -> bool:
+    """True if the board near its marks is as large as predicted, and turned so: no view through glass.
 
     How far off it is says nothing: an axis wrong by two degrees moves the view by five squares, where the lattice
     fits as well as in its place.
+
+    Raises
+    ------
+    TargetNotFound
+        Board, or frame, are turned: marks and most corners lie on one smooth view, as none is through glass.
     """
-    place = {(int(i), int(j)): p for (i, j), p in zip(index, predicted, strict=True)}
-    axes = placing.board_axes(patch.axes_px)
-    scale, along = [], []
-    for (i, j), own in zip(placing.board_index(patch.index).tolist(), axes, strict=True):
-        if max(abs(i), abs(j)) <= NEAR_DISCS and {(i, j), (i + 1, j), (i, j + 1)} <= place.keys():
-            expected = np.stack((place[i + 1, j] - place[i, j], place[i, j + 1] - place[i, j]), axis=1)
-            scale.append(float(np.linalg.det(own) / np.linalg.det(expected)))
-            along.append(float(own[:, 0] @ expected[:, 0]) > 0.0)
-    low, high = SCALES
-    return bool(scale) and low**2 < float(np.median(scale)) < high**2 and float(np.mean(along)) > 0.5
+    seen = turn_and_scale(view, patch, placing)
+    if seen is None or not SCALES[0] < seen.scale < SCALES[1]:
+        return False
+    index = placing.board_index(patch.index)
+    own = (np.abs(index) <= NEAR_MARKS).all(axis=1) if board.discs else np.zeros(len(index), dtype=bool)
+    some = own | (np.arange(len(index)) % max(1, len(index) // ENOUGH) == 0)
+    deep = board.depth_mm(index[some]) != 0.0 if len(board.depths_mm) > 1 else None
+    smooth = on_smooth_map(index[some], patch.position_px[some], patch.axes_px[some], deep)
+    if not holds_discs(index[some][smooth], board):  # they are seen through something, or beside the others
+        return False
+    if abs(seen.turn_deg) <= MOST_TURN_DEG:
+        return True
+    if smooth.mean() < 1.0 - MOST_FOREIGN:
+        return False
+    quarter = abs(abs(seen.turn_deg) - 90.0) < MOST_TURN_DEG and board.discs and board.is_mirror_symmetric
+    mirror = (
+        " Its discs look the same in a mirror: if it hangs upright, the frame is a mirror image; set ReverseX or"
+        " ReverseY of the camera back, or mirrored: true in the camera section of the scene."
+    )
+    raise TargetNotFound(
+        f"the board in the frame is turned by {seen.turn_deg:+.0f} degrees against what the camera should see;"
+        f" hang it upright, turn the frames, or give the camera its roll.{mirror if quarter else ''}"
+    )
 
 
 def _why_another_size(patch: Patch, view: tuple[NDArray[np.int64], NDArray[np.float64]], board: Chessboard) -> str:

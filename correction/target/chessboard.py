@@ -116,6 +116,11 @@ class Chessboard(Board):
         bright = self.is_bright(np.array(self.discs)) & (self.dots is None)
         return frozenset((int(i), int(j), bool(b)) for (i, j), b in zip(cells, bright, strict=True))
 
+    @property
+    def is_mirror_symmetric(self) -> bool:
+        """Whether its marks look the same in a mirror, but for a turn: three discs do, `CHIRAL` do not."""
+        return self._shape(((-1, 0), (0, 1))) in {self._shape(turn) for turn in QUARTER_TURNS}
+
     def is_bright(self, squares: ArrayLike) -> NDArray[np.bool_]:
         """True for squares (..., 2) int that are bright apart from their disc."""
         return np.asarray((np.asarray(squares).sum(axis=-1) % 2 == 1) == self.odd_bright)

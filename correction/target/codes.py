@@ -1,8 +1,11 @@
 """ChArUco boards: in every bright square a marker that says which square it is (OpenCV's aruco).
 
-A marker is read by OpenCV; what is used of it is its number and how it is turned.  Each marker that is read puts
-the patch of lattice around it at one place of the board, and a patch is placed when AGREE markers say the same and
-hardly one another: half of the board may be hidden, and a marker that is misread is outvoted.
+A marker is read by OpenCV; what is used of it is its number and how it is turned.  Each marker that lies in the
+middle of a square of a patch, as large as the patch says, puts the patch at one place of the board.  A patch is
+placed when AGREE markers name one place and no other place is named but by a misread marker.
+
+Boards with an even number of rows exist in two layouts, which exchange the squares that carry markers (OpenCV
+before and since 4.6).  Where the board file does not name the layout, the one that the markers agree with is used.
 """
 
 from collections import Counter
@@ -14,16 +17,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.errors import BoardError
+from correction.errors import BoardError, TargetNotFound
 from correction.target.board_origin import Placing
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.lattice_growth import Patch
 from tracer.board import Codes
 
-AGREE, SHARE = 2, 0.7  # markers, and of all that are read on a patch
+AGREE = 2  # markers
+MISREAD, SURE_OF_ONE = 0.04, 6  # share of markers that may be misread; of so many that agree, one anyway
+CENTRED, AS_LARGE, ALONG = 0.15, 0.2, 0.97  # marker in its square: squares off, relative size, cosine to the axes
+LAYOUTS = "new", "legacy"
 WINDOWS_PX = 23, 3  # of the threshold, the smallest: one window is three times as fast as all of them
 ENOUGH = 10  # markers, with which no smaller windows are tried
-NEAR = 1.5  # squares from a marker's middle to the nearest corner of a patch
+DICTIONARIES = *(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)), "DICT_ARUCO_ORIGINAL"
 
 
 def with_codes(board: Chessboard, codes: Codes) -> Chessboard:
@@ -37,6 +43,14 @@ def with_codes(board: Chessboard, codes: Codes) -> Chessboard:
     coded = replace(board, codes=codes)
     some = next(iter(marker_squares(coded).values()))
     return replace(coded, odd_bright=sum(some) % 2 == 1)
+
+
+def layouts_of(board: Chessboard) -> list[Chessboard]:
+    """Return the board in each layout that there is of it: one, if the number of rows is odd."""
+    squares, codes, _ = _coded(board)
+    if squares[1] % 2:
+        return [board]
+    return [with_codes(board, replace(codes, layout=layout)) for layout in LAYOUTS]
 
 
 def marker_squares(board: Chessboard) -> dict[int, tuple[int, int]]:
@@ -68,29 +82,29 @@ def marked(board: Chessboard, places: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Marker:
-    """A marker: its corners (4, 2) [px] from the upper left on, clockwise, and its square of the board."""
+    """A marker: its corners (4, 2) [px] from the upper left on, clockwise, and its number."""
 
     corners_px: NDArray[np.float64]
-    square: tuple[int, int]
+    number: int
 
 
-def read_markers(frame: NDArray[Any], board: Chessboard) -> list[Marker]:
-    """Read the markers of a board in a frame (H, W)."""
+def read_markers(frame: NDArray[Any], board: Chessboard, dictionary: str = "") -> list[Marker]:
+    """Read the markers of a board in a frame (H, W), or all of another dictionary."""
     import cv2
 
     low, high = np.percentile(frame, (0.5, 99.5))
     grey = np.clip((frame.astype(np.float32) - low) * (255.0 / max(float(high - low), 1e-6)), 0.0, 255.0)
-    squares, read = marker_squares(board), list[Marker]()
+    known, read = marker_squares(board), list[Marker]()
     for smallest in WINDOWS_PX:
         settings = cv2.aruco.DetectorParameters()
         settings.errorCorrectionRate = 0.0  # what is nearly a marker is none
         settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = smallest, max(WINDOWS_PX)
-        reader = cv2.aruco.ArucoDetector(_dictionary(_coded(board)[1].dictionary), settings)
+        reader = cv2.aruco.ArucoDetector(_dictionary(dictionary or _coded(board)[1].dictionary), settings)
         found, numbers, _ = reader.detectMarkers(grey.astype(np.uint8))
         read = [
-            Marker(np.asarray(corners, dtype=np.float64).reshape(4, 2), squares[int(number)])
+            Marker(np.asarray(corners, dtype=np.float64).reshape(4, 2), int(number))
             for number, corners in zip(np.ravel(numbers) if numbers is not None else (), found, strict=True)
-            if int(number) in squares
+            if dictionary or int(number) in known
         ]
         if len(read) >= ENOUGH:
             break
@@ -103,35 +117,121 @@ def square_px(board: Chessboard, markers: Sequence[Marker]) -> float:
     return float(np.median(sides)) / _coded(board)[1].marker_share
 
 
-def place_by_codes(patches: Sequence[Patch], markers: Sequence[Marker]) -> list[tuple[Patch, Placing]]:
-    """Place all patches of lattice on which AGREE markers say the same."""
+def place_by_codes(
+    patches: Sequence[Patch], markers: Sequence[Marker], board: Chessboard
+) -> list[tuple[Chessboard, list[tuple[Patch, Placing]]]]:
+    """Place all patches of lattice on which markers agree.
+
+    Returns
+    -------
+    list of (Chessboard, list of (Patch, Placing))
+        The board in the layout that the markers show, and its patches; both layouts where markers that agree do
+        not tell them apart, and none where nothing is placed.
+
+    Raises
+    ------
+    TargetNotFound
+        Markers contradict one another, or the layout that the board file names.
+    """
+    if not markers:
+        return []
+    counted = {one: [_votes(patch, markers, one) for patch in patches] for one in layouts_of(board)}
+    agreeing = {one: sum(max(votes.values(), default=0) for votes in found) for one, found in counted.items()}
+    most, named = max(agreeing.values()), _coded(board)[1].layout
+    best = [one for one, count in agreeing.items() if count == most]
+    if named and board in counted:
+        if board not in best:
+            raise TargetNotFound(
+                f"the markers lie in other squares than in layout {named}, which the board file names: {most}"
+                f" agree with layout {_coded(best[0])[1].layout}; give that one"
+            )
+        best = [board]
+    placed = [(one, _placed(patches, counted[one], one)) for one in best]
+    reasons = [found for _, found in placed if isinstance(found, str)]
+    if len(reasons) == len(placed):
+        raise TargetNotFound(reasons[0])
+    return [(one, found) for one, found in placed if found and not isinstance(found, str)]
+
+
+def _placed(
+    patches: Sequence[Patch], counted: Sequence[Counter[Placing]], board: Chessboard
+) -> list[tuple[Patch, Placing]] | str:
+    """Patches with the places that their markers give them, or why these contradict each other."""
     placed = []
-    for patch in patches:
-        votes = Counter(placing for one in markers if (placing := _placing(patch, one)) is not None)
-        if not votes:
+    for patch, votes in zip(patches, counted, strict=True):
+        counts = votes.most_common()
+        if not counts or counts[0][1] < AGREE:
             continue
-        best, count = votes.most_common(1)[0]
-        if count >= AGREE and count >= SHARE * votes.total():
-            placed.append((patch, best))
+        (placing, count), *others = counts
+        against = sum(other for _, other in others)
+        if against > max(count >= SURE_OF_ONE, MISREAD * count) or any(other >= AGREE for _, other in others):
+            return _contradiction(board, count, against)
+        placed.append((patch, placing))
     return placed
 
 
-def _placing(patch: Patch, marker: Marker) -> Placing | None:
-    """Placing of a patch by one marker; None if it is not on the patch, or not turned like it."""
+def _contradiction(board: Chessboard, count: int, against: int) -> str:
+    """Say that markers name several places, with what usually is the cause."""
+    (columns, rows), codes, _ = _coded(board)
+    layout = f" in layout {codes.layout}" if codes.layout else ""
+    return (
+        f"{count} markers agree where the board is, and {against} are in other squares than on a board of"
+        f" {columns} x {rows} squares{layout}: check squares, dictionary and layout (new, or legacy: OpenCV before"
+        " 4.6, calib.io) in board.yaml"
+    )
+
+
+def why_no_codes(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marker]) -> str:
+    """Say why markers place nothing: too few, those of another dictionary, or mirrored ones."""
+    _, codes, _ = _coded(board)
+    mirrored = read_markers(np.ascontiguousarray(frame[:, ::-1]), board)
+    if len(mirrored) > max(AGREE, 2 * len(markers)):
+        return (
+            f"the frame is a mirror image: {len(mirrored)} markers can be read in it only from right to left; set"
+            " ReverseX or ReverseY of the camera back, or mirrored: true in the camera section of the scene where"
+            " it looks at the target by a mirror"
+        )
+    for other in DICTIONARIES:
+        found = [] if other == codes.dictionary else read_markers(frame, board, other)
+        if len(found) > max(AGREE, 2 * len(markers)):
+            return (
+                f"the frame shows {len(found)} markers of {other}, and the board file names {codes.dictionary};"
+                " give the dictionary that the board was printed with"
+            )
+    return (
+        f"{len(markers)} markers of the board could be read, which are too few to say which squares are seen; use"
+        " squares of 16 px or more, more light, or give the dictionary that it was printed with"
+    )
+
+
+def _votes(patch: Patch, markers: Sequence[Marker], board: Chessboard) -> Counter[Placing]:
+    """Count the markers in squares of a patch by where on the board they put it."""
+    squares = marker_squares(board)
+    return Counter(
+        placing for one in markers if (placing := _placing(patch, one, squares[one.number])) is not None
+    )
+
+
+def _placing(patch: Patch, marker: Marker, square: tuple[int, int]) -> Placing | None:
+    """Placing of a patch by one marker; None if it is in no square of the patch, or of another size or turn."""
     corners, middle = marker.corners_px, marker.corners_px.mean(axis=0)
     nearest = int(np.argmin(np.sum((patch.position_px - middle) ** 2, axis=1)))
     axes = patch.axes_px[nearest]
     place = np.linalg.solve(axes, middle - patch.position_px[nearest])
+    if np.abs(np.abs(place) - 0.5).max() > CENTRED:
+        return None
     right = np.linalg.solve(axes, corners[1] - corners[0] + corners[2] - corners[3])
     up = np.linalg.solve(axes, corners[0] - corners[3] + corners[1] - corners[2])
-    if np.abs(place).max() > NEAR or min(np.linalg.norm(right), np.linalg.norm(up)) == 0.0:
+    sides = np.stack((right, up), axis=1)
+    length = np.linalg.norm(sides, axis=0)
+    if length.min() == 0.0:
         return None
-    turn = np.rint(np.stack((right / np.linalg.norm(right), up / np.linalg.norm(up)), axis=1)).astype(int)
+    turn = np.rint(sides / length).astype(int)
     (a, b), (c, d) = turn.tolist()
-    if ((a, b), (c, d)) not in QUARTER_TURNS:
+    if ((a, b), (c, d)) not in QUARTER_TURNS or ((sides / length) * turn).sum(axis=0).min() < ALONG:
         return None
     cell = patch.index[nearest] + np.floor(place)
-    i, j = np.rint(cell + 0.5 - turn @ (np.array(marker.square) + 0.5)).astype(int).tolist()
+    i, j = np.rint(cell + 0.5 - turn @ (np.array(square) + 0.5)).astype(int).tolist()
     return Placing(((a, b), (c, d)), (i, j))
 
 
@@ -172,12 +272,14 @@ def _opencv_board(squares: tuple[int, int], codes: Codes) -> Any:  # noqa: ANN40
     import cv2
 
     try:
-        return cv2.aruco.CharucoBoard(squares, 1.0, codes.marker_share, _dictionary(codes.dictionary))
+        board = cv2.aruco.CharucoBoard(squares, 1.0, codes.marker_share, _dictionary(codes.dictionary))
     except cv2.error as error:
         raise BoardError(
             f"OpenCV lays out no charuco board of {squares[0]} x {squares[1]} squares with {codes.dictionary}"
             f" ({error.err}); give what it was printed with"
         ) from None
+    board.setLegacyPattern(codes.layout == "legacy")
+    return board
 
 
 @lru_cache(maxsize=4)

@@ -92,7 +92,7 @@ def measure_lattice(
     error_px = max(patch.error_px for patch, _ in placed)
     smooth = on_smooth_map(index, start, axes, _deep(board, index))
     foreign = int(np.count_nonzero(~smooth))
-    if foreign > MOST_FOREIGN * len(index) or (discs_count and not _holds_discs(index[smooth], board)):
+    if foreign > MOST_FOREIGN * len(index) or (discs_count and not holds_discs(index[smooth], board)):
         raise TargetNotFound(
             f"{foreign} of {len(index)} corners do not lie on one smooth view of the board, as if seen through"
             " glass; take it away, or mask it and give a prediction of the view"
@@ -143,7 +143,7 @@ def measure_lattice(
     foreign += int(np.count_nonzero(~smooth))
     known_index, known_axes = known_index[smooth], known_axes[smooth]
     position, sigma, blurs = position[smooth], sigma[smooth], blurs[smooth]
-    if deep is not None and not _holds_discs(known_index, board):
+    if deep is not None and not holds_discs(known_index, board):
         raise TargetNotFound(
             "the large dots of the plate do not lie on one smooth view with most others; take away what hides or"
             " bends the view around them"
@@ -156,7 +156,7 @@ def measure_lattice(
     return BoardDetection(board, known_index, position, sigma, known_axes, blurs, refused)
 
 
-def _holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:
+def holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:
     """True if all four corners of every disc square, or all large dots, are among the corners (N, 2)."""
     have, size = {(int(i), int(j)) for i, j in index}, (0, 1) if board.dots is None else (0,)
     return all((i + a, j + b) in have for i, j in board.discs for a in size for b in size)

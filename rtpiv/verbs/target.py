@@ -46,6 +46,7 @@ def target(
     square_mm: float | None = None,
     size_mm: tuple[float, float] | None = None,
     seed: int = 1,
+    layout: Literal["new", "legacy"] = "new",
     out: Named | None = None,
 ) -> Target:
     """Write a target to print, as PDF at true size; or write down how large the printer made it.
@@ -68,6 +69,8 @@ def target(
         Width and height of the target; what a page does not hold goes on several.  Default: one page.
     seed : int
         Of particles: the same seed prints the same page.
+    layout : {"new", "legacy"}
+        Of charuco: which squares carry markers where the number of rows is even; legacy as OpenCV before 4.6.
     out : path, optional
         Folder, default ``target`` (or ``target-2`` ... where that has results): ``target.pdf`` and ``board.yaml``,
         which says what is printed.
@@ -92,6 +95,10 @@ def target(
 
     if kind == "particles" and square_mm is not None:
         raise RunUsageError("particles have no squares", cure="leave --square-mm out, or choose another --kind")
+    if kind != "charuco" and layout != "new":
+        raise RunUsageError(
+            "only charuco boards have a layout", cure="leave --layout out, or choose --kind charuco"
+        )
     if measured_mm is not None:
         return _measured(scene, measured_mm)
     screen, loaded = console(), scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
@@ -113,9 +120,10 @@ def target(
                 square_mm = seen.square_mm
                 screen.print(seen.sentence)
             square_mm = pages.whole_dots(square_mm or PLAIN_MM)
-            sheet = {"chessboard": sheets.chessboard, "charuco": sheets.charuco, "dots": sheets.dots}[kind](
-                size, square_mm
-            )
+            if kind == "charuco":
+                sheet = sheets.charuco(size, square_mm, layout)
+            else:
+                sheet = (sheets.dots if kind == "dots" else sheets.chessboard)(size, square_mm)
             words = f"rtpiv {kind}, {square_mm:.4g} mm."
         path = folder / "target.pdf"
         printed = pages.write_pages(path, sheet, paper, words)

@@ -238,6 +238,7 @@ class CodedBoard(PrintedBoard):
                 "no picture has whole pixels a cell of such markers; take a rounder share of the square"
             )
         board = cv2.aruco.CharucoBoard(self.squares, 1.0, share, names)
+        board.setLegacyPattern(self.codes.layout == "legacy")
         size = self.squares[0] * side, self.squares[1] * side
         return np.asarray(board.generateImage(size, marginSize=0, borderBits=1), dtype=np.uint8)
 

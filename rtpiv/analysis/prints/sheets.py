@@ -1,6 +1,6 @@
 """What is printed: sheets of dark shapes, or of particles, in mm about the origin that the scene shares with them.
 
-    chessboard   squares of one side, three discs around the origin (`tracer.board`): no part of it but those
+    chessboard   squares of one side, four discs around the origin (`tracer.board`): no part of it but those
                  tells where it is, and behind a ball their view must be clear
     charuco      squares with a coded marker in every bright one (OpenCV's aruco): any corner beside two markers
                  says which one it is, so half of the board may be hidden
@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.board import LARGE_DOTS, Board
+from tracer.board import CHIRAL, LARGE_DOTS, Board
 from tracer.errors import SceneError
 
 Kind = Literal["chessboard", "charuco", "dots", "particles"]
@@ -63,7 +63,7 @@ class Sheet:
 
 
 def chessboard(size_mm: tuple[float, float], square_mm: float) -> Sheet:
-    """Return the board that `rtpiv calibrate` knows best: squares, and three discs around the origin.
+    """Return the board that `rtpiv calibrate` knows best: squares, and four discs around the origin.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def chessboard(size_mm: tuple[float, float], square_mm: float) -> Sheet:
     Sheet
         With discs of 0.4 squares.
     """
-    board = Board(square_mm, round(0.4 * square_mm, 9))
+    board = Board(square_mm, round(0.4 * square_mm, 9), discs=CHIRAL)
     columns, rows = _whole(size_mm, square_mm, most=0)
     dark = [_box(i, j, square_mm) for i in range(*columns) for j in range(*rows) if (i + j) % 2 == 0]
     centres = (np.array(board.discs) + 0.5) * square_mm
@@ -86,13 +86,14 @@ def chessboard(size_mm: tuple[float, float], square_mm: float) -> Sheet:
     about: dict[str, Any] = {
         "square_mm": square_mm,
         "disc_mm": board.disc_mm,
+        "discs": [list(square) for square in board.discs],
         "squares": [columns[1] - columns[0], rows[1] - rows[0]],
         "origin_corner": [-columns[0], -rows[0]],  # from the lower left corner of the board
     }
     return Sheet("chessboard", _bounds(columns, rows, square_mm), dark, discs, on_bright, about=about)
 
 
-def charuco(size_mm: tuple[float, float], square_mm: float) -> Sheet:
+def charuco(size_mm: tuple[float, float], square_mm: float, layout: str = "new") -> Sheet:
     """Return a chessboard with a coded marker in each bright square, as OpenCV lays it out.
 
     Parameters
@@ -101,6 +102,8 @@ def charuco(size_mm: tuple[float, float], square_mm: float) -> Sheet:
         Width and height; whole squares fill it, as many as there are markers for.
     square_mm : float
         Side of a square.
+    layout : {"new", "legacy"}
+        Which squares carry markers where the number of rows is even.
 
     Returns
     -------
@@ -113,6 +116,7 @@ def charuco(size_mm: tuple[float, float], square_mm: float) -> Sheet:
     across, up = columns[1] - columns[0], rows[1] - rows[0]
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     board = cv2.aruco.CharucoBoard((across, up), square_mm, MARKER * square_mm, dictionary)
+    board.setLegacyPattern(layout == "legacy")
     height_mm = up * square_mm
     to_ours = np.array([columns[0] * square_mm, rows[0] * square_mm])
 
@@ -142,6 +146,7 @@ def charuco(size_mm: tuple[float, float], square_mm: float) -> Sheet:
         "marker_mm": round(MARKER * square_mm, 9),
         "squares": [across, up],
         "dictionary": "DICT_4X4_1000",
+        "layout": layout,
         "origin_corner": [-columns[0], -rows[0]],  # from the lower left corner of the board
     }
     return Sheet("charuco", _bounds(columns, rows, square_mm), dark, about=about)

@@ -75,7 +75,7 @@ def drawn(seed, kind=None):
         origin = None if origin is None else tuple(min(o, n - 1) for o, n in zip(origin, squares, strict=True))
     marks = {} if kind == "discs" else {"discs": ()}
     board = Chessboard(square, 0.4 * square, squares=squares, origin_corner=origin, **marks)
-    codes = Codes("DICT_4X4_1000", 0.7)
+    codes = Codes("DICT_4X4_1000", 0.7, "new")
     board = with_codes(board, codes) if kind == "charuco" else board
     if kind in ("dots", "plate"):
         of_dots = np.random.default_rng((seed, 5))

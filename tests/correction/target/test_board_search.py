@@ -14,6 +14,7 @@ from piv.errors import FrameError
 from tests.correction.frame_truth import FRAMES, nominal_projection, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
 from tests.slow_cases import slow
+from tracer.board import CHIRAL, OLDER
 
 BOARD = Chessboard()
 SHAPE = (420, 460)
@@ -307,3 +308,47 @@ def test_a_piece_of_lattice_apart_counts_where_the_largest_says(off, kept):
     axes = np.broadcast_to(12.0 * np.eye(2), (len(index), 2, 2))
     assert as_the_largest_piece_says(index, position, axes).tolist() == [True] * 64 + [kept] * 6
     assert as_the_largest_piece_says(index[:0], position[:0], axes[:0]).shape == (0,)
+
+
+TURNS = {
+    "mirror": lambda image: image[:, ::-1],
+    "upside down": lambda image: image[::-1],
+    "turned by half": lambda image: image[::-1, ::-1],
+    "turned by a quarter": lambda image: np.rot90(image),
+    "diagonal mirror": lambda image: image.T,
+}
+
+
+@pytest.mark.parametrize("how", TURNS)
+@pytest.mark.parametrize("discs", [OLDER, CHIRAL])
+def test_a_turned_or_mirrored_board_is_named(how, discs):
+    """Four discs tell a mirror image from a turn; three do not, and a diagonal mirror looks upright to them."""
+    board = Chessboard(discs=discs)
+    image = photographed(soft_board(view(2.0), (440, 440), discs=discs), 0)
+    mirrored = "mirror" in how or how == "upside down"
+
+    def predict(points):
+        return (219.0, 221.0) + 9.0 * points[:, :2] * (1.0, -1.0)
+
+    if how == "diagonal mirror" and discs == OLDER:
+        pytest.skip("nothing in the frame shows it")
+    words = (
+        "seen in a mirror: set ReverseX"
+        if mirrored and discs == CHIRAL
+        else r"turned by [+-](90|180|88|92|178) degrees"
+    )
+    with pytest.raises(TargetNotFound, match=words) as refused:
+        track_board(np.ascontiguousarray(TURNS[how](image)), board, predict, reach=6.0)
+    asked = "look the same in a mirror" in str(refused.value)
+    assert asked == (discs == OLDER and how != "turned by half")
+
+
+def test_new_prints_and_old_ones_are_read_by_files_of_both():
+    old, new = Chessboard(), Chessboard(discs=CHIRAL)
+    assert old.is_mirror_symmetric
+    assert not new.is_mirror_symmetric
+    print_ = photographed(soft_board(view(5.0), SHAPE, discs=CHIRAL), 0)
+    assert miss_mm(find_board(print_, old), view(5.0)) < 0.01
+    assert miss_mm(find_board(print_, new), view(5.0)) < 0.01
+    with pytest.raises(TargetNotFound, match=r"3 of the 4 discs .*leave discs out of board.yaml"):
+        find_board(rendered(view(5.0)), new)

@@ -16,6 +16,7 @@ from rtpiv.analysis.prints import pages, sheets
 from rtpiv.analysis.prints.choice import best_square, corners_of
 from rtpiv.command_line.cli import main
 from rtpiv.verbs.target import target
+from tracer.board import CHIRAL
 from tracer.errors import SceneError
 from tracer.scene.scene_file import load_scene
 
@@ -67,7 +68,7 @@ def picture(sheet, px_per_mm):
 
 
 def test_the_board_is_the_one_that_a_fit_looks_for():
-    board, sheet = Chessboard(2.5, 1.0), sheets.chessboard((60.0, 80.0), 2.5)
+    board, sheet = Chessboard(2.5, 1.0, discs=CHIRAL), sheets.chessboard((60.0, 80.0), 2.5)
     points = np.random.default_rng(4).uniform(-29.0, 29.0, (20_000, 2))
     assert np.array_equal(inked(sheet, points), board.shade(points) == 0.0)
 
