@@ -98,7 +98,8 @@ LABS ?= 100
 labs: $(STAMP)
 	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_many_labs.py tests/correction/fit/test_strangers.py
 
-# The same as a table, one row a lab, and labs that are photographed: make lab-table KIND=rendered LABS=300 WORKERS=8
+# The same as a table, one row a lab, and labs that are photographed: make lab-table KIND=rendered LABS=300 WORKERS=8;
+# KIND=faults are labs with one fault each of thirty kinds
 KIND ?= benches
 WORKERS ?= 2
 lab-table: $(STAMP)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from correction.errors import FitFailed
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.judge.result import SHARE_LIMIT, FitStep, rms_limit_px
-from correction.fit.judge.suspects import CLEAR
+from correction.fit.judge.suspect_words import CLEAR, target_heights
 from correction.fit.judge.verdict import PRIOR_LIMIT
 from correction.fit.levels_shown import levels_shown, look_like_levels
 from correction.fit.progress import Progress
@@ -47,6 +47,7 @@ from tracer.scene.fit_section import FitCameraTable
 from tracer.scene.scene import Scene
 
 LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold any lens
+HEIGHTS_FREED = 0.05  # share by which all heights of the target may be off
 ON_BARE = ("camera.", "target", "print.")  # numbers that the bare target tells of
 SURE = 3.0  # sigmas that the camera may be off
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
@@ -56,7 +57,7 @@ LARGE_DEG = 30.0  # what a turn of the board is believed to be
 def find_camera(work: Progress) -> None:
     """Fit the camera to the bare target, or say why none fits."""
     unknowns, solution = _fit_camera(work, work.bare_frames[:1], _reach(work))
-    if solution.pull > PRIOR_LIMIT and not lens_off_axis(work):
+    if solution.pull > PRIOR_LIMIT and not cause_on_bare(work):
         unknowns, solution = _follow_board(work, unknowns, solution)
     if len(work.bare_frames) > 1:
         unknowns, solution = _fit_camera(work, work.bare_frames[1:])
@@ -135,34 +136,60 @@ def _follow_board(work: Progress, unknowns: Unknowns, solution: Solution) -> tup
     return other, again
 
 
-def lens_off_axis(work: Progress) -> str:
-    """Say what the bare target shows of the lens if, once its terms are free, a camera as told explains it.
+def cause_on_bare(work: Progress) -> str:
+    """Say what explains the bare target with a camera as told, once it is free: the lens, or the target's heights.
 
-    Terms that are free explain a little of anything: by Schwarz's criterion they must be worth their number.
+    Numbers that are free explain a little of anything: by Schwarz's criterion they must be worth their number.
     """
+    told = work.unknowns.only((*ON_BARE, *work.walls))
+    before = Adjustment().solve(told, told.free(told.start), work.bare)
+    alone, numbers = _bare_rms_px(work, told, before.x), 2 * sum(map(len, work.bare))
+    found = []
+    for wider, say in ((_lens_freed(work), _lens_in_words), (_heights_freed(told), _heights_in_words)):
+        if wider is None:
+            continue
+        after = Adjustment().solve(wider, wider.free(wider.start), work.bare)
+        rms = _bare_rms_px(work, wider, after.x)
+        gain = 2.0 * numbers * np.log(alone / rms) + float(before.x @ before.x - after.x @ after.x)
+        gain -= (len(wider.names) - len(told.names)) * np.log(numbers)
+        if after.pull < PRIOR_LIMIT and rms < _limit_px(work) and gain > 0.0:
+            found.append((gain, say(told, wider, after, rms)))
+    return max(found)[1] if found else ""
+
+
+def _lens_freed(work: Progress) -> Unknowns:
+    """What is free on the bare target if any term of the lens may be."""
     free = {name: max(size, getattr(work.priors.camera, name)) for name, size in LENS_FREED.items()}
     camera = work.priors.camera.model_copy(update=free)
-    priors = work.priors.model_copy(update={"camera": camera})
-    wider = work.unknowns_of(work.nominal, priors)
-    told = work.unknowns.only((*ON_BARE, *work.walls))
-    freed = wider.only((*ON_BARE, *work.walls))
-    before, after = (Adjustment().solve(one, one.free(one.start), work.bare) for one in (told, freed))
-    rms, alone = (_bare_rms_px(work, one, fit.x) for one, fit in ((freed, after), (told, before)))
-    numbers = 2 * sum(map(len, work.bare))
-    gain = 2.0 * numbers * np.log(alone / rms) + float(before.x @ before.x - after.x @ after.x)
-    enough = (len(freed.names) - len(told.names)) * np.log(numbers)
-    if after.pull > PRIOR_LIMIT or rms > _limit_px(work) or gain < enough:
-        return ""
-    new = [name for name in freed.names if name not in told.names]
-    values = dict(zip(freed.names, after.x * freed.sigma, strict=True))
+    wider = work.unknowns_of(work.nominal, work.priors.model_copy(update={"camera": camera}))
+    return wider.only((*ON_BARE, *work.walls))
+
+
+def _heights_freed(told: Unknowns) -> Unknowns | None:
+    """The same if all heights of the target may be off by one factor; None if there is only one height."""
+    heights = np.zeros_like(told.start)
+    heights[told.place(0).start :] = HEIGHTS_FREED * told.start[told.place(0).start :]
+    if not heights.any():
+        return None
+    return replace(told, names=(*told.names, "heights"), columns=np.column_stack((told.columns, heights)))
+
+
+def _lens_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: float) -> str:
+    new = [name for name in wider.names if name not in told.names]
+    values = dict(zip(wider.names, after.x * wider.sigma, strict=True))
     spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
-    sigma = dict(zip(freed.names, freed.sigma * spread, strict=True))
+    sigma = dict(zip(wider.names, wider.sigma * spread, strict=True))
     found = [f"{name} {values[name]:+.2g}" for name in new if abs(values[name]) > CLEAR * sigma[name]]
     return (
         f"the lens is off its axis or distorts more than is told: with its terms free the bare target is where"
-        f" the camera shows it, to {rms:.2g} px, and {', '.join(found)} differ from what was held; free"
+        f" the camera shows it, to {rms_px:.2g} px, and {', '.join(found)} differ from what was held; free"
         f" {', '.join(LENS_FREED)} in fit.camera"
     )
+
+
+def _heights_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: float) -> str:
+    spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
+    return target_heights(HEIGHTS_FREED * after.x[-1:], HEIGHTS_FREED * spread[-1:])
 
 
 def _bare_rms_px(work: Progress, unknowns: Unknowns, x: NDArray[np.float64]) -> float:
@@ -188,7 +215,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
     lens = levels_shown(work, limit) if other else ""
     if fits and lens:
         raise FitFailed("levels of dots", rms_px, limit, lens)
-    lens = lens or ("" if fits else lens_off_axis(work))
+    lens = lens or ("" if fits else cause_on_bare(work))
     if not rms_px <= limit:
         raise FitFailed(
             "bare target",

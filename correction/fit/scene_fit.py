@@ -142,7 +142,7 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
     hidden = tuple(patch for patch in fit.verdict.hidden if not beside_rim(rims, patch.middle_px))
     verdict = replace(
         fit.verdict,
-        unlisted=compared.unlisted,
+        unlisted=tuple(one for one in compared.unlisted if one.rim_of not in {rim.ball for rim in off}),
         unconfirmed=lost,
         hidden=hidden,
         rims=rims,

@@ -29,6 +29,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.fit.judge import suspect_words as words
 from correction.fit.judge.model_test import CLIP
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
 from correction.fit.seen.pixel_lock import PixelLock, unlocked
@@ -47,7 +48,7 @@ from correction.fit.solve.solver import (
     residuals,
     touching,
 )
-from correction.fit.solve.unknowns import LENS, Unknowns, unit_of
+from correction.fit.solve.unknowns import LENS, Unknowns
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST
 from tracer.strategies.sensitivity import CAMERA, TARGET
 
@@ -58,10 +59,13 @@ REFIT_STEPS, KNEE = 40, 3.0  # sigmas beyond which a corner weighs less
 ROUNDS = 2
 UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
+HARDLY = 3.0  # sigmas by which a free number is pulled, from which those may be wrong
+HEIGHTS_ORDINARY = 0.02  # share by which all heights of the target are off
+MOVED_CAMERA = 0.8  # weight of a camera that has moved against a board: what is measured is seen by the camera
 CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
 LENS_TERM = 1.0
 BALL_ORDINARY = {"radius": 0.1, "n": 0.01}
-CLEAR = 4.0  # sigmas from which a lens term is named
+GIVEN_ORDINARY = CAMERA_ORDINARY | BALL_ORDINARY | dict.fromkeys("xyz", 0.5)
 PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 4.0
 
 
@@ -147,8 +151,8 @@ class _Candidate:
     `moves` (F, q) is what it does to the full vector: all zero if it is no change of the map by itself, or one
     that the vector cannot say, `is_shape`. `by_hand`: the fit section held it, which it need not. `board`: how it
     moves each corner's piece of the board (N, 6, q), for each frame, if that is what it moves. `is_alike`: its
-    numbers are of one kind and size. `since` (F, q): how the full vector is otherwise, per number, since the frames
-    with glass were taken, if it is that, and not the board, what has changed.
+    numbers are of one kind and size. `since` (F, q): how the full vector is otherwise, per number, since the
+    frames with glass were taken, if it is that, and not the board, what has changed.
     """
 
     ball: str
@@ -311,8 +315,9 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     added, unsaid_px = as_linear(unknowns, stands, other, moving)
     change = np.column_stack((other - stands + added, wider.columns @ open_still))
     of_own = one.ordinary[:, None] * np.column_stack((at[free:], open_still[free:]))
-    if one.since is not None:  # either the board has changed, or what looks at it: one as likely as the other
-        change = np.sqrt(0.5) * np.column_stack((change, change + one.since @ of_own))
+    if one.since is not None:  # either the board has changed, or what looks at it
+        shares = np.sqrt([1.0 - MOVED_CAMERA, MOVED_CAMERA])
+        change = np.column_stack((shares[0] * change, shares[1] * (change + one.since @ of_own)))
     worth = gain - size * np.log(count)
     found_now = replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
     return replace(found_now, unsaid_px=unsaid_px)
@@ -336,9 +341,10 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
         whitened.append(np.asarray(frame.corners.whiten) @ inverse)
         rates.append(whitened[-1] @ free_rates(every, full, frame.corners, rays))
     yield from _held_numbers(unknowns, full, rates)
+    yield from _given_numbers(unknowns, seen.x, rates)
     for ball, columns in _shape_columns(unknowns, full, seen, whitened).items():
         still = np.zeros((len(full), len(SHAPES)))
-        not_round, size = partial(_not_round, ball), np.full(len(SHAPES), SHAPE_MM)
+        not_round, size = partial(words.shape_of_ball, ball), np.full(len(SHAPES), SHAPE_MM)
         yield _Candidate(ball, size, columns, not_round, still, is_shape=True, is_alike=True)
     still = np.zeros((len(full), len(TARGET)))
     places = [unknowns.place(frame.corners.height_number) for frame in seen.frames]
@@ -346,8 +352,8 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     nodes_mm = np.concatenate([frame.corners.node_mm for frame in seen.frames])
     aside = -moved_as_board(unknowns, full)
     moves: tuple[tuple[NDArray[np.float64], Say, Columns, NDArray[np.float64] | None], ...] = (
-        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), _moved, _moved_ways(seen), aside),
-        (np.full(3, SAG_MM), partial(_bent, nodes_mm), _bent_ways(seen), None),
+        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), words.moved_board, _moved_ways(seen), aside),
+        (np.full(3, SAG_MM), partial(words.bent_board, nodes_mm), _bent_ways(seen), None),
     )
     for ordinary, say, board, since in moves:
         columns = [rate @ ways for rate, ways in zip(posed, board, strict=True)]
@@ -357,7 +363,9 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     focus = unknowns.full_names.index("camera.focal_px")
     behind = [rate[:, :, [focus]] * frame.corners.glass for rate, frame in zip(rates, seen.frames, strict=True)]
     longer = np.eye(len(full))[:, [focus]]
-    yield _Candidate("", np.array([CAMERA_ORDINARY["focal_px"]]), behind, _refocused, still[:, :1], since=longer)
+    yield _Candidate(
+        "", np.array([CAMERA_ORDINARY["focal_px"]]), behind, words.refocused_lens, still[:, :1], since=longer
+    )
 
 
 def _held_numbers(
@@ -377,7 +385,9 @@ def _held_numbers(
 
     terms = [f"camera.{term}" for term in LENS if f"camera.{term}" in held]
     if terms:
-        yield numbered("", np.full(len(terms), LENS_TERM), list(map(names.index, terms)), partial(_lens, terms))
+        yield numbered(
+            "", np.full(len(terms), LENS_TERM), list(map(names.index, terms)), partial(words.lens_terms, terms)
+        )
     for name in held:
         ball, part = name.split(".")
         ordinary = CAMERA_ORDINARY.get(part) if ball == "camera" else BALL_ORDINARY.get(part)
@@ -385,14 +395,14 @@ def _held_numbers(
             at = names.index(name)
             of = "" if ball == "camera" else ball
             by_hand = ball != "camera" and not unknowns.columns[at].any()  # else it moves with others of its glass
-            yield numbered(of, np.array([ordinary]), [at], partial(_off, name, full[at]), by_hand)
+            yield numbered(of, np.array([ordinary]), [at], partial(words.held_number, name, full[at]), by_hand)
     for body, numbers in unknowns.other_bodies.bodies:
         for number in numbers:
             name = f"{body.name}.{number.name}"
             if name in held:
                 size = np.array([2.0 * WALL.get(number.known, 0.5 * BALL_ORDINARY["n"])])
                 at = names.index(name)
-                yield numbered(body.name, size, [at], partial(_off, name, full[at]), True)
+                yield numbered(body.name, size, [at], partial(words.held_number, name, full[at]), True)
     for ball_number, place_of in unknowns.uneven.items():
         ball = unknowns.scene.spheres[ball_number].name
         every_term = list(zip(range(place_of.start, place_of.stop), DEGREES.tolist(), strict=True))
@@ -401,18 +411,39 @@ def _held_numbers(
         more = [(place, degree) for place, degree in every_term if degree <= highest and names[place] in held]
         if more:
             size = np.array([SHAPE_MM * (LOWEST / degree) ** 2 for _, degree in more])
-            yield numbered(ball, size, [place for place, _ in more], partial(_more_uneven, ball, highest))
+            yield numbered(ball, size, [place for place, _ in more], partial(words.finer_shape, ball, highest))
     for sphere in spheres:
         place = [f"{sphere.name}.{axis}" for axis in "xyz"]
         if set(place) <= set(held):
-            say = partial(_elsewhere, sphere.name)
+            say = partial(words.place_of_ball, sphere.name)
             yield numbered(sphere.name, np.full(3, PLACE_MM), list(map(names.index, place)), say, True)
     if spheres and not any(name.startswith("glass ") for name in unknowns.names):
         alike = [names.index(f"{sphere.name}.n") for sphere in spheres]
         columns = [rate[:, :, alike].sum(axis=2, keepdims=True) for rate in rates]
         moves = every[:, alike].sum(axis=1, keepdims=True)
-        say = partial(_other_glass, full[alike[0]])
+        say = partial(words.index_of_glass, full[alike[0]])
         yield _Candidate("", np.array([BALL_ORDINARY["n"]]), columns, say, moves, True)
+
+
+def _given_numbers(
+    unknowns: Unknowns, x: NDArray[np.float64], rates: Sequence[NDArray[np.float64]]
+) -> Iterator[_Candidate]:
+    """Free numbers that are pulled far beyond their sigmas, and the heights of the target by one factor."""
+    pulled = [*zip(unknowns.names, unknowns.columns.T, x.tolist(), strict=False)]
+    for name, column, off in pulled:
+        known = float(np.abs(column).max())
+        if abs(off) > HARDLY and known > 0.0:
+            move = (column / known)[:, None]
+            given = float(unknowns.start[np.argmax(move != 0.0)])
+            size = np.array([max(GIVEN_ORDINARY.get(name.rpartition(".")[2], 0.0), HARDLY * known)])
+            say = partial(words.tight_number, name, given, known)
+            ball = name.partition(".")[0]
+            yield _Candidate(ball, size, [rate @ move for rate in rates], say, move)
+    heights = np.zeros((len(unknowns.start), 1))
+    heights[unknowns.place(0).start :, 0] = unknowns.start[unknowns.place(0).start :]
+    if heights.any():
+        size = np.array([HEIGHTS_ORDINARY])
+        yield _Candidate("", size, [rate @ heights for rate in rates], words.target_heights, heights)
 
 
 def _moved_ways(seen: Evidence) -> Columns:
@@ -452,67 +483,3 @@ def _shape_columns(
         for number, ball in enumerate(names)
         if any(np.any(one.row == number) for one in crossed)
     }
-
-
-def _off(name: str, was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    unit, factor = unit_of(name)
-    text = f"{name} was held at {was * factor:.6g}{f' {unit}' if unit else ''} and seems to be off by"
-    cure = "free it in the fit section" if name.startswith("camera.") else "free it, or measure it"
-    return f"{text} {float(value[0]) * factor:+.2g} +- {float(sigma[0]) * factor:.1g}; {cure}"
-
-
-def _lens(terms: Sequence[str], value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    far = np.abs(value) / sigma
-    named = [
-        f"{name} {v:+.2g} +- {s:.1g}"
-        for name, v, s, many in zip(terms, value, sigma, far, strict=True)
-        if many > CLEAR or many == far.max()
-    ]
-    return f"a lens term is missing: the lens seems to have {', '.join(named)}; free it in fit.camera"
-
-
-def _elsewhere(ball: str, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    by = ", ".join(f"{axis} {v:+.3f}" for axis, v in zip("xyz", value, strict=True))
-    return f"the ball `{ball}` does not stand where it was held: it seems to be off by {by} mm"
-
-
-def _other_glass(was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    return (
-        f"the glass was held at n = {was:.5f} and seems to have {was + value[0]:.5f} +- {sigma[0]:.1g}; check the"
-        " glass, and the light of the target frames"
-    )
-
-
-def _not_round(ball: str, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    radii = np.linalg.eigvalsh(np.tensordot(value, np.array(SHAPES), axes=1))
-    differ = f"its radii seem to differ by {1e3 * (radii[-1] - radii[0]):.0f} um"
-    cure = "give its fit.named.out_of_round_um, and the fit finds its shape"
-    return f"the ball `{ball}` is not the sphere of the file: {differ}; {cure}"
-
-
-def _more_uneven(ball: str, degree: int, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    height = f"{1e3 * float(np.linalg.norm(value)):.1f} um rms in harmonics up to degree {degree}"
-    return (
-        f"the ball `{ball}` is out of round by {height} that were held; raise its out_of_round_degree to {degree}"
-    )
-
-
-def _moved(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    by = ", ".join(f"{axis} {v:+.3f}" for axis, v in zip("xyz", value[:3], strict=True))
-    return f"board or camera seem to have moved between the bare frames and those with glass, by {by} mm"
-
-
-def _refocused(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    return (
-        "the lens seems to have been focused or zoomed between the bare frames and those with glass: focal_px changed"
-        f" by {float(value[0]):+.2g} +- {float(sigma[0]):.1g} px; take all frames again with the focus locked"
-    )
-
-
-def _bent(nodes_mm: NDArray[np.float64], value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
-    """Say a bend over the corners (N, 2) that are seen: what is left of it beside the plane nearest to it."""
-    x, y = (nodes_mm / np.abs(nodes_mm).max(initial=1.0)).T
-    z = value[0] * x * x + value[1] * x * y + value[2] * y * y
-    plane = np.stack((np.ones_like(x), x, y), axis=1)
-    z -= plane @ np.linalg.lstsq(plane, z, rcond=None)[0]
-    return f"the board is not flat: over what is seen of it, it seems to bend by {1e3 * np.ptp(z):.0f} um"

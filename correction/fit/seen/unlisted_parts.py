@@ -18,7 +18,7 @@ ball that bends it is the one on its way of which other views confirm least, or 
 shows it (`rims_seen`), which is an alarm of its own.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -193,7 +193,7 @@ def compare_views(
             known = [part for one in found for part in one.masked]  # in another frame
             if not any(pixels_in(part, agrees.shape)[row, column] for part in known):
                 way = text_of(rays.branches[int(rays.branch[row, column])])
-                rim_of = _rim_of(np.concatenate(body), seen, place)
+                rim_of = _rim_of(np.concatenate(body), seen, place, rims)
                 found.append(Unlisted(view.name, way, sum(map(len, body)), outlines, rim_of))
     by_size = tuple(sorted(found, key=lambda one: -one.pixels))
     return Compared(by_size, tuple(misfits.values()), tuple(rims.values()))
@@ -222,13 +222,16 @@ def _misfits(
         for ball in {ball for way in shown.rays.branches for ball in way}
     }
     named: set[str] = set()
-    for at in sorted(np.flatnonzero(wrong >= max(FEWEST, least_px)).tolist(), key=lambda at: -wrong[at]):
+    found = np.flatnonzero(wrong >= max(FEWEST, least_px)).tolist()
+    for at in sorted(
+        found, key=lambda at: (len(shown.rays.branches[at]), -wrong[at])
+    ):  # balls by themselves first
         way = shown.rays.branches[at]
         everywhere = 0.0 if named & set(way) else ALL_OVER  # another view of a wrong ball may show it in one place
         if way and (
             wrong[at] > MISFIT * asked[at] or _beside_edges(number == at, against, shown, board, everywhere)
         ):
-            suspect = min(way, key=lambda ball: (ball not in rims, good[ball]))
+            suspect = min(way, key=lambda ball: (ball not in rims, ball not in named, good[ball]))
             named.add(suspect)
             yield Misfit(text_of(way), float(wrong[at] / asked[at]), suspect, frame)
 
@@ -252,15 +255,19 @@ def _beside_edges(
     return bool(near and spread[0] > everywhere * spread[1])
 
 
-def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float]) -> str:
-    """Name of the ball whose rim may be seen at nearly all of these pixels (N, 2); empty if there is none."""
+def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float], whole: Collection[str]) -> str:
+    """Name of the ball whose rim may be seen at nearly all of these pixels (N, 2); empty if there is none.
+
+    Of balls that are masked as a `whole`, what lies within the rim is theirs as well.
+    """
     way = scene.camera.directions(pixels[:, ::-1].astype(np.float64))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     for ball in scene.spheres:
         away = np.array(ball.centre_mm) - np.array(scene.camera.position_mm)
         far = float(np.linalg.norm(away))
         aside = np.arccos(np.clip(way @ (away / far), -1.0, 1.0)) - np.arcsin(min(ball.radius_mm / far, 1.0))
-        near = np.abs(aside) * far < UNSURE * place_mm.get(ball.name, 0.0)
+        beside = aside if ball.name in whole else np.abs(aside)
+        near = beside * far < UNSURE * place_mm.get(ball.name, 0.0)
         if np.mean(near) > NEARLY_ALL:
             return ball.name
     return ""

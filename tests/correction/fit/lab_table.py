@@ -3,16 +3,19 @@
     python -m tests.correction.fit.lab_table corners --labs 300 --workers 16 -o labs.csv
     python -m tests.correction.fit.lab_table rendered --labs 300 --workers 16 -o labs.csv
     python -m tests.correction.fit.lab_table benches --labs 5 --workers 16 -o benches.csv
+    python -m tests.correction.fit.lab_table faults --labs 300 --workers 16 -o faults.csv
 
 The corners of the first err as fitted corners of rendered frames do (`drawn_labs`); the others are photographed by
-the independent renderer and fitted (`rendered_labs`): strangers, every second one right, and each named bench so
-many times.  A row has what the fit said and, behind glass and beside it, the map's error, its sigma, chi (root
-mean square of error over sigma) and the share of errors within one sigma.  At the end the rows are summed by kind:
-chi counts each lab once there, since the errors of one lab belong together.
+the independent renderer and fitted: strangers, every second one right, and each named bench so many times
+(`rendered_labs`); the last have one fault each (`faulty_labs`), every seventh none, and count whether the words
+are those of the fault.  A row has what the fit said and, behind glass and beside it, the map's error, its sigma,
+chi (root mean square of error over sigma) and the share of errors within one sigma.  At the end the rows are
+summed by kind: chi counts each lab once there, since the errors of one lab belong together.
 """
 
 import argparse
 import csv
+import re
 import sys
 import time
 from collections.abc import Iterable
@@ -26,7 +29,7 @@ from numpy.typing import NDArray
 from correction.errors import CorrectionError
 from correction.fit.judge.result import SceneFit
 from correction.fit.judge.weakness import weaknesses
-from tests.correction.fit import drawn_labs, rendered_labs
+from tests.correction.fit import drawn_labs, faulty_labs, rendered_labs
 from tests.correction.fit.strangers import stranger
 
 KNOWN_PX = 0.1  # larger sigmas are what a scene leaves open, and come from what was believed beforehand
@@ -34,6 +37,7 @@ SILENT = 2.5  # chi from which a lab without an alarm is wrong in silence, if it
 COSTLY_PX = 0.02
 SILENTLY_OFF = 0.003  # share of nodes that may show another place: those on the very rim
 FIRST = 71000
+FAULTY, RIGHT = "faults", 7  # every so many of these labs have no fault
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class Row:
     beside_chi: float = float("nan")
     beside_covered: float = float("nan")
     seconds: float = float("nan")
+    is_named: bool = False  # among the words are those of the fault
     words: str = ""
 
     @property
@@ -72,6 +77,13 @@ def fitted(row: Row) -> Row:
             drawn = drawn_labs.drawn_lab(row.seed, row.fault, draw=stranger)
             fit, off = drawn.fit, 0.0
             behind, beside = (drawn.error_px, drawn.sigma_px), drawn.beside[1:]
+        elif row.kind == FAULTY:
+            case = faulty_labs.faulty(row.fault, row.seed)
+            photos = tuple(case.frames(row.seed))
+            lab = rendered_labs.compared(
+                rendered_labs.Photographed(case.given, case.glass, case.board, photos, case.priors)
+            )
+            fit, behind, beside, off = lab.fit, lab.behind, lab.beside, lab.off
         else:
             lab = rendered_labs.compared(rendered_labs.photographed(row.kind, row.seed, row.fault))
             fit, behind, beside, off = lab.fit, lab.behind, lab.beside, lab.off
@@ -81,6 +93,9 @@ def fitted(row: Row) -> Row:
         row = replace(row, said="refused", words=str(refusal))
     except Exception as error:  # a row of the table, and none of the others lost
         row = replace(row, said="error", words=f"{type(error).__name__}: {error}")
+    if row.kind == FAULTY and row.said in ("alarm", "refused"):
+        sought = faulty_labs.faulty(row.fault, row.seed).words
+        row = replace(row, is_named=any(re.search(words, row.words) for words in sought))
     return replace(row, seconds=time.process_time() - began)
 
 
@@ -107,6 +122,12 @@ def asked(what: str, labs: int, first: int) -> list[Row]:
     """Rows to be filled."""
     if what == "benches":
         return [Row(name, "", first + n) for n in range(labs) for name in rendered_labs.BENCHES]
+    if what == FAULTY:
+        every = ["", *faulty_labs.KINDS]
+        order = [
+            every[0] if n % RIGHT == 0 else every[1 + (n - n // RIGHT - 1) % (len(every) - 1)] for n in range(labs)
+        ]
+        return [Row(what, fault, first + n) for n, fault in enumerate(order)]
     kind, faults = {
         "corners": ("corners", ("index", "ball off", "lens term", "bent board")),
         "rendered": ("stranger", rendered_labs.FAULTS),
@@ -122,9 +143,10 @@ def summed(rows: Iterable[Row]) -> str:
         said = {word: sum(row.said == word for row in own) for word in ("right", "alarm", "refused", "error")}
         silent = [row.seed for row in own if row.is_silent]
         lines.append(
-            f"{kind:17s} {fault or 'right':13s} {len(own):4d}: "
+            f"{kind:17s} {fault or 'right':29s} {len(own):4d}: "
             + ", ".join(f"{count} {word}" for word, count in said.items())
             + "; "
+            + (f"named {sum(row.is_named for row in own)}; " if kind == FAULTY and fault else "")
             + "; ".join(_region(name, own) for name in ("behind", "beside"))
             + f"; wrong in silence {silent}"
         )
@@ -147,7 +169,7 @@ def _region(name: str, rows: list[Row]) -> str:
 def main() -> None:
     """Fit so many labs, each row written as it is found."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    ask.add_argument("what", choices=("corners", "rendered", "benches"))
+    ask.add_argument("what", choices=("corners", "rendered", "benches", FAULTY))
     ask.add_argument("--labs", type=int, default=20)
     ask.add_argument("--first", type=int, default=FIRST)
     ask.add_argument("--workers", type=int, default=1)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from correction.errors import FitFailed
 from correction.fit import camera_stage
 from correction.fit.adjustment import Adjustment
-from correction.fit.camera_stage import find_camera, lens_off_axis, turned
+from correction.fit.camera_stage import cause_on_bare, find_camera, turned
 from correction.fit.judge.result import check
 from correction.fit.judge.suspects import Suspect
 from correction.fit.judge.verdict import Verdict
@@ -94,7 +94,7 @@ def test_a_board_that_hangs_askew_is_followed_and_no_lens_is_blamed():
 
 def test_a_right_camera_names_nothing():
     work = bare_stage(10, 0.0)
-    assert not lens_off_axis(work)
+    assert not cause_on_bare(work)
 
 
 def test_a_flint_ball_whose_index_is_held_wrong_is_named_and_not_the_radius_that_took_it_up():
