@@ -144,11 +144,16 @@ def _why_none(work: Progress, scene: Scene) -> str:
     """Why no corner behind glass could be measured, as far as the scene tells, as given and as it is now."""
     pose = work.unknowns.pose(work.full, work.height_number(work.glass_frames[0]))
     given, _ = legal_scene(work.unknowns, work.unknowns.start)
-    width = min(square_behind_px(one, pose, work.board) for one in (given, scene))
-    if width < LEAST_SQUARE_PX:
+    widths = [square_behind_px(one, pose, work.board) for one in (given, scene)]
+    if 0.0 < widths[0] < LEAST_SQUARE_PX:
         return (
-            f"squares look {width:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"
-            f" print them {LEAST_SQUARE_PX / max(width, 0.1):.1f} times as large, or take a longer lens"
+            f"squares look {widths[0]:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"
+            f" print them {LEAST_SQUARE_PX / max(widths[0], 0.1):.1f} times as large, or take a longer lens"
+        )
+    if widths[1] < LEAST_SQUARE_PX:  # the search has gone astray: of the scene as given that says nothing
+        return (
+            "no corner is seen where the scene shows one behind glass: check radius, glass and place of each ball,"
+            " whether a ball is hollow (give its core) or not listed, and the focus of the frame"
         )
     if not expect(given, pose, work.board).branch.any():
         return (

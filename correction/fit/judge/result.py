@@ -218,8 +218,8 @@ def check(fit: SceneFit) -> None:
         Naming gate, value and limit.
     """
     cure = (
-        "check that the scene lists every sphere, its radius and glass, that the board fills the view behind the"
-        " glass, and that nothing moved between frames"
+        "check that the scene lists every sphere, its radius and glass, and the core of a hollow one, that the"
+        " board fills the view behind the glass, and that nothing moved between frames"
     )
     if fit.verdict.alarms:
         cure = f"{fit.verdict.sentences[0]}; {cure}"

@@ -1,0 +1,115 @@
+"""The table of messages in the docs holds every refusal of the fit, as the code words it, with a test of each."""
+
+import ast
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from correction.errors import FitFailed
+from correction.fit import camera_stage, glass_stage
+from correction.fit.camera_stage import find_camera
+from correction.fit.progress import Progress
+from correction.fit.seen.measurement import MeasuredFrame, TargetFrame
+from tests.correction.fit.drawn_labs import photographed
+from tests.correction.fit.drawn_optics import Lab
+from tests.correction.fit.faulty_labs import right
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
+
+HOME = Path(__file__).parents[3]
+PAGE = (HOME / "docs" / "calibration-messages.md").read_text(encoding="utf-8")
+ROWS = [[cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.splitlines() if line.startswith("| `")]
+CODE = sorted((HOME / "correction" / "fit").rglob("*.py"))
+REFUSALS = ("FitFailed", "GlassNotSeen", "ViewsMissing", "FrameError")
+
+
+def words_in(tree: ast.AST) -> str:
+    """All that a piece of code says, one literal after the other."""
+    nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    return "".join(str(node.value) for node in sorted(nodes, key=lambda node: (node.lineno, node.col_offset)))
+
+
+def fragments(row: list[str]) -> list[str]:
+    return re.findall(r"`([^`]+)`", row[0])
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: fragments(row)[0])
+def test_every_message_of_the_table_is_one_of_the_code_and_has_a_test(row):
+    said = "\n".join(words_in(ast.parse(path.read_text(encoding="utf-8"))) for path in CODE)
+    assert all(fragment in said for fragment in fragments(row))
+    file, _, name = row[3].strip("`").partition("::")
+    text = (Path(__file__).parent / file).read_text(encoding="utf-8")
+    assert f"def {name}(" in text if name else "def test_" in text
+
+
+def test_every_refusal_of_the_code_is_in_the_table():
+    known = [fragment for row in ROWS for fragment in fragments(row)]
+    missing = []
+    for path in CODE:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                kind, said = getattr(node.exc.func, "id", ""), words_in(node.exc)
+                if kind in REFUSALS and len(said) > 20 and not any(one in said for one in known):
+                    missing.append(f"{path.name}:{node.lineno}: {said[:60]}")
+    assert not missing
+
+
+def test_what_the_search_has_made_of_a_scene_is_no_reason_to_print_larger_squares(monkeypatch):
+    """Squares of the scene as given are wide; where the search has gone astray they may look narrow."""
+    case = right(1)
+    widths = iter((25.0, 3.0))
+    monkeypatch.setattr(glass_stage, "square_behind_px", lambda *given: next(widths))
+    monkeypatch.setattr(glass_stage, "legal_scene", lambda *given: (case.given, 0.0))
+    unknowns = SimpleNamespace(pose=lambda *given: None, start=None)
+    work = SimpleNamespace(
+        unknowns=unknowns, full=None, height_number=lambda frame: 0, glass_frames=[None], board=case.board
+    )
+    said = glass_stage._why_none(work, case.given)
+    assert "print" not in said
+    assert all(word in said for word in ("radius", "glass", "hollow", "not listed"))
+
+
+def bare_fit(share: float, told: float) -> Progress:
+    """The camera's stage with bare targets at three heights, all off by a share, of which one is told."""
+    case = right(2)
+    camera = case.bare.camera
+    view = camera.position_mm[2] * camera.sensor_px[0] / camera.focal_px
+    heights = (0.0, -0.12 * view, 0.12 * view)
+    found: dict[float, MeasuredFrame] = {}
+    for number, height in enumerate(heights):
+        true, rng = height * (1.0 + share), np.random.default_rng((59, number))
+        x, y, z = camera.position_mm
+        below = Scene(replace(camera, position_mm=(x, y, z - true)), ())  # the world, seen from the board
+        found[height] = photographed(below, Lab(below.camera, ()), case.board, False, 0.01, 0.01, rng)
+    image = np.arange(16, dtype=np.uint16).reshape(4, 4)
+    frames = [TargetFrame(f"bare{h:+g}", image, False, h * (1.0 + told)) for h in heights]
+    work = Progress(
+        case.given, [*frames, TargetFrame("glass", image, True)], case.board, FitTable(), lambda _: None
+    )
+    measured = {frame.name: found[h] for frame, h in zip(frames, heights, strict=True)}
+
+    def taken(
+        frame: TargetFrame, board: object, camera: object, number: int, reach: object
+    ) -> tuple[object, object]:
+        one = measured[frame.name]
+        return replace(one, corners=replace(one.corners, height_number=number)), board
+
+    with pytest.MonkeyPatch.context() as context:
+        context.setattr(camera_stage, "bare_frame", taken)
+        find_camera(work)
+    return work
+
+
+@pytest.mark.parametrize("share", [0.03, -0.03])
+def test_heights_that_are_off_by_one_factor_are_named_and_followed_by_a_right_fit(share):
+    with pytest.raises(FitFailed, match="heights of the target seem to be") as refused:
+        bare_fit(share, 0.0)
+    assert ("too small" if share > 0.0 else "too large") in str(refused.value)
+    named = float(re.search(r"seem to be ([\d.]+)", str(refused.value))[1])
+    assert named == pytest.approx(3.0, abs=0.5)
+    work = bare_fit(share, float(np.sign(share)) * 0.01 * named)  # the advice, followed
+    assert np.abs(work.unknowns.free(work.full)).max() < 3.0
