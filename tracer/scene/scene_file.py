@@ -43,6 +43,7 @@ import yaml
 
 from ground.config import Document, Place, open_document, require_kind, validate
 from ground.errors import ConfigError, Problem
+from ground.terminal import say_once
 from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
@@ -52,6 +53,7 @@ from tracer.medium_table import medium_of, written
 from tracer.scene.fit_section import SHAPE_KEYS, FitSphereTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.scene.scene_tables import SceneTable
+from tracer.scene.touching import moved_apart
 from tracer.scene.view import view_problems
 
 T = TypeVar("T")
@@ -96,9 +98,14 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
             text = f"sheet: a light sheet at z = {sheet.z_mm:g} mm lies behind the camera; is z_mm right?"
             problems.append(Problem(document.line(("sheet",)), text))
         try:
-            scene = Scene(
-                camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM, sheet, masked=tuple(masked)
-            )
+            placed, steps_mm = moved_apart(bodies, table.fit)
+            scene = Scene(camera, placed, table.wavelength_nm, ambient or VACUUM, sheet, masked=tuple(masked))
+            if steps_mm:
+                each = ", ".join(f"{name} by {step:.2g} mm" for name, step in steps_mm.items())
+                say_once(
+                    f"{document.path}: overlapping balls were moved apart within the sigma of their"
+                    f" centres: {each}"
+                )
         except SceneError as error:
             for name, text in error.problems:
                 at = ("bodies", names.index(name)) if name in names else ("ambient",)
