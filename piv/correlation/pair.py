@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.blas import one_blas_thread
 from ground.memory import require_memory
 from piv.correlation.agreement import LEAST_BLOCKS, agreed, resolution_of
 from piv.correlation.correlate import peak_ratios
@@ -44,7 +45,7 @@ from piv.correlation.prepare import Pair, checked, prepared
 from piv.correlation.refine import refine, window_weights
 from piv.correlation.resolution import Window, matched_share, unmatched_px, unresolved_px
 from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
-from piv.correlation.settings import PivSettings
+from piv.correlation.settings import FOUND_WINDOWS, PivSettings
 from piv.correlation.sizes import Sizes, leaning_of, matched
 from piv.correlation.uncertainty import (
     LARGEST_PX,
@@ -95,6 +96,7 @@ def static_share(still: Floats, vectors: Floats, spread_px2: float) -> float:
     return float(np.median(known)) if len(known) >= FEWEST_MOVED else float("nan")
 
 
+@one_blas_thread()
 def evaluate_pair(
     frame_a: NDArray[Any],
     frame_b: NDArray[Any],
@@ -112,7 +114,7 @@ def evaluate_pair(
     valid : ndarray of bool, shape (H, W), optional
         True where the frames show the flow; default everywhere.
     settings : PivSettings, optional
-        How to evaluate.
+        How to evaluate; default as the command does: each place finds its window, 32 or 16 px.
     threads : int, optional
         Threads to use; default all cores of the process.
     still : ndarray of bool, shape (H, W), optional
@@ -132,7 +134,7 @@ def evaluate_pair(
     MemoryShort
         The passes do not fit into memory.
     """
-    settings = settings or PivSettings()
+    settings = settings or FOUND_WINDOWS
     size = np.shape(frame_a)
     require_memory(
         BYTES_PER_PX * float(np.prod(size)), f"evaluating a pair of {' x '.join(map(str, size[::-1]))} px"

@@ -178,3 +178,6 @@ def _require(name: str, value: Any) -> None:  # noqa: ANN401 - a number, where t
     if not all(holds(value, limit) for _, limit, holds in rules):
         said = " and ".join(f"{words} {limit:g}" for words, limit, _ in rules)
         raise PairError(f"{name} should be {said}, got {value}")
+
+
+FOUND_WINDOWS = PivSettings(finest_px=16)  # the default of an evaluation: each place finds its windows

@@ -70,7 +70,9 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation)))
     if evaluation.map_sigma is not None:
         tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
-        tables.append(("errors against their sigma; it claims 68 and 95 %", CLAIM_HEAD, claim_rows(evaluation)))
+        tables.append(
+            ("errors against their total sigma; it claims 68 and 95 %", CLAIM_HEAD, claim_rows(evaluation))
+        )
     if evaluation.routes is not None:
         tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
     if evaluation.tracks is not None:

@@ -153,6 +153,26 @@ class Evaluation:
         return said if self.slant is None else {**said, "out_of_plane": self.slant.said}
 
     @property
+    def sigma_parts_px(self) -> dict[str, NDArray[np.float64]]:
+        """Known parts (ny, nx, 2) of the standard uncertainty of u and v, by what they come from."""
+        random = np.stack((self.field.sigma_u_px, self.field.sigma_v_px), axis=-1)
+        unresolved = self.field.resolution_px
+        parts = {
+            "random sigma": random,
+            "not resolved by the windows": None if unresolved is None else np.stack((unresolved,) * 2, axis=-1),
+            "sigma by the fitted map": None if self.map_sigma is None else self.map_sigma.displacement_px,
+            "sigma by the flow through the sheet": None if self.slant is None else self.slant.sigma_px,
+        }
+        return {name: part for name, part in parts.items() if part is not None}
+
+    @property
+    def total_sigma_px(self) -> NDArray[np.float64]:
+        """Standard uncertainty (ny, nx, 2) of u and v by all that is known; of files, pages and verdicts."""
+        parts = list(self.sigma_parts_px.values())
+        total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))
+        return np.where(np.isnan(parts[0]), np.nan, total)
+
+    @property
     def scale_doubts(self) -> tuple[str, ...]:
         """Sentences that ask whether scale and time are right, where the vectors are not plausible."""
         moved_px = np.hypot(self.field.u_px, self.field.v_px)[self.field.valid]
@@ -166,7 +186,9 @@ class Evaluation:
         """The pair as a series of one, with all that is known of its quality."""
         task, field, settings = self.task, self.field, self.settings
         windows = settings.result_grid(self.grid.shape)
-        more = quality_of(field, self.grid, self.map_sigma, self.by_velocity, task.dt_s, self.slant)
+        more = quality_of(
+            field, self.grid, self.total_sigma_px, self.map_sigma, self.by_velocity, task.dt_s, self.slant
+        )
         slope = None if self.slant is None else self.slant.through.slope
         result = PairResult(task.name, field, task.dt_s)
         return vectors_of_pairs([result], windows, self.grid, self.about, more, slope)

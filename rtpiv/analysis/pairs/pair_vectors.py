@@ -225,6 +225,7 @@ def _units(timed: bool) -> dict[str, str]:
 def quality_of(
     field: VectorField,
     grid: PlaneGrid,
+    total_sigma_px: Floats,
     map_sigma: VectorMapSigma | None = None,
     by_velocity: NDArray[np.bool_] | None = None,
     dt_s: float | None = None,
@@ -232,12 +233,8 @@ def quality_of(
 ) -> dict[str, NDArray[Any]]:
     """Fields (1, ny, nx) of a pair that is evaluated alone, beside its vectors; see the top of this file."""
     found: dict[str, NDArray[Any]] = {"peak_ratio": field.peak_ratio, "valid_fraction": field.valid_fraction}
-    parts = [field.total_sigma_px]
-    parts += [] if map_sigma is None else [map_sigma.displacement_px]
-    parts += [] if slant is None else [slant.sigma_px]
-    total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0)) * per_px(grid.pitch_mm, dt_s)
     for number, along in enumerate("uv"):
-        found[f"total_sigma_{along}"] = np.where(np.isnan(parts[0][..., number]), np.nan, total[..., number])
+        found[f"total_sigma_{along}"] = total_sigma_px[..., number] * per_px(grid.pitch_mm, dt_s)
         if slant is not None:
             found[f"slant_sigma_{along}"] = slant.sigma_px[..., number] * per_px(grid.pitch_mm, dt_s)
     if map_sigma is not None:

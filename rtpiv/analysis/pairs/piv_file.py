@@ -24,6 +24,7 @@ from pydantic import create_model
 from ground.config import Document, Table, load_yaml, validate
 from ground.errors import ConfigError, Problem
 from piv.correlation.settings import (
+    FOUND_WINDOWS,
     SMALLEST_WINDOW_PX,
     AboveZero,
     ExtraPasses,
@@ -40,7 +41,10 @@ from rtpiv.options.numbers import steps
 
 Window = Literal["gaussian", "square"]
 Side = Annotated[int, Interval(ge=SMALLEST_WINDOW_PX, le=1024)]
-FINAL_PX, FINEST_PX = 32, 16  # sides of the windows that places find, unless something is said of either
+FINAL_PX, FINEST_PX = (
+    FOUND_WINDOWS.windows_px[-1],
+    FOUND_WINDOWS.finest_px,
+)  # sides of the windows that places find, unless something is said of either
 LEAST_VALID = 0.15  # share of windows; of unlike frames 0.02 to 0.1 are valid
 LARGEST_FIRST = 2  # times the last window at least: a first window as small as that finds next to nothing
 

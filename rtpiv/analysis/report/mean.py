@@ -36,6 +36,9 @@ from rtpiv.analysis.through_glass import through_glass
 SHOWN_PAIRS = 60
 NOT_KNOWN = {"timing error of dt": "not stated"}  # by whoever wrote the plan
 
+HIGH = 0.99  # of all speeds
+LEAST_AROUND = 5  # of eight neighbours that are valid
+
 
 def write_mean_page(
     path: Path,
@@ -121,15 +124,19 @@ def write_mean_page(
 def mean_lead(
     mean: MeanFlow, regions: Regions, behind_any: bool = True
 ) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
-    """The highest mean velocity, behind glass if anything is, and the parts of its uncertainty, along itself."""
+    """Return a high mean speed, behind glass if anything is, and the parts of its uncertainty, along itself.
+
+    It is the speed that 1 % of the places exceed, of those with valid neighbours: the largest of all is often one
+    vector at the border of the view.
+    """
     known = (mean.count > 0) & np.isfinite(mean.total_sigma_m_s).all(axis=-1)
     behind = known & (regions.region == Region.GLASS)
     where, name = (behind, " behind glass") if behind.any() else (known, " seen directly" if behind_any else "")
     head = ("parts of its uncertainty", "m/s", "px")
     if not where.any():
-        return "-", f"highest mean velocity{name}", head, []
-    speed = np.where(where, np.linalg.norm(mean.mean_m_s, axis=-1), -1.0)
-    top = np.unravel_index(int(np.argmax(speed)), speed.shape)
+        return "-", f"high mean speed{name}", head, []
+    speed = np.linalg.norm(mean.mean_m_s, axis=-1)
+    top = high_place(speed, where)
     along = mean.mean_m_s[top] / max(float(speed[top]), 1e-300)
 
     def of_it(part: NDArray[np.float64]) -> float:
@@ -149,8 +156,30 @@ def mean_lead(
         ]
         rows.append((what, *numbers))
     there = " there" if name else ""
-    said = f"highest mean velocity{name}, one vector of {int(where.sum())}{there}, and its standard uncertainty"
+    said = f"mean speed{name} that 1 % of {int(where.sum())} places{there} exceed, and its standard uncertainty"
     return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} m/s", said, head, rows
+
+
+def high_place(speed: NDArray[np.float64], where: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the place whose speed 1 % of others exceed, one at least, of those with most neighbours valid.
+
+    Parameters
+    ----------
+    speed : ndarray (ny, nx)
+        Of the mean.
+    where : ndarray of bool (ny, nx)
+        Places that count, one at least.
+    """
+    padded = np.pad(where, 1).astype(int)
+    rows, columns = where.shape
+    around = sum(padded[i : i + rows, k : k + columns] for i in range(3) for k in range(3)) - where
+    for least in (LEAST_AROUND, 1, 0):
+        usable = where & (around >= least)
+        if usable.any():
+            break
+    level = np.quantile(speed[usable], HIGH, method="lower")
+    row, column = np.argwhere(usable & (speed == level))[0]
+    return int(row), int(column)
 
 
 def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:

@@ -34,6 +34,7 @@ from rtpiv.analysis.report.tables import (
     Total,
     budget_rows,
     claim_rows,
+    claim_said,
     coverage_of,
     image_rows,
     is_plain,
@@ -49,6 +50,7 @@ from rtpiv.analysis.report.tables import (
     sigma_rows,
     totals_of,
     track_rows,
+    worst_claim,
 )
 from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
@@ -92,14 +94,14 @@ def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, 
             f"of {asked} nodes{'' if total.is_plain else ' there'}",
         )
     ]
-    found = coverage_of(evaluation, where)
+    found, worst = coverage_of(evaluation, where), worst_claim(evaluation)
     if found is not None:
         inside = "{:.0f}, {:.0f} %".format(*(100 * share for share in found.within_1))
         tiles.append(
             (
                 inside,
-                "of their errors u, v within 1 sigma, random and map, after removing the common offset",
-                f"68 % claimed: sigma is {found.claim}",
+                "of their errors u, v within 1 total sigma, after removing the common offset",
+                f"68 % claimed: {'too few vectors to judge' if worst is None else claim_said(*worst)}",
             )
         )
         tiles.append(
@@ -282,7 +284,7 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
     if claims := claim_rows(evaluation):
         caption = (
-            "How the errors keep to random and map sigma together, the common error of the stage taken off; sigma "
+            "How the errors keep to the total sigma, the common error of the stage taken off; sigma "
             "claims 68 % within 1 sigma and 95 % within 2. As claimed: what chance does in 95 of 100 cases to "
             "errors of vectors whose windows do not overlap, or within 10 %"
         )

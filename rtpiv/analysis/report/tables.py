@@ -33,6 +33,7 @@ from rtpiv.analysis.pictures.rasters import COLOURS, web
 GLASS, DIRECT = "behind glass", "seen directly"
 ALL = "all"  # where nothing stands before the camera
 REGIONS = {GLASS: Region.GLASS, DIRECT: Region.DIRECT}
+HALF_LOG_2 = 0.5 * np.log(2.0)  # of two components that are right
 Pair = tuple[float, float]
 
 
@@ -120,7 +121,7 @@ def totals_of(evaluation: Evaluation) -> list[Total]:
 
 
 def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total:
-    field, result, joined = evaluation.field, evaluation.shift, evaluation.map_sigma
+    result = evaluation.shift
     count = int(where.sum())
     if result is not None:
         found = result.regions[name]
@@ -132,13 +133,7 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
             True,
             is_plain(evaluation),
         )
-    parts = [("random sigma", _rms_uv(_random(field)[where]))]
-    if field.resolution_px is not None:
-        parts.append(("not resolved by the windows", _rms_uv(_resolution(field)[where])))
-    if joined is not None:
-        parts.append(("sigma by the fitted map", _rms_uv(joined.displacement_px[where])))
-    if evaluation.slant is not None:
-        parts.append(("sigma by the flow through the sheet", _rms_uv(evaluation.slant.sigma_px[where])))
+    parts = [(what, _rms_uv(part[where])) for what, part in evaluation.sigma_parts_px.items()]
     total = parts[0][1]
     for _, part in parts[1:]:
         total = _hypot(total, part)
@@ -146,18 +141,15 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
 
 
 def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | None:
-    """Hold the errors of some vectors (ny, nx) against random and map sigma together; None without a known shift.
+    """Hold the errors of some vectors (ny, nx) against their total sigma; None without a known shift.
 
     What the stage missed is the same for all vectors: the median error is taken off first.
     """
     if evaluation.shift is None:
         return None
-    field, joined = evaluation.field, evaluation.map_sigma
+    field, sigma = evaluation.field, evaluation.total_sigma_px
     errors = shift_errors(field, evaluation.shift.shift_px)
     errors = errors - np.nanmedian(errors.reshape(-1, 2), axis=0)
-    sigma = _random(field)
-    if joined is not None:
-        sigma = np.hypot(sigma, np.nan_to_num(joined.displacement_px))
     known = where & np.isfinite(errors).all(axis=-1) & np.isfinite(sigma).all(axis=-1) & (sigma > 0.0).all(axis=-1)
     if not known.any():
         return None
@@ -244,10 +236,7 @@ def moved_rows(evaluation: Evaluation) -> list[Row]:
     """Rows under `moved_head`: medians beside and behind the glass, v down, y up, and how sure a vector is."""
     scale = per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
     field, rows = evaluation.field, list[Row]()
-    parts = [_random(field), _resolution(field)]
-    parts += [] if evaluation.map_sigma is None else [evaluation.map_sigma.displacement_px]
-    parts += [] if evaluation.slant is None else [evaluation.slant.sigma_px]
-    sigma = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))
+    sigma = evaluation.total_sigma_px
     for total in totals_of(evaluation):
         where = total.where(evaluation)
         u, v = float(np.median(field.u_px[where])), float(np.median(field.v_px[where]))
@@ -290,7 +279,7 @@ def sigma_rows(evaluation: Evaluation) -> list[Row]:
 
 
 def claim_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under CLAIM_HEAD: whether errors keep to random and map sigma; none without a known shift.
+    """Rows under CLAIM_HEAD: whether errors keep to the total sigma; none without a known shift.
 
     What the stage missed is the same for all vectors, and is taken off first.
     """
@@ -306,6 +295,32 @@ def claim_rows(evaluation: Evaluation) -> list[Row]:
             ratio = "{:.2f}, {:.2f}".format(*found.ratio)
             rows.append((shown_region(name, evaluation), str(int(where.sum())), *inside, ratio, found.claim))
     return rows
+
+
+def worst_claim(evaluation: Evaluation) -> tuple[str, Coverage] | None:
+    """Return the region whose sigma is the farthest off, with what was found there; None without a known shift.
+
+    Where sigma is too small counts before where it is too large, and a region before all of which it is a part: an
+    average of too small and too large would be right.
+    """
+    found = {name: coverage_of(evaluation, where) for name, where in region_masks(evaluation).items()}
+    judged = {name: one for name, one in found.items() if one is not None and one.claim != "too few vectors"}
+    if not judged:
+        return None
+    order = {"too small": 2, "too large": 1, "as claimed": 0}
+    name = max(
+        judged,
+        key=lambda name: (order[judged[name].claim], abs(np.log(np.hypot(*judged[name].ratio)) - HALF_LOG_2)),
+    )
+    return shown_region(name, evaluation), judged[name]
+
+
+def claim_said(region: str, found: Coverage) -> str:
+    """Return a verdict on sigma, as "across a rim 1.7 times too small"."""
+    times = float(np.hypot(*found.ratio)) / np.sqrt(2.0)
+    if found.claim == "as claimed":
+        return "sigma is as claimed in every region"
+    return f"sigma is {max(times, 1.0 / times):.2g} times {found.claim} {region}"
 
 
 def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:

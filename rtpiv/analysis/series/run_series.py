@@ -144,7 +144,7 @@ def run_series(
     if check.valid_share < series.least_valid:
         a, b = (place.name for place in given.pairs[0].frames)
         raise PairError(
-            f"only {100.0 * check.valid_share:.0f} % of the windows have a valid vector, median of the pairs: {a} and"
+            f"only {100.0 * check.valid_share:.0f} % of the windows have a valid vector, median of pairs: {a} and"
             f" {b}, and the others like them, are no pairs, or show no particles, or move too far",
             place=series.run,
             cure="name pairs by --second, by @2-3,4-5 behind the name or by --both; give a larger --first-window;"

@@ -6,11 +6,11 @@ import pytest
 from correction.evaluate.regions import regions_of
 from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
-from piv.correlation.pair import evaluate_pair
 from piv.files.frame_file import read_frame
 from sim.renderer.patterns import Image
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
+from tests.piv.fixed_windows import evaluate_pair
 from tests.supplied import ROOT
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.ray_map import build_ray_map

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from piv.correlation.agreement import Agreed, agreed, resolution_of
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.uncertainty import Blocks
 from piv.correlation.windows import window_grid
 from tests.piv.correlation import flows
+from tests.piv.fixed_windows import evaluate_pair
 
 SHAPE, SIDE_PX, MARGIN = (384, 384), 3, 48
 

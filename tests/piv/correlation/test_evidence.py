@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from piv.correlation.evidence import PROVEN, WEAK, by_chance, proven, unproven
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
+from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
 

@@ -8,10 +8,10 @@ from piv.correlation.deform import deform_pair
 from piv.correlation.fill import NEAR, Texture, without_gaps
 from piv.correlation.kernels import deform as deform_kernels
 from piv.correlation.kernels import kriging
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.prepare import prepared
 from piv.correlation.windows import window_grid
 from tests.piv.correlation.flows import mix, uniform, vortex
+from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
 MARGIN = 3

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from piv.correlation.live import live_vectors
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.response import response_at
 from piv.correlation.settings import PivSettings
 from piv.errors import PairError
 from tests.piv.correlation.flows import mix, turbulence, uniform, wave
+from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
 MARGIN = 3  # windows at the edge that are not counted here

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from tests.piv.correlation.flows import gaussian_jet, plane_jet
+from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
 MARGIN = 2

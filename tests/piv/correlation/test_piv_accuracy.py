@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorFlag
+from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
 

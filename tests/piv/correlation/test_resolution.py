@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.refine import window_weights
 from piv.correlation.resolution import UNEVEN, Window, second_differences, unresolved_px
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
 from tests.piv.correlation.flows import endless, mix, turbulence, vortex, wave
+from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
 MARGIN = 3

@@ -6,7 +6,6 @@ from scipy.interpolate import RegularGridInterpolator
 
 from piv.correlation.deform import DeformedPair, deform_pair
 from piv.correlation.halving import pieces_of
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.passes import Course
 from piv.correlation.prepare import prepared
 from piv.correlation.refine import refine
@@ -15,6 +14,7 @@ from piv.correlation.sizes import widened
 from piv.correlation.windows import WindowGrid, spaced, window_grid
 from piv.errors import PairError
 from tests.piv.correlation import flows
+from tests.piv.fixed_windows import evaluate_pair
 
 FOUND = PivSettings(finest_px=16)
 SHAPE, MARGIN = (512, 512), 48

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.errors import FrameError
 from piv.preprocessing.preparation import min_max_normalised
+from tests.piv.fixed_windows import evaluate_pair
 
 
 def test_min_max_brings_particles_to_one_height_and_leaves_empty_spots_low():

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorFlag
 from piv.preprocessing.still_light import across_pairs, still_light
 from tests.piv.conftest import draw, make_pair
+from tests.piv.fixed_windows import evaluate_pair
 
 SHAPE, WALL = (192, 224), 130
 EVERYWHERE = np.ones(SHAPE, bool)

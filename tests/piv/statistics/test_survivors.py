@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from piv.correlation.pair import evaluate_pair
 from piv.statistics.moments import Moments
 from piv.statistics.unresolved import LEAST_SHARE, Unresolved, measured_often, selection_sigma
 from tests.piv.correlation.flows import shaken_jet
+from tests.piv.fixed_windows import evaluate_pair
 
 SHAPE = (5, 7)
 

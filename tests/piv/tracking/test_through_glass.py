@@ -11,7 +11,6 @@ from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.routes import radius_of
 from correction.fitted.prepared import prepare
 from correction.grid import grid_of
-from piv.correlation.pair import evaluate_pair
 from piv.errors import PairError
 from piv.tracking.particles import Particles
 from piv.tracking.tracks import track_particles
@@ -19,6 +18,7 @@ from sim.demo.scenes import at_size, named_scene
 from sim.flow.fields import Flow, Uniform, Vortex
 from sim.flow.images import FlowCamera
 from sim.flow.particles import LightSheet, Seeding
+from tests.piv.fixed_windows import evaluate_pair
 from tests.piv.tracking.test_tracks import rms
 from tracer.errors import StaleMap
 from tracer.strategies.sensitivity import landings

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.errors import PairError
 from piv.tracking.particles import find_particles
 from piv.tracking.tracks import Tracks, local_plane, match, track_particles
 from tests.piv.conftest import draw
 from tests.piv.correlation.flows import mix, vortex, wave
+from tests.piv.fixed_windows import evaluate_pair
 
 
 def rms(values):

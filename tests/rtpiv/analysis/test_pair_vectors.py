@@ -51,7 +51,9 @@ def field():
 
 def of_pair(field, dt_s=None, *more, **about):
     """A pair as a series of one; `more` are sigmas of the map and the route."""
-    quality = quality_of(field, GRID, *more, dt_s=dt_s)
+    parts = [field.total_sigma_px, *(each.displacement_px for each in more[:1] if each is not None)]
+    total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))
+    quality = quality_of(field, GRID, np.where(np.isnan(parts[0]), np.nan, total), *more, dt_s=dt_s)
     return vectors_of_pairs([PairResult("a, b", field, dt_s)], WINDOWS, GRID, about, quality)
 
 

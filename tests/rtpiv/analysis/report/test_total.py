@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from correction.evaluate.regions import Region, Regions, evaluate_shift
+from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.pairs.pair_vectors import quality_of
 from rtpiv.analysis.report.tables import (
     SIGMA_HEAD,
     claim_rows,
+    claim_said,
     coverage_of,
     lead_of,
     moved_head,
@@ -17,6 +20,7 @@ from rtpiv.analysis.report.tables import (
     offset_said,
     sigma_rows,
     totals_of,
+    worst_claim,
 )
 from tests.correction.evaluate.vectors import uniform_field
 
@@ -38,7 +42,13 @@ def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=Tru
         joined = SimpleNamespace(displacement_px=np.full((*field.flags.shape, 2), moved))
     slant = None if slanted is None else SimpleNamespace(sigma_px=np.full((*field.flags.shape, 2), slanted))
     task = SimpleNamespace(scene=SimpleNamespace(bodies=("ball",)))
-    return SimpleNamespace(task=task, field=field, regions=regions, shift=shift, map_sigma=joined, slant=slant)
+    return Made(task=task, field=field, regions=regions, shift=shift, map_sigma=joined, slant=slant)
+
+
+class Made(SimpleNamespace):
+    """An evaluation that is made of little."""
+
+    sigma_parts_px, total_sigma_px = Evaluation.sigma_parts_px, Evaluation.total_sigma_px
 
 
 def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
@@ -112,6 +122,54 @@ def test_what_the_map_is_unsure_of_counts_for_the_coverage():
     assert found.ratio == pytest.approx((1.0, 1.0), rel=0.1)
     made.map_sigma = None
     assert coverage_of(made, np.ones((39, 39), bool)).claim == "too small"
+
+
+def test_file_page_and_verdict_have_one_sigma():
+    """Errors scatter by what windows do not resolve as well: the verdict is of the sigma that the file holds."""
+    made = evaluation(noise=0.05, sigma=0.03, moved=0.02)
+    made.field = replace(
+        made.field, resolution_px=np.full(made.field.flags.shape, np.sqrt(0.05**2 - 0.03**2 - 0.02**2))
+    )
+    found = coverage_of(made, np.ones((39, 39), bool))
+    assert found.claim == "as claimed"
+    grid = SimpleNamespace(pitch_mm=0.5)
+    made.map_sigma.position_px = np.zeros((39, 39, 2))
+    held = quality_of(made.field, grid, made.total_sigma_px, made.map_sigma)["total_sigma_u"] / grid.pitch_mm
+    np.testing.assert_allclose(held, 0.05, rtol=1e-6)
+    made.shift = None
+    assert moved_rows_sigma(made, grid) == pytest.approx([0.05 * grid.pitch_mm] * 2, rel=0.05)
+
+
+def moved_rows_sigma(made, grid):
+    """Total sigma as the table of what moved has it."""
+    made.grid, made.task.dt_s = grid, None
+    return [float(part) for part in moved_rows(made)[0][-1].split(",")]
+
+
+@pytest.mark.parametrize(
+    ("behind", "beside", "said"),
+    [
+        (0.02, 0.02, "sigma is as claimed in every region"),
+        (0.01, 0.04, "sigma is 2 times too small behind glass, r < 0.75 R"),  # right on the average
+        (0.04, 0.01, "sigma is 2 times too small seen directly"),
+        (0.06, 0.02, "sigma is 3 times too large behind glass, r < 0.75 R"),
+        (0.01, 0.005, "sigma is 4 times too small seen directly"),
+    ],
+)
+def test_the_verdict_names_the_worst_region(behind, beside, said):
+    made = evaluation()
+    glass = made.regions.region == Region.GLASS
+    made.field.sigma_u_px[:] = made.field.sigma_v_px[:] = np.where(glass, behind, beside)
+    region, found = worst_claim(made)
+    words = claim_said(region, found)
+    number = [float(word) for word in words.split() if word.replace(".", "").isdigit()]
+    wanted = [float(word) for word in said.split() if word.isdigit()]
+    if wanted:
+        assert number[0] == pytest.approx(wanted[0], rel=0.15)
+        assert words.split("times ")[1][:9] == said.split("times ")[1][:9]
+        assert words.partition("too ")[2].split()[1:3] == said.partition("too ")[2].split()[1:3]
+    else:
+        assert words == said
 
 
 def test_an_offset_that_is_the_same_beside_the_glass_is_the_stage():
