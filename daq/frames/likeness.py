@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +28,8 @@ Pixels = NDArray[Any]
 
 def likeness(one: Pixels, other: Pixels) -> tuple[float, float]:
     """Return how well tiles of two pictures correlate, and how far apart they are [px]; medians of the tiles."""
+    import cv2  # most commands read no frames of others
+
     height, width = (min(one.shape[k], other.shape[k]) for k in (0, 1))
     sides = min(TILE_PX, height), min(TILE_PX, width)
     found = []

@@ -38,6 +38,7 @@ from tracer.scene.scene_file import load_scene
 if TYPE_CHECKING:  # most commands have no run, and do not wait for the models of benches
     from daq.bench.bench_table import BenchTable
 
+FAR_PX = 2e4  # the same where not even a scale is told: lengths are pixels of the frame
 FAR_MM = 1e4  # where a camera is taken to stand of which a scale alone is told: at the edge of a view of 100 mm
 # motion along the view is 0.5 % of itself across it
 T = TypeVar("T")
@@ -291,13 +292,20 @@ def in_light_sheet(step: PlannedStep) -> bool:
 
 def tells_a_scale_alone(scene: Scene) -> bool:
     """Whether a scene is that of frames of which only the size of a pixel is known: no slope of its rays is."""
-    return not scene.bodies and scene.camera.position_mm == (0.0, 0.0, FAR_MM)
+    return not scene.bodies and scene.camera.position_mm in ((0.0, 0.0, FAR_MM), (0.0, 0.0, FAR_PX))
+
+
+def length_unit(scene: Scene) -> str:
+    """Return the unit of lengths on the plane: "mm", or "px" where no scale is told."""
+    return "px" if not scene.bodies and scene.camera.position_mm == (0.0, 0.0, FAR_PX) else "mm"
 
 
 def where_lit(scene: Scene) -> str:
     """Say in which plane particles were taken to lie, how unsure that is, and what makes it surer."""
     scale = ""
-    if not scene.bodies:
+    if length_unit(scene) == "px":
+        scale = "No scale is given (--mm-per-px, or --scene), so lengths are pixels of the frame. "
+    elif not scene.bodies:
         shown = f"{grid_of(scene.camera).pitch_mm:.4g} mm"
         scale = f"A pixel was taken to show {shown}, an error of which is in no sigma. "
     if tells_a_scale_alone(scene):

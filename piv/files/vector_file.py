@@ -34,7 +34,7 @@ from piv.errors import VectorFileError
 SCHEMA = 2
 PIVPY_SCHEMA = 1
 GRID = ("t", "y", "x")
-SPEED, LENGTH = "m s-1", "mm"
+SPEED, LENGTH, PIXELS = "m s-1", "mm", "pixel"
 KINDS = (set(GRID), {"t"}, {"y", "x"})  # dimensions of fields, of numbers by time, of numbers by place
 STANDARD_NAMES = {
     "x": "projection_x_coordinate", "y": "projection_y_coordinate", "t": "time", "chc": "validity_flag",
@@ -103,7 +103,12 @@ class Vectors:
     @property
     def kind(self) -> str:
         """What u and v are: "velocity", or "displacement" where they are lengths."""
-        return "displacement" if self.units.get("u") == LENGTH else "velocity"
+        return "displacement" if self.units.get("u") in (LENGTH, PIXELS) else "velocity"
+
+    @property
+    def length_unit(self) -> str:
+        """Unit of places: "mm", or "pixel" where nobody has told what a pixel shows."""
+        return str(self.attributes.get("length_unit", LENGTH))
 
     @property
     def everything(self) -> dict[str, NDArray[Any]]:
@@ -170,7 +175,8 @@ def vectors_netcdf(vectors: Vectors) -> bytes:
         said |= {"long_name": LONG_NAMES[name]} if name in LONG_NAMES else {}
         return Variable(dimensions, values, unit, said | ({"axis": name.upper()} if name in GRID else {}))
 
-    axes = (("t", vectors.times, vectors.time_unit), ("y", vectors.y_mm, "mm"), ("x", vectors.x_mm, "mm"))
+    unit = vectors.length_unit
+    axes = (("t", vectors.times, vectors.time_unit), ("y", vectors.y_mm, unit), ("x", vectors.x_mm, unit))
     found = {name: variable(name, (name,), values, unit) for name, values, unit in axes}
     for name, values in vectors.by_time.items():
         found[name] = variable(name, ("t",), values, vectors.units.get(name, "1"))

@@ -40,9 +40,11 @@ from tracer.strategies.trace import RayStatus
 
 def write_tecplot(path: Path, vectors: Vectors) -> list[Path]:
     """Write one text file with a zone for each time (``.dat``, POINT packing)."""
-    fields = vectors.everything
+    fields, unit = vectors.everything, vectors.length_unit
     names = [*fields, "measured"]
-    shown = ", ".join(f'"{name}"' for name in ("x [mm]", "y [mm]", *(vectors.called(name) for name in names)))
+    shown = ", ".join(
+        f'"{name}"' for name in (f"x [{unit}]", f"y [{unit}]", *(vectors.called(name) for name in names))
+    )
     y, x = np.meshgrid(vectors.y_mm, vectors.x_mm, indexing="ij")
     text = io.StringIO()
     text.write(f'TITLE = "{_title(vectors, path)}"\nVARIABLES = {shown}\n')
@@ -52,6 +54,26 @@ def write_tecplot(path: Path, vectors: Vectors) -> list[Path]:
         columns = [x, y, *(np.nan_to_num(one[number]) for one in fields.values()), vectors.measured[number]]
         np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g")
     return _written(path.with_suffix(".dat"), utf8(text.getvalue()))
+
+
+def write_csv(path: Path, vectors: Vectors) -> list[Path]:
+    """Write one table of all times (``.csv``): a row for each place, nothing where nothing was measured."""
+    fields = vectors.everything
+    y, x = np.meshgrid(vectors.y_mm, vectors.x_mm, indexing="ij")
+    head = [f"t [{vectors.time_unit or 's'}]", f"x [{vectors.length_unit}]", f"y [{vectors.length_unit}]"]
+    names = [*head, *map(vectors.called, fields), "measured"]
+    text = io.StringIO()
+    for number, time in enumerate(vectors.times.tolist()):
+        columns = [
+            np.full(x.shape, time),
+            x,
+            y,
+            *(one[number] for one in fields.values()),
+            vectors.measured[number],
+        ]
+        np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g", delimiter=",")
+    table = text.getvalue().replace("nan", "")
+    return _written(path.with_suffix(".csv"), utf8(f"{','.join(names)}\n{table}"))
 
 
 def write_matlab(path: Path, vectors: Vectors) -> list[Path]:
@@ -79,6 +101,7 @@ def _written(path: Path, content: bytes) -> list[Path]:
 
 
 FORMATS: dict[str, Callable[[Path, Vectors], list[Path]]] = {
+    "csv": write_csv,
     "matlab": write_matlab,
     "paraview": write_vtk,
     "tecplot": write_tecplot,

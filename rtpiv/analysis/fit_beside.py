@@ -30,7 +30,7 @@ def scene_sigma_beside(
         from daq.runs.run_views import tells_a_scale_alone
 
         if tells_a_scale_alone(fitted):
-            return "a scale was told, and nothing of the camera"
+            return "nothing is known of the camera"
         return "there is no fit beside the scene; run rtpiv calibrate"
     if dewarped:
         return "the fit does not hold for a dewarped camera"

@@ -23,7 +23,7 @@ from daq.atomic_write import write_text
 from daq.frames.numbered_files import WITH
 from daq.runs.acquired import read_acquired
 from daq.runs.names import is_run
-from daq.runs.run_views import FAR_MM, board_of, dewarp_of
+from daq.runs.run_views import FAR_MM, FAR_PX, board_of, dewarp_of
 from piv.resampling.sample import Method
 from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
@@ -91,8 +91,10 @@ class CorrectionRecipe:
             raise MapUsageError("--second and --both are for frames of others, one of them", place=path)
         return Path(f"{path}{WITH}{self.second}" if self.second is not None else f"{path}@{self.both}")
 
-    def scene_of(self, scene: Path | None, frame: Path, out: Path) -> Path | None:
+    def scene_of(self, scene: Path | None, frame: Path, out: Path) -> Path:
         """Return the scene file of frames of others: the one given, or one of a camera alone, written into `out`.
+
+        Without a scene and without what a pixel shows, lengths are pixels.
 
         Raises
         ------
@@ -103,13 +105,14 @@ class CorrectionRecipe:
         DiskError
             The folder cannot be written to.
         """
-        if self.mm_per_px is None:
+        if self.mm_per_px is None and scene is not None:
             return scene
         if scene is not None:
             raise MapUsageError("--mm-per-px is for frames without a scene; leave it or --scene out")
         height, width = read_acquired(frame).shape
         out.mkdir(parents=True, exist_ok=True)
-        numbers = {"mm_per_px": self.mm_per_px, "focal_px": FAR_MM / self.mm_per_px, "far_mm": FAR_MM}
+        pitch, far = (1.0, FAR_PX) if self.mm_per_px is None else (self.mm_per_px, FAR_MM)
+        numbers = {"mm_per_px": pitch, "focal_px": far / pitch, "far_mm": far}
         (out / FIT_FILE).unlink(missing_ok=True)  # of another scene
         write_text(out / SCENE_FILE, PLAIN_SCENE.format(**numbers, width=width, height=height))
         return out / SCENE_FILE

@@ -192,7 +192,7 @@ def _series(
         write_series_page(series.out / "report.html", series, done, output.figures)
     look = f"look at {series.out / 'report.html'}; " if output.pictures else ""
     average = f"average with: rtpiv mean {series.out}"
-    screen.print(f"{look}{average}" if series.given.timed else look.removesuffix("; "))
+    screen.print(f"{look}{average}")
     return replace(done, failed={**done.failed, **failed})
 
 

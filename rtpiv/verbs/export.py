@@ -1,4 +1,4 @@
-"""`rtpiv export`: vectors for MATLAB, ParaView and Tecplot, maps of a scene as NetCDF or TIFF.
+"""`rtpiv export`: vectors as CSV and for MATLAB, ParaView and Tecplot, maps of a scene as NetCDF or TIFF.
 
 PIVPy and xarray read the NetCDF files of vectors as they are.
 """
@@ -29,7 +29,7 @@ MAPS_SAID = (
 def export(
     files: Sequence[Named],
     /,
-    to: Literal["matlab", "paraview", "tecplot", "netcdf", "tiff"],
+    to: Literal["csv", "matlab", "paraview", "tecplot", "netcdf", "tiff"],
     out: Named | None = None,
 ) -> list[Path]:
     """Write vectors, or the maps of a scene, in another program's format.
@@ -39,8 +39,8 @@ def export(
     files : sequence of path
         NetCDF files of `evaluate` and `mean`: ``vectors.nc``, ``mean.nc``, chunks of a series.  For maps
         scene files, as known or as fitted: what particles in their light sheet are corrected by.
-    to : {"matlab", "paraview", "tecplot"}, or {"netcdf", "tiff"} of scene files
-        For whom.
+    to : {"csv", "matlab", "paraview", "tecplot"}, or {"netcdf", "tiff"} of scene files
+        For whom; ``csv`` is a table for spreadsheets and scripts.
     out : path, optional
         Folder, default ``exported`` (or ``exported-2`` ... where that has results); files keep their names, and
         have those of their folders before them where several share one.
@@ -118,8 +118,9 @@ def _said(vectors: Vectors, to: str) -> str:
     """What the files of vectors hold, with units, and what stands where nothing was measured."""
     names = [vectors.called(name) for name in vectors.everything]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    gaps = "0 in them and in measured" if to == "tecplot" else "NaN"
+    gaps = {"tecplot": "0 in them and in measured", "csv": "nothing"}.get(to, "NaN")
     return (
-        f"{', '.join(names[:MOST_NAMED])}{more}, over x, y [mm] and t [s];"
+        f"{', '.join(names[:MOST_NAMED])}{more}, over x, y [{vectors.length_unit}]"
+        f" and t [{vectors.time_unit or 's'}];"
         f" where nothing was measured stands {gaps}"
     )

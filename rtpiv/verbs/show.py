@@ -179,25 +179,25 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
     highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
     flows = speed >= 0.5 * highest
-    said = f"speed above half of {highest:.3g} m/s, {int(flows.sum())} of {int(seen.sum())} places"
+    said = f"speed above half of {highest:.3g} {mean.unit}, {int(flows.sum())} of {int(seen.sum())} places"
     table = Table(title=f"median where it flows: {said}")
     for name in ("", "u", "v"):
         table.add_column(name, justify="right" if name else "left")
     rows = [
-        ("mean [m/s]", mean.mean_m_s),
-        ("its random sigma [m/s]", mean.sigma_m_s),
+        (f"mean [{mean.unit}]", mean.mean_m_s),
+        (f"its random sigma [{mean.unit}]", mean.sigma_m_s),
         ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
-        ("not resolved of it [m/s]", np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)),
-        ("total sigma [m/s]", mean.total_sigma_m_s),
-        ("fluctuation, without noise [m2/s2]", mean.stresses_m2_s2[..., :2]),
+        (f"not resolved of it [{mean.unit}]", np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)),
+        (f"total sigma [{mean.unit}]", mean.total_sigma_m_s),
+        (f"fluctuation, without noise [{mean.squared_unit}]", mean.stresses_m2_s2[..., :2]),
         ("effective samples", mean.effective.samples),
     ]
     if mean.slant_sigma_m_s is not None:
-        rows.insert(4, ("sigma by the flow through the sheet [m/s]", mean.slant_sigma_m_s))
+        rows.insert(4, (f"sigma by the flow through the sheet [{mean.unit}]", mean.slant_sigma_m_s))
     if np.isfinite(mean.dt_sigma_share):
-        rows.insert(4, ("sigma by dt, one factor [m/s]", mean.dt_sigma_m_s))
+        rows.insert(4, (f"sigma by dt, one factor [{mean.unit}]", mean.dt_sigma_m_s))
     if mean.map_sigma_m_s is not None:
-        rows.insert(4, ("sigma by the fitted map [m/s]", mean.map_sigma_m_s))
+        rows.insert(4, (f"sigma by the fitted map [{mean.unit}]", mean.map_sigma_m_s))
     for name, values in rows:
         there = [values[..., k][flows & np.isfinite(values[..., k])] for k in (0, 1)]
         table.add_row(name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there))

@@ -31,7 +31,7 @@ from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import Preparation
 from piv.preprocessing.still_light import still_light
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
-from rtpiv.analysis.pairs.pair_vectors import PairResult, per_px, quality_of, vectors_of_pairs
+from rtpiv.analysis.pairs.pair_vectors import PairResult, lengths_said, per_px, quality_of, vectors_of_pairs
 from rtpiv.analysis.pairs.plausible import scale_doubts
 from rtpiv.analysis.pairs.slanted import Slanted, slanted
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
@@ -149,7 +149,7 @@ class Evaluation:
         """Where it comes from."""
         frames = ", ".join(path.name for path in self.task.frames)
         said = {"scene_hash": self.task.scene.content_hash(), "frames": frames, "rtpiv_version": version("rtpiv")}
-        said |= said_in_files(self.task.readings)
+        said |= said_in_files(self.task.readings) | lengths_said(self.task.scene)
         return said if self.slant is None else {**said, "out_of_plane": self.slant.said}
 
     @property

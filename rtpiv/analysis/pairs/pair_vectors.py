@@ -40,12 +40,14 @@ from numpy.typing import NDArray
 from correction.evaluate.carried_vectors import PlaneVectors
 from correction.fitted.map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
+from daq.runs.run_views import length_unit
 from piv.correlation.vector_field import VectorField, VectorFlag, could_be_measured
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
-from piv.files.vector_file import LENGTH, SPEED, Vectors, read_vectors
+from piv.files.vector_file import LENGTH, PIXELS, SPEED, Vectors, read_vectors
 from piv.statistics.derived import PlaneField, rates
 from rtpiv.analysis.pairs.slanted import Slanted
+from tracer.scene.scene import Scene
 
 PER_TIME = (  # in m/s, or in mm
     "u", "v", "sigma_u", "sigma_v", "resolution", "map_sigma_u", "map_sigma_v", "slant_sigma_u", "slant_sigma_v",
@@ -189,7 +191,8 @@ def vectors_of_pairs(
     Returns
     -------
     Vectors
-        In m/s if the time between the frames of every pair is known, else in mm.
+        In m/s if the time between the frames of every pair is known, else in mm, or in pixels where `about` says
+        so (`length_unit`).
     """
     timed = all(result.dt_s is not None for result in results)
     clock = [result.time_s for result in results if result.time_s is not None]
@@ -209,17 +212,18 @@ def vectors_of_pairs(
         times=np.array(clock if has_clock else _numbers(results), np.float64),
         fields={name: np.stack([field[name] for field in fields]) for name in fields[0]} | dict(more or {}),
         by_time=_by_pair(results),
-        units=_units(timed),
+        units=_units(timed, str(about.get("length_unit", LENGTH))),
         attributes=attributes | dict(about),
         time_unit="s" if has_clock else "pair",
         by_place={} if slope is None else dict(zip(SLOPES, np.moveaxis(slope[::-1], -1, 0), strict=True)),
     )
 
 
-def _units(timed: bool) -> dict[str, str]:
+def _units(timed: bool, length: str) -> dict[str, str]:
     rates = [f"{before}{name}" for name in RATES for before in ("", "sigma_")]
-    of_time = dict.fromkeys(PER_TIME, SPEED if timed else LENGTH)
-    return UNITS | of_time | dict.fromkeys(rates, RATE if timed else ONE)
+    of_time = dict.fromkeys(PER_TIME, SPEED if timed else length)
+    of_place = {name: length if unit == LENGTH else unit for name, unit in UNITS.items()}
+    return of_place | of_time | dict.fromkeys(rates, RATE if timed else ONE)
 
 
 def quality_of(
@@ -342,6 +346,11 @@ def _numbers(results: Sequence[PairResult]) -> list[int]:
     """Numbers of pairs without a clock: from the frame in their tags, or in order."""
     ends = [result.tag.rpartition("_")[2] for result in results]
     return [int(end) // 2 for end in ends] if all(end.isdecimal() for end in ends) else list(range(len(ends)))
+
+
+def lengths_said(scene: Scene) -> dict[str, str]:
+    """Return the attribute of a file whose lengths are pixels; nothing where they are mm."""
+    return {"length_unit": PIXELS} if length_unit(scene) == "px" else {}
 
 
 def per_px(pitch_mm: float, dt_s: float | None) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from correction.evaluate.carried_vectors import PlaneVectors
 from correction.evaluate.regions import Scatter
 from correction.grid import PlaneGrid
+from daq.runs.run_views import length_unit
 from ground.plain_words import counted
 from piv.correlation.vector_field import VectorField
 from rtpiv.analysis.pictures.plane_axes import (
@@ -80,7 +81,8 @@ def vector_figure(
     place = np.stack((grid_x[some][shown], grid_y[some][shown]), axis=-1)
     shift = np.stack((field.u_px[some][shown], -field.v_px[some][shown]), axis=-1)
     draw_arrows(axes, place, shift, 1.7 * every * half, np.full(len(place), INK))
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
+    unit = length_unit(scene)
+    axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
     colour_bar(image, axes, label, "max")
     return figure
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from correction.evaluate.regions import MIDDLE, Region, Regions, regions_of
 from piv.statistics.derived import (
     Axis,
-    PlaneField,
     Profile,
     RimStep,
     divergence,
@@ -104,7 +103,7 @@ def streamlines_figure(mean: MeanFlow, scene: Scene, speed: Floats) -> Figure:
         linewidth=1.0,
     )
     _plane(axes, mean, scene)
-    colour_bar(lines.lines, axes, "mean speed [m/s]")
+    colour_bar(lines.lines, axes, f"mean speed [{mean.unit}]")
     return figure
 
 
@@ -177,13 +176,12 @@ def _ratio(mean: MeanFlow) -> float:
 def _plane(axes: Axes, mean: MeanFlow, scene: Scene) -> None:
     """Draw the outlines of the bodies; the plane in mm."""
     draw_outlines(axes, scene, names=False)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axes.set(xlabel=f"x [{mean.length}]", ylabel=f"y [{mean.length}]", aspect="equal")
     axes.set(xlim=(mean.x_mm[0], mean.x_mm[-1]), ylim=(mean.y_mm[0], mean.y_mm[-1]))
 
 
 LINES = 4  # profiles across the flow
 REACH_STEPS = 5.0  # from the rim, of vectors that tell a step
-REGIONS_HEAD = ("region", "vectors", "divergence rms [1/s]", "its sigma rms [1/s]", "within 1 sigma")
 STEPS_HEAD = (
     "rim around x, y [mm]",
     "pieces",
@@ -224,19 +222,19 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     """
     field = mean.field
     axis = jet_axis(field)
-    _along_lines(page, field, regions, axis, bool(scene.bodies))
+    _along_lines(page, mean, regions, axis, bool(scene.bodies))
     if scene.bodies:
         rim_chapter(page, mean, scene, regions)
     page.heading("Where it flows")
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)
     page.figure("streamlines", streamlines_figure(mean, scene, speed), "Streamlines of the mean.", dense=True)
     stresses = mean.stresses_m2_s2
-    turning = 1e3 * rates(field)["vorticity"][0]
-    maps = [(f"{name} [m²/s²]", stresses[..., k]) for k, name in enumerate(("u'u'", "v'v'", "u'v'"))]
-    maps.append(("vorticity of the mean [1/s]", turning))
+    turning = mean.rate(rates(field)["vorticity"][0])
+    maps = [(f"{name} [{mean.squared_unit}]", stresses[..., k]) for k, name in enumerate(("u'u'", "v'v'", "u'v'"))]
+    maps.append((f"vorticity of the mean [{mean.rate_unit}]", turning))
     said = "Reynolds stresses without the noise of the correlation, and the vorticity of the mean."
     page.figure("stresses", maps_figure(mean, scene, maps), said, dense=True)
-    _mass(page, field, regions, axis, bool(scene.bodies))
+    _mass(page, mean, regions, axis, bool(scene.bodies))
     page.heading("Are these enough pairs?")
     if len(found.pairs):
         said = (
@@ -250,8 +248,9 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     page.figure("fractions", fractions_figure(found), said)
 
 
-def _along_lines(page: Page, field: PlaneField, regions: Regions, axis: Axis | None, behind: bool) -> None:
+def _along_lines(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behind: bool) -> None:
     """Profiles across the flow, at heights that are spread over what is seen."""
+    field = mean.field
     known = np.isfinite(field.uv).all(axis=-1)
     rows = np.flatnonzero(known.mean(axis=1) > 0.2)
     if not rows.size:
@@ -263,15 +262,17 @@ def _along_lines(page: Page, field: PlaneField, regions: Regions, axis: Axis | N
     for row in chosen[::-1]:
         height = float(field.y[row])
         found = profile(field, (float(field.x[0]), height), (float(field.x[-1]), height))
-        lines.append((f"y = {height:.1f} mm", found, glass[row]))
+        lines.append((f"y = {height:.1f} {mean.length}", found, glass[row]))
     said = "Heavy: behind glass; bands: 2 sigma of the mean." if behind else "Bands: 2 sigma of the mean."
     for component, name in ((1, "v, up"), (0, "u, to the right")):
-        figure = profiles_figure(lines, component, f"mean {name} [m/s]")
+        figure = profiles_figure(lines, component, f"mean {name} [{mean.unit}]")
+        figure.axes[0].set_xlabel(f"x [{mean.length}]")
         page.figure(f"profiles_{'uv'[component]}", figure, f"Mean {name}, along lines of constant height. {said}")
     if axis is not None:
         lean = np.degrees(axis.angle_rad)
         page.text(
-            f"The jet's axis passes ({axis.point[0]:.2f}, {axis.point[1]:.2f}) mm at {lean:.2f} degrees from x."
+            f"The jet's axis passes ({axis.point[0]:.2f}, {axis.point[1]:.2f}) {mean.length} at {lean:.2f} degrees"
+            " from x."
         )
 
 
@@ -308,10 +309,11 @@ def rim_chapter(page: Page, mean: MeanFlow, scene: Scene, regions: Regions) -> N
     page.table(STEPS_HEAD, rows, "A smooth surface through the vectors of both sides, and a step of the inner one")
 
 
-def _mass(page: Page, field: PlaneField, regions: Regions, axis: Axis | None, behind: bool) -> None:
+def _mass(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behind: bool) -> None:
     """Divergence of the mean against its own sigma, by region."""
     page.heading("Is mass conserved?")
-    value, sigma = (1e3 * part for part in divergence(field, axis))
+    field = mean.field
+    value, sigma = (mean.rate(part) for part in divergence(field, axis))
     glass = regions.region == Region.GLASS
     wheres = {
         "seen directly" if behind else ALL: regions.region == Region.DIRECT,
@@ -333,7 +335,9 @@ def _mass(page: Page, field: PlaneField, regions: Regions, axis: Axis | None, be
         page.text("No place has vectors on all sides, so there is no divergence.")
         return
     how = "of a flow that is round about its axis" if axis is not None else "in the plane"
-    page.table(REGIONS_HEAD, rows, f"Divergence of the mean {how}, and what its sigma expects (chance: 68 %)")
+    unit = mean.rate_unit
+    head = ("region", "vectors", f"divergence rms [{unit}]", f"its sigma rms [{unit}]", "within 1 sigma")
+    page.table(head, rows, f"Divergence of the mean {how}, and what its sigma expects (chance: 68 %)")
     what = "a flow that is not round" if axis is not None else "a flow through the sheet"
     at_rim = ", a correction that is wrong at the rim shows there" if behind else ""
     said = f"Divergence over its sigma; {what} shows everywhere{at_rim}."

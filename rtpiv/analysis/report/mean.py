@@ -86,7 +86,7 @@ def write_mean_page(
         if steepness.behind is not None and mean.slant_sigma_m_s is not None:
             field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
             sigma = np.linalg.norm(mean.slant_sigma_m_s, axis=-1)[::-1]
-            slant_figure(page, field, view.grid, scene, sigma, "m/s")
+            slant_figure(page, field, view.grid, scene, sigma, mean.unit)
     if series is not None and (shown := shown_pair(*series)) is not None:
         frames_chapter(page, shown)
         pair_chapter(page, series[0], shown)
@@ -132,7 +132,7 @@ def mean_lead(
     known = (mean.count > 0) & np.isfinite(mean.total_sigma_m_s).all(axis=-1)
     behind = known & (regions.region == Region.GLASS)
     where, name = (behind, " behind glass") if behind.any() else (known, " seen directly" if behind_any else "")
-    head = ("parts of its uncertainty", "m/s", "px")
+    head = ("parts of its uncertainty", mean.unit, "px")
     if not where.any():
         return "-", f"high mean speed{name}", head, []
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)
@@ -157,7 +157,7 @@ def mean_lead(
         rows.append((what, *numbers))
     there = " there" if name else ""
     said = f"mean speed{name} that 1 % of {int(where.sum())} places{there} exceed, and its standard uncertainty"
-    return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} m/s", said, head, rows
+    return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} {mean.unit}", said, head, rows
 
 
 def high_place(speed: NDArray[np.float64], where: NDArray[np.bool_]) -> tuple[int, int]:
@@ -202,9 +202,11 @@ def _velocity_figures(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     sigma = np.linalg.norm(mean.sigma_m_s, axis=-1)[::-1]
     with page.row():
         said = "Mean velocity; its magnitude in colour."
-        page.figure("mean", vector_figure(field, grid, scene, speed, "mean speed [m/s]"), said, dense=True)
+        page.figure(
+            "mean", vector_figure(field, grid, scene, speed, f"mean speed [{mean.unit}]"), said, dense=True
+        )
         said = f"Random standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
-        figure = vector_figure(field, grid, scene, sigma, "random sigma of the mean [m/s]")
+        figure = vector_figure(field, grid, scene, sigma, f"random sigma of the mean [{mean.unit}]")
         page.figure("mean_sigma", figure, said, dense=True)
 
 
@@ -223,7 +225,7 @@ def mean_chapters(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     energy = np.maximum(mean.stresses_m2_s2[..., :2].sum(axis=-1), 0.0)[::-1]
     page.figure(
         "fluctuation",
-        vector_figure(field, grid, scene, np.sqrt(energy), "sqrt(R_uu + R_vv) [m/s]"),
+        vector_figure(field, grid, scene, np.sqrt(energy), f"sqrt(R_uu + R_vv) [{mean.unit}]"),
         "Fluctuating velocity without the noise of the correlation; mean.nc has every stress with and without it.",
         dense=True,
     )
@@ -238,7 +240,9 @@ def ensemble_chapter(page: Page, view: SeriesView, flow: EnsembleFlow) -> None:
     )
     field = image_field(flow.mean_m_s, flow.sigma_m_s, flow.px_per_m_s, flow.windows)
     speed = np.linalg.norm(flow.mean_m_s, axis=-1)[::-1]
-    figure = vector_figure(field, view.grid, view.scene, speed, "mean speed [m/s]")
+    figure = vector_figure(
+        field, view.grid, view.scene, speed, f"mean speed [{'m/s' if flow.is_timed else flow.length}]"
+    )
     page.figure("mean_ensemble", figure, "Mean velocity by ensemble correlation.", dense=True)
 
 

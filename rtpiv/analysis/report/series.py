@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from daq.runs.acquired import full_scale
-from daq.runs.run_views import tells_a_scale_alone
+from daq.runs.run_views import length_unit, tells_a_scale_alone
 from ground.printable import readable_name
 from piv.correlation.vector_field import VectorField
 from piv.preprocessing import preparation
@@ -63,6 +63,7 @@ class Preview:
     steps: tuple[tuple[str, str], ...]
     field: VectorField
     grid: PlaneGrid
+    length: str = "mm"
 
 
 def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures: bool = False) -> None:
@@ -123,7 +124,9 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
     named = {**RAW, **preparation.CORRECTED}
     steps = tuple((name, named[name]) for name in method.preparation.steps)
     mask = [layer for layer in seen.layers if layer[0] == "mask"]
-    return Preview(pair.tag, pair.dt_s, replace(seen, layers=(*layers, *mask)), steps, field, corrector.map.grid)
+    layers_of = replace(seen, layers=(*layers, *mask))
+    unit = length_unit(method.scene)
+    return Preview(pair.tag, pair.dt_s, layers_of, steps, field, corrector.map.grid, unit)
 
 
 def _limits(frame: NDArray[Any]) -> tuple[float, float]:
@@ -139,7 +142,7 @@ def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str
     field = shown.field
     both = [np.median(sigma[field.valid]) if field.valid.any() else np.nan
             for sigma in (field.sigma_u_px, field.sigma_v_px)]  # fmt: skip
-    scale, unit = per_px(shown.grid.pitch_mm, shown.dt_s), "mm" if shown.dt_s is None else "m/s"
+    scale, unit = per_px(shown.grid.pitch_mm, shown.dt_s), shown.length if shown.dt_s is None else "m/s"
     said = (
         f"random standard uncertainty u, v of one vector: median of {int(field.valid.sum())} of pair {shown.tag}"
     )
@@ -193,7 +196,7 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     page.heading("One pair")
     if field.doubt:
         page.warning(field.doubt + ".")
-    what, unit = ("displacement", "mm") if shown.dt_s is None else ("speed", "m/s")
+    what, unit = ("displacement", shown.length) if shown.dt_s is None else ("speed", "m/s")
     scale = per_px(grid.pitch_mm, shown.dt_s)
     speed = np.hypot(field.u_px, field.v_px) * scale
     sigma = np.hypot(field.sigma_u_px, field.sigma_v_px) * scale

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from correction.evaluate.regions import MIDDLE, Region, shift_errors
 from correction.evaluate.routes import Claim, Routes, claim_of, independent_share
 from correction.node_status import MEANING, NodeStatus
+from daq.runs.run_views import length_unit
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
@@ -222,7 +223,7 @@ def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, st
 
 def moved_head(evaluation: Evaluation) -> Row:
     """Head of `moved_rows`: velocities where the time between the frames is known."""
-    unit = "mm" if evaluation.task.dt_s is None else "m/s"
+    unit = length_unit(evaluation.task.scene) if evaluation.task.dt_s is None else "m/s"
     return (
         "region",
         "vectors",

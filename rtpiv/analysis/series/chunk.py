@@ -20,7 +20,7 @@ from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError, SeriesError
 from piv.files.vector_file import vectors_netcdf
 from rtpiv.analysis.pairs.evaluation import Correlated, Evaluation, PairMethod, Task, correlated, evaluated
-from rtpiv.analysis.pairs.pair_vectors import PairResult, vectors_of_pairs
+from rtpiv.analysis.pairs.pair_vectors import PairResult, lengths_said, vectors_of_pairs
 from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.series_folder import Marker, sound_content, write_marker
@@ -147,6 +147,7 @@ def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
     """Write the file of a chunk from what became of its pairs, then its marker."""
     prepared = correction_of(job.maps, job.method)
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()} | said_in_files(job.readings)
+    about |= lengths_said(job.method.scene)
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
     slope = known_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
     content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about, slope=slope))

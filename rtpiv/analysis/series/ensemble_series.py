@@ -32,7 +32,7 @@ from piv.statistics.sweep import Sweep, sweep_with
 from rtpiv.analysis.pairs.pair_vectors import SeriesField
 from rtpiv.analysis.series.chunk import correction_of, windows_of
 from rtpiv.analysis.series.clean_frames import clean_frames
-from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, left_out_because
+from rtpiv.analysis.series.mean_flow import UNTIMED_DT_S, MeanFlow, image_field, left_out_because
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, digest
@@ -182,6 +182,8 @@ class EnsembleFlow:
     correlation: Floats
     pairs: int
     dt_sigma_share: float = float("nan")
+    is_timed: bool = True
+    length: str = "mm"
 
 
 def ensemble_flow(
@@ -213,7 +215,7 @@ def ensemble_flow(
     DiskError, RunInterrupted
         As `run_series`.
     """
-    dts = np.array([pair.dt_s for pair in given.given.pairs], np.float64)
+    dts = np.array([pair.dt_s or UNTIMED_DT_S for pair in given.given.pairs], np.float64)
     if np.ptp(dts) > SAME_DT * dts.mean():
         raise SeriesError("ensemble correlation adds displacements of one dt, and this run has several")
     prepared = correction_of(given.out / "maps", given.method)
@@ -232,7 +234,7 @@ def ensemble_flow(
             sweep = next_sweep(found, sweep)
     assert found is not None
     on_plane = _on_plane(found, prepared.corrector.map.grid, float(dts.mean()))
-    return replace(on_plane, dt_sigma_share=mean.dt_sigma_share)
+    return replace(on_plane, dt_sigma_share=mean.dt_sigma_share, is_timed=mean.is_timed, length=mean.length)
 
 
 def _swept(

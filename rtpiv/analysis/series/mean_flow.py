@@ -38,6 +38,7 @@ from rtpiv.analysis.pairs.pair_vectors import ChunkContent, SeriesField
 
 BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
 LEAST_OF_USUAL = 0.5  # of the share of measured vectors
+UNTIMED_DT_S = 1e-3  # by which a displacement in mm has the number of a velocity in m/s
 KEPT_BYTES = 1 << 28  # 2100 pairs of 126 x 126 vectors in float32
 ROWS = 8  # of the grid whose autocorrelation is taken at a time
 Floats = NDArray[np.float64]
@@ -92,6 +93,11 @@ class MeanFlow:
         The same by ensemble correlation, if that was asked for.
     spheres : mapping of str to str
         `SelfCheck.attributes` of its run; None or empty where particles were not asked.
+    is_timed : bool
+        Whether the time between the frames is known; if not, all that is said to be in m/s is the displacement of
+        a pair, in `length`, and `dt_s` makes the numbers those of mm.
+    length : str
+        Unit of lengths: "mm", or "px" where no scale is told.
     """
 
     x_mm: Floats
@@ -116,6 +122,8 @@ class MeanFlow:
     out_of_plane: OutOfPlane = NOTHING_TOLD
     by_ensemble: Vectors | None = None
     spheres: Mapping[str, str] | None = None
+    is_timed: bool = True
+    length: str = "mm"
 
     def __str__(self) -> str:
         """How many pairs it is of, and how many places have a mean."""
@@ -128,10 +136,10 @@ class MeanFlow:
         rows = [
             (name, *(f"{np.nanmedian(part[..., k][known]):.4g}" if known.any() else "-" for k in (0, 1)))
             for name, part in (
-                ("mean [m/s]", self.mean_m_s),
-                ("its random sigma [m/s]", self.sigma_m_s),
-                ("all that is known of its sigma [m/s]", self.total_sigma_m_s),
-                ("fluctuation, without noise [m2/s2]", self.stresses_m2_s2),
+                (f"mean [{self.unit}]", self.mean_m_s),
+                (f"its random sigma [{self.unit}]", self.sigma_m_s),
+                (f"all that is known of its sigma [{self.unit}]", self.total_sigma_m_s),
+                (f"fluctuation, without noise [{self.squared_unit}]", self.stresses_m2_s2),
             )
         ]
         cells = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
@@ -149,6 +157,25 @@ class MeanFlow:
         if self.spheres and "spheres_moved" in self.spheres:
             found.append(self.spheres["self_check"])
         return found
+
+    @property
+    def unit(self) -> str:
+        """Unit of the mean: m/s, or a length where no time is known."""
+        return "m/s" if self.is_timed else self.length
+
+    @property
+    def squared_unit(self) -> str:
+        """Unit of the stresses."""
+        return "m\u00b2/s\u00b2" if self.is_timed else f"{self.length}\u00b2"
+
+    @property
+    def rate_unit(self) -> str:
+        """Unit of what `rate` returns."""
+        return "1/s" if self.is_timed else "1"
+
+    def rate(self, per_mm: Floats) -> Floats:
+        """Return a derivative of the mean by a place in mm as a rate, or as it is where no time is known."""
+        return (1e3 if self.is_timed else 1.0) * per_mm
 
     @property
     def gaps(self) -> str:
@@ -255,6 +282,8 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
         No pair has vectors, or chunks lie on different grids.
     """
     usual, dt_s, dt_sigma_share, pairs = _usual(chunks)
+    is_timed = not np.isnan(dt_s)
+    dt_s = dt_s if is_timed else UNTIMED_DT_S
     moments, blocks, unresolved = MergeTree[Moments](), MergeTree[Blocking](), MergeTree[Unresolved]()
     kept: list[NDArray[np.float32]] = []
     left_out: list[tuple[str, str]] = []
@@ -297,7 +326,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
         first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, total,
         _of_series(kept) if kept else blocks.result().effective(), used, usual,
         unsure, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
-        too_few=too_few,
+        too_few=too_few, is_timed=is_timed,
     )  # fmt: skip
 
 
@@ -372,9 +401,8 @@ def _usual(chunks: Iterable[ChunkContent]) -> tuple[float, float, float, int]:
         unsure += [field.dt_sigma_s / field.dt_s for field in fields]
     if not shares or not max(shares) > 0.0:
         raise SeriesError("no pair of this series has a vector; look at the reasons that its evaluation gave")
-    if np.isnan(times).any():
+    if np.isnan(times).any() and not np.isnan(times).all():
         raise SeriesError(
-            "the time between the frames of these pairs is not known, so they have no velocity; evaluate them with"
-            " --dt-us"
+            "the time between the frames is known of some of these pairs; evaluate them with --dt-us"
         )
     return float(np.median(shares)), float(np.mean(times)), float(np.sqrt(np.mean(np.square(unsure)))), pairs

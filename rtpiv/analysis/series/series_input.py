@@ -19,7 +19,7 @@ from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import with_glass_at
 from daq.runs.names import is_run
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
-from daq.runs.run_views import scene_file, shows_light_sheet, where_lit
+from daq.runs.run_views import length_unit, scene_file, shows_light_sheet, where_lit
 from ground.plain_words import counted
 from ground.printable import readable_name
 from ground.terminal import console
@@ -98,9 +98,10 @@ def tasks_of(
     run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
     if run is None and len(paths) == 2:
         scene = recipe.scene_of(scene, paths[0], out)
-    if run is None and (len(paths) != 2 or scene is None):
+    if run is None and len(paths) != 2:
         raise PairError(
-            "give two frames and --scene or --mm-per-px, or the folder of a run whose frames form pairs"
+            f"give two frames, or one folder of a run or of frames in pairs, not {len(paths)}; a pattern with *"
+            " needs quotes"
         )
     if run is not None and recipe.mm_per_px is not None:
         raise PairError(SCALE_KNOWN, place=run)
@@ -130,7 +131,7 @@ def _two_frames(
 ) -> Task:
     """Task of two frames."""
     first, second = paths
-    dt_s = None if dt_us is None else 1e-6 * dt_us
+    dt_s = None if dt_us is None or length_unit(scene) == "px" else 1e-6 * dt_us
     return Task(f"{stem_of(first)}, {stem_of(second)}", (first, second), scene, out, shift_mm, dt_s=dt_s)
 
 
@@ -242,10 +243,6 @@ def series_input(
         scene = recipe.scene_of(scene, source.pairs()[0][1], out)
     elif recipe.mm_per_px is not None:
         raise PairError(SCALE_KNOWN, place=run)
-    if foreign and scene is None:
-        raise PairError(
-            f"{run}: what its camera looked through is not known; give --scene, or without glass --mm-per-px"
-        )
     given = None if foreign else pairs_of_series(run, pairs_of(run), dt_us, timed)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -253,7 +250,8 @@ def series_input(
         raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
     scene = scene or scene_file(run, out)
     fitted = recipe.masked(load_scene(scene))
-    given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us, timed)
+    in_mm = length_unit(fitted) == "mm"  # a time makes no velocities of pixels
+    given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us if in_mm else None)
     dewarp = recipe.dewarp(fitted.camera, recipe.board([run]))
     keep_scene(scene, out, fitted)
     usual = Preparation((SLIDING_MINIMUM,) if given.usual_background else ())

@@ -45,7 +45,8 @@ from numpy.typing import NDArray
 from correction.fitted.map_sigma import vector_map_sigma
 from daq.atomic_write import why
 from daq.errors import DiskError
-from piv.files.vector_file import SPEED, Vectors, write_vectors
+from daq.runs.run_views import length_unit
+from piv.files.vector_file import LENGTH, PIXELS, SPEED, Vectors, write_vectors
 from piv.statistics.derived import rates
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
 from rtpiv.analysis.pairs.pair_vectors import RATE, SLOPES
@@ -81,6 +82,7 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
     """
     mean, sigma, found_map = mean_flow(Chunks.of(view.folder)), view.sigma, view.correction.corrector.map
     slope = known_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)
+    mean = replace(mean, length=length_unit(view.scene))
     if slope is not None:
         mean = replace(mean, slope=slope[::-1], out_of_plane=view.out_of_plane)
     if isinstance(sigma, str):
@@ -135,8 +137,19 @@ def mean_vectors(
     if mean.slope is not None:
         said["out_of_plane"] = mean.out_of_plane.sentence
     beside = {name: (each, "1") for name, each in (more or {}).items()}
-    found = _one_time(mean.x_mm, mean.y_mm, _variables(mean) | beside, said | dict(about))
-    return _with_slope(found, mean.slope)
+    said |= {} if mean.length == "mm" else {"length_unit": PIXELS}
+    named = _variables(mean) | beside
+    named = named if mean.is_timed else without_time(named, mean.length)
+    return _with_slope(_one_time(mean.x_mm, mean.y_mm, named, said | dict(about)), mean.slope)
+
+
+def without_time(found: Named, length: str) -> Named:
+    """Return variables of displacements in place of velocities, in units of that length."""
+    unit = LENGTH if length == "mm" else PIXELS
+    units = {SPEED: unit, STRESS: f"{unit}2", RATE: "1", LENGTH: unit}
+    return {
+        name: (1e-3 * values if of == RATE else values, units.get(of, of)) for name, (values, of) in found.items()
+    }
 
 
 def ensemble_vectors(
@@ -176,13 +189,15 @@ def ensemble_vectors(
         found |= _slant_variables(sigma, known.of_stresses(flow.stresses_m2_s2, slope))
         about = {**about, "out_of_plane": known.sentence}
     found["chc"] = (np.asarray(np.isfinite(flow.mean_m_s).all(axis=-1), np.int8), "1")
-    said = {
+    said: dict[str, Any] = {
         "px_per_m_s": flow.px_per_m_s,
         "window_px": flow.windows.size_px,
         "step_px": flow.windows.step_px,
         "pairs_used": flow.pairs,
         "delta_t_sigma_share": np.float64(flow.dt_sigma_share),
     }
+    found = found if flow.is_timed else without_time(found, flow.length)
+    said |= {} if flow.length == "mm" else {"length_unit": PIXELS}
     return _with_slope(_one_time(flow.x_mm, flow.y_mm, found, said | dict(about)), slope)
 
 

@@ -178,9 +178,7 @@ def _same_exposure(run: Path, pairs: tuple[FramePair, ...], entries: dict[str, E
                 )
 
 
-def pairs_of_source(
-    path: Path, out: Path, shape: tuple[int, int], dt_us: float | None, timed: bool = True
-) -> PairsOfSeries:
+def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float | None) -> PairsOfSeries:
     """Collect the pairs of a source.
 
     Parameters
@@ -192,21 +190,17 @@ def pairs_of_source(
     shape : (int, int)
         Rows and columns of its frames.
     dt_us : float or None
-        Time between the frames of a pair.
-    timed : bool
-        Refuse pairs of which it is not known; else these have displacements.
+        Time between the frames of a pair; without it they have displacements.
 
     Raises
     ------
     PairError
-        The time is not known though it must be, or there is no pair.
+        There is no pair.
     FrameError
         The source cannot be read.
     DiskError
         The list of checksums cannot be written.
     """
-    if dt_us is None and timed:
-        raise PairError(f"{path}: the time between the frames of a pair is not known; say it with --dt-us")
     source = source_of(path)
     known, now = _known(out / CHECKSUMS), Known()
     pairs = []

@@ -58,7 +58,7 @@ SENTENCES = {
     "half numbers": "a.tif: holds float16; frames are integers of 8 to 64 bits or float32 or float64",
     "constant": "frame B is constant",
     "stack": "a.tif: holds 2 pages; say which",
-    "one frame": "give two frames and --scene",
+    "one frame": "give two frames, or one folder",
     "NaN": "such values in all; give frames as acquired",
 }
 
@@ -138,7 +138,7 @@ def test_a_call_that_is_refused_leaves_no_new_folder(tmp_path, verb):
         tifffile.imwrite(frames / f"im{number}.tif", np.full((rows, 96), 40 + number, np.uint16))
     named = sorted(map(str, frames.iterdir())) if verb == "evaluate" else [str(frames)]
     out = tmp_path / "out"
-    words = ["--mm-per-px", "0.05", "-o", str(out)]
+    words = ["--mm-per-px", "0.05", "-o", str(out), *(["--mask", "none.png"] if verb == "mean" else [])]
     assert main([verb, *named, *words]) == USAGE
     assert not out.exists()
     out.mkdir()

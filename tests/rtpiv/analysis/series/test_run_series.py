@@ -412,14 +412,16 @@ def test_a_stream_is_a_series_of_one_as_of_many(tmp_path, count):
     assert given_of(run).usual_background == (count == 11)
 
 
-def test_pairs_of_an_unknown_time_have_displacements_and_no_mean(tmp_path):
+def test_pairs_of_an_unknown_time_have_displacements_and_a_mean_of_these(tmp_path):
     run = flow_run(tmp_path, 2, stream=True, timestamp_ns=lambda _: 0)
     found = run_series(series_of(tmp_path / "out", given_of(run, timed=False), method_of(tmp_path), "stream"), 1)
     vectors = found.vectors
     assert (vectors.kind, vectors.units["u"]) == ("displacement", "mm")
     assert np.nanmedian(vectors.fields["u"]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
-    with pytest.raises(SeriesError, match="is not known, so they have no velocity"):
-        mean_flow(Chunks.of(tmp_path / "out"))
+    mean = mean_flow(Chunks.of(tmp_path / "out"))
+    assert (mean.is_timed, mean.unit, mean.squared_unit, mean.rate_unit) == (False, "mm", "mm\u00b2", "1")
+    assert np.nanmedian(mean.mean_m_s[..., 0]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
+    assert np.nanmedian(mean.mean_px[..., 0]) == pytest.approx(2.0, rel=0.02)
 
 
 def test_runs_that_are_no_series_are_one_sentence(tmp_path):
