@@ -230,9 +230,10 @@ class QuantumComposersEmulator(PulsingEmulator):
         self._switch(0, False)
 
     def person_runs(self) -> None:
-        """The key RUN is pressed."""
+        """The key RUN is pressed; without power it does nothing."""
         self.advance()
-        self._switch(0, True)
+        if self.is_on:
+            self._switch(0, True)
 
     def _begin_period(self, time_s: float) -> None:
         if not self._t0.tick("MOD"):

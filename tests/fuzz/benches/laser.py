@@ -5,6 +5,12 @@
 The judge hangs on the Q-switch outputs of the emulated box and knows the state of the laser at the moment of
 every pulse. A pulse is allowed while it is FIRING or ALIGNING, at most as many for each Q-switch as were asked
 for; and in UNKNOWN only while no open port leads to the box: nobody can stop that but the box, or a person at it.
+
+**A person ends the light.** The key STOP, an off of another program, `rtpiv laser off`, an open door and `stop`
+end it: no pulse rises more than `LATE_S` after any of them until a person releases it, by `safe` or the key RUN.
+What reaches the box by no word is not meant (a pulled cable, a line that is lost on its way). A STOP that falls
+into the lines by which a box that loses them is started is counted as `unseen` (ADR 50).
+
 A box that loses lines is told off every `AGAIN_S`; where it refuses one, what leaves until the next is its own.
 Whoever leaves the bench opens it again, also one whose cable is put back meanwhile; nothing is on after that.
 
@@ -36,6 +42,7 @@ from daq.timing.laser import Laser
 from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import Q_SWITCHES, LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import EMITS, LaserState
+from daq.timing.switches import OFF
 from sim.emulators.faults import KINDS, Fault
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
@@ -55,8 +62,28 @@ FIELDS = {
 }  # fmt: skip
 LOOKS = ("wait", "look")  # verbs that end a chunk whose time is over
 LATE_S = 0.3  # after the time of a chunk, or after somebody begins to look: until a box in reach is dark
+PERSON_AS_IT_FIRES = 0.4  # of the bursts, between two of their first words
 AGAIN_S = 0.051  # from one "off" to the next, for a box that loses what comes sooner (docs/laser.md)
 NUDGES = (("PER", "0.05"), ("CMOD", "NORM"), ("BCO", "77"), ("MUX", "3"), ("POL", "COMP"), ("DEL", "0.001"))
+
+
+class Asked:
+    """A switch that a story opens; `rtpiv laser off` among them."""
+
+    def __init__(self):
+        self.closed = True
+
+    def is_closed(self):
+        return self.closed
+
+    def is_confirmed(self):
+        return False
+
+    def confirm(self):
+        pass
+
+    def close(self):
+        self.closed = True
 
 
 class WatchedClock(VirtualClock):
@@ -109,6 +136,16 @@ class Story:
         self.put_back_s = math.inf  # when somebody puts the cable back while the bench is left
         self.log, self.found = [], []
         self.pulses = self.firings = self.by_knobs = 0
+        self.stopped_s = math.inf  # when a person ended the light and nobody has released it since
+        self.ends, self.has_run_key = 0, False
+        self.unseen = 0  # stops that nothing of the box tells of
+        self.asked = 0  # pairs of the burst that was asked for last
+        self.asks_off, self.door_is_closed = Asked(), Asked()
+        self.laser.off_request = self.asks_off
+        self.laser.switches.add(OFF, self.asks_off)
+        self.laser.switches.add("door", self.door_is_closed)
+        for name in (OFF, "door"):
+            self.laser.switches.look(name)
         self.looks_s = None  # since when somebody looks whether the time of a chunk is over
 
     def note_what_was_heard(self, name):
@@ -135,6 +172,9 @@ class Story:
         self.pulses += 1
         state = self.laser._states._state  # without its clock
         self.left[pulse.output] -= 1
+        if pulse.rises_s > self.stopped_s + LATE_S and not self.is_refused(pulse, state):
+            after_s = pulse.rises_s - self.stopped_s
+            self.found.append(f"a pulse on {pulse.output} {after_s:.3f} s after a person has ended the light")
         knobs = {keyword for output, keyword in self.turned if output == pulse.output}
         if self.left[pulse.output] < 0 and self.kind != "oltSync":  # which does not count
             self.by_knobs += bool(knobs)
@@ -142,6 +182,8 @@ class Story:
                 self.found.append(f"one pulse too many on {pulse.output} at {pulse.rises_s:.4f} s")
         if state in EMITS:
             self.judge_end(pulse, knobs)
+        elif "RUN" in knobs:
+            self.by_knobs += 1
         elif not (self.is_out_of_reach(state) or self.is_refused(pulse, state) or self.is_mixed_by_keys(pulse)):
             self.found.append(f"a pulse on {pulse.output} at {pulse.rises_s:.4f} s while {state.value}")
 
@@ -170,6 +212,7 @@ class Story:
         return pulse.rises_s - self.emulator.refused_off_s <= AGAIN_S
 
     def asked_for(self, pairs):
+        self.asked = pairs
         for output in self.q_switches:
             self.left[output] = pairs
         self.firings += 1
@@ -178,6 +221,8 @@ class Story:
         pairs = self.rng.choice((1, 3, 20, 50))
         if self.laser.state is LaserState.ARMED:
             self.asked_for(pairs)
+            if PERSON_AS_IT_FIRES and self.rng.random() < PERSON_AS_IT_FIRES:
+                self.person_at_any_byte(50)
         self.laser.fire(pairs)
 
     def align(self):
@@ -262,7 +307,88 @@ class Story:
             self.emulator.refuses_off[self.rng.randrange(5)] = self.rng.choice((1, 2, 3, 5))
 
     def stop_key(self):
+        """The key STOP of the box, or the key of a diode laser."""
+        self.emulator.advance()
+        was_running = self.kind == "oltSync" or self.emulator.is_on_at(0) or self.begins
         self.emulator.person_stops()
+        if was_running and self.is_in_a_slow_start:
+            self.unseen += 1
+        elif was_running:
+            self.ended()
+
+    def run_key(self):
+        """The key RUN, or that of a diode laser: whatever is on begins anew, and a person has released it."""
+        self.stopped_s, self.has_run_key = math.inf, True
+        for output in self.q_switches:
+            self.left[output] = max(0, self.left[output]) + self.asked
+            self.turned.add((output, "RUN"))
+        self.emulator.person_runs()
+
+    @property
+    def begins(self):
+        """Whether the program is about to begin a burst, for which it may have stopped T0."""
+        return self.laser._states._state in EMITS and self.laser._ends_s == math.inf
+
+    @property
+    def is_in_a_slow_start(self):
+        """Whether a burst is being started line by line."""
+        is_slow = self.kind != "oltSync" and (
+            self.laser.box._pause_s > 0.0 or self.emulator._variant.needs_s > 0.0
+        )
+        return is_slow and self.begins
+
+    def ended(self):
+        """A person has ended the light, now."""
+        self.ends += 1
+        self.stopped_s = min(self.stopped_s, self.clock.now_s())
+
+    def foreign_off(self):
+        """Another program writes off to the box; of a diode box it can be known by its answer alone."""
+        if self.line.dead or (self.kind == "oltSync" and (not self.line.reached or self.line.faults._by_answer)):
+            return
+        self.emulator.advance()
+        was_running = self.kind == "oltSync" or self.emulator.is_on_at(0) or self.begins
+        for data in self.laser.box.off_bytes():
+            self.emulator.feed(data)
+        is_off = self.kind == "oltSync" or not self.emulator.is_on_at(0)
+        if was_running and is_off and self.is_in_a_slow_start:
+            self.unseen += 1
+        elif was_running and is_off:
+            self.ended()
+
+    def laser_off(self):
+        """`rtpiv laser off`: the program is asked, and the box is written to."""
+        self.asks_off.closed = False
+        self.foreign_off()
+        self.opens(OFF)
+
+    def door(self):
+        """The door opens, perhaps for a moment."""
+        self.door_is_closed.closed = False
+        self.opens("door")
+        if self.rng.random() < 0.7:
+            self.door_is_closed.closed = True
+            self.laser.switches.look("door")
+
+    def opens(self, name):
+        """What the thread does that reads a switch."""
+        was_on = self.laser._states._state in (*EMITS, *BETWEEN)
+        self.laser.switch_opened(self.laser.switches.look(name))
+        if was_on and self.line.reached:
+            self.ended()
+
+    def shut_door(self):
+        self.door_is_closed.closed = True
+        self.laser.switches.look("door")
+
+    def person_at_any_byte(self, words=90):
+        """A person ends the light between two words of what comes next."""
+        number, what = self.rng.randrange(1, words), self.rng.choice(("write", "answer"))
+        act = self.rng.choice((self.stop_key, self.foreign_off, self.laser_off, self.door))
+        if act in (self.laser_off, self.door):
+            self.line.hooks.press(number, what, act, lambda: False)
+        else:
+            self.line.hooks.after(number, what, act)
 
     def stop_at_any_byte(self):
         """Another thread stops it at some byte of what comes next."""
@@ -276,6 +402,7 @@ class Story:
 
     def safe(self):
         self.laser.safe()
+        self.stopped_s = math.inf  # a person has released it
 
     def warm(self):
         self.laser.warm(self.rng.choice((10.0, 10.0, 16.0)))
@@ -291,6 +418,8 @@ class Story:
 
     def stop(self):
         self.laser.stop("asked")
+        if self.line.reached:
+            self.ended()
 
     def confirm(self):
         self.laser.confirm_off()
@@ -302,10 +431,11 @@ class Story:
         "safe": 4, "warm": 8, "sleep": 6, "set": 8, "arm": 8, "fire": 10, "wait": 4, "look": 3, "watch": 3,
         "stop": 2, "align": 2, "confirm": 2, "disarm": 1, "fault": 3, "later_fault": 3, "refuse": 2,
         "refuse_off": 2, "later_refuse": 2, "unplug": 1, "later_unplug": 1, "plug_in": 3, "power": 1,
-        "keys": 2, "endless": 1, "stop_key": 1, "stop_at_any_byte": 2,
+        "keys": 2, "endless": 1, "stop_key": 2, "run_key": 1, "foreign_off": 2, "laser_off": 2, "door": 1,
+        "shut_door": 2, "stop_at_any_byte": 2, "person_at_any_byte": 6,
     }  # fmt: skip
     USUAL: ClassVar = {  # what a person does next, so that sequences get as far as light
-        LaserState.SAFE: ("warm",), LaserState.WARM: ("sleep",), LaserState.ARMED: ("fire",),
+        LaserState.SAFE: ("warm", "warm", "shut_door"), LaserState.WARM: ("sleep",), LaserState.ARMED: ("fire",),
         LaserState.FAULT: ("safe",), LaserState.UNKNOWN: ("safe", "sleep", "confirm"),
         LaserState.FIRING: ("wait", "sleep", "stop", "watch", "later_fault", "endless"),
         LaserState.ALIGNING: ("wait", "sleep"),
@@ -354,7 +484,9 @@ class Story:
             self.clock.sleep_s(8.0)
         if not self.line.dead and not self.line.faults.met and self.emulator.is_on:
             on = self.kind == "oltSync" and self.emulator.is_running
-            on = on or (self.kind != "oltSync" and any(channel.on for channel in self.emulator._all))
+            if self.kind != "oltSync":
+                first = 1 if self.has_run_key else 0  # T0 alone, which a person has started, gives nothing
+                on = on or any(channel.on for channel in self.emulator._all[first:])
             if on:
                 self.found.append("something is on after the end")
 
@@ -369,6 +501,8 @@ def play(sequences, seed, length=14, until_s=None):
         books["pulses"] += story.pulses
         books["bursts"] += story.firings
         books["pulses by knobs"] += story.by_knobs
+        books["ended by a person"] += story.ends
+        books["unseen"] += story.unseen
         if story.found:
             return books, [f"seed {seed}-{number}", *story.log, *story.found]
         if until_s is not None and time.monotonic() > until_s:

@@ -113,6 +113,8 @@ class LightStory(laser.Story):
         pairs = self.rng.choice((3, 20, 50))
         if self.laser.state is LaserState.READY:
             self.asked_for(pairs)
+            if laser.PERSON_AS_IT_FIRES and self.rng.random() < laser.PERSON_AS_IT_FIRES:
+                self.person_at_any_byte(140)
         self.light._code = self.laser.challenge
         self.sometimes_nudge()
         self.supervisor = self.light.fire(self.laser, pairs, lambda: True)

@@ -63,7 +63,7 @@ def endless(number):
 
 def test_the_judge_sees_an_end_that_comes_late(monkeypatch):
     monkeypatch.setattr(QuantumComposersBox, "end", ends_late)
-    _, found = play(60, "late 0")
+    _, found = play(300, "late 0")
     assert any("after the time of its chunk" in line for line in found), found
 
 
@@ -82,3 +82,16 @@ def test_the_judge_sees_a_laser_that_is_given_up_while_its_cable_is_loose(monkey
     monkeypatch.setattr("daq.timing.darkness.LEAVING_S", 0.0)
     _, found = play(20, "loose 11")
     assert found[-1:] == ["something is on after the end"]
+
+
+def test_the_judge_sees_a_door_that_holds_the_laser_only_while_it_is_open(monkeypatch):
+    monkeypatch.setattr(Laser, "switch_opened", says_nothing)
+    _, found = play(60, "door")
+    assert any("after a person has ended the light" in line for line in found), found
+
+
+def test_the_judge_sees_a_burst_that_undoes_a_stop(monkeypatch):
+    monkeypatch.setattr(QuantumComposersBox, "require_lamps", says_nothing)
+    monkeypatch.setattr(QuantumComposersBox, "_start", QuantumComposersBox._start_slowly)
+    _, found = play(200, "undone")
+    assert any("after a person has ended the light" in line for line in found), found
