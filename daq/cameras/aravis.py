@@ -224,7 +224,7 @@ class AravisCamera:
                 raise BadFrame(f"the camera announces frames of {size} bytes and {pixels} px")
             self._exposure_us = exposure_us(nodes)
             self._packets_per_frame = _packets_per_frame(nodes, size) if self._is_network else 1
-            self._counts_triggers = count_missed_triggers(nodes)
+            self._counts_triggers = count_missed_triggers(nodes, self._configured)
             self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
             ring = FrameRing(buffers, pixels)
             self._memory = [np.empty(size, np.uint8) for _ in range(buffers)]

@@ -49,6 +49,8 @@ class GenApiNodes:
         feature = self._map.get_node(name)
         for node in (feature.node, *(child.node for child in feature.node.children)):
             node.invalidate_node()
+        if not hasattr(feature, "value"):
+            raise SettingRefused(f"{name} has no value; it is a command or a category")
         value = feature.value
         return value if isinstance(value, bool | int | float | str) else str(value)
 

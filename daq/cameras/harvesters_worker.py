@@ -242,7 +242,7 @@ class Worker:
         self._ring = FrameRing(slots, pixels, ring)
         self._free = deque(range(slots))
         nodes = self._nodes
-        self._counts_triggers = count_missed_triggers(nodes)
+        self._counts_triggers = count_missed_triggers(nodes, self._configured)
         self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
         self._exposure_us = exposure_us(nodes)
         self._incomplete.count = self._incomplete_told = self._grabbed = 0

@@ -227,8 +227,8 @@ class AravisNodes:
 
         Raises
         ------
-        CameraError
-            There is no such feature, it has no value (a command, a category), or it cannot be read now.
+        SettingRefused, AravisError
+            It has no value (a command, a category), or cannot be read now.
         """
         kind, key = self._kind(name), name.encode()
         if kind in INTEGERS:
@@ -240,7 +240,7 @@ class AravisNodes:
         if kind in TEXTS:
             text = call("arv_device_get_string_feature_value", self._device, key)
             return text.decode("utf-8", "replace") if text else ""
-        raise CameraError(f"{name} is a {kind} and has no value")
+        raise SettingRefused(f"{name} is a {kind} and has no value")
 
     def is_float(self, name: str) -> bool:
         """Whether a feature is a number with a fraction."""

@@ -273,8 +273,13 @@ def exposure_us(nodes: Nodes) -> float:
     return math.nan
 
 
-def count_missed_triggers(nodes: Nodes) -> bool:
-    """Let the camera count triggers it had to ignore (SFNC FrameTriggerMissed); False if it cannot."""
+def count_missed_triggers(nodes: Nodes, configured: Iterable[str]) -> bool:
+    """Let the camera count triggers it had to ignore (SFNC FrameTriggerMissed).
+
+    False if it cannot, or if its counters have been configured for something else.
+    """
+    if any(name.startswith("Counter") for name in configured):
+        return False
     if not (nodes.has("CounterEventSource") and nodes.has("CounterValue")):
         return False
     if "FrameTriggerMissed" not in nodes.entries("CounterEventSource"):

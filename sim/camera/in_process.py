@@ -188,7 +188,7 @@ class InProcessCamera:
         self._require_disarmed()
         nodes = self._nodes
         self._begin_counting()
-        self._counts_triggers = count_missed_triggers(nodes)
+        self._counts_triggers = count_missed_triggers(nodes, self._configured)
         self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
         self._exposure_us = exposure_us(nodes)
         self._armed += 1

@@ -277,6 +277,17 @@ def test_triggers_while_the_sensor_is_busy_are_counted(camera):
     assert (counters.delivered, counters.lost) == (1, 0)
 
 
+def test_counters_that_were_configured_are_left_alone(rig):
+    camera = rig.make(CameraConfig(width=64, height=16, serial="COUNTS"))
+    camera.open()
+    camera.configure({"CounterSelector": "Counter0", "CounterEventSource": "Off", **SOFTWARE})
+    camera.arm()
+    triggered(camera, 1)
+    camera.verify()
+    assert camera.disarm().ignored_triggers is None
+    camera.close()
+
+
 def test_a_timeout_leaves_the_camera_usable(camera):
     camera.configure({"PixelFormat": "Mono12", **SOFTWARE})
     camera.arm()

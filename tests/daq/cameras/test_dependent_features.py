@@ -65,6 +65,8 @@ REFUSED = [  # dialect, settings, reason
     ("pilot", FRAME, r"TriggerSelector = 'FrameStart'.*AcquisitionStart"),
     ("hikrobot", FRAME, r"set TriggerSelector: FrameBurstStart and AcquisitionBurstFrameCount: 1$"),
     ("plain", {"TriggerSource": "Software"}, r"TriggerSource.*TriggerMode is Off"),
+    ("plain", {"TriggerSoftware": 1}, r"TriggerSoftware"),
+    ("plain", {"AcquisitionControl": 1, "Gain": 2.0}, r"AcquisitionControl"),
     ("plain", {"TriggerSelector": "AcquisitionStart", **SOFTWARE}, r"no feature TriggerSelector"),
 ]
 
