@@ -25,7 +25,18 @@ class Player:
         self.lost = 0
 
     def play(self, steps):
-        acts = [self.move, self.move, self.move, self.home, self.stop, self.person, self.cut, self.hang, self.off]
+        acts = [
+            self.move,
+            self.move,
+            self.move,
+            self.home,
+            self.stop,
+            self.person,
+            self.cut,
+            self.hang,
+            self.off,
+            self.hunt,
+        ]
         acts += [self.shove] if self.made.line.emulator._encoder else []
         for _ in range(steps):
             self.draw.choice(acts)()
@@ -90,6 +101,10 @@ class Player:
         else:
             self.soon(lambda: self.made.line.power_cycle(0.3))
         self.move()
+
+    def hunt(self):
+        """A servo begins to hunt, or ends it: 2.5 um a step."""
+        self.made.world.motors[self.draw.choice("ab")].noise_steps = self.draw.randint(0, 3)
 
     def shove(self):
         self.made.world.shove(self.draw.choice("ab"), self.draw.uniform(-3.0, 3.0))
