@@ -39,6 +39,7 @@ LIT_S = 1.0  # of a burst before it is switched off; of lamps
 CABLE_S = 10.0  # longest burst in which a person can pull a cable
 FINDING = "the counter's cable"
 POLL_S = 0.01
+LEAST_S = 5.0  # of the longest burst that a bench allows
 LEAST_PAIRS = 4  # of the longest burst
 BEFORE_END_S = 0.5  # of that burst, the latest at which the link may be lost
 PUT_BACK_S = 60.0  # for a cable to be put back
@@ -103,6 +104,11 @@ class BoxTrials:
         if not laser.box.counts:
             raise NotArmed(
                 f"{laser.name} cannot be proven: its box does not count pulses, so it ends no burst by itself"
+            )
+        if laser.rules.chunk_s < LEAST_S:
+            raise NotArmed(
+                f"{laser.name} is not proven: bursts of chunk_s ({laser.rules.chunk_s:g} s) end before a person "
+                f"has pulled a cable; set chunk_s to {CABLE_S:g} in the bench file"
             )
         if (most := self._most(CABLE_S)) < LEAST_PAIRS:
             raise NotArmed(
@@ -309,6 +315,8 @@ class BoxTrials:
             end_s = self._clock.now_s() + pairs / self._timing.rate_hz
             missed = self._not_lost_by(end_s - BEFORE_END_S)
             self._clock.sleep_s(max(0.0, end_s - self._clock.now_s()) + self._lit_s)
+            if not missed and self._laser.box.answers():
+                missed = "the box answered again too soon; leave the cable out until you are asked to put it back"
             self._reach_again()
             if not missed:
                 self._judges[-1] = self._exactly(what, pairs)

@@ -107,7 +107,7 @@ class _SimulatedPerson:
     """Somebody at a simulated bench."""
 
     def __init__(self, simulation: Any) -> None:  # noqa: ANN401 - stands above us
-        (self._unit,) = simulation.world.timing
+        self._unit = next(unit for unit in simulation.world.timing if unit.line.opened)
         simulation.clock.is_paced = lambda: True  # its camera is on the clock of the wall
 
     def promise_dark(self, challenge: str) -> str:

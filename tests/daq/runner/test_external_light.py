@@ -1,5 +1,6 @@
 """A flow whose laser and camera another program triggers: whole pairs, and what nothing here has checked."""
 
+import html
 import re
 import threading
 
@@ -14,7 +15,10 @@ from daq.runner.pair_source import Chunk, PairSource
 from daq.runs.frame_accounting import UNCHECKED
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
+from daq.runs.run_folder import RunFolder
 from ground.errors import ConfigError
+from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.run import books_chapter
 from rtpiv.command_line.cli import DONE, main
 from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import world
@@ -63,6 +67,9 @@ def test_pairs_of_another_programs_pulses_are_whole(tmp_path, capsys, shape, fau
     assert said.count(UNCHECKED) == 2, "before the run and behind it"
     assert "triggered from outside in 2 chunks: 14 are kept" in said
     assert "Ctrl-C switches the laser off" not in said
+    page = Page("a flow")
+    books_chapter(page, RunFolder.open(path))
+    assert html.escape(UNCHECKED[1:]) in page.html()
 
 
 def test_a_rate_is_told_by_the_gaps_between_pairs_though_one_is_lost():
