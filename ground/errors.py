@@ -21,6 +21,10 @@ from typing import ClassVar
 USAGE, DEVICE, INTERRUPTED = 2, 3, 4  # exit codes: usage or file; device, disk or memory; resumable
 
 
+class RtpivWarning(RuntimeWarning):
+    """A warning to a person, as opposed to those of libraries, which the command line does not print."""
+
+
 class RtpivError(Exception):
     """Root of everything that is raised on purpose; its text is one sentence for a person.
 

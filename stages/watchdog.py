@@ -142,7 +142,9 @@ class Watchdog:
         except OSError as error:
             self._process = None
             text = f"there is no watchdog ({error}): if this program is killed, what moves drives on to its target"
-            warnings.warn(text, RuntimeWarning, stacklevel=2)
+            from ground.errors import RtpivWarning  # the watchdog itself is this file alone
+
+            warnings.warn(text, RtpivWarning, stacklevel=2)
             return
         assert self._process.stdin is not None
         if SELECTS_PIPES:

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.errors import FitFailed
+from correction.errors import FitFailed, TargetNotFound
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.judge.result import SHARE_LIMIT, FitStep, rms_limit_px
 from correction.fit.judge.suspect_words import CLEAR, target_heights
@@ -31,15 +31,18 @@ from correction.fit.levels_shown import levels_shown, look_like_levels
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import (
     FLOOR_PX,
+    MeasuredFrame,
     TargetFrame,
     bare_frame,
     bare_frame_through_walls,
     centred,
 )
+from correction.fit.seen.prediction import expect
 from correction.fit.solve.contact import clear_of, pushed_apart
 from correction.fit.solve.solver import Solution
-from correction.fit.solve.unknowns import Unknowns
-from correction.target.board_search import corners_in_view
+from correction.fit.solve.unknowns import Unknowns, unknowns_of
+from correction.target.board_search import Predict, corners_in_view
+from correction.target.lattice_fit import LEAST_BOARD
 from correction.target.size_seen import size_seen
 from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
@@ -48,15 +51,21 @@ from tracer.scene.scene import Scene
 
 LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold any lens
 HEIGHTS_FREED = 0.05  # share by which all heights of the target may be off
+FAR_OR_LARGE = ("camera.z", "camera.focal_px", "print.")  # numbers that are seen as one: how large the board is
+MORE = 1.05  # times as many corners that the bare target shows without glass
 ON_BARE = ("camera.", "target", "print.")  # numbers that the bare target tells of
 SURE = 3.0  # sigmas that the camera may be off
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
+COARSER = 4  # times that a view through walls is predicted coarser than frames
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
 
 
 def find_camera(work: Progress) -> None:
     """Fit the camera to the bare target, or say why none fits."""
-    unknowns, solution = _fit_camera(work, work.bare_frames[:1], _reach(work))
+    try:
+        unknowns, solution = _fit_camera(work, work.bare_frames[:1], _reach(work))
+    except TargetNotFound as missing:
+        raise TargetNotFound(files_exchanged(work) or str(missing)) from None
     if solution.pull > PRIOR_LIMIT and not cause_on_bare(work):
         unknowns, solution = _follow_board(work, unknowns, solution)
     if len(work.bare_frames) > 1:
@@ -66,6 +75,58 @@ def find_camera(work: Progress) -> None:
     if work.board.dots is not None:
         solution = _centre_dots(work, unknowns)
     _check(work, _bare_rms_px(work, unknowns, solution.x), unknowns, solution)
+    for name, pull in zip(unknowns.names, solution.x.tolist(), strict=True):
+        if name.startswith(FAR_OR_LARGE) and abs(pull) > SURE:
+            work.note(
+                FitStep(
+                    f"warning: {name} is {abs(pull):.1f} sigmas from what was known of it before; measure the"
+                    " distance of the camera and the print again: an error of either is one of every length"
+                )
+            )
+
+
+def files_exchanged(work: Progress) -> str:
+    """Say that a frame named as one with glass shows the bare target, where the bare one shows less of it."""
+    own, reach = work.bare_frames[0], _reach(work)
+    found = [len(frame) for frame in work.bare[:1]]
+    for frame in work.glass_frames:
+        if frame.height_mm != own.height_mm:
+            continue
+        try:
+            other, _ = bare_frame(frame, work.board, _predicted_view(work, frame, work.unknowns.start), 0, reach)
+        except TargetNotFound:
+            continue
+        if not other.refused.get("FOREIGN") and len(other) > MORE * sum(found):
+            return (
+                f"{frame.name} shows the bare target without glass, and {own.name} does not: the files are"
+                " exchanged; rename them"
+            )
+    return ""
+
+
+def _heights_exchanged(work: Progress) -> str:
+    """Say that the bare target fits with heights of the other sign, where it does not with those given."""
+    heights = work.unknowns.heights_mm
+    if len(work.bare) < 2 or not any(heights):
+        return ""
+    known = work.board.print_sigma
+    other = unknowns_of(work.nominal, [-z for z in work.heights], work.priors, work.focal_free, print_sigma=known)
+    other = other.only((*ON_BARE, *work.walls))
+    frames = [_at_height(frame, other, -heights[frame.corners.height_number]) for frame in work.bare]
+    fit = Adjustment().solve(other, other.free(other.start), frames)
+    rms_px = float(np.sqrt(np.mean(Adjustment().reprojection(other, fit.x, frames) ** 2)))
+    if not (fit.pull <= PRIOR_LIMIT and rms_px <= _limit_px(work)):
+        return ""
+    return (
+        "the bare target is seen where it should be with its heights exchanged: z+ and z- are swapped in the file"
+        " names, or the axis of the target runs the other way (z is positive towards the camera)"
+    )
+
+
+def _at_height(frame: MeasuredFrame, unknowns: Unknowns, height_mm: float) -> MeasuredFrame:
+    """Return a frame as one of the target at another height."""
+    number = int(np.argmin(np.abs(np.array(unknowns.heights_mm) - height_mm)))
+    return replace(frame, corners=replace(frame.corners, height_number=number))
 
 
 def _reach(work: Progress) -> float:
@@ -81,13 +142,36 @@ def _fit_camera(
     """Find the bare target in more frames, one by one, and fit the camera to all there are."""
     unknowns = work.unknowns.only((*ON_BARE, *work.walls))
     for frame in frames:
-        camera, number = unknowns.camera(work.full), work.height_number(frame)
-        found, work.board = bare_frame(frame, work.board, camera, number, reach)
+        number = work.height_number(frame)
+        found, work.board = bare_frame(frame, work.board, _predicted_view(work, frame, work.full), number, reach)
         work.bare.append(found)
         solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
         work.full = unknowns.full(solution.x)
         work.note(work.fits.step(f"camera on {frame.name}", unknowns, solution.x, work.bare[-1:]))
     return unknowns, solution
+
+
+def _predicted_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64]) -> Predict:
+    """Return where a scene shows points of the board in a bare frame, through walls that stand there."""
+    camera, number = work.unknowns.camera(full), work.height_number(frame)
+
+    def by_camera(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return camera.project(place_mm + np.array((0.0, 0.0, frame.height_mm)))
+
+    if not work.walls:
+        return by_camera
+    scene = legal_scene(work.unknowns, full)[0].bare()
+    view = expect(scene, work.unknowns.pose(full, number), work.board, COARSER)
+    if not len(view):
+        return by_camera
+    places = {(i, j): pixel for (i, j), pixel in zip(view.index.tolist(), view.pixel, strict=True)}
+    sides = work.board.sides_mm
+
+    def through_walls(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        index = np.rint(place_mm[:, :2] / sides).astype(np.int64).tolist()
+        return np.array([places.get((i, j), (np.nan, np.nan)) for i, j in index]).reshape(-1, 2)
+
+    return through_walls
 
 
 def _measure_through_walls(work: Progress, unknowns: Unknowns) -> Solution:
@@ -103,6 +187,7 @@ def _measure_through_walls(work: Progress, unknowns: Unknowns) -> Solution:
         )
         for frame in work.bare_frames
     ]
+    _refuse_few_marks(work, "clear of the edges of the walls")
     solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
     work.full = unknowns.full(solution.x)
     work.note(work.fits.step("camera through walls", unknowns, solution.x, work.bare))
@@ -116,10 +201,22 @@ def _centre_dots(work: Progress, unknowns: Unknowns) -> Solution:
         centred(one, work.board, scene, work.unknowns.pose(work.full, one.corners.height_number))
         for one in work.bare
     ]
+    _refuse_few_marks(work, "seen whole and large enough")
     solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
     work.full = unknowns.full(solution.x)
     work.note(work.fits.step("camera by centres of dots", unknowns, solution.x, work.bare))
     return solution
+
+
+def _refuse_few_marks(work: Progress, how: str) -> None:
+    """Refuse frames of the bare target of which too few marks are left to fit a camera to."""
+    marks = "corners" if work.board.dots is None else "dots"
+    for frame in work.bare:
+        if len(frame) < LEAST_BOARD:
+            raise TargetNotFound(
+                f"{frame.name}: only {len(frame)} {marks} of the bare target are {how}, {LEAST_BOARD} are needed;"
+                " show more of the target, nearer or sharper"
+            )
 
 
 def _follow_board(work: Progress, unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, Solution]:
@@ -152,7 +249,7 @@ def cause_on_bare(work: Progress) -> str:
         rms = _bare_rms_px(work, wider, after.x)
         gain = 2.0 * numbers * np.log(alone / rms) + float(before.x @ before.x - after.x @ after.x)
         gain -= (len(wider.names) - len(told.names)) * np.log(numbers)
-        if after.pull < PRIOR_LIMIT and rms < _limit_px(work) and gain > 0.0:
+        if after.pull <= PRIOR_LIMIT and rms <= _limit_px(work) and gain >= 0.0:  # none of them NaN
             found.append((gain, say(told, wider, after, rms)))
     return max(found)[1] if found else ""
 
@@ -180,6 +277,8 @@ def _lens_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: flo
     spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
     sigma = dict(zip(wider.names, wider.sigma * spread, strict=True))
     found = [f"{name} {values[name]:+.2g}" for name in new if abs(values[name]) > CLEAR * sigma[name]]
+    if not found:
+        return ""
     return (
         f"the lens is off its axis or distorts more than is told: with its terms free the bare target is where"
         f" the camera shows it, to {rms_px:.2g} px, and {', '.join(found)} differ from what was held; free"
@@ -222,6 +321,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             rms_px,
             limit,
             lens
+            or _heights_exchanged(work)
             or size_told(work)
             or "the corners of the bare target do not fit any camera near the nominal one; check square_mm,"
             " free more lens terms in the fit section, or check that the board is flat",
@@ -235,6 +335,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             pull,
             PRIOR_LIMIT,
             lens
+            or _heights_exchanged(work)
             or size_told(work)
             or f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
             " of the scene, or allow more in its fit section",
@@ -245,11 +346,7 @@ def size_told(work: Progress) -> str:
     """Say how much larger than told the first bare frame shows the board, if no camera near the told one would."""
     frame, found = work.bare_frames[0], work.bare[0]
     camera = work.nominal.camera
-
-    def predict(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return camera.project(place_mm + np.array((0.0, 0.0, frame.height_mm)))
-
-    view = corners_in_view(work.board, predict, camera.shape)
+    view = corners_in_view(work.board, _predicted_view(work, frame, work.unknowns.start), camera.shape)
     size = size_seen(found.corners.pixel, found.axes_px, view, work.board)
     longer = dict(zip(work.unknowns.names, work.unknowns.sigma.tolist(), strict=True)).get("camera.focal_px", 0.0)
     nearer = work.priors.camera.position_mm / float(np.linalg.norm(camera.position_mm))

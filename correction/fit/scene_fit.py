@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import FitFailed, GlassNotSeen
-from correction.fit.camera_stage import find_camera, size_told
+from correction.fit.camera_stage import files_exchanged, find_camera, size_told
 from correction.fit.glass_stage import find_glass
 from correction.fit.judge.light_of_glass import light_of_glass
 from correction.fit.judge.result import FitStep, SceneFit, check
@@ -85,7 +85,8 @@ def fit_scene(
         try:
             find_glass(work)
         except GlassNotSeen as missing:  # a board of another size is seen elsewhere than the scene shows it
-            raise GlassNotSeen("; ".join(filter(None, (size_told(work), str(missing))))) from None
+            words = files_exchanged(work), size_told(work), str(missing)
+            raise GlassNotSeen("; ".join(filter(None, words))) from None
     fit = _looked_through(work, _estimated(work))
     say(str(fit.history[-1]))
     try:

@@ -71,7 +71,7 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
                 "bright and dark squares are exchanged compared to the board described; describe the board that"
                 " is in the frame"
             )
-        in_mirror = wanted * (-1, 1)  # but for a shift
+        in_mirror = wanted * np.array((-1, 1))  # but for a shift
         if _matches(cells, bright, board, in_mirror, shades):
             raise TargetNotFound(
                 f"the {board.origin_marks} of the board are seen in a mirror: set ReverseX or ReverseY of the"

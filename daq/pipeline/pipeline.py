@@ -45,6 +45,7 @@ from daq.pipeline.stats import PipelineStats
 from daq.runs.journal import Journal
 from daq.runs.raw_frame import checksum, write_raw
 from daq.runs.run_folder import RunFolder
+from ground.errors import RtpivWarning
 
 SHOWN_WITHIN_S = 10.0
 
@@ -99,7 +100,7 @@ class PreviewThread:
                 self._ends, left, self._tray = True, self._tray, None
             if left is not None:
                 left[0].let_go()
-            warnings.warn(f"the live page shows nothing any more: {error!r}", RuntimeWarning, stacklevel=1)
+            warnings.warn(f"the live page shows nothing any more: {error!r}", RtpivWarning, stacklevel=1)
 
     def _taken(self) -> tuple[SharedJob, NDArray[np.float32] | None] | None:
         """What lies in the tray, waited for; None when that was all."""

@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 import ground.jit.compile_news as compile_news
 from daq.signal_handling import SIGNALLED, flush_or_leave, handle_signals
-from ground.errors import UntrustedProgram
+from ground.errors import RtpivWarning, UntrustedProgram
 from ground.named_program import VARIABLE, trust
 from ground.printable import printable
 from rtpiv.analysis.pictures.own_style import ENVIRONMENT
@@ -175,8 +175,12 @@ def print_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Say what a library warns of, without its file and line; it may quote a name with commands in it."""
-    print(f"rtpiv: {printable(str(message))} ({category.__name__})", file=sys.stderr)
+    """Print a warning of ours, without its file and line; it may quote a name with commands in it.
+
+    Warnings of libraries are for developers: they are printed with Python's option -W or PYTHONWARNINGS.
+    """
+    if issubclass(category, RtpivWarning) or sys.warnoptions:
+        print(f"rtpiv: {printable(str(message))} ({category.__name__})", file=sys.stderr)
 
 
 def print_compiling(functions: int, seconds: float) -> None:

@@ -15,6 +15,7 @@ from contextlib import suppress
 from functools import partial
 from typing import ClassVar, TypeVar
 
+from ground.errors import RtpivWarning
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.controller_tables import AnyControllerTable, ForeignTable
 from stages.errors import (
@@ -95,11 +96,11 @@ class ForeignLibrary(MotionController):
     def _tell_what_a_stop_reaches(self) -> None:
         """Say stop at rest, and tell a person what it cannot reach."""
         if why := self._ask("to stop", self._halt):
-            warnings.warn(f"{self.name} cannot be stopped by its library ({why})", RuntimeWarning, stacklevel=4)
+            warnings.warn(f"{self.name} cannot be stopped by its library ({why})", RtpivWarning, stacklevel=4)
         warnings.warn(
             f"{self.name} is moved by {self.library}: a stop waits for the call in progress, and if this program "
             "is killed what moves drives on to its target (docs/safety.md)",
-            RuntimeWarning,
+            RtpivWarning,
             stacklevel=4,
         )
 

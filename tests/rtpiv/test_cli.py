@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import pytest
 import tifffile
 
 from daq import cameras
+from ground.errors import RtpivWarning
+from rtpiv.command_line import cli
 from rtpiv.command_line.cli import DEVICE, USAGE, main
 from rtpiv.options.command import parser
 
@@ -187,3 +190,13 @@ def test_trace_leaves_pictures(bench):
     assert names == {"plane.png", "camera_view.png", "slant.png", "scene.png", "radial_curve.png"}
     for path in (bench / "trace").iterdir():
         assert path.stat().st_size > 1000
+
+
+def test_warnings_of_libraries_do_not_reach_the_user(capsys):
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = cli.print_warning  # as `main` does
+        assert np.isnan(np.nanmedian([np.nan]))  # All-NaN slice encountered
+        assert capsys.readouterr().err == ""
+        warnings.warn("the bench has no watchdog", RtpivWarning, stacklevel=1)
+    assert "the bench has no watchdog" in capsys.readouterr().err

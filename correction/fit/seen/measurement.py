@@ -30,10 +30,9 @@ from correction.fit.seen.smear import (
 from correction.fit.seen.smear_test import EdgeSpread
 from correction.fit.solve.solver import Corners
 from correction.target import Chessboard
-from correction.target.board_search import track_board
+from correction.target.board_search import Predict, track_board
 from correction.target.corners import CornerFit, CornerReason
 from ground.short_repr import short_repr
-from tracer.camera import Camera
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 
@@ -206,9 +205,9 @@ def by_region(behind: NDArray[np.bool_], factors: dict[bool, float]) -> NDArray[
 
 
 def bare_frame(
-    frame: TargetFrame, board: Chessboard, camera: Camera, height_number: int, reach: float | None = None
+    frame: TargetFrame, board: Chessboard, predict: Predict, height_number: int, reach: float | None = None
 ) -> tuple[MeasuredFrame, Chessboard]:
-    """Find the board without glass, with the help of a camera; it may be off by `reach` squares, if that is given.
+    """Find the board without glass, with a prediction of its view, off by up to `reach` squares if that is given.
 
     Returns
     -------
@@ -221,10 +220,6 @@ def bare_frame(
     TargetNotFound
         With the frame's name in front.
     """
-
-    def predict(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return camera.project(place_mm + np.array((0.0, 0.0, frame.height_mm)))
-
     try:
         found = track_board(frame.image, board, predict, reach=reach)
     except TargetNotFound as error:
