@@ -124,8 +124,14 @@ class Stage:
                 axis.connected()
 
     def _the_watchdog(self) -> Watchdog:
-        self._watchdog = self._watchdog or Watchdog()
+        self._watchdog = self._watchdog or Watchdog(self._end_unwatched_motion)
         return self._watchdog
+
+    def _end_unwatched_motion(self, why: str) -> None:
+        """Stop what moves when its watchdog has died."""
+        if self.what_moves():
+            with suppress(StageError):
+                self.stop(why)
 
     @property
     def latch(self) -> StopLatch:

@@ -45,7 +45,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import serial
@@ -53,6 +53,7 @@ import serial
 AGAIN_S = (0.0, 0.03, 0.08, 0.2, 0.5)  # after the death, or after the port could be opened
 PATIENCE_S = 10.0  # with a port that cannot be opened
 RETRY_S = 0.05
+SHORT_LIFE_S = 1.0  # one that dies sooner is replaced with the next word only, or it might go on for ever
 LOOK_S = 0.1  # how often the parent is looked for where the system does not tell
 SELECTS_PIPES = os.name == "posix"  # elsewhere a read waits for a word, and only the end of the pipe tells a death
 PSEUDO_TERMINALS = range(136, 144)  # major numbers of Unix98 slaves on Linux
@@ -73,9 +74,20 @@ def word_of(name: str, url: str, baud: int, hold_dtr: bool, stop_bytes: Sequence
 
 
 class Watchdog:
-    """The living end of the pipe: starts the process and tells it what moves. Safe for several threads."""
+    """The living end of the pipe: starts the process and tells it what moves. Safe for several threads.
 
-    def __init__(self) -> None:
+    A process that is killed is missed at once: another one takes its place, and `on_loss` is called, because what
+    moved meanwhile was not watched.
+
+    Parameters
+    ----------
+    on_loss : callable, optional
+        Called with the reason, from a thread of its own.
+    """
+
+    def __init__(self, on_loss: Callable[[str], object] | None = None) -> None:
+        self._on_loss = on_loss
+        self._is_closed = False
         self._known: dict[str, Word] = {}
         self._moving: set[str] = set()
         self._lock = threading.Lock()
@@ -126,6 +138,7 @@ class Watchdog:
     def close(self) -> None:
         """End the pipe; what is still said to move will be stopped."""
         with self._lock:
+            self._is_closed = True
             if self._process is not None:
                 process, self._process = self._process, None
                 _end(process)
@@ -149,14 +162,31 @@ class Watchdog:
         assert self._process.stdin is not None
         if SELECTS_PIPES:
             os.set_blocking(self._process.stdin.fileno(), False)  # a watchdog that hangs must not hang the bench
+        threading.Thread(target=self._miss, args=(self._process,), name="watchdog's death", daemon=True).start()
+
+    def _miss(self, process: "subprocess.Popen[bytes]") -> None:
+        """Wait for the end of a process; if that was not ours to bring about, replace it and say so."""
+        begun_s = time.monotonic()
+        process.wait()
+        with self._lock:
+            if self._is_closed:
+                return
+            if process is self._process and time.monotonic() - begun_s > SHORT_LIFE_S:
+                self._replace(process)
+        if self._on_loss is not None:
+            self._on_loss("the watchdog of this program was killed")
+
+    def _replace(self, process: "subprocess.Popen[bytes]") -> None:
+        """Start another process, and tell it everything."""
+        self._process = None
+        _end(process)
+        self._start()
+        self._write([*self._known.values(), *({"moves": name} for name in sorted(self._moving))])
 
     def _tell(self, word: Word) -> None:
         if self._process is None or self._write([word]):
             return
-        process, self._process = self._process, None
-        _end(process)
-        self._start()  # somebody has killed it: another one, told everything
-        self._write([*self._known.values(), *({"moves": name} for name in sorted(self._moving))])
+        self._replace(self._process)  # it was killed
 
     def _write(self, words: Sequence[Word]) -> bool:
         """Write words, each whole or not at all; False if nobody reads any more."""

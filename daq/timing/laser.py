@@ -445,8 +445,8 @@ class Laser:
             if state not in EMITS or self._clock.now_s() < self._ends_s:
                 return state in EMITS
             with self._dark.doubting():
+                self.box.end()
                 if state is LaserState.FIRING:
-                    self.box.end()
                     self.box.require_lamps(self._rate_hz is not None)  # a restart ends bursts too
                     self._states.enter(Event.DONE)
                 else:

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 import stages.watchdog
-from stages.watchdog import Watchdog, needs_watchdog, word_of
+from stages.watchdog import SHORT_LIFE_S, Watchdog, needs_watchdog, word_of
 from tests.stages.children import end, go, served
 
 FAR_MM = 110.0  # five seconds away
@@ -318,3 +318,32 @@ def test_where_pipes_cannot_be_selected_the_end_of_the_pipe_is_the_death():
         assert port.recv(1) == b"\xfd"
         port.close()
         process.wait(20)
+
+
+@pytest.mark.posix("kill -9")
+def test_a_watchdog_that_is_killed_is_missed_at_once_and_one_that_is_closed_is_not():
+    missed = []
+    watchdog = Watchdog(lambda why: missed.append((time.monotonic(), why)))
+    time.sleep(SHORT_LIFE_S + 0.3)
+    killed_s, pid = time.monotonic(), watchdog.pid
+    os.kill(pid, signal.SIGKILL)
+    while not missed and time.monotonic() < killed_s + 5.0:
+        time.sleep(0.01)
+    assert missed[0][0] - killed_s < 0.1
+    assert watchdog.pid not in (None, pid)
+    watchdog.close()
+    time.sleep(0.3)
+    assert len(missed) == 1
+
+
+@pytest.mark.posix("kill -9")
+def test_a_motion_whose_watchdog_is_killed_is_stopped():
+    with served("zaber_ascii") as world:
+        child = world.start(TELL_PID + MOVE)
+        pid = int(child.stdout.readline())
+        begun_mm = world.true_mm()
+        go(child)
+        moved(world, begun_mm)
+        os.kill(pid, signal.SIGKILL)
+        assert world.rest_mm() < 60.0
+        end(child)

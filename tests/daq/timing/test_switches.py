@@ -3,6 +3,7 @@
 import io
 import os
 import re
+import signal
 import threading
 import time
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import PortUnavailable, StageUsageError
 from stages.port import ModemLine
+from stages.watchdog import SHORT_LIFE_S
 from tests.daq.bench.test_timing_kind import bench_with
 from tests.daq.timing.armed_laser import GOOD, armed
 from tests.daq.timing.test_quantum_composers import PUMPED, desk
@@ -262,3 +264,19 @@ def test_without_a_gate_in_the_file_a_gate_that_was_left_on_is_switched_off():
         d.to_armed()
         assert d.emulator._t0.words["GAT:MOD"] == "DIS"
     assert Role.LAMP_1 not in PUMPED
+
+
+@pytest.mark.posix("kill -9")
+def test_a_watchdog_that_is_killed_alone_ends_the_burst_and_is_replaced():
+    with firing_box() as (laser, risen_s):
+        time.sleep(SHORT_LIFE_S + 0.3)
+        assert laser.state is LaserState.FIRING
+        killed_s, pid = time.monotonic(), laser.box.watchdog.pid
+        os.kill(pid, signal.SIGKILL)
+        time.sleep(0.5)
+        assert risen_s[0] < killed_s
+        assert max(risen_s) - killed_s < 0.1
+        assert "watchdog of this program was killed" in laser.why
+        assert laser.box.watchdog.pid not in (None, pid)
+        with pytest.raises(LaserStopped, match="watchdog"):
+            laser.wait()

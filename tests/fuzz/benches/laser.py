@@ -309,7 +309,7 @@ class Story:
     def stop_key(self):
         """The key STOP of the box, or the key of a diode laser."""
         self.emulator.advance()
-        was_running = self.kind == "oltSync" or self.emulator.is_on_at(0) or self.begins
+        was_running = self.runs
         self.emulator.person_stops()
         if was_running and self.is_in_a_slow_start:
             self.unseen += 1
@@ -323,6 +323,13 @@ class Story:
             self.left[output] = max(0, self.left[output]) + self.asked
             self.turned.add((output, "RUN"))
         self.emulator.person_runs()
+
+    @property
+    def runs(self):
+        """Whether there is something that a person can stop."""
+        if self.kind == "oltSync":
+            return self.laser._states._state in (*EMITS, *BETWEEN)
+        return self.emulator.is_on_at(0) or self.begins
 
     @property
     def begins(self):
@@ -344,10 +351,14 @@ class Story:
 
     def foreign_off(self):
         """Another program writes off to the box; of a diode box it can be known by its answer alone."""
-        if self.line.dead or (self.kind == "oltSync" and (not self.line.reached or self.line.faults._by_answer)):
+        if (
+            self.line.dead
+            or not self.emulator.is_on
+            or (self.kind == "oltSync" and (not self.line.reached or self.line.faults._by_answer))
+        ):
             return
         self.emulator.advance()
-        was_running = self.kind == "oltSync" or self.emulator.is_on_at(0) or self.begins
+        was_running = self.runs
         for data in self.laser.box.off_bytes():
             self.emulator.feed(data)
         is_off = self.kind == "oltSync" or not self.emulator.is_on_at(0)
