@@ -70,7 +70,10 @@ class Unconfirmed:
                 " millimetre, or print smaller squares"
             )
         if self.is_ball:
-            cure = "look for dirt on it, check its place, radius and glass, or print smaller squares"
+            cure = (
+                "look for dirt on it, check its place, radius and glass, and whether it is hollow, or print"
+                " smaller squares"
+            )
             return f"only {found}: the ball is not confirmed, and is masked in every map; {cure}"
         return f"only {found}: this way through the glass is masked in every map"
 

@@ -84,6 +84,7 @@ class Unlisted:
         points = np.concatenate(self.outlines_px)
         (left, top), (right, bottom) = points.min(axis=0), points.max(axis=0)
         where = f"through `{self.way}`" if self.way else "beside the glass"
+        else_ = ", or radius, glass or place of a ball on that way is a little off" if self.way else ""
         if self.rim_of:
             return (
                 f"{self.frame}: around pixel ({(left + right) / 2:.0f}, {(top + bottom) / 2:.0f}) the rim of"
@@ -93,8 +94,8 @@ class Unlisted:
         return (
             f"{self.frame}: around pixel ({(left + right) / 2:.0f}, {(top + bottom) / 2:.0f}), {right - left:.0f}"
             f" x {bottom - top:.0f} px {where}, the frame does not show the squares that the scene shows:"
-            " something that the scene does not list seems to stand there (a drop, a bead, dirt); it is masked in"
-            " every map; list it among the bodies or take it away"
+            f" something that the scene does not list seems to stand there (a drop, a bead, dirt){else_}; it is"
+            " masked in every map; list it among the bodies or take it away"
         )
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from correction.fit.seen.prediction import in_target_frame
@@ -91,13 +92,17 @@ class Shown:
         light = cv2.blur(image.astype(np.float32), (3, 3))
         light = (light - np.quantile(light, BLACKEST)) / np.maximum(self.passed, DIMMEST)
         out, swing = np.full(light.shape, np.nan, np.float32), np.zeros(light.shape, np.float32)
-        for number in np.unique(self.rays.branch[self.clear]):
-            here = self.clear & (self.rays.branch == number)
-            off = light - self.grey(light, here)
+        number = np.where(self.clear, self.rays.branch.astype(np.int64) + 1, 0)
+        for at, box in enumerate(scipy.ndimage.find_objects(number), start=1):
+            if box is None:
+                continue
+            here = number[box] == at
+            off = light[box] - _grey(light[box], here, self.bright[box], self.nearby_px)
             here &= np.isfinite(off)
-            own = mean_nearby(np.abs(np.where(here, off, 0.0)), here, self.nearby_px)
+            own = mean_nearby(np.abs(off), here, self.nearby_px)
             with np.errstate(invalid="ignore", divide="ignore"):
-                out[here], swing[here] = (np.where(self.bright, off, -off) / own)[here], own[here]
+                out[box][here] = (np.where(self.bright[box], off, -off) / own)[here]
+            swing[box][here] = own[here]
         asked = np.isfinite(out)
         beside = asked & (self.rays.branch == BESIDE)
         if not beside.any():
@@ -109,8 +114,14 @@ class Shown:
 
     def grey(self, light: NDArray[np.float32], here: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Half way (H, W) between bright and dark squares nearby, of pixels that are `here`; NaN without both."""
-        bright, dark = (mean_nearby(light, here & shade, self.nearby_px) for shade in (self.bright, ~self.bright))
-        return np.asarray(0.5 * (bright + dark))
+        return _grey(light, here, self.bright, self.nearby_px)
+
+
+def _grey(
+    light: NDArray[np.float32], here: NDArray[np.bool_], bright: NDArray[np.bool_], side: int
+) -> NDArray[np.float32]:
+    high, low = (mean_nearby(light, here & shade, side) for shade in (bright, ~bright))
+    return np.asarray(0.5 * (high + low))
 
 
 def mean_nearby(light: NDArray[Any], where: NDArray[np.bool_], side: int) -> NDArray[np.float32]:
