@@ -176,8 +176,12 @@ def ask_for(
     for scene in scenes:
         load_scene(scene)
     for run in runs:
-        if not scenes and not is_run(run) and is_source(run):
+        if is_run(run) or not is_source(run):
+            continue
+        if not scenes:
             raise PairError("what its camera looked through is not known", place=run, cure="give --scene")
+        if settings.dt_us is None:
+            raise PairError("the time between the frames of a pair is not known", place=run, cure="give --dt-us")
     names = _names(runs)
     for place, (name, run) in enumerate(zip(names, runs, strict=True)):
         out = folder.series(name).path
