@@ -295,9 +295,10 @@ def _several(folder: Path, names: set[str], schemes: Sequence[Scheme]) -> str:
             ways.append(f"{_quoted(folder / first)} --second {_quoted(where)}")
     rest = sequences_of(names - frozenset().union(*(scheme.names for scheme in schemes)))
     ways += [_quoted(folder / pattern_of(list(each.values()))) for each in rest if len(each) > 1]
+    more = "  ..." if len(ways) > MOST_NAMED else ""
     return (
         f"{folder}: its frames are of several series, or can be paired in several ways; in place of the folder"
-        f" give one of these, with its quotes: {'  or  '.join(ways[:MOST_NAMED])}"
+        f" give one of these, with its quotes: {'  or  '.join(ways[:MOST_NAMED])}{more}"
     )
 
 

@@ -42,12 +42,14 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         SIGMA_HEAD,
         TRACK_HEAD,
         claim_rows,
+        claim_said,
         moved_head,
         moved_rows,
         route_rows,
         shift_rows,
         sigma_rows,
         track_rows,
+        worst_claim,
     )
 
     if evaluation.seen is not None and evaluation.seen.through is not None:
@@ -77,6 +79,8 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
     if evaluation.tracks is not None:
         tables.append(("single particles [px]", TRACK_HEAD, track_rows(evaluation)))
+    if worst := worst_claim(evaluation):
+        screen.print(claim_said(*worst), style="" if worst[1].claim == "as claimed" else "bold red")
     if evaluation.no_tracks:
         screen.print(f"no tracks: {evaluation.no_tracks}", style="bold red")
     for title, head, rows in filter(lambda table: table[2], tables):

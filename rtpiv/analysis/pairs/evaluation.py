@@ -154,9 +154,12 @@ class Evaluation:
 
     @property
     def sigma_parts_px(self) -> dict[str, NDArray[np.float64]]:
-        """Known parts (ny, nx, 2) of the standard uncertainty of u and v, by what they come from."""
+        """Known parts (ny, nx, 2) of the standard uncertainty of u and v, by what they come from.
+
+        Particles that were moved by a known way, all by the same, have no detail that windows could miss.
+        """
         random = np.stack((self.field.sigma_u_px, self.field.sigma_v_px), axis=-1)
-        unresolved = self.field.resolution_px
+        unresolved = None if self.shift is not None else self.field.resolution_px
         parts = {
             "random sigma": random,
             "not resolved by the windows": None if unresolved is None else np.stack((unresolved,) * 2, axis=-1),

@@ -17,9 +17,11 @@ from rtpiv.analysis.report.tables import (
     ROUTE_HEAD,
     SIGMA_HEAD,
     claim_rows,
+    claim_said,
     route_rows,
     sigma_rows,
     track_summary,
+    worst_claim,
 )
 
 
@@ -56,6 +58,8 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
         summary["static_share"] = field.static_share
     summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
     summary["sigma_claims"] = [dict(zip(CLAIM_HEAD, row, strict=True)) for row in claim_rows(evaluation)]
+    if worst := worst_claim(evaluation):
+        summary["sigma_verdict"] = claim_said(*worst)
     if evaluation.shift is not None:
         summary["shift"] = evaluation.shift.to_dict()
     if evaluation.routes is not None:

@@ -14,7 +14,7 @@ from daq.atomic_write import copy_whole, why, write_text
 from daq.errors import DiskError
 from daq.frames.likeness import require_pairs
 from daq.frames.numbered_files import MOST_NAMED, FoundFiles, first_pairs
-from daq.frames.source import is_source, source_of
+from daq.frames.source import FrameSource, is_source, source_of
 from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import with_glass_at
 from daq.runs.names import is_run
@@ -238,8 +238,7 @@ def series_input(
     foreign = not is_run(run) and is_source(run)
     if foreign:
         source = source_of(run)
-        if isinstance(source, FoundFiles):
-            _announce(run, source)
+        _announce(run, source)
         scene = recipe.scene_of(scene, source.pairs()[0][1], out)
     elif recipe.mm_per_px is not None:
         raise PairError(SCALE_KNOWN, place=run)
@@ -268,19 +267,20 @@ def series_input(
     return SeriesInput(run, out, given, method, choice.least_valid)
 
 
-def _announce(run: Path, source: FoundFiles) -> None:
+def _announce(run: Path, source: FrameSource) -> None:
     """Name the first pairs, and what is in none, before anything is computed; PairError as `require_pairs`."""
-    if source.is_sequence:
+    files = source if isinstance(source, FoundFiles) else FoundFiles()
+    if files.is_sequence:
         require_pairs(run, source.pairs())
     said = [first_pairs(source.pairs())]
     if source.alone():
         said.append(f"{counted(source.alone(), 'frame')} without a partner, in no pair")
-    if source.missing:
-        where = ", ".join(f"between {before} and {after}" for before, after in source.gaps[:MOST_NAMED])
-        more = ", ..." if len(source.gaps) > MOST_NAMED else ""
-        said.append(f"{counted(source.missing, 'frame')} missing by number, {where}{more}; in no pair")
-    if source.set_aside:
-        said.append(f"set aside: {', '.join(source.set_aside[:MOST_NAMED])}")
+    if files.missing:
+        where = ", ".join(f"between {before} and {after}" for before, after in files.gaps[:MOST_NAMED])
+        more = ", ..." if len(files.gaps) > MOST_NAMED else ""
+        said.append(f"{counted(files.missing, 'frame')} missing by number, {where}{more}; in no pair")
+    if files.set_aside:
+        said.append(f"set aside: {', '.join(files.set_aside[:MOST_NAMED])}")
     console().print("; ".join(said), soft_wrap=True, highlight=False)
 
 

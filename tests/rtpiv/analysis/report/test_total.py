@@ -125,19 +125,22 @@ def test_what_the_map_is_unsure_of_counts_for_the_coverage():
 
 
 def test_file_page_and_verdict_have_one_sigma():
-    """Errors scatter by what windows do not resolve as well: the verdict is of the sigma that the file holds."""
-    made = evaluation(noise=0.05, sigma=0.03, moved=0.02)
-    made.field = replace(
-        made.field, resolution_px=np.full(made.field.flags.shape, np.sqrt(0.05**2 - 0.03**2 - 0.02**2))
-    )
-    found = coverage_of(made, np.ones((39, 39), bool))
-    assert found.claim == "as claimed"
+    """Of a known shift random and map sigma, else what windows do not resolve as well."""
+    made = evaluation(noise=0.05, sigma=0.03, moved=0.04)
+    made.field = replace(made.field, resolution_px=np.full(made.field.flags.shape, 0.12))
     grid = SimpleNamespace(pitch_mm=0.5)
     made.map_sigma.position_px = np.zeros((39, 39, 2))
-    held = quality_of(made.field, grid, made.total_sigma_px, made.map_sigma)["total_sigma_u"] / grid.pitch_mm
-    np.testing.assert_allclose(held, 0.05, rtol=1e-6)
+
+    def held():
+        return quality_of(made.field, grid, made.total_sigma_px, made.map_sigma)["total_sigma_u"] / grid.pitch_mm
+
+    assert coverage_of(made, np.ones((39, 39), bool)).claim == "as claimed"
+    np.testing.assert_allclose(held(), 0.05, rtol=1e-6)
     made.shift = None
-    assert moved_rows_sigma(made, grid) == pytest.approx([0.05 * grid.pitch_mm] * 2, rel=0.05)
+    np.testing.assert_allclose(held(), 0.13, rtol=1e-6)
+    assert moved_rows_sigma(made, grid) == pytest.approx([0.13 * grid.pitch_mm] * 2, rel=0.05)
+    (glass, _) = totals_of(made)
+    assert glass.total_px == pytest.approx((0.13, 0.13))
 
 
 def moved_rows_sigma(made, grid):
