@@ -9,7 +9,7 @@ camera alone, FAR_MM away and straight on: pixel (i, j) is node (i, j), s = mm_p
 distance is FAR_MM / s pixels.  How far away the true camera stands is not known, so nothing of its perspective is.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -20,7 +20,7 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
 from correction.target import Chessboard
 from daq.atomic_write import write_text
-from daq.frames.numbered_files import WITH
+from daq.frames.numbered_files import WITH, NumberedFiles
 from daq.runs.acquired import read_acquired
 from daq.runs.names import is_run
 from daq.runs.run_views import FAR_MM, FAR_PX, board_of, dewarp_of
@@ -77,19 +77,20 @@ class CorrectionRecipe:
     second: Path | str | None = None
     both: Literal["top-bottom", "left-right", "interlaced"] | None = None
 
-    def frames_of(self, path: Path) -> Path:
-        """Return the name of frames in pairs (`daq.frames.source`), with what is given of their pairs.
+    def frames_of(self, paths: Sequence[Path]) -> list[Path]:
+        """Return names of frames (`daq.frames.source`) with what is given of their pairs; two patterns are one.
 
         Raises
         ------
         MapUsageError
-            The frames are in pairs already, by a run or by the other option.
+            The frames are in pairs already: by a run, as two frames, or by the other option.
         """
         if self.second is None and self.both is None:
-            return path
-        if is_run(path) or (self.second is not None and self.both is not None):
-            raise MapUsageError("--second and --both are for frames of others, one of them", place=path)
-        return Path(f"{path}{WITH}{self.second}" if self.second is not None else f"{path}@{self.both}")
+            two = len(paths) == 2 and all(map(NumberedFiles.takes, paths))
+            return [Path(WITH.join(map(str, paths)))] if two else list(paths)
+        if len(paths) != 1 or is_run(paths[0]) or (self.second is not None and self.both is not None):
+            raise MapUsageError("--second and --both are for one folder or pattern of frames, and not together")
+        return [Path(f"{paths[0]}{WITH}{self.second}" if self.second is not None else f"{paths[0]}@{self.both}")]
 
     def scene_of(self, scene: Path | None, frame: Path, out: Path) -> Path:
         """Return the scene file of frames of others: the one given, or one of a camera alone, written into `out`.

@@ -129,7 +129,7 @@ def evaluate(
         raise PairError(
             f"{details.traces_raw_pixels} traces raw pixels; give the camera's lens terms in the scene, no dewarp"
         )
-    paths = [recipe.frames_of(paths[0])] if len(paths) == 1 else paths
+    paths = recipe.frames_of(paths)
     run = paths[0] if len(paths) == 1 and (is_run(paths[0]) or is_source(paths[0])) else None
     preparation = choice.preparation or Preparation()
     how = PairMethod("", details, choice.settings, preparation, output.pictures, choice.out_of_plane)

@@ -104,7 +104,7 @@ def mean(
         As for `evaluate`.
     """
     screen = console()
-    path, out, scene = recipe.frames_of(one_of(path)), path_of(out), path_of(scene)
+    (path,), out, scene = recipe.frames_of([one_of(path)]), path_of(out), path_of(scene)
     with ExitStack() as held:
         series = None
         if is_run(path) or (not (path / FILE).is_file() and is_source(path)):

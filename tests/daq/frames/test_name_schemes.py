@@ -275,3 +275,28 @@ def test_frames_that_are_no_pairs_are_an_error_and_can_be_kept(tmp_path, capsys)
         assert "im0000.tif + im0001.tif" in said.out
         assert main([*words, "--least-valid", "0", "-o", str(tmp_path / verb)]) == DONE
         capsys.readouterr()
+
+
+def test_second_frames_by_an_option_or_as_a_second_pattern(tmp_path, capsys):
+    folder = tmp_path / "day"
+    folder.mkdir()
+    for k in range(3):
+        for name, frame in zip((f"A{k:03d}_1.tif", f"C{k:03d}_x.tif"), moved(k, (k + 2.0, 1.0)), strict=True):
+            tifffile.imwrite(folder / name, frame)
+    first, second = str(folder / "A%03d_1.tif"), str(folder / "C%03d_x.tif")
+    for number, words in enumerate(
+        ([first, "--second", "C%03d_x.tif"], [first, second], [first, "--second", second])
+    ):
+        found = followed(words, capsys, tmp_path / f"out{number}")
+        np.testing.assert_allclose(found, (2.0, 3.0, 4.0), atol=0.1)
+    single = [str(folder / "A000_1.tif"), str(folder / "C000_x.tif")]
+    for words in ([*single, "--second", second], [*single, "--both", "top-bottom"], [first, "--second", second, "--both",
+                                                                                    "left-right"]):  # fmt: skip
+        assert main(["evaluate", *words, *OPTIONS, "-o", str(tmp_path / "no")]) == USAGE
+        assert "--second and --both are for one folder or pattern" in capsys.readouterr().err
+
+
+def test_a_single_file_with_both_exposures(tmp_path, capsys):
+    folder = write(tmp_path / "day", [np.vstack(moved(1, (4.0, 2.0)))])
+    words = [str(folder / "im0000.tif"), "--both", "top-bottom", "--prepare", "none"]
+    np.testing.assert_allclose(followed(words, capsys, tmp_path / "out"), [4.0], atol=0.1)
