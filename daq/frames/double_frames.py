@@ -38,7 +38,7 @@ class DoubleFrames(FoundFiles):
     Raises
     ------
     PairError
-        No file has such a name, or a pairing is said as well.
+        No file has such a name, or a pairing is given as well.
     """
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
@@ -60,7 +60,7 @@ class DoubleFrames(FoundFiles):
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether it is said that files hold both exposures."""
+        """Whether the name says that files hold both exposures."""
         return _SAID.fullmatch(str(path)) is not None
 
     def file_of(self, place: Path) -> Path:

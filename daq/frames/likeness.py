@@ -93,7 +93,7 @@ def require_pairs(path: Path, pairs: Sequence[FramePlaces]) -> None:
     """
     try:
         first, second, *later = (read_named(place) for place in (*pairs[0][1:], *(pair[1] for pair in pairs[1:2])))
-    except FrameError:  # it is said where the pair is left out
+    except FrameError:  # reported where the pair is left out
         return
     if first.shape != second.shape or min(first.shape) < LEAST_PX:
         return

@@ -1,6 +1,6 @@
 """Which frames of a folder are pairs, by their names alone.
 
-First frame and second frame are told apart by one mark in their names: ``a``/``b`` (B00001_a, 0001A, a0001, LA),
+First and second frames differ by one mark in their names: ``a``/``b`` (B00001_a, 0001A, a0001, LA),
 ``0``/``1`` or ``1``/``2`` (A001_1, img0001_frame0), or the words first and second.  A mark counts only where the
 other name is there as well, and where it is no number of a camera, run, plane or repetition.  Names without a mark
 are a sequence, in order of their number or of their time.

@@ -18,7 +18,7 @@ def page_count(path: Path) -> int:
     try:
         with open_plain(path) as stream, tifffile.TiffFile(stream) as tiff:
             return sum(not page.aspage().is_reduced for page in tiff.pages)
-    except Exception:  # whatever a decoder meets in a damaged file, which is said where it is read
+    except Exception:  # of a decoder in a damaged file; reported where it is read
         return 1
 
 

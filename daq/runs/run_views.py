@@ -38,7 +38,7 @@ from tracer.scene.scene_file import load_scene
 if TYPE_CHECKING:  # most commands have no run, and do not wait for the models of benches
     from daq.bench.bench_table import BenchTable
 
-FAR_PX = 2e4  # the same where not even a scale is told: lengths are pixels of the frame
+FAR_PX = 2e4  # the same without any scale: lengths are pixels of the frame
 FAR_MM = 1e4  # where a camera is taken to stand of which a scale alone is told: at the edge of a view of 100 mm
 # motion along the view is 0.5 % of itself across it
 T = TypeVar("T")
@@ -296,7 +296,7 @@ def tells_a_scale_alone(scene: Scene) -> bool:
 
 
 def length_unit(scene: Scene) -> str:
-    """Return the unit of lengths on the plane: "mm", or "px" where no scale is told."""
+    """Return the unit of lengths on the plane: "mm", or "px" where no scale is given."""
     return "px" if not scene.bodies and scene.camera.position_mm == (0.0, 0.0, FAR_PX) else "mm"
 
 

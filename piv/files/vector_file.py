@@ -107,7 +107,7 @@ class Vectors:
 
     @property
     def length_unit(self) -> str:
-        """Unit of places: "mm", or "pixel" where nobody has told what a pixel shows."""
+        """Unit of places: "mm", or "pixel" where no scale is given."""
         return str(self.attributes.get("length_unit", LENGTH))
 
     @property

@@ -42,23 +42,22 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         SIGMA_HEAD,
         TRACK_HEAD,
         claim_rows,
-        claim_said,
         moved_head,
         moved_rows,
         route_rows,
         shift_rows,
         sigma_rows,
         track_rows,
-        worst_claim,
     )
+    from rtpiv.analysis.report.verdict import claim_said, worst_claim
 
     if evaluation.seen is not None and evaluation.seen.through is not None:
         screen.print(evaluation.seen.through.sentence, style="bold")
     screen.print(str(evaluation))
     if evaluation.field.doubt:
         screen.print(evaluation.field.doubt, style="bold red")
-    for doubt in evaluation.scale_doubts:
-        screen.print(doubt, style="bold red")
+    for warning in evaluation.scale_warnings:
+        screen.print(warning, style="bold red")
     tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
     if evaluation.shift is None:
         tables.append(
@@ -102,8 +101,8 @@ def show_series(screen: Console, books: "Evaluated") -> None:
         screen.print(f"{tag} is left out: {why}", style="bold red")
     if len(books.failed) > SHOWN:
         screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
-    for doubt in books.doubts:
-        screen.print(doubt, style="bold red")
+    for warning in books.warnings:
+        screen.print(warning, style="bold red")
 
 
 def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:

@@ -32,7 +32,7 @@ from piv.preprocessing.preparation import Preparation
 from piv.preprocessing.still_light import still_light
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.pair_vectors import PairResult, lengths_said, per_px, quality_of, vectors_of_pairs
-from rtpiv.analysis.pairs.plausible import scale_doubts
+from rtpiv.analysis.pairs.plausible import scale_warnings
 from rtpiv.analysis.pairs.slanted import Slanted, slanted
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from rtpiv.options.numbers import Positive
@@ -176,13 +176,13 @@ class Evaluation:
         return np.where(np.isnan(parts[0]), np.nan, total)
 
     @property
-    def scale_doubts(self) -> tuple[str, ...]:
+    def scale_warnings(self) -> tuple[str, ...]:
         """Sentences that ask whether scale and time are right, where the vectors are not plausible."""
         moved_px = np.hypot(self.field.u_px, self.field.v_px)[self.field.valid]
         speed = 0.0
         if moved_px.size and self.task.dt_s is not None:
             speed = float(np.median(moved_px)) * per_px(self.grid.pitch_mm, self.task.dt_s)
-        return scale_doubts(speed, self.task.scene.camera.sensor_px[0], self.grid.pitch_mm)
+        return scale_warnings(speed, self.task.scene.camera.sensor_px[0], self.grid.pitch_mm)
 
     @property
     def vectors(self) -> Vectors:

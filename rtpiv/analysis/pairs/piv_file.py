@@ -44,7 +44,7 @@ Side = Annotated[int, Interval(ge=SMALLEST_WINDOW_PX, le=1024)]
 FINAL_PX, FINEST_PX = (
     FOUND_WINDOWS.windows_px[-1],
     FOUND_WINDOWS.finest_px,
-)  # sides of the windows that places find, unless something is said of either
+)  # sides of the windows that places find by default
 LEAST_VALID = 0.15  # share of windows; of unlike frames 0.02 to 0.1 are valid
 LARGEST_FIRST = 2  # times the last window at least: a first window as small as that finds next to nothing
 

@@ -1,10 +1,10 @@
-"""Whether what is said of the scale and of the time between frames makes vectors that can be true."""
+"""Plausibility of the given scale and time between frames, by the vectors that they make."""
 
 SOUND_M_S = 343.0  # in air; few flows are faster
 VIEW_MM = (0.02, 20_000.0)  # widths of views that a camera has, with much room
 
 
-def scale_doubts(speed_m_s: float, width_px: int, mm_per_px: float) -> tuple[str, ...]:
+def scale_warnings(speed_m_s: float, width_px: int, mm_per_px: float) -> tuple[str, ...]:
     """Ask whether scale and time are right, where speeds or the width of the view are not plausible.
 
     Parameters

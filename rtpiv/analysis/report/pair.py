@@ -34,7 +34,6 @@ from rtpiv.analysis.report.tables import (
     Total,
     budget_rows,
     claim_rows,
-    claim_said,
     coverage_of,
     image_rows,
     is_plain,
@@ -50,8 +49,8 @@ from rtpiv.analysis.report.tables import (
     sigma_rows,
     totals_of,
     track_rows,
-    worst_claim,
 )
+from rtpiv.analysis.report.verdict import claim_said, worst_claim
 from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
 
@@ -68,8 +67,8 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
     through_lead(page, seen.through, evaluation.task.scene, seen.recovered)
     if field.doubt:
         page.warning(field.doubt + ".")
-    for doubt in evaluation.scale_doubts:
-        page.warning(doubt)
+    for warning in evaluation.scale_warnings:
+        page.warning(warning)
     if totals := totals_of(evaluation):
         page.lead(*lead_of(totals[0]))
         if said := offset_said(evaluation):

@@ -17,12 +17,11 @@ from rtpiv.analysis.report.tables import (
     ROUTE_HEAD,
     SIGMA_HEAD,
     claim_rows,
-    claim_said,
     route_rows,
     sigma_rows,
     track_summary,
-    worst_claim,
 )
+from rtpiv.analysis.report.verdict import claim_said, worst_claim
 
 
 def named_frames(frames: Sequence[Path]) -> dict[str, str]:

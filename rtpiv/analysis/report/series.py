@@ -77,8 +77,8 @@ def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures:
     if shown is not None:
         through_lead(page, shown.seen.through, given.method.scene, shown.seen.recovered)
         page.lead(*series_lead(shown))
-    for doubt in books.doubts:
-        page.warning(doubt)
+    for warning in books.warnings:
+        page.warning(warning)
     page.tiles(series_tiles(given, books, shown))
     series_chapters(page, given, books, shown)
     page.write(path)

@@ -94,10 +94,10 @@ class MeanFlow:
     spheres : mapping of str to str
         `SelfCheck.attributes` of its run; None or empty where particles were not asked.
     is_timed : bool
-        Whether the time between the frames is known; if not, all that is said to be in m/s is the displacement of
+        Whether the time between the frames is known; without it values in m/s are the displacement of
         a pair, in `length`, and `dt_s` makes the numbers those of mm.
     length : str
-        Unit of lengths: "mm", or "px" where no scale is told.
+        Unit of lengths: "mm", or "px" where no scale is given.
     """
 
     x_mm: Floats

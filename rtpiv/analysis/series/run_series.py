@@ -46,7 +46,7 @@ class Evaluated:
         Where the vectors of pairs that are a time apart lie.
     kept : int
         Pairs that an earlier call had evaluated.
-    doubts : tuple of str
+    warnings : tuple of str
         What the vectors of a series say against its scale, its times or its order.
     """
 
@@ -55,7 +55,7 @@ class Evaluated:
     details: tuple[Evaluation, ...] = ()
     series: SeriesFolder | None = None
     kept: int = 0
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @cached_property
     def vectors(self) -> Vectors:
@@ -151,7 +151,7 @@ def run_series(
             " or keep these vectors with --least-valid 0",
         )
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
-    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept, doubts=check.doubts)
+    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept, warnings=check.warnings)
 
 
 def _with_readings(given: PairsOfSeries, tag: str, found: Detailed) -> Detailed:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ground.plain_words import counted
 from piv.correlation.vector_field import VectorFlag, could_be_measured
-from rtpiv.analysis.pairs.plausible import scale_doubts
+from rtpiv.analysis.pairs.plausible import scale_warnings
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair
 from tracer.scene.scene import Scene
@@ -36,12 +36,12 @@ class SeriesCheck:
     ----------
     valid_share : float
         Share of windows with valid vectors, of those that see a flow; median of the pairs.
-    doubts : tuple of str
+    warnings : tuple of str
         Sentences.
     """
 
     valid_share: float
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def check_series(folder: SeriesFolder, jobs: Sequence[ChunkJob], scene: Scene, mm_per_px: float) -> SeriesCheck:
@@ -72,11 +72,11 @@ def check_series(folder: SeriesFolder, jobs: Sequence[ChunkJob], scene: Scene, m
     speeds = [np.linalg.norm(one, axis=-1) * 1e-3 * mm_per_px / pair.dt_s
               for pair, one in zip(pairs, moved, strict=True) if pair.dt_s is not None]  # fmt: skip
     speed = np.concatenate([each[np.isfinite(each)] for each in speeds]) if speeds else np.zeros(0)
-    doubts = scale_doubts(float(np.median(speed)) if speed.size else 0.0, scene.camera.sensor_px[0], mm_per_px)
-    return SeriesCheck(share, (*doubts, *_doubled(pairs, moved), *_unlike(pairs, share_of)))
+    warnings = scale_warnings(float(np.median(speed)) if speed.size else 0.0, scene.camera.sensor_px[0], mm_per_px)
+    return SeriesCheck(share, (*warnings, *_jump_warnings(pairs, moved), *_unlike_pair_warnings(pairs, share_of)))
 
 
-def _unlike(pairs: Sequence[SeriesPair], share_of: Sequence[float]) -> tuple[str, ...]:
+def _unlike_pair_warnings(pairs: Sequence[SeriesPair], share_of: Sequence[float]) -> tuple[str, ...]:
     """Name the first of several pairs of which few vectors are valid, where most pairs are sound."""
     few = [pair for pair, share in zip(pairs, share_of, strict=True) if share < FEW_VALID]
     if len(few) < LEAST_UNLIKE * len(pairs) or float(np.median(share_of)) < FEW_VALID:
@@ -88,7 +88,7 @@ def _unlike(pairs: Sequence[SeriesPair], share_of: Sequence[float]) -> tuple[str
     )
 
 
-def _doubled(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> tuple[str, ...]:
+def _jump_warnings(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> tuple[str, ...]:
     """Name pairs of a time-resolved series that moved twice as far as those beside them."""
     found = []
     for k in range(1, len(pairs) - 1):

@@ -290,8 +290,8 @@ def test_second_frames_by_an_option_or_as_a_second_pattern(tmp_path, capsys):
         found = followed(words, capsys, tmp_path / f"out{number}")
         np.testing.assert_allclose(found, (2.0, 3.0, 4.0), atol=0.1)
     single = [str(folder / "A000_1.tif"), str(folder / "C000_x.tif")]
-    for words in ([*single, "--second", second], [*single, "--both", "top-bottom"], [first, "--second", second, "--both",
-                                                                                    "left-right"]):  # fmt: skip
+    both = ["--both", "left-right"]
+    for words in ([*single, "--second", second], [*single, *both], [first, "--second", second, *both]):
         assert main(["evaluate", *words, *OPTIONS, "-o", str(tmp_path / "no")]) == USAGE
         assert "--second and --both are for one folder or pattern" in capsys.readouterr().err
 

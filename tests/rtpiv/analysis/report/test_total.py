@@ -12,7 +12,6 @@ from rtpiv.analysis.pairs.pair_vectors import quality_of
 from rtpiv.analysis.report.tables import (
     SIGMA_HEAD,
     claim_rows,
-    claim_said,
     coverage_of,
     lead_of,
     moved_head,
@@ -20,8 +19,8 @@ from rtpiv.analysis.report.tables import (
     offset_said,
     sigma_rows,
     totals_of,
-    worst_claim,
 )
+from rtpiv.analysis.report.verdict import claim_said, worst_claim
 from tests.correction.evaluate.vectors import uniform_field
 
 SHIFT_PX = (4.0, -3.0)

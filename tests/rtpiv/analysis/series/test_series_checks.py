@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from rtpiv.analysis.pairs.plausible import scale_doubts
+from rtpiv.analysis.pairs.plausible import scale_warnings
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
 
@@ -75,7 +75,7 @@ def test_a_frame_lost_in_the_middle_of_single_pairs(tmp_path, capsys):
     ],
 )  # fmt: skip
 def test_scale_and_time_are_asked_about_where_vectors_cannot_be_true(speed_m_s, width_px, mm_per_px, asked):
-    assert bool(scale_doubts(speed_m_s, width_px, mm_per_px)) == asked
+    assert bool(scale_warnings(speed_m_s, width_px, mm_per_px)) == asked
 
 
 def test_a_scale_that_is_wrong_is_asked_about_in_pairs_and_series(tmp_path, capsys):
