@@ -50,7 +50,10 @@ from piv.correlation.windows import WindowGrid
 
 PROMISED, WIDE = 0.05, 0.21  # of what does not match; deviation of a window's weights in sides
 EXPLAINED = 0.15  # of what does not match: from here on halving counts
-CHANCE = 0.04  # of it that vectors explain by following their noise
+CHANCE = (  # variance of a particle image [px^2], and what vectors explain by following their noise (measured)
+    (0.14, 0.22, 0.3),
+    (0.07, 0.045, 0.04),
+)
 PIECES = 3.0  # particle images that the finest windows must hold
 JUDGED = 3  # side of what is judged together, in finest windows
 CELL_PX = 4  # light is added up over cells about as large as a particle image
@@ -95,7 +98,7 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2:
     while added < settings.extra_passes and _changes(course.found):
         course.look(grid, None, sizes)
         added += 1
-    gained = np.maximum(explained - CHANCE, 0.0) * (1.0 - before) / np.maximum(after, 1e-3)
+    gained = np.maximum(explained - np.interp(spread_px2, *CHANCE), 0.0) * (1.0 - before) / np.maximum(after, 1e-3)
     missed = np.sqrt(2.0 * sampled_px2 * np.clip(gained, 0.0, 1.0))
     return Found(added, np.where(sizes.which == 1, missed, 0.0))
 

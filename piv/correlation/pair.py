@@ -27,11 +27,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ground.blas import one_blas_thread
 from ground.memory import require_memory
 from piv.correlation.agreement import LEAST_BLOCKS, agreed, resolution_of
+from piv.correlation.common_light import CommonLight, Known, is_suspect, match_at_rest, without_common_light
 from piv.correlation.correlate import peak_ratios
 from piv.correlation.cut_windows import cut_px
 from piv.correlation.deform import DeformedPair, Frames
@@ -42,7 +44,7 @@ from piv.correlation.halving import find_sizes
 from piv.correlation.passes import Course, Measured, search
 from piv.correlation.planes import filled
 from piv.correlation.prepare import Pair, checked, prepared
-from piv.correlation.refine import refine, window_weights
+from piv.correlation.refine import window_weights
 from piv.correlation.resolution import Window, matched_share, unmatched_px, unresolved_px
 from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
@@ -54,15 +56,18 @@ from piv.correlation.uncertainty import (
     leaning,
     sampling_error_px,
 )
-from piv.correlation.vector_field import VectorField, VectorFlag
+from piv.correlation.vector_field import TRUSTED_SHARE, VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import PairError
 from piv.preprocessing.still_light import still_light
 
 FAR_MOVED = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
 FEWEST_MOVED = 12  # windows, for a median
-BYTES_PER_PX = 32  # that all passes hold at most; measured 30 at 2016 x 2016 and 4032 x 4032
-DOUBTFUL_SHARE, GAIN = 0.6, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
+BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
+DOUBTFUL_SHARE, GAIN = 0.8, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
+LEFT = 0.6  # of the windows without a vector: with fewer left, larger first windows have found more
+BESIDE = 1.5  # of the shortest vectors behind common light: as long ones are not trusted beside shorter ones
+STRANGERS, CLEAR_PX = 0.25, 0.15  # fewer vectors than this share, less clear than that, are there by chance
 LEAST_MATCHED, OTHERWISE_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
 MEASURED_PX = 0.5  # noise of a correlation up to which a vector that is known to a pixel says more than that
 AROUND = 1.5  # side of what must match around a doubtful vector, in usual windows
@@ -74,9 +79,7 @@ def still_correlation(pair: DeformedPair, grid: WindowGrid, window_sigma: float,
     """Correlation coefficient at no displacement, for every second window of each direction; `pair` undeformed."""
     every = slice(None, None, 2)
     coarse = WindowGrid(grid.row[every], grid.column[every], grid.size_px, 2 * grid.step_px)
-    sums = refine(pair, coarse, window_sigma, threads).sums
-    power = np.sqrt(sums[..., 8] * sums[..., 9])
-    return np.where(power > 0.0, sums[..., 0] / np.where(power > 0.0, power, 1.0), np.nan)
+    return match_at_rest(pair, coarse, window_sigma, threads)
 
 
 def static_share(still: Floats, vectors: Floats, spread_px2: float) -> float:
@@ -149,18 +152,35 @@ def evaluate_pair(
     sides = list(settings.windows_px)
     # Frames are prepared anew for each trial: nobody holds them while one goes on.
     field = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
-    while _share(field) < DOUBTFUL_SHARE and 3 * sides[0] <= min(np.shape(frame_a)):
-        sides = [2 * sides[0], *sides]
+    for side in _larger(sides[0], min(np.shape(frame_a))) if _share(field) < DOUBTFUL_SHARE else ():
         try:
-            again = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
+            again = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), [side, *sides], settings, threads)
         except PairError:
-            break  # no more than there was
-        if _share(again) < GAIN * _share(field):
-            break  # it is not for want of size
+            continue  # no more than there was
+        if _share(again) < GAIN * _share(field) and 1.0 - _share(again) > LEFT * (1.0 - _share(field)):
+            continue  # it is not for want of size
         field = again
+        if _share(field) > TRUSTED_SHARE:
+            break
+    field = _without_strangers(field)
     if still is not None and still.any():
         field = _without_still(field, told, still, settings.min_valid)
     return replace(field, is_one_picture=_are_one(frame_a, frame_b))
+
+
+def _larger(side_px: int, frame_px: int) -> list[int]:
+    """Sides of larger first windows that a frame of that side holds."""
+    return [side for side in (3 * side_px // 2, 2 * side_px, 4 * side_px) if 3 * side <= 2 * frame_px]
+
+
+def _without_strangers(field: VectorField) -> VectorField:
+    """The field without any vector if the few there are say no more than those of frames that are no pair."""
+    if _share(field) >= STRANGERS or not field.valid.any():
+        return field
+    sigma = field.total_sigma_px[field.valid]
+    if np.isfinite(sigma).any() and np.nanmedian(sigma) < CLEAR_PX:
+        return field
+    return _without(field, field.asked, VectorFlag.REJECTED)
 
 
 def _are_one(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
@@ -185,8 +205,12 @@ def _without_still(
     seen = 1.0 if told is None else _share_around(told, field.window_px)[at]
     of_still = (field.flags == VectorFlag.MASKED) & (seen >= min_valid)
     of_still &= _share_around(still, field.window_px)[at] > 0.0
-    gone = still[at] | of_still
-    flags = np.where(gone, np.uint8(VectorFlag.STILL), field.flags)
+    return _without(field, still[at] | of_still, VectorFlag.STILL)
+
+
+def _without(field: VectorField, gone: NDArray[np.bool_], flag: VectorFlag) -> VectorField:
+    """The field without some of its vectors (ny, nx), which get a flag instead."""
+    flags = np.where(gone, np.uint8(flag), field.flags)
     names = (
         "u_px",
         "v_px",
@@ -206,20 +230,33 @@ def _share_around(which: NDArray[np.bool_], side_px: int) -> NDArray[np.float32]
     return np.asarray(found, np.float32)
 
 
-def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int | None) -> VectorField:
-    """Make all passes: down to usual windows, then with those that places find, the last ones again if need be."""
+def _evaluated(
+    pair: Pair, sides: list[int], settings: PivSettings, threads: int | None, common: CommonLight | None = None
+) -> VectorField:
+    """Make all passes: down to usual windows, then with those that places find, the last ones again if need be.
+
+    `common` is what was taken off the pair.
+    """
     shape = (pair.a.shape[0], pair.a.shape[1])
     grids = [window_grid(shape, side, settings.overlap) for side in sides]
-    found = search(pair, grids[0], settings, threads)
     deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
     still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
+    found = search(pair, grids[0], settings, threads)
     frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt)
     spread_px2, sampled_px2, nan_pixels = pair.spread_px2, pair.sampled_px2, pair.nan_pixels
-    del pair  # 8 bytes a pixel that nobody needs any more
+    suspect = pair if common is None and is_suspect(still) else None
+    del pair  # 8 bytes a pixel that are not needed any more
     course = Course(frames, settings, threads, grids[0], found, deformed)
     for grid in grids[1:]:
         course.look(grid)
     still_share = static_share(still, filled(course.found.vectors_px, course.found.good)[0], spread_px2)
+    if suspect is not None:
+        known = Known(course.grid, course.found.vectors_px, course.found.correlation)
+        common = without_common_light(suspect, known, settings.min_valid, threads)
+        if common is not None:
+            field = _evaluated(common.pair, sides, settings, threads, common)
+            return replace(field, nan_pixels=nan_pixels)
+        del suspect
     every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
     while course.found.refined is not None and added < settings.extra_passes and _changes(course):
         course.look(course.grid)
@@ -232,7 +269,29 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
         ratio = peak_ratios(course.deformed, course.grid, dense, settings.min_valid, threads)
         course.found = course.found._replace(peak_ratio=ratio)
     field = _result(course, spread_px2, added, missed_px)
+    if common is not None:
+        field = _without_seams(field, common)
+        still_share = common.share
     return _sparser(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
+
+
+def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
+    """The field of a pair whose common light is off: without short vectors, and what lengthens the others."""
+    length_px = np.hypot(field.u_px, field.v_px)
+    pushed_px = common.pushed(length_px)
+    kept = 1.0 - pushed_px / np.maximum(length_px, common.least_px)
+    resolution = field.resolution_px
+    field = replace(
+        field,
+        u_px=field.u_px * kept,
+        v_px=field.v_px * kept,
+        resolution_px=None if resolution is None else np.hypot(resolution, 0.5 * pushed_px),
+        common_light_px=common.least_px,
+    )
+    short = field.valid & (length_px < common.least_px)
+    # Beside short ones others are pushed beyond that length.
+    beside = scipy.ndimage.binary_dilation(short, np.ones((5, 5), bool)) & (length_px < BESIDE * common.least_px)
+    return _without(field, field.valid & (short | beside), VectorFlag.REJECTED)
 
 
 def _sparser(field: VectorField, every: int) -> VectorField:

@@ -53,6 +53,8 @@ class Pair:
         Pixels that the mask calls valid and that are not finite.
     doubt : Doubt, optional
         How unsure what stands in single pixels is.
+    noise : float
+        Variance of a pixel's noise over that of the picture.
     """
 
     a: Floats
@@ -62,6 +64,7 @@ class Pair:
     spread_px2: float
     nan_pixels: int
     doubt: Doubt | None = None
+    noise: float = 0.0
 
     @property
     def sampled_px2(self) -> float:
@@ -134,13 +137,13 @@ def prepared(
     side_px = window_px | 1
     a = _levelled(frames[0], weight, whole, side_px, "A")
     b = _levelled(frames[1], weight, whole, side_px, "B")
-    texture, doubt = _texture(a, weight, whole), None
+    texture, doubt = texture_of(a, weight, whole), None
     if not whole:
         doubt = without_gaps(a, b, seen, texture)
         if doubt is not None:
             weight[doubt.variance > 0.0] = 1.0
     nan_pixels = int(np.count_nonzero(mask & ~seen))
-    return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, doubt)
+    return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, doubt, texture.noise)
 
 
 def checked(
@@ -215,8 +218,8 @@ def _mean_around(values: Floats, side_px: int) -> Floats:
     return np.asarray(mean, np.float32)
 
 
-def _texture(frame: Floats, weight: Floats, whole: bool) -> Texture:
-    """What a frame looks like, from its correlation with itself at 0, 1 and 2 px."""
+def texture_of(frame: Floats, weight: Floats, whole: bool) -> Texture:
+    """What a frame looks like, from its correlation with itself at 0, 1 and 2 px along rows."""
     every = slice(None, None, max(1, frame.shape[0] // 256))
     rows, seen = frame[every], weight[every]
 

@@ -43,9 +43,9 @@ GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are
 LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
 LARGEST_PX = 3.0**-0.5  # one pixel to either side, all places alike
 LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
-SAMPLING = (  # variance of a particle image [px^2], and the error that it leaves [px]
-    (0.17, 0.18, 0.222, 0.331, 0.47, 0.642, 0.85, 1.1, 2.2),
-    (0.011, 0.008, 0.004, 0.0017, 0.0018, 0.0017, 0.0014, 0.001, 0.0008),
+SAMPLING = (  # variance of a particle image [px^2] as frames show it, and the error that it leaves [px]
+    (0.127, 0.158, 0.209, 0.262, 0.315, 0.46, 0.64, 1.06, 2.2, 3.8, 7.6),
+    (0.0095, 0.0055, 0.0038, 0.0029, 0.0025, 0.0023, 0.0019, 0.0011, 0.0005, 0.0005, 0.001),
 )
 
 
@@ -100,7 +100,8 @@ def blocks_of(pair: DeformedPair, spread_px2: float, threads: int | None = None)
         Threads to use.
     """
     height, width = pair.a.shape
-    side = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 3))
+    image_px = float(np.sqrt(spread_px2))
+    side = max(int(np.clip(round(2.0 * image_px), 2, 3)), min(round(1.7 * image_px), 6))
     sums = np.empty((KINDS, height // side, width // side), np.float32)
 
     def rows(first: int, last: int) -> None:

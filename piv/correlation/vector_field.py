@@ -81,6 +81,9 @@ class VectorField:
         Side of the window that each vector comes from: its resolution.
     is_one_picture : bool
         Whether both frames are the same, pixel by pixel.
+    common_light_px : float
+        Length below which vectors are rejected because light that both frames have in common was taken off them
+        (`piv.correlation.common_light`); 0 where none was.
     """
 
     x_px: Floats
@@ -101,6 +104,7 @@ class VectorField:
     added_passes: int = 0
     side_px: NDArray[np.int64] | None = None
     is_one_picture: bool = False
+    common_light_px: float = 0.0
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -131,6 +135,12 @@ class VectorField:
         share = self.counts["valid"] / max(asked, 1)
         if self.is_one_picture:
             return ONE_PICTURE
+        if self.common_light_px:
+            return (
+                f"{100.0 * self.static_share:.0f} % of the light does not move; it was taken off both frames, and"
+                f" vectors shorter than {self.common_light_px:.1f} px are not valid; a background of a series is"
+                " more exact"
+            )
         if self.static_share > STATIC_SHARE:
             return (
                 f"{100.0 * self.static_share:.0f} % of the light does not move and draws every vector to zero;"
@@ -138,6 +148,11 @@ class VectorField:
             )
         if share >= TRUSTED_SHARE or not asked:
             return ""
+        if not share:
+            return (
+                "the frames match no better than unrelated pictures, so no vector is valid; check that they are"
+                " one pair, the time between them, focus and seeding"
+            )
         return (
             f"only {100.0 * share:.0f} % of the vectors were measured, the rest are guesses from their neighbours;"
             " check that the frames are one pair, the time between them, focus and seeding; where particles are"

@@ -1,4 +1,4 @@
-"""Light that stands still beside a flow: a wall that shines, a reflection, a scratch of the glass.
+"""Light that stands still beside a flow: bodies, walls, reflections, writing, and areas without light.
 
 Windows in it have the clearest vectors of all, of no displacement. So where it lies is found from frames as they
 are, and belongs to no window. Of cells of a few pixels, in frames a and b without the mean of their surroundings,
@@ -6,15 +6,21 @@ are, and belongs to no window. Of cells of a few pixels, in frames a and b witho
     E = (<a a'> + <b b'>)/2,      r = <a b'>/sqrt(<a a'> <b b'>),
 
 where ' is the neighbouring pixel, whose noise is another: E is the square of the light that is structured, r the
-share of it that both frames show at the same pixels, however bright each pulse was. With E_0 usual where light
-moves (r < `MOVES`), a cell stands still where
+share of it that both frames show at the same pixels, however bright each pulse was. E_0 is usual where light
+moves (r < `MOVES`). A cell also has a floor: the level that an opening over `FLOOR_PX` leaves, between
+particles and without them. A cell stands still where nearly nothing moves before it, (1 - r) E < `MOST_MOVING` E_0
+(dust before a flow, or a wall behind it, has that flow's particles in its rest, whether or not they find their
+partners), and
 
-* it is far brighter than a flow, r E > `BRIGHT` E_0: particles in a fluid at rest are not;
-* nothing moves before it, (1 - r) E < `MOST_MOVING` E_0: dust before a flow, or a wall behind it, has that flow's
-  particles in its rest, whether or not they find their partners.
+* it is far brighter than a flow, r E > `BRIGHT` E_0: particles in a fluid at rest are not; or
+* its floor is another than that of the cells where light moves, above it (a body, plain or saturated) or below it
+  (an area without light), and hardly anything in it moves. A fluid at rest has the floor of its surroundings.
 
-Walls are large: cells count that make up squares of `SQUARE` x `SQUARE`, and with them what belongs to them.
-Where next to nothing moves, nothing is said, for it may be a flow at rest.
+Cells count that make up squares of `SQUARE` x `SQUARE`, and with them what belongs to them. Where next to nothing
+moves, nothing is said, for it may be a flow at rest.
+
+**Writing and bars** are thinner. They are plateaus, areas of 3 x 3 px whose darkest pixel is `PLATEAU`
+times brighter than those of moving particles, in either frame: digits of a clock change between both.
 
 The frames may be those of one pair, or A of one and B of another, which no slow flow makes alike: then r and E are
 means over all that are compared. A series finds its still light so, from frames whose background is not taken
@@ -22,7 +28,7 @@ off: what is left of a wall then flickers as the pulses do, and stands still no 
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -34,10 +40,37 @@ BLUR_CELLS = 1.0  # one cell holds too few particles
 MOVES, LEAST_MOVING = 0.5, 0.1  # r below which light moves; share of the cells that must, for a usual brightness
 SEEN = 0.05  # of the median of E: cells with less show nothing
 BRIGHT, MOST_MOVING, ALIKE = 4.0, 0.25, 0.9  # of E_0, of E_0, of r
+FLOOR_PX = 12  # side of the opening: larger than particle images, smaller than bodies
+RAISED, SUNK = 0.25, 0.1  # change of the floor in sqrt(E_0), beyond nearly all floors where light moves
+EXTREME, BEYOND = 0.1, 0.5  # share of those that are more extreme; and of their range
+HARDLY, SHAKEN = (
+    0.02,
+    0.5,
+)  # of E_0: structure of a plain cell; r of one before a raised floor, if the camera shakes
+PLATEAU, PLATEAU_QUANTILE = 1.3, 0.999  # over the plateaus of particles, and how many of these are darker
+LETTER_PX2, LETTER_PX, HALO_PX = (
+    5,
+    15,
+    7,
+)  # least plateau within that square; side of gaps between letters, and of what an edge reaches
+EQUAL = 0.1  # of a plateau's height: difference between both frames
+HALF = 0.5
+QUICK, SPREADS = 0.3, 9.0  # r of a usual cell below which flow is quick; of floors, in median deviations
+GRAIN = 0.08  # of how much a floor is raised: change from frame to frame that is still that of a body
 SQUARE, GAP = 4, 7  # cells along each axis that must stand still together; that may lack a grain between them
 
 Floats = NDArray[np.float32]
 Two = tuple[NDArray[Any], NDArray[Any]]
+
+
+class Cells(NamedTuple):
+    """Figures (ny, nx) of cells: r, E, level, floor, and E of the frame that is plainer."""
+
+    alike: Floats
+    square: Floats
+    level: Floats
+    floor: Floats
+    least: Floats
 
 
 def across_pairs(pairs: Iterable[Two]) -> Iterator[Two]:
@@ -73,69 +106,170 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     if not valid.any():
         return None
     sums: list[Floats] = []
-    count = 0
+    plateaus: tuple[NDArray[Any], ...] | None = None
+    count, counts = 0, 0.0
     for a, b in frames:
-        (one, of_a), (other, of_b) = (_levelled(frame, valid) for frame in (a, b))
+        numbers = _numbers((a, b), valid)
+        (one, of_a), (other, of_b) = (_levelled(frame, valid) for frame in numbers)
         of_one, of_other = (np.maximum(_products(part, part), 0.0) for part in (one, other))
         both = np.float32(0.5) * (_products(one, other) + _products(other, one))
+        if not (of_one.any() and of_other.any()):
+            continue
         power = np.sqrt(of_one * of_other)
         share = np.clip(np.divide(both, power, out=np.zeros_like(both), where=power > 0.0), -1.0, 1.0)
         # Both pulses weigh the same, whatever their light.
         scales = [np.float32(1.0 / max(float(part.mean()), 1e-30)) for part in (of_one, of_other)]
         mean = np.float32(0.5) * (scales[0] * of_one + scales[1] * of_other)
         bright = np.sqrt(scales[0]) * of_a + np.sqrt(scales[1]) * of_b
-        now = [np.asarray(part, np.float32) for part in (share, mean, bright)]
+        floor = _floor(numbers[0], numbers[1], share.shape)
+        least = np.minimum(scales[0] * of_one, scales[1] * of_other)
+        now = [np.asarray(part, np.float32) for part in (share, mean, bright, floor, least)]
         sums = [total + part for total, part in zip(sums, now, strict=True)] if sums else now
+        counts += float(scales[0] * scales[1]) ** -0.25
+        exact = all(frame.dtype in (np.uint8, np.uint16) for frame in (a, b))
+        flat = _plateaus(*((a, b) if exact else numbers))
+        plateaus = (
+            flat if plateaus is None else (np.minimum(plateaus[0], flat[0]), np.maximum(plateaus[1], flat[1]))
+        )
         count += 1
-    if not sums or not sums[1].any():
+    if plateaus is None or not sums[1].any():
         return None
-    alike, square, level = sums
-    found = _still(alike / np.float32(count), square / np.float32(count), level)
-    if not found.any():
+    cells = Cells(*(total / np.float32(count) for total in sums))
+    cells = cells._replace(floor=cells.floor * np.float32(count / counts))
+    valid_cells = _share_of_cells(valid, cells.alike.shape) > HALF
+    seen = np.asarray(valid_cells & (cells.square > SEEN * np.median(cells.square[cells.square > 0.0])))
+    if not seen.any():
         return None
-    # The cells at its edge hold some of the flow, and too much of it for any window.
-    found = scipy.ndimage.binary_dilation(found, np.ones((3, 3), bool))
-    row, column = (
-        np.minimum(np.arange(side) // CELL_PX, cells - 1)
-        for side, cells in zip(valid.shape, found.shape, strict=True)
-    )
-    return np.asarray(found[np.ix_(row, column)])
-
-
-def _still(alike: Floats, square: Floats, level: Floats) -> NDArray[np.bool_]:
-    """Cells (ny, nx) that stand still, from r, E and how bright they are."""
-    seen = square > SEEN * np.median(square[square > 0.0])
-    moves = seen & (alike < MOVES)
+    moves = seen & (cells.alike < MOVES)
     if moves.sum() <= LEAST_MOVING * seen.sum():
-        return np.zeros(square.shape, bool)
+        # A fluid at rest is not told from a wall, but has other light than places without any structure.
+        moves, cells = seen, cells._replace(alike=np.zeros_like(cells.alike))
+    apart, changed = _floors(cells, moves)
+    fluid = cells.alike[seen & ~changed]
+    quick = bool(cells.alike.any() and fluid.size and np.median(fluid) < QUICK)
+    found = _still(cells, moves, apart, changed, quick)
+    if not valid_cells.all():  # what a mask covers nearly is covered
+        found = np.asarray(scipy.ndimage.binary_opening(found & valid_cells, np.ones((2, 2), bool)))
+    # The cells at its edge hold some of the flow, and too much of it for any window.
+    found = np.asarray(scipy.ndimage.binary_dilation(found, np.ones((3, 3), bool)))
+    at = np.ix_(
+        *(
+            np.minimum(np.arange(side) // CELL_PX, count - 1)
+            for side, count in zip(valid.shape, found.shape, strict=True)
+        )
+    )
+    still = np.asarray(found[at])
+    if quick:
+        ground = float(np.median(cells.floor[moves])) * counts / count
+        still |= _written(plateaus[0], plateaus[1], valid, ground, moves[at])
+    return still if still.any() else None
+
+
+def _floors(cells: Cells, moves: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+    """How far the floors of cells (ny, nx) are above the usual one where light moves; and where that is much."""
+    low, ground, high = (float(part) for part in np.quantile(cells.floor[moves], (EXTREME, 0.5, 1.0 - EXTREME)))
+    apart = cells.floor - np.float32(ground)
+    unit = float(np.sqrt(np.median(cells.square[moves])))
+    above, below = high - ground, ground - low
+    below = min(below, SPREADS * float(np.median(np.abs(apart[moves]))))  # cells at dark edges move, too
+    other = (apart > above + max(RAISED * unit, BEYOND * above)) | (
+        -apart > below + max(SUNK * unit, BEYOND * below)
+    )
+    return apart, np.asarray(other)
+
+
+def _still(
+    cells: Cells, moves: NDArray[np.bool_], apart: Floats, other: NDArray[np.bool_], quick: bool
+) -> NDArray[np.bool_]:
+    """Cells (ny, nx) that stand still; in a `quick` flow its own cells are not alike in both frames."""
+    import cv2
+
+    alike, square, level, _, least = cells
     usual = float(np.median(square[moves]))
-    bright, rest = alike * square > BRIGHT * usual, (1.0 - alike) * square < MOST_MOVING * usual
-    still = scipy.ndimage.binary_opening(bright & rest & (alike > ALIKE), np.ones((SQUARE, SQUARE), bool))
+    moving = (1.0 - alike) * square
+    bright, rest = alike * square > BRIGHT * usual, moving < MOST_MOVING * usual
+    plain = square < HARDLY * usual
+    if quick:
+        plain |= (alike > ALIKE) | ((alike > SHAKEN) & (apart > 0.0))
+    plain &= rest
+    # A saturated frame shows no grain that the other has, and a shaking camera none at its place.
+    shaken = (alike > SHAKEN) & (moving < np.square(GRAIN * apart))
+    plain |= (apart > 0.0) & ((least < HARDLY * usual) | shaken)
+    square_of_cells = np.ones((SQUARE, SQUARE), bool)
+    still = scipy.ndimage.binary_opening((rest & bright & (alike > ALIKE)) | (other & plain), square_of_cells)
     if not still.any():
         return np.asarray(still)
     # A wall has places without a grain, and an edge where its cells see particles beside it. They belong to it
-    # between what stands still, if nothing moves there, and beside it where it is as bright.
+    # between what stands still, if nothing moves there, and beside it where they are as bright, or as dark.
     around = scipy.ndimage.binary_dilation(still, np.ones((GAP, GAP), bool))
     between = scipy.ndimage.binary_erosion(around, np.ones((GAP, GAP), bool), border_value=1)
     dark, light = float(np.median(level[moves])), float(np.median(level[still]))
     beside = around & (level > 0.5 * (dark + light)) & (alike > ALIKE) & (light > dark)
+    for sign in (1.0, -1.0):
+        here = still & other & (sign * apart > 0.0)
+        nearby = cv2.dilate(np.where(here, sign * apart, np.float32(0.0)), np.ones((GAP, GAP), np.uint8))
+        beside |= (nearby > 0.0) & (sign * apart > 0.5 * nearby)
     return np.asarray(still | (between & rest) | beside)
 
 
-def _levelled(frame: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _written(
+    both: NDArray[Any], either: NDArray[Any], valid: NDArray[np.bool_], ground: float, moves: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach."""
+    import cv2
+
+    every = slice(None, None, 2)
+    particles = float(np.quantile(either[every, every][moves[every, every]], PLATEAU_QUANTILE))
+    least = ground + PLATEAU * (particles - ground)
+    core = (both > least) & valid
+    if not core.any():
+        return core
+    core &= either - both < EQUAL * (either - ground)  # clumps that drift by less than their size are not
+    around = cv2.boxFilter(core.view(np.uint8), -1, (LETTER_PX2, LETTER_PX2), normalize=False)
+    core &= around >= LETTER_PX2
+    if not core.any():
+        return core
+    # Digits that change stand beside those that do not.
+    bright = ((either > least) & valid).view(np.uint8)
+    _, parts = cv2.connectedComponents(
+        cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((LETTER_PX, LETTER_PX), np.uint8))
+    )
+    kept = np.zeros(int(parts.max()) + 1, bool)
+    kept[np.unique(parts[core])] = True
+    kept[0] = False
+    # The darkest of 3 x 3 px stands at their middle.
+    reach = np.ones((3 + HALO_PX - 1, 3 + HALO_PX - 1), np.uint8)
+    return np.asarray(cv2.dilate(bright * kept[parts], reach) > 0)
+
+
+def _share_of_cells(valid: NDArray[np.bool_], shape: tuple[int, ...]) -> Floats:
+    """Share (ny, nx) of the pixels of cells that are valid."""
+    import cv2
+
+    if valid.all():
+        return np.ones(shape, np.float32)
+    part = valid[: shape[0] * CELL_PX, : shape[1] * CELL_PX].astype(np.float32)
+    return np.asarray(cv2.resize(part, (shape[1], shape[0]), interpolation=cv2.INTER_AREA))
+
+
+def _numbers(frames: Two, valid: NDArray[np.bool_]) -> list[Floats]:
+    """Both frames as float32, what is no number at their mean; counts of any size are brought near 1 together."""
+    if all(frame.dtype.kind != "f" and frame.dtype.itemsize <= 2 for frame in frames):
+        return [frame.astype(np.float32) for frame in frames]
+    inside = [frame[valid] for frame in frames]
+    low, high = float(min(part.min() for part in inside)), float(max(part.max() for part in inside))
+    span = max(high - low, np.finfo(float).tiny)
+    with np.errstate(over="ignore", invalid="ignore"):
+        near_one = [((frame - low) / span).astype(np.float32) for frame in frames]
+    return [np.where(np.isfinite(part), part, np.float32(part[valid].mean())) for part in near_one]
+
+
+def _levelled(frame: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Every second row of a frame without the mean of its surroundings, 0 where masked; and the mean in cells."""
     import cv2
 
     whole = bool(valid.all())
-    values = frame
-    if frame.dtype.kind == "f" or frame.dtype.itemsize > 2:  # counts of any size fit a float32 only near 1
-        inside = frame if whole else frame[valid]
-        low, high = float(inside.min()), float(inside.max())
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = (frame - low) / max(high - low, np.finfo(float).tiny)
-    values = values.astype(np.float32)
-    if not whole:
-        values = np.where(valid, values, np.float32(0.0))
+    values = frame if whole else np.where(valid, frame, np.float32(0.0))
     size = (LEVEL_PX, LEVEL_PX)
     mean: Any = cv2.blur(values, size, borderType=cv2.BORDER_REFLECT)
     if not whole:
@@ -144,6 +278,32 @@ def _levelled(frame: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[Floats, Fl
     if not whole:
         rest *= valid[::2]
     return np.asarray(rest, np.float32), _cells(np.asarray(mean[::2], np.float32))
+
+
+def _floor(a: Floats, b: Floats, shape: tuple[int, ...]) -> Floats:
+    """Level of cells (ny, nx) between particles, and without any: of the darker of both frames."""
+    import cv2
+
+    half_cell = CELL_PX // 2
+    height, width = (half_cell * cells for cells in shape)
+    darker = np.minimum(a, b)
+    lacking = (max(2 * whole - side, 0) for whole, side in zip((height, width), a.shape, strict=True))
+    down, right = lacking
+    if down or right:
+        darker = cv2.copyMakeBorder(darker, 0, down, 0, right, cv2.BORDER_REPLICATE)
+    half = cv2.resize(darker[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    side = FLOOR_PX // 2
+    opened = cv2.morphologyEx(half, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    return np.asarray(cv2.resize(opened, (shape[1], shape[0]), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _plateaus(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """The darkest of 3 x 3 px around each: in both frames, and in the one where it is brighter."""
+    import cv2
+
+    size = np.ones((3, 3), np.uint8)
+    one, other = (np.asarray(cv2.erode(part, size)) for part in (a, b))
+    return np.minimum(one, other), np.maximum(one, other)
 
 
 def _products(one: Floats, other: Floats) -> Floats:
