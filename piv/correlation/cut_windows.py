@@ -41,7 +41,7 @@ def cut_px(
     window_sigma : float
         See `piv.correlation.refine.window_weights`.
     """
-    if valid.min() > 0.0:
+    if valid.min() >= 1.0:
         return np.zeros(grid.shape)
     beside = beside_px(valid, grid, side_px, window_sigma)
     apart = max(1, round(0.5 * side_px / grid.step_px))

@@ -44,13 +44,14 @@ class DeformedPair(NamedTuple):
 class Frames(NamedTuple):
     """What passes sample: spline coefficients of both frames, their mask (H, W) float32, and how sure pixels are.
 
-    `floor` is the mean square up to which a window counts as constant.
+    `floor` is the mean square up to which a window counts as constant; `told` as in `Pair`.
     """
 
     coefficients: tuple[NDArray[np.float32], NDArray[np.float32]]
     valid: NDArray[np.float32]
     floor: float
     doubt: Doubt | None
+    told: NDArray[np.float32] | None = None
 
 
 def deform_pair(

@@ -48,7 +48,7 @@ from piv.correlation.refine import window_weights
 from piv.correlation.resolution import Window, matched_share, unmatched_px, unresolved_px
 from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
-from piv.correlation.sizes import Sizes, leaning_of, matched
+from piv.correlation.sizes import Sizes, leaning_of, matched, variance_px2
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
@@ -59,13 +59,14 @@ from piv.correlation.uncertainty import (
 from piv.correlation.vector_field import TRUSTED_SHARE, VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import PairError
-from piv.preprocessing.still_light import still_light
+from piv.preprocessing.still_light import still_light, with_clean_rim
 
 FAR_MOVED = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
 FEWEST_MOVED = 12  # windows, for a median
 BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
 DOUBTFUL_SHARE, GAIN = 0.8, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
 LEFT = 0.6  # of the windows without a vector: with fewer left, larger first windows have found more
+RIM_CUT = 0.35  # of what a mask cuts where its rim is clean (errors near walls over sigma 0.8 to 1.2)
 BESIDE = 1.5  # of the shortest vectors behind common light: as long ones are not trusted beside shorter ones
 STRANGERS, CLEAR_PX = 0.25, 0.15  # fewer vectors than this share, less clear than that, are there by chance
 LEAST_MATCHED, OTHERWISE_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
@@ -145,16 +146,25 @@ def evaluate_pair(
     frames, _, seen = checked(frame_a, frame_b, valid)
     if still is None:
         still = still_light([(frames[0], frames[1])], seen)
-    del frames, seen
     told = valid
+    if told is not None and not told.all():
+        usable = checked(frame_a, frame_b, None)[2]
+        valid = with_clean_rim((frames[0], frames[1]), told, usable)
+    del frames, seen
     if still is not None:
-        valid = ~still if told is None else told & ~still
+        valid = ~still if valid is None else valid & ~still
     sides = list(settings.windows_px)
-    # Frames are prepared anew for each trial: nobody holds them while one goes on.
-    field = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
+    rim = None if valid is None or told is None or told.all() or not (valid & ~told).any() else told
+
+    # Frames are prepared anew for each trial: none are held while one goes on.
+    def made() -> Pair:
+        pair = prepared(frame_a, frame_b, valid, sides[-1])
+        return pair if rim is None else replace(pair, told=rim.astype(np.float32))
+
+    field = _evaluated(made(), sides, settings, threads)
     for side in _larger(sides[0], min(np.shape(frame_a))) if _share(field) < DOUBTFUL_SHARE else ():
         try:
-            again = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), [side, *sides], settings, threads)
+            again = _evaluated(made(), [side, *sides], settings, threads)
         except PairError:
             continue  # no more than there was
         if _share(again) < GAIN * _share(field) and 1.0 - _share(again) > LEFT * (1.0 - _share(field)):
@@ -242,7 +252,7 @@ def _evaluated(
     deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
     still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
     found = search(pair, grids[0], settings, threads)
-    frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt)
+    frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt, pair.told)
     spread_px2, sampled_px2, nan_pixels = pair.spread_px2, pair.sampled_px2, pair.nan_pixels
     suspect = pair if common is None and is_suspect(still) else None
     del pair  # 8 bytes a pixel that are not needed any more
@@ -254,7 +264,7 @@ def _evaluated(
         known = Known(course.grid, course.found.vectors_px, course.found.correlation)
         common = without_common_light(suspect, known, settings.min_valid, threads)
         if common is not None:
-            field = _evaluated(common.pair, sides, settings, threads, common)
+            field = _evaluated(replace(common.pair, told=suspect.told), sides, settings, threads, common)
             return replace(field, nan_pixels=nan_pixels)
         del suspect
     every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
@@ -345,17 +355,23 @@ def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) ->
         resolution = resolution_of(measured, resolution, sigma, one)
         # Blocks tell displacements of less than a pixel; what moves farther from the vector matches nothing.
         resolution = np.maximum(resolution, unmatched_px(vectors, found.seen_px, found.correlation, good))
-        cut = (cut_px(final, course.frames.valid, grid, side, settings.window_sigma) for side in sizes.sides_px)
+        seen, told = course.frames.valid, course.frames.told
+        # A clean rim shows that particles end there, and its windows hold some of them: part of the cut counts.
+        around = seen if told is None else seen + np.float32(RIM_CUT) * (told - seen)
+        cut = (cut_px(final, around, grid, side, settings.window_sigma) for side in sizes.sides_px)
         resolution = np.hypot(resolution, sizes.picked(list(cut)))
     fill, near = filled(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED
     flags[good] = VectorFlag.VALID
-    flags[found.valid_fraction < settings.min_valid] = VectorFlag.MASKED
+    share = found.valid_fraction
+    if (told := course.frames.told) is not None:
+        share = np.minimum(share, sizes.picked([_told_share(course, told, side) for side in sizes.sides_px]))
+    flags[share < settings.min_valid] = VectorFlag.MASKED
     nothing = (flags == VectorFlag.MASKED) | (flags == VectorFlag.REJECTED)
     fill = np.where(nothing[..., None], np.nan, fill)
-    told = (flags == VectorFlag.VALID) & settings.uncertainty
-    sigma = np.where(told[..., None], sigma, np.nan)
+    known = (flags == VectorFlag.VALID) & settings.uncertainty
+    sigma = np.where(known[..., None], sigma, np.nan)
     return VectorField(
         x_px=grid.x_px,
         y_px=grid.y_px,
@@ -366,14 +382,25 @@ def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) ->
         correlation=found.correlation,
         sigma_u_px=sigma[..., 0],
         sigma_v_px=sigma[..., 1],
-        valid_fraction=found.valid_fraction,
+        valid_fraction=share,
         window_px=settings.windows_px[-1],
         step_px=grid.step_px,
         nan_pixels=0,
-        resolution_px=np.where(told & np.isfinite(sigma).all(axis=-1), resolution, np.nan),
+        resolution_px=np.where(known & np.isfinite(sigma).all(axis=-1), resolution, np.nan),
         added_passes=added,
         side_px=None if found.sizes is None else found.sizes.side_px,
     )
+
+
+def _told_share(course: Course, told: NDArray[np.float32], side_px: int) -> Floats:
+    """Share (ny, nx) of windows that the mask which was given leaves, by their weights."""
+    import cv2
+
+    spread_px = float(np.sqrt(variance_px2(side_px, course.settings.window_sigma)))
+    share = np.asarray(cv2.GaussianBlur(told, (0, 0), spread_px))
+    nodes = (np.rint(place).astype(np.int64) for place in (course.grid.y_px, course.grid.x_px))
+    rows, columns = (np.clip(at, 0, side - 1) for at, side in zip(nodes, share.shape, strict=True))
+    return np.asarray(share[np.ix_(rows, columns)], np.float64)
 
 
 def _empty(course: Course, sigma: Floats, pieces_a_px2: Floats) -> NDArray[np.bool_]:

@@ -55,6 +55,8 @@ class Pair:
         How unsure what stands in single pixels is.
     noise : float
         Variance of a pixel's noise over that of the picture.
+    told : ndarray of float32, shape (H, W), optional
+        1 where a mask that was given is True, if `valid` is more (`piv.preprocessing.still_light.with_clean_rim`).
     """
 
     a: Floats
@@ -65,6 +67,7 @@ class Pair:
     nan_pixels: int
     doubt: Doubt | None = None
     noise: float = 0.0
+    told: Floats | None = None
 
     @property
     def sampled_px2(self) -> float:

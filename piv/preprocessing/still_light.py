@@ -55,6 +55,8 @@ LETTER_PX2, LETTER_PX, HALO_PX = (
 )  # least plateau within that square; side of gaps between letters, and of what an edge reaches
 EQUAL = 0.1  # of a plateau's height: difference between both frames
 HALF = 0.5
+RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle images
+CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
 QUICK, SPREADS = 0.3, 9.0  # r of a usual cell below which flow is quick; of floors, in median deviations
 GRAIN = 0.08  # of how much a floor is raised: change from frame to frame that is still that of a body
 SQUARE, GAP = 4, 7  # cells along each axis that must stand still together; that may lack a grain between them
@@ -163,6 +165,36 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         ground = float(np.median(cells.floor[moves])) * counts / count
         still |= _written(plateaus[0], plateaus[1], valid, ground, moves[at])
     return still if still.any() else None
+
+
+def with_clean_rim(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask (H, W) and up to `RIM_PX` beyond it, where frames show nothing but images of particles at its edge.
+
+    A mask cuts these images, and windows beside it then match where they are cut. They reach `IMAGE_PX`; farther
+    inside such a rim is as dark as the flow is between its particles. `usable` says where frames are numbers.
+    """
+    import cv2
+
+    def grown(which: NDArray[np.bool_], reach_px: int) -> NDArray[np.bool_]:
+        size = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
+        return np.asarray(cv2.dilate(which.view(np.uint8), size) > 0)
+
+    rim = grown(valid, RIM_PX) & ~valid & usable
+    inner = rim & ~grown(valid, IMAGE_PX)
+    if not inner.any():
+        return valid
+    one, other = _numbers(frames, valid | rim)
+    darker = np.minimum(one, other)
+    deviation, ground = float(np.maximum(one, other)[valid].std()), float(np.median(darker[valid]))
+    bright = inner & ((darker > ground + CLEAN * deviation) | (np.abs(one - other) > 2.0 * deviation))
+    # Where there is no such place inside, as in a thin body, nothing is known.
+    around = (2 * RIM_PX + 1, 2 * RIM_PX + 1)
+    spoilt, known, level = (
+        cv2.blur(np.asarray(part, np.float32), around, borderType=cv2.BORDER_CONSTANT)
+        for part in (bright, inner, np.where(inner, darker - np.float32(ground), np.float32(0.0)))
+    )
+    clean = (spoilt <= CLEAN_SHARE * known) & (np.abs(level) <= SAME * deviation * known)
+    return np.asarray(valid | (rim & (known > 0.0) & clean))
 
 
 def _floors(cells: Cells, moves: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
