@@ -56,6 +56,8 @@ def test_series_mean_page_and_exports_of_any_name(tmp_path, environment):
         assert json.loads((out / "series.json").read_text("utf-8"))["run"] == name
         vectors = read_vectors(out / "mean.nc")
         assert vectors.attributes["run"] == name
+        if name != NAMES[0] or environment == LATIN:  # the rest is once more the same
+            continue
         again = run("mean", day, *OPTIONS, "-o", out, **environment)  # the folder is known as that of this day
         assert b"had been evaluated before" in again
         for to in ("matlab", "paraview", "tecplot"):
