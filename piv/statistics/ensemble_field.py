@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from ground.rows import run_rows
 from piv.correlation.outliers import outliers
+from piv.correlation.planes import filled
+from piv.correlation.resolution import second_differences
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.statistics.cells import CELL_PX, WINDOWS_PX, middles_of, window_cells, windows_of
@@ -34,6 +36,7 @@ LARGEST_SIGMA_PX = 0.5  # of a mean that is worth being called one
 FEWEST_PAIRS = 8  # of solid cells: fewer stand still by chance
 LEAST_STILL, MOST_ALIKE = 0.25, 0.25  # of the light's squares; of the usual share with a partner
 NEAR_PX, USUAL = 2, 75.0  # displacements that are summed; percentile over the cells
+MISSED = 1.3  # times what a window averages out: second differences lack it, too (layers and waves of 40 to 80 px)
 THRESHOLD, EPSILON_PX = 3.0, 0.1  # of the universal outlier detection, as for single pairs
 
 Floats = NDArray[np.float64]
@@ -54,6 +57,9 @@ class EnsembleField:
         Reynolds stresses R_uu, R_vv, R_uv; free of the noise of correlation.
     sigma_px, stress_sigma_px2 : ndarray of float64, shapes (ny, nx, 2), (ny, nx, 3)
         Random standard uncertainties of both, for independent pairs.
+    resolution_px : ndarray of float64, shape (ny, nx)
+        Standard uncertainty of a component of the mean by what windows do not resolve; no number of pairs makes it
+        less.
     correlation : ndarray of float64, shape (ny, nx)
         Volume of the peak over that of the autocorrelation: the share of particles that stay.
     valid : ndarray of bool, shape (ny, nx)
@@ -69,6 +75,7 @@ class EnsembleField:
     stress_px2: Floats
     sigma_px: Floats
     stress_sigma_px2: Floats
+    resolution_px: Floats
     correlation: Floats
     valid: NDArray[np.bool_]
     pairs: int
@@ -143,11 +150,25 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         kept(covariance - own_covariance + _of_fields(sums, window_px, back, covariance, fluid)),
         kept(sigma),
         kept(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
+        kept(_resolution(mean, valid, grid)),
         kept(volume),
         valid,
         sums.pairs,
         sums.sweep.solid | ~fluid,
     )
+
+
+def _resolution(mean: Floats, valid: NDArray[np.bool_], grid: WindowGrid) -> Floats:
+    """Standard deviation (ny, nx) of a component of the mean by what windows do not resolve.
+
+    A window of side w without weights shows the mean field less w^2/24 of its second derivative along each axis.
+    """
+    if not valid.any():
+        return np.zeros(grid.shape)
+    apart = max(1, round(0.5 * grid.size_px / grid.step_px))
+    bent = second_differences(filled(np.where(valid[..., None], mean, 0.0), valid)[0], apart)
+    share = MISSED * grid.size_px**2 / (24.0 * (apart * grid.step_px) ** 2)
+    return np.asarray(share * scipy.ndimage.maximum_filter(bent, 3))
 
 
 def next_sweep(field: EnsembleField, sweep: Sweep) -> Sweep:

@@ -305,7 +305,7 @@ def _on_plane(found: EnsembleField, grid: PlaneGrid, dt_s: float) -> EnsembleFlo
         px_per_m_s=px_per_m_s,
         windows=found.grid,
         mean_m_s=(found.mean_px * up / px_per_m_s)[::-1],
-        sigma_m_s=(found.sigma_px / px_per_m_s)[::-1],
+        sigma_m_s=(np.hypot(found.sigma_px, found.resolution_px[..., None]) / px_per_m_s)[::-1],
         stresses_m2_s2=(found.stress_px2 * turned / px_per_m_s**2)[::-1],
         stress_sigma_m2_s2=(found.stress_sigma_px2 / px_per_m_s**2)[::-1],
         correlation=found.correlation[::-1],
