@@ -255,5 +255,5 @@ def check(fit: SceneFit) -> None:
         if fit.verdict.cause is not None:
             text = f"{fit.verdict.cause.sentence}. With that held, {text}"
         raise FitFailed("distance from the prior [sigma]", pull, PRIOR_LIMIT, text)
-    if fit.verdict.pulls and (worst := fit.verdict.pulls[0]).sigmas > PRIOR_LIMIT:
-        raise FitFailed("joint distance from the priors [sigma]", worst.sigmas, PRIOR_LIMIT, worst.reason)
+    if fit.verdict.pulls and (joint := fit.verdict.pulls[0]).sigmas > PRIOR_LIMIT:
+        raise FitFailed("joint distance from the priors [sigma]", joint.sigmas, PRIOR_LIMIT, joint.reason)

@@ -1,4 +1,4 @@
-"""Frames that contradict what is told of them: files or heights exchanged, frames turned, walls before the board."""
+"""Frames that contradict what is given: files or heights exchanged, frames turned, walls before the board."""
 
 from dataclasses import replace
 
@@ -111,7 +111,7 @@ def test_few_usable_dots_are_refused_in_numbers(tank, monkeypatch, recwarn):
     monkeypatch.setattr(
         camera_stage, "centred", lambda *words: (found := whole(*words)).taken(np.arange(len(found)) < 5)
     )
-    with pytest.raises(TargetNotFound, match="only 5 dots of the bare target .* 12 are needed") as said:
+    with pytest.raises(TargetNotFound, match=r"only 5 dots of the bare target .* 12 are needed") as said:
         fit_scene(nominal, [TargetFrame("clear", image, False)], board, priors)
     assert "nan" not in str(said.value)
     assert not recwarn.list
