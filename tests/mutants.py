@@ -23,6 +23,18 @@ LONGEST_S = 300.0
 PASSED, FAILED = 0, 1  # how pytest ends
 # fmt: off
 MUTANTS: tuple[tuple[str, str, str], ...] = (
+    ('                if answer.text != "1":\n', "                if False:\n",
+     "test_a_start_whose_first_answer_is_0_is_switched_off_at_once"),
+    ("            if not self._flag(T0, \"STAT\"):  # last", "            if False:  # last",
+     "test_nothing_leaves_after_a_person_has_ended_it"),
+    ("                self.box.stand_by()\n                return", "                return",
+     "test_a_run_that_is_left_alone_gives_all_its_pulses"),
+    ("        self._was_stopped |= self._offs_due < 0", "        self._was_stopped |= False",
+     "test_nothing_leaves_after_a_person_has_ended_it"),
+    ("not in (LaserState.SAFE, LaserState.UNKNOWN, LaserState.FAULT):", "in (LaserState.FIRING,):",
+     "test_nothing_leaves_after_a_person_has_ended_it"),
+    ("    requests = request_off(table.port)", "    requests = []",
+     "test_off_reaches_what_a_running_process_has_open"),
     ("if found != kind:", "if found == LAYOUT:", "test_other_kind_and_layout"),
     ("if len(text) <= LONGEST else", "if len(text) <= 99 * LONGEST else", "test_one_line"),
     ('own = f".{uuid4().hex}" if among_many else ""', 'own = ""',

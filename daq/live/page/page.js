@@ -242,10 +242,7 @@ function figures() {
   say(at("run"), words.run || "rtpiv live");
   const now_ms = performance.now(), rate = (1000 * (drawn - drawn_then)) / (now_ms - drawn_ms);
   [drawn_ms, drawn_then] = [now_ms, drawn];
-  const [light, wrong] = words.laser || ["", false];
-  at("laser").hidden = !light;
-  at("laser").className = wrong ? "wrong" : "";
-  say(at("laser"), `laser ${light}`);
+  laser(now_ms);
   const { focus, ...counters } = words.counters || {}; // whoever turns a ring stands away from the screen
   say(at("focus"), focus ? `focus ${focus[0]}` : "");
   const rows = Object.entries(counters).map(([name, [text, wrong]]) => [name, text, wrong]);
@@ -260,6 +257,16 @@ function figures() {
   if (worth.histogram) histogram(at("histogram"), worth.histogram, true);
   moved(words.arrows || []);
   if (worth.maps) map(worth.maps[at("which").value] || worth.maps.edge_px || []);
+}
+
+// The state is as old as the picture, and worth nothing once the run has ended or does not answer.
+function laser(now_ms) {
+  const [light, wrong] = words.laser || ["", false], old_ms = now_ms - came_ms;
+  const unknown = ended || socket.readyState !== 1 || now_ms - heard_ms > SILENT_MS;
+  at("laser").hidden = !light;
+  at("laser").className = wrong || unknown || old_ms > OLD_MS ? "wrong" : "";
+  const before = old_ms > OLD_MS ? ` ${(old_ms / 1000).toFixed(0)} s ago` : "";
+  say(at("laser"), unknown ? "laser unknown: rtpiv laser off" : `laser ${light}${before}`);
 }
 
 function table(rows) {

@@ -161,6 +161,16 @@ def test_a_browser_shows_frames(measures: Showing) -> None:
         tab.until("window.rtpivLive.view.mode === 'blink'")
 
 
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium on this computer")
+def test_a_laser_is_unknown_once_its_run_has_ended() -> None:
+    with ExitStack() as stack:
+        with showing() as measures:
+            tab = stack.enter_context(tab_at(measures.page.url))
+            tab.until("document.getElementById('laser').textContent === 'laser firing'")
+        tab.until("document.getElementById('laser').textContent === 'laser unknown: rtpiv laser off'")
+        assert tab.value("document.getElementById('laser').className") == "wrong"
+
+
 def test_what_others_ask_is_refused(measures: Showing) -> None:
     port = measures.page.port
 

@@ -347,6 +347,23 @@ def test_a_stop_between_two_words_of_a_beginning_burst_lets_none_of_the_others_s
     assert begun < 5
 
 
+def test_a_start_whose_first_answer_is_0_is_switched_off_at_once():
+    """STOP is pressed after the last question, and before the string that begins the burst."""
+    with desk() as d:
+        d.to_armed()
+        start = d.box._start
+
+        def stopped(burst):
+            d.emulator.person_stops()
+            start(burst)
+
+        d.box._start = stopped
+        with pytest.raises(LaserDoubt, match="T0 does not run"):
+            d.laser.fire(50)
+        d.clock.sleep_s(10.0)
+        assert d.pulses(Role.Q_SWITCH_1) <= 1
+
+
 def test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the_first_word():
     """Only the person at the keys can end it before that: no word of ours reaches the box."""
     with desk() as d:
