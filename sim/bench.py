@@ -227,7 +227,8 @@ class SimulatedBench:
         cameras = {name: self._cameras[_serial_of(name)] for name in worlds if _serial_of(name) in self._cameras}
         gauges = {name: line for name, line in self._gauges.items() if line is not None}
         lines = {**self.lines, **{name: unit.line for name, unit in self._units.items()}, **gauges}
-        return WatchedWorld(Struck(lines, stages, cameras, worlds), self._units, self.clock, table.schedule)
+        struck = Struck(lines, stages, cameras, worlds, self._units)
+        return WatchedWorld(struck, self.clock, table.schedule)
 
     def _further(
         self,

@@ -97,6 +97,11 @@ class SimulatedTiming:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="timing unit", daemon=True)
 
+    @property
+    def firmware(self) -> Firmware:
+        """The box, with the keys that a person presses."""
+        return self._emulator
+
     def light_delay_s(self, pulse: int) -> float:
         """From a Q-switch, 0 or 1, to its light."""
         return 1e-6 * self._light_delays_us[pulse]

@@ -4,6 +4,7 @@ They are carried out when their moments come.  A step begins because the run say
 calls; a word because the wire is listened to.  What a word brings about happens before the box hears it.
 """
 
+import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,11 +23,13 @@ from sim.emulators.recorded import RecordedBox
 from sim.happened import Event, Happened, Kept
 from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
-from sim.timing import SimulatedTiming
+from sim.timing import CLOSED, SimulatedTiming
 from sim.timing_boxes.pulsing import Pulse
 from sim.witness.witness import Violation
 from sim.world import World
 
+BY_A_PERSON = ("stop", "run", "door")
+DARK_S = 0.3  # after a person has ended the light, until which pulses may leave
 ON_THE_WIRE = ("late", "split", "lost", "cut", "doubled", "garbled")
 
 
@@ -44,12 +47,15 @@ class Struck:
         Every camera.
     worlds : mapping of str to World
         What each camera sees; who dims the light dims it for all.
+    units : mapping of str to SimulatedTiming
+        Timing units.
     """
 
     lines: Mapping[str, Line]
     stages: SimulatedStages
     cameras: Mapping[str, SimCamera]
     worlds: Mapping[str, World]
+    units: Mapping[str, SimulatedTiming]
 
 
 class FaultStrikes:
@@ -70,6 +76,7 @@ class FaultStrikes:
     def __init__(self, faults: Sequence[Fault], struck: Struck, clock: VirtualClock, kept: Kept) -> None:
         self._struck, self._clock, self._kept = struck, clock, kept
         self._waiting = list(faults)
+        self.stopped_s: dict[str, float] = {}  # units at which a person has ended the light, and when
         self._said: dict[int, int] = {}  # how often the word of a fault, by its identity
         for fault in faults:
             if fault.at_s is not None:
@@ -102,7 +109,9 @@ class FaultStrikes:
         self._waiting.remove(fault)
         said = {"what": fault.what, "due": fault.moment}
         self._kept.note(self._clock.now_s(), "fault", fault.of, said)
-        if fault.of in self._struck.lines:
+        if fault.what in BY_A_PERSON:
+            self._act_at_unit(fault, self._struck.units[fault.of])
+        elif fault.of in self._struck.lines:
             self._strike_line(fault, self._struck.lines[fault.of])
         elif fault.of in self._struck.cameras:
             self._struck.cameras[fault.of].strike(fault.what, fault.delay_s or 0.0)
@@ -113,6 +122,18 @@ class FaultStrikes:
         else:
             for world in self._struck.worlds.values():
                 world.dim(1.0 if fault.share is None else fault.share)
+
+    def _act_at_unit(self, fault: Fault, unit: SimulatedTiming) -> None:
+        """Press a key of a timing unit, or open its door."""
+        if fault.what == "run":
+            self.stopped_s.pop(fault.of, None)
+        else:
+            self.stopped_s.setdefault(fault.of, self._clock.now_s())
+        if fault.what == "door":
+            CLOSED.update(dict.fromkeys(unit.switches.values(), False))
+        else:
+            with unit.line.lock:
+                (unit.line.emulator.person_stops if fault.what == "stop" else unit.firmware.person_runs)()
 
     @staticmethod
     def _strike_line(fault: Fault, line: Line) -> None:
@@ -133,9 +154,7 @@ class WatchedWorld:
     Parameters
     ----------
     bench : Struck
-        Wires, axes, cameras and what they see.
-    units : mapping of str to SimulatedTiming
-        Timing units.
+        Wires, axes, cameras and what they see, timing units.
     clock : VirtualClock
         Time of the world.
     faults : sequence of Fault
@@ -145,7 +164,6 @@ class WatchedWorld:
     def __init__(
         self,
         bench: Struck,
-        units: Mapping[str, SimulatedTiming],
         clock: VirtualClock,
         faults: Sequence[Fault],
     ) -> None:
@@ -158,7 +176,7 @@ class WatchedWorld:
             line.on_told = partial(self._told, name, line)
         for name, world in bench.worlds.items():
             world.on_exposed = partial(self._exposed, name)
-        for name, unit in units.items():
+        for name, unit in bench.units.items():
             for number, role in enumerate(Q_SWITCHES):
                 unit.listen(role, partial(self._lit, name, number, unit.light_delay_s(number)))
 
@@ -192,3 +210,7 @@ class WatchedWorld:
 
     def _lit(self, unit: str, number: int, delay_s: float, pulse: Pulse) -> None:
         self._kept.note(pulse.rises_s + delay_s, "light", unit, {"pulse": number})
+        late_s = pulse.rises_s - self._strikes.stopped_s.get(unit, math.inf)
+        if late_s > DARK_S:
+            text = f"light of {unit} {late_s:.2f} s after a person has ended it"
+            self._kept.note(pulse.rises_s, "violation", unit, text)

@@ -16,6 +16,8 @@ a box   unplug               its cable is out until the bench is opened again
         late, split          its next answer comes `delay_s` later; or the second half of it does
         lost, cut, doubled,  its next answer does not come, or half of it, or twice, or with a wrong byte
         garbled
+timing  the same, and        a person presses the key STOP of the box, or its key RUN, or opens the switches of
+unit    stop, run, door      door and key; from then on no light may leave until RUN is pressed
 camera  unplug               it is gone until the bench is opened again
         late                 the next frame leaves it `delay_s` later
         lost, cut, doubled   the next frame does not come, or with a part of its pixels missing, or twice
@@ -43,10 +45,13 @@ from ground.config import Name, Table
 from stages.controller_tables import ControllerTable
 
 What = Literal[
-    "unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled", "knock", "stall", "dim"
+    "unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled", "stop", "run", "door",
+    "knock", "stall", "dim",
 ]  # fmt: skip
+OF_A_BOX = ("unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled")
 OF_A: dict[str, tuple[str, ...]] = {
-    "box": ("unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled"),
+    "box": OF_A_BOX,
+    "timing unit": (*OF_A_BOX, "stop", "run", "door"),
     "camera": ("unplug", "late", "lost", "cut", "doubled"),
     "axis": ("knock", "stall"),
     "lamp": ("dim",),
@@ -96,11 +101,12 @@ class FaultFile(Table):
 
 
 def things_of(bench: Bench) -> dict[str, str]:
-    """Everything of a bench that a fault can be of: its name, and "box", "camera", "axis" or "lamp"."""
+    """Everything of a bench that a fault can be of: its name, and which of `OF_A` it is."""
     things = dict.fromkeys(bench.table.stages.controllers, "box") | dict.fromkeys(bench.table.stages.axes, "axis")
     for name, device in bench.devices.items():
         if name != STAGES:
-            things[name] = "camera" if isinstance(device.section, CameraSection) else "box"
+            kinds = {CameraSection: "camera", TimingTable: "timing unit"}
+            things[name] = next((kind for made, kind in kinds.items() if isinstance(device.section, made)), "box")
     return things | {LAMP: "lamp"}
 
 
@@ -131,7 +137,7 @@ def wrong_with(fault: Fault, bench: Bench) -> Iterator[str]:
         return
     if sum(getattr(fault, name) is not None for name in MOMENTS) != 1:
         yield f"{fault.what} of {fault.of}: say when, by one of {', '.join(MOMENTS)}"
-    if fault.word is not None and thing not in ("box", "axis"):
+    if fault.word is not None and thing not in ("box", "timing unit", "axis"):
         yield f"word: a {thing} is not told words; say step or at_s"
     if fault.nth > 1 and fault.word is None:
         yield "nth: it counts how often a word is said; say word, or leave nth out"

@@ -21,6 +21,7 @@ FILES = {
     "look.py",
     "test_lab.py",
     "test_words.py",
+    "test_laser.py",
     ".github/workflows/bench.yml",
 }
 BROKEN = {  # what a test guards, broken -> the test that must tell it
@@ -31,6 +32,7 @@ BROKEN = {  # what a test guards, broken -> the test that must tell it
     "the cable stays in": ("faults.yaml", "what: unplug", "what: doubled", "cable"),
     "the cable comes out later": ("faults.yaml", "step: 7", "step: 8", "cable"),
     "the script says something else": ("look.py", "(0.0, -10.0, -20.0)", "(0.0, -10.0, -15.0)", "is_told_what"),
+    "the key STOP is RUN": ("test_laser.py", '"what": "stop"', '"what": "run"', "stop_at_the_box"),
     "resume does not home": ("test_lab.py", "resume(run, home=True)", "resume(run)", "cable"),
 }
 
@@ -90,7 +92,7 @@ def world(place):
 def test_the_page_has_the_files_and_its_workflow_runs_the_tests():
     found = files()
     assert set(found) == FILES
-    for name in ("look.py", "test_lab.py", "test_words.py"):
+    for name in ("look.py", "test_lab.py", "test_words.py", "test_laser.py"):
         compile(found[name], name, "exec")
     assert found["test_lab.py"].count("\ndef test_") == 3
     steps = yaml.safe_load(found[".github/workflows/bench.yml"])["jobs"]["rehearse"]["steps"]
@@ -106,7 +108,7 @@ def test_a_lab_made_by_the_page_tests_itself_twice_with_the_same_bytes(tmp_path)
     for name in ("one", "two"):
         ran, processor_s = run_tests(lab, f"--basetemp={tmp_path / name}")
         assert ran.returncode == 0, ran.stdout + ran.stderr
-        assert "4 passed" in ran.stdout
+        assert "6 passed" in ran.stdout
         assert processor_s < 60.0
         seen.append(world(tmp_path / name))
     assert len(seen[0][1]) == 8

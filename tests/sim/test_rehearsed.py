@@ -19,6 +19,7 @@ from rtpiv.options import call_of, parser
 from sim.happened import read_happened
 from sim.rehearsed import Rehearsed
 from stages.errors import DeviceLost, StageError
+from tests.daq.bench.test_timing_kind import bench_with
 from tests.daq.small_bench import write_bench
 from tests.slow_cases import slow_but
 
@@ -219,8 +220,9 @@ def test_the_light_of_a_flow_is_no_lamp(path):
         start_simulation(rehearsed, "flow")
 
 
-def test_every_thing_of_a_bench_has_its_faults(path):
-    assert set(things_of(load_bench(path)).values()) == set(OF_A)
+def test_every_thing_of_a_bench_has_its_faults(path, tmp_path):
+    assert {"timing unit", *things_of(load_bench(path)).values()} == set(OF_A)
+    assert things_of(bench_with(tmp_path))["laser"] == "timing unit"
 
 
 # ---- the fixture ---------------------------------------------------------------------------------
