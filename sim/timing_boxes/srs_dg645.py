@@ -121,7 +121,7 @@ class Dg645Emulator(PulsingEmulator):
         return after_s
 
     def _trigger(self, time_s: float) -> None:
-        if self.is_running or time_s < self._busy_until_s:
+        if not self._is_on or self.is_running or time_s < self._busy_until_s:
             return
         self._events |= WAS_TRIGGERED
         self._left = int(self._settings["BURC"]) if self._settings["BURM"] else 1

@@ -11,7 +11,8 @@ dark, and nothing is loaded before it is over. All are written in one string, Q-
 
 **On.** Lengths stay zero until a burst begins, so that a key that triggers gives no pulse. They are written and
 read back, and burst mode is asked for directly before the trigger: off by another program, or at the keys, between
-the look and the trigger has also taken the lengths away.
+the look and the trigger has also taken the lengths away. Behind a loss of power outputs have the lengths of the
+factory, 10 ns, until they are asked for, and the key that triggers gives one such pulse.
 
 **Nothing that is set is answered**, and there is no checksum: everything is read back, twice.
 """
@@ -39,6 +40,7 @@ OUTPUTS = ("AB", "CD", "EF", "GH")
 T0 = 0
 LARGEST_COUNT = 2**31 - 1
 STEP_S = 5e-12
+SOON_S = 0.15  # for the answer that says whether outputs may have a length
 LONGEST_BURST_S, POLL_S = 12.0, 0.05  # a chunk lasts 10 s at most
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _DELAY = re.compile(r"(\d),([+-]?\d+\.\d{12})")
@@ -81,8 +83,6 @@ class Dg645Box(TimingBox):
             for role in schedule.pulses:
                 if role not in self.wiring and role is not Role.MARKER:
                     raise PulsesRefused(f"{self.name} has no output for {role}; say it in channels")
-            if self._loaded is not None:
-                self._require_burst_mode()  # an off since the last time holds until `silence`
             self._wait_until_idle()
             self._require_dark()
             for word, value in FIXED.items():
@@ -92,7 +92,9 @@ class Dg645Box(TimingBox):
             for role, pulse in schedule.pulses.items():
                 if role in self.wiring:
                     pulses[role] = self._place(self.wiring[role], pulse)
-            self._keep("BURM", "1")
+            if self._loaded is None:
+                self._keep("BURM", "1")
+            self._require_burst_mode()  # an off since it was loaded first holds until `silence`
             self._loaded = Schedule(1e6 * period_s, pulses, schedule.light_delay_us)
             return self._loaded
 
@@ -125,10 +127,12 @@ class Dg645Box(TimingBox):
             self._keep("BURC", str(pairs))
             self._require_dark()
             self._registers("INSR")  # asking clears it
+            self._require_not_off()
             given = [*Q_SWITCHES, *((Role.CAMERA, Role.MARKER) if camera else ())]
             lengths = {self.wiring[role]: p.width_us for role, p in self._loaded.pulses.items() if role in given}
             for output, width_us in lengths.items():
                 self._send(_length(output, _seconds(width_us)), moves=True)
+            self._require_not_off()  # an off between the lengths has left those that came behind it
             for output in OUTPUTS:
                 start, end = _channels(output)
                 if self._delay(end) != (start, _seconds(lengths.get(output, 0.0))):
@@ -205,6 +209,11 @@ class Dg645Box(TimingBox):
         if self._whole("BURM") != 1:
             raise LaserDoubt(f"{self.name} is not in burst mode any more; it was switched off, or restarted")
 
+    def _require_not_off(self) -> None:
+        """Ask once, and not for long: while outputs may have a length, the key that triggers gives light."""
+        if self._ask("BURM", timeout_s=SOON_S) != "1":
+            raise LaserDoubt(f"{self.name} was switched off while its burst began")
+
     def _require_positive(self, output: str) -> None:
         if self._whole("LPOL", str(1 + OUTPUTS.index(output))) != 1:
             raise LaserDoubt(f"{self.name}: output {output} is inverted, so it is high while it is off")
@@ -262,11 +271,11 @@ class Dg645Box(TimingBox):
         self._suspect = True
         return ProtocolViolation(f"{self.name}: {text!r} is no answer to {asked}", text.encode())
 
-    def _ask(self, word: str, values: str = "") -> str:
+    def _ask(self, word: str, values: str = "", timeout_s: float | None = None) -> str:
         def accept(answer: object) -> str | None:
             return answer.text if isinstance(answer, Value) else None
 
-        return self._transact(Command(word, values, asks=True).to_bytes(), accept)
+        return self._transact(Command(word, values, asks=True).to_bytes(), accept, timeout_s)
 
     def _stream(self) -> AnswerStream:
         return AnswerStream()

@@ -1,6 +1,8 @@
 """A DG645: counted bursts, dark between them whatever key is pressed, and off at every byte."""
 
-from contextlib import contextmanager
+import os
+import random
+from contextlib import contextmanager, suppress
 
 import pytest
 
@@ -13,7 +15,7 @@ from daq.timing.errors import LaserDoubt, PulsesRefused, WrongBox
 from daq.timing.laser import Laser
 from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
-from daq.timing.states import LaserState
+from daq.timing.states import EMITS, LaserState
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
@@ -332,3 +334,78 @@ def test_one_that_miscounts_is_not(by):
         except (DaqError, StageError):
             return
         assert not all(trial.is_right for trial in found)
+
+
+VERBS = {
+    "safe": lambda d: d.laser.safe(), "warm": lambda d: d.laser.warm(10.0),
+    "set": lambda d: d.laser.set(TIMING, EXPOSURES), "arm": lambda d: d.laser.arm(GOOD, d.laser.challenge),
+    "fire": lambda d: d.laser.fire(d.rng.randint(1, 40)), "wait": lambda d: d.laser.wait(),
+    "align": lambda d: d.laser.align(d.laser.challenge, 5.0, 2.0), "stop": lambda d: d.laser.stop("now"),
+    "look": lambda d: d.laser.look(), "disarm": lambda d: d.laser.disarm(),
+    "confirm": lambda d: d.laser.confirm_off(), "time": lambda d: d.clock.sleep_s(d.rng.random() * 3.0),
+}  # fmt: skip
+WAY = ("safe", "warm", "set", "arm", "fire", "wait", "arm", "fire", "wait")  # which random verbs rarely find
+PERSONS = (*ENDS.values(), lambda d: d.emulator.person_triggers(), lambda d: d.line.unplug())
+
+
+def fuzzed(seed):
+    """One random story with a person; what a judge at the Q-switch outputs has found."""
+    found = []
+    with desk(ends=random.Random(seed).choice(("mode", "nothing"))) as d:
+        d.rng, d.off_s, d.left = random.Random(seed), None, 0
+        begin = d.box.begin
+
+        def begin_counted(pairs, camera=True):
+            d.left += 2 * pairs
+            begin(pairs, camera)
+
+        def judge(pulse):
+            is_factory = pulse.falls_s - pulse.rises_s < 1e-7  # a key, behind a loss of power: 10 ns
+            if pulse.output in LIGHT and not is_factory:
+                d.left -= 1
+                if d.left < 0 or d.laser.state not in (*EMITS, LaserState.UNKNOWN):
+                    found.append(f"{seed}: a pulse while {d.laser.state.value}, {d.left} left")
+                if d.off_s is not None and pulse.rises_s > d.off_s + 0.3 and not d.line.dead:
+                    found.append(f"{seed}: a pulse {pulse.rises_s - d.off_s:.2f} s after an off that is not ours")
+
+        def act(person):
+            is_off = person in ENDS.values()
+            if person is PERSONS[-2] and d.laser.state in EMITS:
+                d.left += 2 * d.laser.pairs  # the key, before the lengths are taken away: once more as many
+            person(d)
+            if is_off and d.box._loaded is not None and d.off_s is None:
+                d.off_s = d.clock.now_s()  # one before it was loaded is the same as ours, and is not known
+
+        d.box.begin = begin_counted
+        d.emulator.outputs.listen(judge)
+        d.laser.open("sim://desk")
+        verbs = [d.rng.choice(WAY if d.rng.random() < 0.5 else tuple(VERBS)) for _ in range(12)]
+        for verb in (*WAY, *verbs) if d.rng.random() < 0.7 else verbs:
+            if d.rng.random() < 0.25:
+                person, byte = d.rng.choice(PERSONS), d.rng.randint(1, 400)
+                d.line.hooks.after(byte, "byte", lambda person=person: act(person))
+            if verb == "safe" and d.line.dead:
+                d.line.plug_in()
+            with suppress(DaqError, StageError):
+                VERBS[verb](d)
+            if verb == "safe":
+                d.off_s = None  # a person has released it
+            d.emulator.advance()
+        d.line.hooks.clear()
+        if d.line.dead:
+            d.line.plug_in()
+        with suppress(DaqError, StageError):
+            d.laser.close()
+        d.emulator.advance()
+        ended = len(d.light_s)
+        d.clock.sleep_s(20.0)
+        d.emulator.advance()
+        if len(d.light_s) > ended:
+            found.append(f"{seed}: pulses after the bench was left")
+        return found, len(d.light_s)
+
+
+def test_random_verbs_and_persons_give_no_light_after_an_off():
+    stories = [fuzzed(seed) for seed in range(int(os.environ.get("RTPIV_DG645_STORIES", "60")))]
+    assert [said for found, _ in stories for said in found] == []
+    assert sum(pulses for _, pulses in stories) > 500
