@@ -256,9 +256,17 @@ def goes_on_without_a_computer(d):
     d.line.on_cut = forget
 
 
-def goes_on_later_without_a_computer(d):
-    """Some time after a burst whose end nobody has confirmed it gives another one."""
-    d.line.on_cut = lambda: d.clock.at(d.clock.now_s() + 5.3, lambda: (d.emulator.advance(), d.emulator._run()))
+def begins_again_without_a_computer(in_s):
+    """Some time after its cable was pulled it gives another burst, in the middle of the first one or behind it."""
+
+    def spoil(d):
+        def again():
+            d.emulator.advance()
+            d.emulator._run()
+
+        d.line.on_cut = lambda: d.clock.at(d.clock.now_s() + in_s, again)
+
+    return spoil
 
 
 def swaps(first, second):
@@ -365,7 +373,8 @@ WRONG = {
     "off is not heard by a Q-switch": hears_off_of({0, 2}), "deaf to the first off": is_deaf_to_stop,
     "off is said late": is_said_off_late, "off takes half a second": ends_off_late,
     "ends when the cable is out": ends_without_a_computer, "forgets its count then": goes_on_without_a_computer,
-    "begins again then": goes_on_later_without_a_computer, "Q-switches swapped": swaps("B", "D"),
+    "begins again then": begins_again_without_a_computer(5.3),
+    "begins again behind the end": begins_again_without_a_computer(10.4), "Q-switches swapped": swaps("B", "D"),
     "Q-switch and camera swapped": swaps("B", "E"), "lamp and Q-switch swapped": swaps("A", "B"),
     "every pulse twice": gives_twice("D"), "the camera's pulses at a Q-switch": leaks("D", "E"),
     "lamps at a Q-switch": fires_with_the_lamps, "a Q-switch at a lamp": leaks("A", "B"),
