@@ -67,7 +67,8 @@ class Camera:
     position_mm : (float, float, float)
         Pinhole in world coordinates.
     rotation : 3 x 3 nested tuple
-        World direction -> camera direction, orthonormal, determinant +1.
+        World direction -> camera direction, orthonormal; determinant +1, and -1 of a camera that looks by a mirror
+        or reverses its columns: its x runs to the left (`mirrored`).
     lens : Lens
         Distortion terms.
     pupil : Pupil, optional
@@ -97,8 +98,8 @@ class Camera:
         if not self.position_mm[2] > 0.0:
             raise SceneError("the camera must stand in front of the investigation plane, at z > 0")
         entries = np.all(np.abs(matrix) < 2.0)  # before they are squared
-        if not entries or not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-9) or np.linalg.det(matrix) < 0.0:
-            raise SceneError("the camera's rotation must be orthonormal and right-handed")
+        if not entries or not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-9):
+            raise SceneError("the camera's rotation must be orthonormal")
 
     def with_width(self, width_px: int) -> "Camera":
         """Return the same view on a sensor of so many pixels across: larger or smaller pixels, the same field."""
@@ -111,6 +112,16 @@ class Camera:
     def shape(self) -> tuple[int, int]:
         """Image shape (rows, columns)."""
         return self.sensor_px[1], self.sensor_px[0]
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether frames are mirror images: seen by a mirror, or with columns reversed."""
+        return bool(np.linalg.det(np.array(self.rotation)) < 0.0)
+
+    def mirrored(self) -> "Camera":
+        """Return the camera whose frames are mirror images of this one's, about its principal point."""
+        (x, y, z), below, ahead = self.rotation
+        return replace(self, rotation=((-x, -y, -z), below, ahead))
 
     @property
     def rotation_matrix(self) -> NDArray[np.float64]:

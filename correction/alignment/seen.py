@@ -151,6 +151,10 @@ def find_camera(
     TargetNotFound
         Too little of the board is seen beside the glass, or it lies elsewhere than expected.
     """
+    if scene.camera.is_mirrored:
+        raise TargetNotFound(
+            "alignment reads no frames of a mirrored camera; set its ReverseX, or measure by hand"
+        )
     nominal, beside = scene.camera, _beside(scene, reach_mm)
     patches = grow_patches(find_marks(frame, board, beside, square_px(nominal, board, board_mm)))
 

@@ -119,6 +119,8 @@ def track_board(
     TargetNotFound
         As in `find_board`, or neither the discs nor the prediction place any patch.
     """
+    if _is_mirrored(board, predict):
+        return _found_in_mirror(image, board, predict, mask, reach)
     frame, patches, markers = _patches(image, board, mask)
     index, predicted = corners_in_view(board, predict, (frame.shape[0], frame.shape[1]))
     if len(index) == 0:
@@ -159,6 +161,38 @@ def track_board(
     if not placed:
         raise TargetNotFound(_why_not_placed(index, predicted, patches[0], board))
     return _measured(frame, board, placed, mask, discs_count=False)
+
+
+def _is_mirrored(board: Chessboard, predict: Predict) -> bool:
+    """Whether a prediction shows the board in a mirror; where its origin is not in view, any corner that is."""
+    grid = np.arange(-16, 17)
+    index = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    step = (predict(board.place_mm(index + move)) for move in ((0, 0), (1, 0), (0, 1)))
+    origin, right, up = (np.asarray(pixel, dtype=np.float64) for pixel in step)
+    area = np.linalg.det(np.stack((right - origin, up - origin), axis=-1))
+    area = area[np.isfinite(area)]
+    return bool(len(area)) and float(np.median(area)) > 0.0  # v points down
+
+
+def _found_in_mirror(
+    image: NDArray[Any],
+    board: Chessboard,
+    predict: Predict,
+    mask: NDArray[np.bool_] | None,
+    reach: float | None,
+) -> BoardDetection:
+    """Find the target of a mirrored camera in the frame with its columns reversed; arguments as `track_board`."""
+    last = np.asarray(image).shape[1] - 1.0
+
+    def reversed_view(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(predict(place_mm), np.float64) * (-1.0, 1.0) + (last, 0.0)
+
+    seen = None if mask is None else np.ascontiguousarray(mask[:, ::-1])
+    found = track_board(np.ascontiguousarray(image[:, ::-1]), board, reversed_view, seen, reach)
+    across = np.array((-1.0, 1.0))
+    return replace(
+        found, position_px=found.position_px * across + (last, 0.0), axes_px=found.axes_px * across[:, None]
+    )
 
 
 def corners_in_view(

@@ -50,6 +50,7 @@ class CameraTable(Table):
     look_at_mm: Triple | None = None
     roll_deg: Annotated[Annotated[float, Field(ge=-360.0, le=360.0)] | None, Usual(-180.0, 180.0)] = None
     rotation: Annotated[list[Triple], Field(min_length=3, max_length=3), exactly(3)] | None = None
+    mirrored: bool = False
     lens: LensTable = LensTable()
     f_number: Annotated[Annotated[float, Field(ge=0.5, le=1000.0)] | None, Usual(0.95, 64.0)] = None
     pupil_mm: Positive | None = None
@@ -110,8 +111,12 @@ class CameraTable(Table):
         else:
             roll_rad = float(np.deg2rad(self.roll_deg or 0.0))
             rotation = look_at(vector3(position), vector3(self.look_at_mm or [0.0, 0.0, 0.0]), roll_rad)
+        if np.linalg.det(np.array(rotation)) < 0.0:
+            raise SceneError(
+                "the camera's rotation must be right-handed; for frames that are mirror images give mirrored: true"
+            )
         lens = Lens(**self.lens.model_dump())
-        return Camera(
+        camera = Camera(
             focal_px,
             (principal[0], principal[1]),
             (width, height),
@@ -120,6 +125,7 @@ class CameraTable(Table):
             lens,
             self.pupil(),
         )
+        return camera.mirrored() if self.mirrored else camera
 
 
 if TYPE_CHECKING:

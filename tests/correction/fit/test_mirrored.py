@@ -1,0 +1,53 @@
+"""A camera that looks by a mirror: the same frames from right to left give the same scene."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.fit.scene_fit import fit_scene
+from tests.correction.fit.benches import BOARD, bench
+from ground.errors import ConfigError
+from tracer.scene.scene_file import dump_scene, load_scene
+from tracer.strategies.trace import trace
+
+MADE = "one_sphere_500", 3
+
+
+def test_frames_from_right_to_left_give_the_same_scene_and_map():
+    made = bench(*MADE)
+    camera = made.nominal.camera
+    mirrored = [replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1])) for frame in made.frames]
+    usual = fit_scene(made.nominal, made.frames, BOARD).measured_scene
+    found = fit_scene(replace(made.nominal, camera=camera.mirrored()), mirrored, BOARD).measured_scene
+    assert found.camera.is_mirrored
+    assert np.abs(np.subtract(found.camera.position_mm, usual.camera.position_mm)).max() < 1e-3
+    for one, other in zip(found.spheres, usual.spheres, strict=True):
+        assert np.abs(np.subtract(one.centre_mm, other.centre_mm)).max() < 5e-3
+    last = camera.sensor_px[0] - 1.0
+    pixels = np.stack(np.meshgrid(*[np.arange(5.0, last, 31.0)] * 2), axis=-1).reshape(-1, 2)
+    seen, same = trace(usual, pixels), trace(found, pixels * (-1.0, 1.0) + (last, 0.0))
+    both = seen.recovered & same.recovered
+    assert both.mean() > 0.6
+    assert np.median(np.linalg.norm((seen.plane_mm - same.plane_mm)[both], axis=1)) < 1e-3
+
+
+def test_a_scene_file_keeps_that_its_camera_is_mirrored(tmp_path):
+    scene = bench(*MADE).nominal
+    scene = replace(scene, camera=scene.camera.mirrored())
+    path = tmp_path / "scene.yaml"
+    path.write_text(dump_scene(scene))
+    assert "mirrored: true" in path.read_text()
+    assert load_scene(path).camera == scene.camera
+    path.write_text(path.read_text().replace("mirrored: true", "mirrored: false"))
+    assert load_scene(path).camera == scene.camera.mirrored()
+
+
+def test_a_left_handed_rotation_is_refused_with_the_key_to_give(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(
+        "camera: {focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0],"
+        " rotation: [[-1, 0, 0], [0, -1, 0], [0, 0, -1]]}\nbodies: []\n"
+    )
+    with pytest.raises(ConfigError, match="mirrored: true"):
+        load_scene(path)
