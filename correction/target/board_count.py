@@ -69,7 +69,9 @@ def place_by_count(
     crossing = crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign)
     corners = replace(patch, position_px=fit.position_px).take(fit.valid & crossing)
     if len(corners.index) < LEAST_LINE**2:
-        raise TargetNotFound("the corners of the board are too blurred to be measured; check focus and light")
+        misfits = fit.counts().get("MISFIT", 0)
+        cause, cure = ("noisy", "bring more light") if 2 * misfits > len(fit.valid) else ("blurred", "check focus")
+        raise TargetNotFound(f"the corners of the board are too {cause} to be measured; {cure}")
     turn, expected = _as_expected(corners, *view)
     ends = ends_of(frame, corners)
     reach = max(reach or 0.0, HALF)

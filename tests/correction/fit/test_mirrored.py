@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from correction.fit.scene_fit import fit_scene
-from tests.correction.fit.benches import BOARD, bench
 from ground.errors import ConfigError
+from tests.correction.fit.benches import BOARD, bench
 from tracer.scene.scene_file import dump_scene, load_scene
 from tracer.strategies.trace import trace
 
