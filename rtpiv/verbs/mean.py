@@ -18,10 +18,10 @@ from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pairs.slanted import known_slopes
 from rtpiv.analysis.recipe import CorrectionRecipe
-from rtpiv.analysis.self_check import spheres_checked
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
+from rtpiv.analysis.series.self_check import spheres_checked
 from rtpiv.analysis.series.series_folder import FILE
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, write_mean, write_statistics

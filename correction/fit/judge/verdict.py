@@ -25,6 +25,7 @@ from correction.fit.judge.prior_pulls import PriorPull
 from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
 from correction.fit.seen.hidden_patches import Hidden, hidden_patches
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
+from correction.fit.seen.pixel_lock import NAMES as LOCK
 from correction.fit.seen.rims_seen import RimSeen
 from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
 from correction.fit.seen.unconfirmed_ways import Misfit, Unconfirmed
@@ -37,6 +38,7 @@ from correction.grid import grid_of
 from tracer.masked import MaskedPart
 
 PRIOR_LIMIT = 5.0  # sigmas that a number may be off by what was known of it
+STRAINED = 4.0  # and those from which that is an alarm: one of twenty numbers by chance in a thousand labs
 COUNTED = 0.05  # chance of noise below which what bends is counted as an error of the map
 DIRECT = "the view beside the glass"
 
@@ -67,6 +69,8 @@ class Verdict:
         Colours that smear corners beyond what is told; None where too few corners tell.
     wrong_light : str
         What glass says of the light of the target frames, where that cannot be the told one.
+    strained : str
+        The free number that is farthest from where it was given, if that is an alarm.
     misfits : tuple of Misfit
         Ways through the glass that frames show bent otherwise than the scene bends them.
     rims_off : tuple of (RimSeen, tuple of MaskedPart)
@@ -87,6 +91,7 @@ class Verdict:
     rims: tuple[UnsureRim, ...] = ()
     smear: ColourSmear | None = None
     wrong_light: str = ""
+    strained: str = ""
     misfits: tuple[Misfit, ...] = ()
     rims_off: tuple[tuple[RimSeen, tuple[MaskedPart, ...]], ...] = ()
     unexplained: tuple[WayTest, ...] | None = None
@@ -154,7 +159,7 @@ class Verdict:
         found = (*map(str, self.pulls), *bodies, *light)
         balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
         ways += [in_words(self.rims)] if self.rims else []
-        if self.alarms:
+        if self.alarms or self.strained:
             return (*self._of_residuals(), *found, *balls, *ways)
         return (*found, *balls, *self._of_residuals(), *ways)
 
@@ -163,7 +168,7 @@ class Verdict:
         """Whether nothing speaks against the model."""
         balls = any(one.is_ball for one in self.unconfirmed)
         bodies = any(not one.rim_of for one in self.unlisted)
-        glass = balls or self.misfits or self.rims_off
+        glass = balls or self.misfits or self.rims_off or self.strained
         seen = self.alarms or self.hidden or bodies or glass or self.pulls
         return not (seen or self.many_colours or self.wrong_light)
 
@@ -184,6 +189,9 @@ class Verdict:
 
     def _of_residuals(self) -> tuple[str, ...]:
         """What residuals say."""
+        if self.strained and not self.alarms:
+            cause = f"{self.cause.sentence}. With that as given, " if self.cause is not None else ""
+            return (f"{cause}{self.strained}; the map's sigma holds it",)
         if not self.alarms:
             worst = max((way.smooth_px for way in self.ways), default=0.0)
             where = "outside what is masked, " if self.masked else "apart from that, "
@@ -320,14 +328,23 @@ def judge_model(
     ways = tuple(ways_tested(rests, smooth_parts))
     left = _left(frames, rests, rates, [part.value for part in parts], {False: 1.0, True: 1.0})
     found: list[Suspect] = []
-    pulled = float(np.abs(x[:free]).max(initial=0.0)) > PRIOR_LIMIT  # what is free may hide what is wrong
+    own = [name not in LOCK for name in unknowns.names]
+    pull = np.abs(x[:free]) * own  # what is free may hide what is wrong
+    pulled = float(pull.max(initial=0.0)) > STRAINED
+    strained = f"{unknowns.names[int(np.argmax(pull))]} moved {pull.max():.1f} of its sigmas" if pulled else ""
     if pulled or any(way.alarm for way in ways) or unlike_noise(ways):
         values = [one.value for one in left.lattices]
         seen = Evidence(sighted, values, [rate[:, :, :free] for rate in rates], x[:free])
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways) + float(x @ x) * pulled)
     smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
     verdict = Verdict(
-        ways, left.correlation, tuple(found), smooth, hidden_patches(frames), smear=colour_smear(views)
+        ways,
+        left.correlation,
+        tuple(found),
+        smooth,
+        hidden_patches(frames),
+        smear=colour_smear(views),
+        strained=strained,
     )
     if not verdict.alarms or verdict.cause is None or verdict.cause.change is None:
         return verdict, left

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from correction.fit.seen.measurement import TargetFrame
+from correction.fit.seen.prediction import square_behind_px
 from correction.target import Chessboard
 from sim.demo.scenes import misaligned
 from sim.renderer.patterns import Chessboard as Print
@@ -23,11 +24,12 @@ from tracer.errors import SceneError
 from tracer.media import ConstantMedium
 from tracer.scene.fit_section import FitCameraTable, FitNamedTable, FitTable
 from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose
 
 SENSORS_PX = ((640, 480), (720, 560), (560, 560), (600, 720))
 VIEW_MM, AWAY = (40.0, 150.0), (3.2, 7.0)  # width of the view, and distance in widths
 HEIGHTS = (-0.12, 0.12)  # of the target, in widths of the view, where there are several
-Vector = tuple[float, float, float]
+WIDE_PX = 12.0  # squares behind glass, or nothing is to be seen there
 
 
 @dataclass(frozen=True)
@@ -98,10 +100,10 @@ def right(seed: int) -> Case:
             truth = misaligned(nominal, int(rng.integers(1 << 30)))
         except SceneError:
             continue
-        break
-    square = float(rng.uniform(13.0, 20.0)) * view / size[0]
-    board = Chessboard(square, 0.4 * square)
-    return Case(nominal, truth, truth, board, board)
+        square = float(rng.uniform(14.0, 22.0)) * view / size[0]
+        board = Chessboard(square, 0.4 * square)
+        if square_behind_px(nominal, TargetPose(), board) > WIDE_PX:
+            return Case(nominal, truth, truth, board, board)
 
 
 def _balls(rng: np.random.Generator, view: float, height: float, glasses: list[ConstantMedium]) -> list[Sphere]:

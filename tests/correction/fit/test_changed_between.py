@@ -1,4 +1,4 @@
-"""Changes between bare frames and those with glass, and numbers given as too sure: named, and in sigma."""
+"""Changes between bare frames and those with glass: named, and in sigma."""
 
 from dataclasses import replace
 
@@ -14,7 +14,6 @@ from correction.target import Chessboard
 from tests.correction.fit.drawn_labs import map_error, photographed
 from tests.correction.fit.drawn_optics import Ball, Lab
 from tests.correction.fit.faulty_labs import right
-from tracer.media import ConstantMedium
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
@@ -29,16 +28,14 @@ def lab_of(scene: Scene) -> Lab:
     return Lab(scene.camera, tuple(balls))
 
 
-def fitted(
-    seed: int, since: Scene | None = None, given: Scene | None = None, n: float = 0.005
-) -> tuple[SceneFit, Chi]:
+def fitted(seed: int, since: Scene | None = None) -> tuple[SceneFit, Chi]:
     """Fit corners of a lab that was otherwise since the bare frames, and how large errors are in sigmas."""
     case, rng = right(seed), np.random.default_rng((58, seed))
     since, square = since or case.bare, case.board.square_mm
     board, frames = Chessboard(square, 0.4 * square), []
     for glass, scene in ((False, case.bare.bare()), (True, since)):
         frames.append(photographed(scene, lab_of(scene), board, glass, 0.01, 0.01, rng))
-    bench = unknowns_of(given or case.given, [0.0], FitTable(n=n))
+    bench = unknowns_of(case.given, [0.0], FitTable())
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     chi = {}
     for behind in (False, True):
@@ -77,19 +74,6 @@ def test_a_lens_that_was_focused_between_frames_is_named_and_in_sigma(seed):
     assert "focused or zoomed" in fit.verdict.sentences[0]
     assert 0.8 < chi[False] < 1.25
     assert chi[True] < 1.5
-
-
-@pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 6))])
-def test_an_index_that_is_given_as_surer_than_it_is_is_named_and_no_ball_is_out_of_round(seed):
-    given = right(seed).given
-    first = given.spheres[0].medium
-    assert isinstance(first, ConstantMedium)
-    wrong = ConstantMedium(first.index + 0.008)
-    told = given.with_bodies([replace(s, medium=wrong) if s.medium == first else s for s in given.spheres])
-    fit, _ = fitted(seed, given=told, n=2e-4)
-    assert not fit.verdict.is_right
-    assert ".n was given as" in fit.verdict.sentences[0]
-    assert "not the sphere" not in fit.verdict.sentences[0]
 
 
 def test_a_right_lab_names_nothing():

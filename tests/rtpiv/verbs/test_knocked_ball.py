@@ -7,7 +7,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from correction.self_check.moved_sphere import judged
-from rtpiv.analysis import self_check
+from rtpiv.analysis.series import self_check
 from rtpiv.command_line.cli import main
 from tests.correction.self_check.test_moved_sphere import NAMES, PAIRS, particles
 from tests.rtpiv.analysis.series.small_series import flow_run
