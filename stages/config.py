@@ -175,6 +175,12 @@ class StagesTable(Table):
         """Axes that a person moves, and the standard deviation of a reading of their scales [um]."""
         return {name: axis.reading_um for name, axis in self.axes.items() if axis.reading_um is not None}
 
+    def require_own_ports(self) -> None:
+        """StageUsageError if two controllers have one port, as the system names it now."""
+        ports = {name: str(getattr(table, "port", "")) for name, table in self.controllers.items()}
+        if problems := shared_ports(ports):
+            raise StageUsageError("; ".join(problems))
+
     def beside(self, folder: Path) -> "StagesTable":
         """Return the same with files of controllers found in the folder of the bench file."""
         found = {

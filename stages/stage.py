@@ -20,7 +20,7 @@ from ground.named_program import require_trust
 from stages.axis import Arrival, Axis, Turn
 from stages.axis_settings import AxisSettings
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.config import StagesTable, shared_ports
+from stages.config import StagesTable
 from stages.drivers_by_name import controller_class
 from stages.errors import DeviceLost, MotionBarred, NotReferenced, StageError, StageUsageError, WrongDevice
 from stages.identities import require_identity
@@ -69,10 +69,7 @@ class Stage:
         self._controllers: dict[str, MotionController] = {}
         self._axes: dict[str, Axis] = {}
         self._said_mm: dict[str, float] = {}
-        if problems := shared_ports(
-            {name: getattr(table, "port", "") for name, table in config.controllers.items()}
-        ):
-            raise StageUsageError("; ".join(problems))
+        config.require_own_ports()
         require_trust(program for table in config.controllers.values() for program in table.programs)
         for name, table in config.controllers.items():
             used = {
