@@ -6,6 +6,7 @@ scene file says, in what was done between frames, or in what stands in the view.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -81,6 +82,7 @@ class Case:
         return found
 
 
+@cache
 def right(seed: int) -> Case:
     """A lab without a fault."""
     rng = np.random.default_rng((5600, seed))
