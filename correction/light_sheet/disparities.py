@@ -1,9 +1,11 @@
 """How far two views of the particles lie apart: correlation over many frames, cell by cell.
 
 Frames become the deviation of each pixel from its own mean over the frames of its pulse, so what stands still is
-gone.  A place counts by the standard deviations of its two pixels, so glints that flicker count little; pixels are
-not divided by their own, which would move every particle towards the darker side of a view: by 0.2 px of a blurred
-picture at a rim.  Products of the two views are summed
+gone.  A place counts by the standard deviations around its two pixels, so glints that flicker count little.  They
+are those of a square wide enough to hold many particles: of a few pixels they follow the particles themselves, a
+place counts the less the better both views agree there, and a sheet behind one ball was found 0.06 mm too high and
+three times as thick.  Pixels are not divided by their own, which would move every particle towards the darker side
+of a view: by 0.2 px of a blurred picture at a rim.  Products of the two views are summed
 over places of a cell and over all frames, for a small plane of lags along D and across (`double_views`).  No
 picture is resampled, and no window needs a rectangle: a ring three pixels wide around a ball is as good as any.
 
@@ -33,8 +35,10 @@ Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whenever it is called
 
 BLOCKS = 10
-BRIGHTEST = 6.0  # standard deviations; brighter ones count as so many
-EVENED_PX = 5  # the standard deviation is that of so many pixels a side
+BRIGHTEST = 30.0  # standard deviations of a glint: a particle of 0.002 a px has 15 to 30, and cut ones look flat
+EVENED_PX = (
+    25  # side of the square whose standard deviation counts: of 5, single particles weigh their own place down
+)
 CLEAR = 8.0  # standard deviations, told by ten blocks, that the best of thirty places must stand out by
 ALONE = 20.0  # the same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
 LEAST_SURE = 0.25  # of the heights and lags looked at

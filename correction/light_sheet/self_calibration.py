@@ -256,6 +256,8 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
     said = [*wrong, *_untold(now, known)]
     if wrong:
         now = known
+    elif scene.sheet is None and now.sigma_mm <= TELLS * known.sigma_mm:
+        now = _without_guess(now, known)
     now = replace(now, thickness_mm=thickness_mm(cells) or known.thickness_mm)
     return SheetFound(now, known, views, cells, fit, count, rounds, tuple(said))
 
@@ -343,14 +345,30 @@ def _covariance(sheet: LightSheet) -> NDArray[np.float64]:
 
 def _moved(now: LightSheet, fit: PlaneFit, known: LightSheet) -> LightSheet:
     """The sheet with a correction of its plane, and its sigma."""
-    z, a, b = _numbers(now) + fit.step
-    sigma = np.sqrt(np.diag(fit.covariance))
-    shares = fit.covariance / np.outer(sigma, sigma)
+    return _with_plane(_numbers(now) + fit.step, fit.covariance, known.thickness_mm)
+
+
+def _with_plane(
+    numbers: NDArray[np.float64], covariance: NDArray[np.float64], thickness_mm: float | None
+) -> LightSheet:
+    """The sheet of height and slopes (3,) and their covariance."""
+    z, a, b = numbers
+    sigma = np.sqrt(np.diag(covariance))
+    shares = covariance / np.outer(sigma, sigma)
     tilt = float(np.rad2deg(np.sqrt(np.mean([(sigma[1] / (1 + a * a)) ** 2, (sigma[2] / (1 + b * b)) ** 2]))))
     return LightSheet(
         float(z), float(np.rad2deg(np.arctan(a))), float(np.rad2deg(np.arctan(b))), float(sigma[0]), tilt,
-        (float(shares[0, 1]), float(shares[0, 2]), float(shares[1, 2])), known.thickness_mm,
+        (float(shares[0, 1]), float(shares[0, 2]), float(shares[1, 2])), thickness_mm,
     )  # fmt: skip
+
+
+def _without_guess(now: LightSheet, known: LightSheet) -> LightSheet:
+    """The sheet by the frames and the guessed tilt alone: a guess of the height draws all heights towards it."""
+    guess = np.diag([known.sigma_mm**-2.0, 0.0, 0.0])
+    told = np.linalg.inv(_covariance(now))
+    covariance = np.asarray(np.linalg.inv(told - guess))
+    answer = covariance @ (told @ _numbers(now) - guess @ _numbers(known))
+    return _with_plane(answer, covariance, now.thickness_mm)
 
 
 def _reach(views: DoubleViews, sigma_mm: float) -> int:
