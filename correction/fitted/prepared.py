@@ -11,7 +11,9 @@ costs less than its 80 MB.
 
 import hashlib
 import json
+import os
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +31,7 @@ from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
 
+STORED = 16  # maps in a folder: of one scene some glass positions and light sheets, not of all scenes ever fitted
 KEPT = 2  # through the glass and without it: 0.3 GB each at 4 million pixels
 
 
@@ -164,7 +167,7 @@ def _other(grid: PlaneGrid | None, scene: Scene) -> PlaneGrid | None:
 
 def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -> CorrectionMap:
     if maps is None:
-        return build_correction_map(scene, build_ray_map(scene), grid, layers=layers)
+        return build_correction_map(scene, build_ray_map(scene), grid, layers=layers).rounded()
     own = ""
     for what in (grid, scene.masked or None):
         own += "" if what is None else "_" + hashlib.sha256(repr(what).encode()).hexdigest()[:16]
@@ -174,10 +177,23 @@ def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -
             stored = CorrectionMap.load(path)
             stored.check(scene)
             if stored.made_by == code_here() and stored.grid == (grid or grid_of(scene.camera)):
+                os.utime(path)
                 return stored
         except (GroundError, TracerError):
             path.unlink()  # damaged or of an older layout: made again below
-    built = build_correction_map(scene, build_ray_map(scene), grid, layers=layers)
+    built = build_correction_map(scene, build_ray_map(scene), grid, layers=layers).rounded()
     path.parent.mkdir(parents=True, exist_ok=True)
     built.save(path)
+    _remove_old(maps)
     return built
+
+
+def _remove_old(maps: Path) -> None:
+    """Keep the STORED maps that were used last; another process may read or remove one meanwhile."""
+    used: list[tuple[float, Path]] = []
+    for path in maps.glob("*.map"):
+        with suppress(OSError):
+            used.append((path.stat().st_mtime, path))
+    for _, path in sorted(used, reverse=True)[STORED:]:
+        with suppress(OSError):
+            path.unlink()

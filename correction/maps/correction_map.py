@@ -28,10 +28,11 @@ radius fills a disc of 3.9 mm radius of the sheet.  The glass of a tube's wall, 
 by the rays that end in it.
 """
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,7 @@ from pydantic import Field
 from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
 from correction.inversion.invert import Inversion
+from correction.maps.packed import deflated, inflated, pack, rounded, unpack
 from correction.masked import STATUS, nodes_in
 from correction.node_status import NodeStatus
 from ground.config import Pair
@@ -60,14 +62,17 @@ MAX_LAYERS = 16
 BYTES_PER_VIEW, BYTES_PER_NODE = 43, 6  # measured: 46 with one view, 128 with three
 LIGHT = 1.0 + 1e-5  # rounding above a transmittance of 1
 MAX_MAGNIFICATION = 16.0  # within 0.2 corrected pixels of the fold behind a 100 mm ball at L = 250 mm
-_LAYOUT: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
-    "status": (("|u1",), ()),
-    "pixel": (("<f8",), (2,)),
-    "jacobian": (("<f4",), (4,)),
-    "weight": (("<f4",), ()),
-    "transmittance": (("<f4",), ()),
-    "branch": (("<u2", "<u4"), ()),
+ARRAYS = ("status", "pixel", "jacobian", "weight", "transmittance", "branch")
+# Steps of stored fields, each good to half of it: 8e-6 px (sigmas are 3e-4 px and more), 5e-7 of a derivative.
+STEPS = {"pixel": 2.0**-16, "jacobian": 2.0**-20, "weight": 2.0**-24, "transmittance": 2.0**-20}
+FIELDS: dict[str, tuple[str, tuple[int, ...], float]] = {  # kind, components, and what is where nothing is seen
+    "pixel": ("<f8", (2,), np.nan),
+    "jacobian": ("<f4", (4,), 0.0),
+    "weight": ("<f4", (), 0.0),
+    "transmittance": ("<f4", (), 0.0),
 }
+STORED_BYTES = 3.0  # on the disk, a node and view: 1.6 to 1.9 of sensors of 1008 px
+WIDEST_PX = 32000  # sensors whose pixels a step of 2^-16 holds in 32 bits
 
 
 def code_here() -> str:
@@ -80,7 +85,9 @@ class CorrectionHeader(RayHeader):
 
     origin_mm: Pair
     pitch_mm: Annotated[float, Field(gt=0.0)]
-    sensor_px: Annotated[list[Annotated[int, Field(ge=2)]], Field(min_length=2, max_length=2)]
+    sensor_px: Annotated[list[Annotated[int, Field(ge=2, le=WIDEST_PX)]], Field(min_length=2, max_length=2)]
+    layers: Annotated[int, Field(ge=1, le=MAX_LAYERS)]
+    branch_kind: Literal["<u2", "<u4"]
     made_by: str = ""
 
 
@@ -163,7 +170,16 @@ class CorrectionMap(SceneBound):
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Its arrays by name, in the order in which kernels take them."""
-        return {name: getattr(self, name) for name in _LAYOUT}
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    def rounded(self) -> "CorrectionMap":
+        """Return the map with the bits that it has once stored."""
+        seen = self.weight > 0.0
+        fields: dict[str, Any] = {
+            name: _last(rounded(_first(getattr(self, name)), _each(seen, trailing), STEPS[name], hidden), kind)
+            for name, (kind, trailing, hidden) in FIELDS.items()
+        }
+        return replace(self, **fields)
 
     def save(self, path: Path | str) -> None:
         """Write the map to a file, atomically."""
@@ -173,13 +189,19 @@ class CorrectionMap(SceneBound):
             "origin_mm": list(self.grid.origin_mm),
             "pitch_mm": self.grid.pitch_mm,
             "sensor_px": list(self.sensor_px),
+            "layers": self.layers,
+            "branch_kind": self.branch.dtype.str,
             "made_by": code_here(),
         }
-        save_arrays(path, KIND, header, self.arrays())
+        seen = self.weight > 0.0
+        arrays = {"status": self.status, "seen": deflated(np.packbits(seen)), "branch": deflated(self.branch)}
+        for name, (_, trailing, _) in FIELDS.items():
+            arrays[name] = pack(_first(getattr(self, name)), _each(seen, trailing), STEPS[name])
+        save_arrays(path, KIND, header, arrays)
 
     @classmethod
     def load(cls, path: Path | str) -> "CorrectionMap":
-        """Read a map.
+        """Read a map, to half of `STEPS`.
 
         Raises
         ------
@@ -187,20 +209,29 @@ class CorrectionMap(SceneBound):
             The file is damaged or holds something else.
         """
         header, arrays = load_arrays(path, KIND)
-        if set(arrays) != set(_LAYOUT) or arrays["pixel"].ndim != 4:
+        said, status = checked(path, header, CorrectionHeader), arrays.get("status", np.zeros(0))
+        bytes_alone = all(array.dtype == np.uint8 for array in arrays.values())
+        if set(arrays) != {*ARRAYS, "seen"} or not bytes_alone or status.ndim != 2:
             raise MapFileError(f"{path}: arrays are missing; make the map again")
-        layers, height, width, _ = arrays["pixel"].shape
-        for name, (kind, trailing) in _LAYOUT.items():
-            lead = (height, width) if name == "status" else (layers, height, width)
-            if arrays[name].dtype.str not in kind or arrays[name].shape != lead + trailing:
-                raise MapFileError(f"{path}: array {name!r} does not fit; make the map again")
-        said = checked(path, header, CorrectionHeader)
-        (x0, y0), (columns, rows) = said.origin_mm, said.sensor_px
-        grid = PlaneGrid((x0, y0), said.pitch_mm, (height, width))
-        branches = tuple(map(tuple, said.branches))
+        (x0, y0), (columns, rows), shape = said.origin_mm, said.sensor_px, (said.layers, *status.shape)
+        branches, count = tuple(map(tuple, said.branches)), int(np.prod(shape))
+        number = np.dtype(said.branch_kind)
+        require_memory(float(BYTES_PER_VIEW * count), f"a correction map of {count} nodes and views")
+        try:
+            bits = inflated(arrays["seen"], -(-count // 8))
+            seen = np.unpackbits(bits, count=count).astype(bool).reshape(shape)
+            branch = inflated(arrays["branch"], count * number.itemsize).view(number).reshape(shape)
+            fields = {
+                name: _last(unpack(arrays[name], _each(seen, trailing), STEPS[name], hidden), kind)
+                for name, (kind, trailing, hidden) in FIELDS.items()
+            }
+        except (ValueError, zlib.error):
+            raise MapFileError(f"{path}: arrays do not fit together; make the map again") from None
         made = cls(
-            grid,
-            **arrays,
+            PlaneGrid((x0, y0), said.pitch_mm, status.shape),
+            status,
+            **fields,
+            branch=branch,
             branches=branches,
             sensor_px=(columns, rows),
             scene_hash=said.scene_hash,
@@ -229,6 +260,21 @@ class CorrectionMap(SceneBound):
             and np.isfinite(self.jacobian[seen]).all()
             and ((light > 0.0) & (light <= LIGHT)).all()
         )
+
+
+def _first(field: NDArray[Any]) -> NDArray[Any]:
+    """Fields (K, h, w, ...) with their components first."""
+    return np.moveaxis(field, -1, 0) if field.ndim == 4 else field
+
+
+def _last(field: NDArray[np.float64], kind: str) -> NDArray[Any]:
+    """The same back again."""
+    return np.ascontiguousarray(np.moveaxis(field, 0, -1) if field.ndim == 4 else field, kind)
+
+
+def _each(seen: NDArray[np.bool_], trailing: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Where fields of so many components, the first axis, are seen."""
+    return np.broadcast_to(seen, (*trailing, *seen.shape))
 
 
 def build_correction_map(

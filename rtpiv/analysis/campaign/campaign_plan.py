@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from correction.grid import grid_of
+from correction.maps.correction_map import STORED_BYTES
 from daq.atomic_write import copy_whole, why, write_json
 from daq.errors import DiskError, RunUnsuitable
 from daq.frames.source import is_source
@@ -298,6 +299,8 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
     scene, settings = planned.given.method.scene, planned.given.method.settings
     shape = (planned.given.method.grid or grid_of(scene.camera)).shape
     vectors = int(np.prod(settings.result_grid(shape).shape))
+    has_map = any((folder.series(planned.name).path / "maps").glob("*.map"))
+    map_bytes = 0.0 if has_map else STORED_BYTES * float(np.prod(shape))
     pixels = float(np.prod(scene.camera.shape))
     series = folder.series(planned.name).path  # not that of the jobs, if the plan is a trial
     finished = SeriesFolder(series).finished()
@@ -314,7 +317,7 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
         sum(job.number in finished for job in left),
         each_s * pairs,
         2.0 * PIXEL_BYTES * pixels * reads,
-        float(vectors * (VECTOR_BYTES * pairs + PLACE_BYTES * len(left))),
+        float(vectors * (VECTOR_BYTES * pairs + PLACE_BYTES * len(left))) + map_bytes * bool(left),
     )
 
 

@@ -1,5 +1,6 @@
 """A correction is made once for what it is made of, and goes when others are used."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from correction.fitted import prepared
 from correction.fitted.prepared import PreparedCorrections, content_key, prepare
-from correction.maps.correction_map import CorrectionMap, build_correction_map, code_here
+from correction.maps.correction_map import STORED_BYTES, CorrectionMap, build_correction_map, code_here
 from correction.maps.corrector import Corrector
 from correction.maps.dewarp import fit_dewarp_pairs
 from tests.correction.small_scenes import small_scene
@@ -29,7 +30,7 @@ def dewarp():
 
 def test_it_corrects_as_its_parts_do(scene, dewarp):
     frame = np.random.default_rng(1).integers(0, 4095, scene.camera.shape).astype(np.uint16)
-    built = build_correction_map(scene, build_ray_map(scene), layers=2)
+    built = build_correction_map(scene, build_ray_map(scene), layers=2).rounded()
     made = prepare(scene, dewarp, "bilinear", 2)
     assert np.array_equal(made.corrector(frame), Corrector(built, dewarp, "bilinear")(frame), equal_nan=True)
     assert np.array_equal(made.ray_map.plane_mm, build_ray_map(scene).plane_mm, equal_nan=True)
@@ -83,3 +84,37 @@ def test_a_map_of_another_program_is_made_again(scene, tmp_path, mocker):
     PreparedCorrections(tmp_path).of(scene)
     assert traced.call_count == 1
     assert CorrectionMap.load(path).made_by == code_here()
+
+
+@pytest.mark.parametrize("layers", [1, 3])
+def test_a_stored_map_is_small_and_has_the_bits_of_the_one_in_use_within_its_bound(tmp_path, layers):
+    scene = small_scene("two_spheres_500", 252)
+    built = build_correction_map(scene, build_ray_map(scene), layers=layers)
+    first = PreparedCorrections(tmp_path).of(scene, layers=layers).corrector.map
+    again = PreparedCorrections(tmp_path).of(scene, layers=layers).corrector.map
+    assert again is not first
+    seen = built.weight > 0.0
+    for name, most in {"pixel": 8e-6, "jacobian": 1e-6, "weight": 1e-7, "transmittance": 1e-6}.items():
+        exact, used, stored = (getattr(one, name) for one in (built, first, again))
+        assert np.array_equal(used, stored, equal_nan=True)
+        assert used.dtype == exact.dtype
+        assert 0.0 < np.abs(used[seen] - exact[seen]).max(initial=1e-12) < most
+    for name in ("status", "branch"):
+        assert np.array_equal(getattr(built, name), getattr(again, name))
+    whole = sum(array.nbytes for array in built.arrays().values())
+    (path,) = tmp_path.glob("*.map")
+    assert path.stat().st_size < 0.3 * whole
+    assert path.stat().st_size < 2.0 * STORED_BYTES * layers * built.status.size
+
+
+def test_maps_not_used_for_longest_are_removed(tmp_path, scene, monkeypatch):
+    monkeypatch.setattr(prepared, "STORED", 3)
+    scenes = [scene.with_camera(replace(scene.camera, focal_px=scene.camera.focal_px + k)) for k in range(4)]
+    for number, one in enumerate(scenes):
+        prepare(one, maps=tmp_path)
+        os.utime(tmp_path / f"{one.content_hash()}.map", (number, number))
+    left = {path.stem for path in tmp_path.glob("*.map")}
+    assert left == {one.content_hash() for one in scenes[1:]}
+    prepare(scenes[1], maps=tmp_path)  # used again: not the next to go
+    prepare(scenes[0], maps=tmp_path)
+    assert {path.stem for path in tmp_path.glob("*.map")} == {scenes[k].content_hash() for k in (0, 1, 3)}

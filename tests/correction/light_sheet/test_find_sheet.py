@@ -136,7 +136,7 @@ def test_few_pairs_are_refused(three, count):
 
 
 def test_sparse_particles_behind_one_ball_do_not_weigh_down_their_own_places():
-    """With a few particles in each square of pixels, weights followed them: 0.11 mm too high, three times as thick."""
+    """With a few particles in each square of pixels, weights followed them: 0.11 mm too high."""
     flow_camera = camera("one_sphere_500", 504, 0.25)
     found = find_sheet(flow_camera.scene, frames_of(flow_camera, 20))
     assert abs(found.sheet.z_mm - 0.25) < min(0.03, 4.0 * found.sheet.sigma_mm)
