@@ -130,9 +130,10 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         counts += float(scales[0] * scales[1]) ** -0.25
         exact = all(frame.dtype in (np.uint8, np.uint16) for frame in (a, b))
         flat = _plateaus(*((a, b) if exact else numbers))
-        plateaus = (
-            flat if plateaus is None else (np.minimum(plateaus[0], flat[0]), np.maximum(plateaus[1], flat[1]))
-        )
+        if plateaus is not None:
+            picks = np.minimum, np.maximum, np.maximum
+            flat = tuple(pick(*parts) for pick, *parts in zip(picks, plateaus, flat, strict=True))
+        plateaus = flat
         count += 1
     if plateaus is None or not sums[1].any():
         return None
@@ -163,7 +164,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     still = np.asarray(found[at])
     if quick:
         ground = float(np.median(cells.floor[moves])) * counts / count
-        still |= _written(plateaus[0], plateaus[1], valid, ground, moves[at])
+        still |= _written(plateaus, valid, ground, moves[at])
     return still if still.any() else None
 
 
@@ -245,13 +246,14 @@ def _still(
 
 
 def _written(
-    both: NDArray[Any], either: NDArray[Any], valid: NDArray[np.bool_], ground: float, moves: NDArray[np.bool_]
+    plateaus: tuple[NDArray[Any], ...], valid: NDArray[np.bool_], ground: float, moves: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach."""
+    """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach; see `_plateaus`."""
     import cv2
 
-    every = slice(None, None, 2)
-    particles = float(np.quantile(either[every, every][moves[every, every]], PLATEAU_QUANTILE))
+    both, either, uneven = plateaus
+    # Digits that change seem to move; but they are flat, and particles are not.
+    particles = float(np.quantile(uneven[moves[::2, ::2]], PLATEAU_QUANTILE))
     least = ground + PLATEAU * (particles - ground)
     core = (both > least) & valid
     if not core.any():
@@ -330,12 +332,15 @@ def _floor(a: Floats, b: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def _plateaus(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """The darkest of 3 x 3 px around each: in both frames, and in the one where it is brighter."""
+    """The darkest of 3 x 3 px around each: in both frames, in the brighter one, and there where it is not flat."""
     import cv2
 
     size = np.ones((3, 3), np.uint8)
     one, other = (np.asarray(cv2.erode(part, size)) for part in (a, b))
-    return np.minimum(one, other), np.maximum(one, other)
+    either = np.maximum(one, other)
+    every = slice(None, None, 2), slice(None, None, 2)
+    brightest = np.asarray(cv2.dilate(np.maximum(a, b), size))[every]
+    return np.minimum(one, other), either, np.where(brightest > either[every], either[every], 0)
 
 
 def _products(one: Floats, other: Floats) -> Floats:
