@@ -169,9 +169,9 @@ def _is_mirrored(board: Chessboard, predict: Predict) -> bool:
     index = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
     step = (predict(board.place_mm(index + move)) for move in ((0, 0), (1, 0), (0, 1)))
     origin, right, up = (np.asarray(pixel, dtype=np.float64) for pixel in step)
-    area = np.linalg.det(np.stack((right - origin, up - origin), axis=-1))
-    area = area[np.isfinite(area)]
-    return bool(len(area)) and float(np.median(area)) > 0.0  # v points down
+    sides = np.stack((right - origin, up - origin), axis=-1)
+    sides = sides[np.isfinite(sides).all(axis=(1, 2))]
+    return bool(len(sides)) and float(np.median(np.linalg.det(sides))) > 0.0  # v points down
 
 
 def _found_in_mirror(
