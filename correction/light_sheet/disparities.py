@@ -35,7 +35,7 @@ Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whenever it is called
 
 BLOCKS = 10
-BRIGHTEST = 30.0  # standard deviations of a glint: a particle of 0.002 a px has 15 to 30, and cut ones look flat
+BRIGHTEST = 12.0  # standard deviations of a glint; particles of 0.03 a px have 4 to 8, and cut ones look flat
 EVENED_PX = (
     25  # side of the square whose standard deviation counts: of 5, single particles weigh their own place down
 )
