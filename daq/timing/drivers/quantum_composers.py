@@ -9,7 +9,7 @@ manual says. So T0 is stopped, the outputs are switched on, and T0 is started: o
 begins together in the first period, and so many pulses leave as were asked for. Lamps miss the beats of that
 pause.
 
-**RUN undoes a STOP** (ADR 50). T0 runs from `start_lamps` or `stand_by` until everything is off, between bursts
+**RUN undoes a STOP** (ADR 42). T0 runs from `start_lamps` or `stand_by` until everything is off, between bursts
 too: the key STOP, and every off of another program, clear it. The string that begins a burst therefore asks for T0
 before it stops and starts it. If T0 did not run, off is sent at once, and a person has to release the laser.
 

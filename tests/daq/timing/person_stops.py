@@ -6,7 +6,7 @@
 The person presses STOP at the box, has another program write the bytes of `off` to it, says `rtpiv laser off`, or
 opens the door for a moment.  Nobody releases anything afterwards, so no pulse may rise later than `LATE_S` after
 it, and the run has to end with an error.  The one exception is `start`: RUN undoes a STOP that falls between the
-question for T0 and RUN, which are in one string, or in six lines of a box that loses lines (ADR 50).
+question for T0 and RUN, which are in one string, or in six lines of a box that loses lines (ADR 42).
 """
 
 import argparse

@@ -9,7 +9,7 @@ for; and in UNKNOWN only while no open port leads to the box: nobody can stop th
 **A person ends the light.** The key STOP, an off of another program, `rtpiv laser off`, an open door and `stop`
 end it: no pulse rises more than `LATE_S` after any of them until a person releases it, by `safe` or the key RUN.
 What reaches the box by no word is not meant (a pulled cable, a line that is lost on its way). A STOP that falls
-into the lines by which a box that loses them is started is counted as `unseen` (ADR 50).
+into the lines by which a box that loses them is started is counted as `unseen` (ADR 42).
 
 A box that loses lines is told off every `AGAIN_S`; where it refuses one, what leaves until the next is its own.
 Whoever leaves the bench opens it again, also one whose cable is put back meanwhile; nothing is on after that.
