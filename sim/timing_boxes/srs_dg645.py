@@ -91,7 +91,7 @@ class Dg645Emulator(PulsingEmulator):
         self._set("BURM", 0)
         self._end_periods()
 
-    def person_triggers(self) -> None:
+    def person_runs(self) -> None:
         """The key that triggers is pressed."""
         self.advance()
         if self._settings["TSRC"] == SINGLE_SHOT:

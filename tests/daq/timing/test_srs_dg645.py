@@ -195,7 +195,7 @@ def test_the_key_that_triggers_gives_no_light(state):
         if state == "after a burst":
             d.burst(3)
         before = len(d.light_s)
-        d.emulator.person_triggers()
+        d.emulator.person_runs()
         d.clock.sleep_s(20.0)
         d.emulator.advance()
         assert len(d.light_s) == before
@@ -345,7 +345,7 @@ VERBS = {
     "confirm": lambda d: d.laser.confirm_off(), "time": lambda d: d.clock.sleep_s(d.rng.random() * 3.0),
 }  # fmt: skip
 WAY = ("safe", "warm", "set", "arm", "fire", "wait", "arm", "fire", "wait")  # which random verbs rarely find
-PERSONS = (*ENDS.values(), lambda d: d.emulator.person_triggers(), lambda d: d.line.unplug())
+PERSONS = (*ENDS.values(), lambda d: d.emulator.person_runs(), lambda d: d.line.unplug())
 
 
 def fuzzed(seed):
