@@ -27,6 +27,7 @@ from tracer.scene.scene import Scene
 UNSURE = 3.0  # standard deviations of a rim
 NARROWEST_PX = 0.5  # half widths of bands that are masked: nodes nearer than that to a rim are mixed anyway
 POINTS = 96  # of each outline
+WIDEST = 0.7  # rad from the middle of a ball: wider bands reach behind the camera, and no view goes so far
 REACH = (-0.5, -0.25, 0.25, 0.5)  # of windows, in squares along both edges
 
 
@@ -112,7 +113,7 @@ def _band(ball: Sphere, camera: Camera, root: NDArray[np.float64]) -> UnsureRim 
         return None
 
     def outline(widths: NDArray[np.float64], beyond: float = 1.0) -> NDArray[np.float64]:
-        at = np.clip(np.arcsin(sine) + widths, 0.0, 1.5)[:, None] * beyond
+        at = np.clip(np.arcsin(sine) + widths, 0.0, WIDEST)[:, None] * beyond
         return camera.project(eye + distance * (np.cos(at) * towards + np.sin(at) * aside))
 
     outer = outline(half, 1.0 / np.cos(np.pi / POINTS))  # chords touch the circle
