@@ -10,8 +10,8 @@ begins together in the first period, and so many pulses leave as were asked for.
 pause.
 
 **RUN undoes a STOP** (ADR 42). T0 runs from `start_lamps` or `stand_by` until everything is off, between bursts
-too: the key STOP, and every off of another program, clear it. The string that begins a burst therefore asks for T0
-before it stops and starts it. If T0 did not run, off is sent at once, and a person has to release the laser.
+too: the key STOP, and every off of another program, clear it. The string that stops T0 for a burst therefore
+asks for it first. If T0 did not run, off is sent at once, and a person has to release the laser.
 
 **The end of a burst is not told.** STAT stays 1 on a box that arms by RUN, and nothing else can be asked. A burst
 is over when its time is over; then its outputs are written off and read back, so that another RUN, at its keys,
@@ -23,10 +23,11 @@ echoed are skipped. What was refused is refused for good: nothing that switches 
 
 **Lines that get lost.** Every line is answered, and the next one is to wait for that answer (9500 Plus manual,
 p. 38, which advises against several in one string). No manual asks for a pause; but a program for the 575 makes
-one of 50 ms besides. As a rule that would stretch a chunk's arming from 0.1 to 3.6 s, so it is for boxes that need
-it: those that do not answer every line of a string when they are opened, or later a question. Off and the start of
-a burst are written in one string. A box that takes one line at a time may hear the first line of off alone: that
-stops everything, and it is said again. Such a box is started line by line.
+one of 50 ms besides. As a rule that would stretch a chunk's arming from 0.1 to 3.6 s, so it is for boxes that
+need it: those that do not answer every line of a string when they are opened, or later a question. Off is
+written in one string, the start of a burst in two: outputs come on only once T0 is known to be off. A box that
+takes one line at a time may hear the first line of off alone: that stops everything, and it is said again. Such
+a box is started line by line.
 """
 
 import math
@@ -58,7 +59,10 @@ INSISTS = 6  # how often off is said again to such a box, before anything is ask
 MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
 UNKNOWN_WORD = (2, 3)  # refusals
-STOPPED = "was stopped at its keys or by another program, or its power failed: look at the laser, then safe()"
+STOPPED = (
+    "was stopped at its keys or by another program, or its power failed (T0 does not run):"
+    " look at the laser, then safe()"
+)
 _CLOCKS = re.compile(r"INT|EXT|XPL|SYS|EXT\d{2,3}")  # a mode, or one word; XPL? is a loop that is not locked
 _SECONDS = re.compile(r"-?\d+\.\d{9,12}")
 _WHOLE = re.compile(r"\d{1,8}")
@@ -336,9 +340,16 @@ class QuantumComposersBox(TimingBox):
             self._off(number)
 
     def _start(self, burst: Sequence[int]) -> None:
-        """Begin a burst in one string, of which the first line asks whether somebody has stopped T0."""
-        lines = [(T0, "0"), *((number, "1") for number in [*burst, T0])]
-        words = [Command(f":PULSE{T0}:STAT", asks=True), *(Command(f":PULSE{n}:STAT", v) for n, v in lines)]
+        """Begin a burst, first asking whether somebody has stopped T0.
+
+        T0 is known to be off before an output is switched on: on a box that refuses to stop it, outputs that are
+        switched on would give pulses at once.
+        """
+        self._string([Command(f":PULSE{T0}:STAT", asks=True), Command(f":PULSE{T0}:STAT", "0")])
+        self._string([Command(f":PULSE{number}:STAT", "1") for number in [*burst, T0]])
+
+    def _string(self, words: Sequence[Command]) -> None:
+        """Write words in one string and see every answer; one that asks whether T0 runs must be answered by 1."""
         unanswered = list(words)
 
         def accept(answer: object) -> bool | None:
