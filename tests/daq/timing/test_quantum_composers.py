@@ -364,6 +364,18 @@ def test_a_start_whose_first_answer_is_0_is_switched_off_at_once():
         assert d.pulses(Role.Q_SWITCH_1) <= 1
 
 
+def test_a_box_that_refuses_to_stop_t0_gives_no_pulse():
+    """Outputs that come on while T0 runs begin at once, and a box that refuses one off may refuse the next."""
+    with desk() as d:
+        d.to_armed()
+        before = d.pulses(Role.Q_SWITCH_1)
+        d.emulator.refuses_off.update(dict.fromkeys(range(5), 3))
+        with pytest.raises(CommandRejected, match=r":PULSE0:STAT 0"):
+            d.laser.fire(50)
+        d.clock.sleep_s(10.0)
+        assert d.pulses(Role.Q_SWITCH_1) == before
+
+
 def test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the_first_word():
     """Only the person at the keys can end it before that: no word of ours reaches the box."""
     with desk() as d:
