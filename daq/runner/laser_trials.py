@@ -239,6 +239,7 @@ class BoxTrials:
             if roles[0] in LAMPS:
                 box.start_lamps()
             else:
+                box.stand_by()
                 box.confirm(loaded, lamps=False)
                 box.begin(pairs)
             self._clock.sleep_s(pairs / self._timing.rate_hz + BETWEEN_S)
