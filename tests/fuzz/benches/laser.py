@@ -137,6 +137,7 @@ class Story:
         self.log, self.found = [], []
         self.pulses = self.firings = self.by_knobs = 0
         self.stopped_s = math.inf  # when a person ended the light and nobody has released it since
+        self.foreign_off_s = -math.inf  # when that was last by another program
         self.ends, self.has_run_key = 0, False
         self.unseen = 0  # stops that nothing of the box tells of
         self.asked = 0  # pairs of the burst that was asked for last
@@ -275,6 +276,10 @@ class Story:
         self.line.hooks.after(self.rng.randrange(1, 30), "answer", self.unplug)
 
     def plug_in(self):
+        """Put the plug back; what a diode box answered to an off just now, which alone tells of it, is gone."""
+        if self.kind == "oltSync" and self.foreign_off_s == self.stopped_s == self.clock.now_s():
+            self.stopped_s = math.inf
+            self.unseen += 1
         self.line.plug_in()
 
     def power(self):
@@ -329,6 +334,8 @@ class Story:
         """Whether there is something that a person can stop."""
         if self.kind == "oltSync":
             return self.laser._states._state in (*EMITS, *BETWEEN)
+        if self.laser._states._state is LaserState.SAFE:  # T0 runs by the key RUN; stopped, all is as after `safe`
+            return False
         return self.emulator.is_on_at(0) or self.begins
 
     @property
@@ -366,6 +373,7 @@ class Story:
             self.unseen += 1
         elif was_running and is_off:
             self.ended()
+            self.foreign_off_s = self.clock.now_s()
 
     def laser_off(self):
         """`rtpiv laser off`: the program is asked, and the box is written to."""
