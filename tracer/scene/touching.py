@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy
+from numpy.typing import NDArray
 
 from tracer.bodies import CONTACT_TOL_MM, Body, Sphere
 from tracer.scene.fit_section import FitTable
@@ -39,9 +39,9 @@ def moved_apart(bodies: Sequence[Body], priors: FitTable) -> tuple[tuple[Body, .
     centre = start.copy()
     for _ in range(ROUNDS):
         clean = True
-        for one in np.flatnonzero((centre[:, 2] < low - CONTACT_TOL_MM) & (variance > 0.0)):
-            centre[one, 2], clean = low[one] + CLEARANCE_MM, False
-        for one, other in sorted(scipy.spatial.KDTree(centre).query_pairs(2.0 * widest)):
+        for sunk in np.flatnonzero((centre[:, 2] < low - CONTACT_TOL_MM) & (variance > 0.0)):
+            centre[sunk, 2], clean = low[sunk] + CLEARANCE_MM, False
+        for one, other in _near_pairs(centre, 2.0 * widest):
             way = centre[other] - centre[one]
             distance, both = float(np.linalg.norm(way)), variance[one] + variance[other]
             if not distance > 0.0 or not both > 0.0:
@@ -65,3 +65,15 @@ def moved_apart(bodies: Sequence[Body], priors: FitTable) -> tuple[tuple[Body, .
     }
     moved = {ball.name: float(step) for ball, step in zip(balls, steps, strict=True) if step > 0.0}
     return tuple(placed.get(body.name, body) for body in bodies), moved
+
+
+def _near_pairs(centre: NDArray[np.float64], reach_mm: float) -> list[tuple[int, int]]:
+    """Return pairs of centres within reach, in order; a search along x, since scipy.spatial is slow to import."""
+    order = np.argsort(centre[:, 0])
+    x = centre[order, 0]
+    pairs: list[tuple[int, int]] = []
+    for at, end in enumerate(np.searchsorted(x, x + reach_mm, side="right")):
+        one, others = int(order[at]), order[at + 1 : end]
+        near = others[np.linalg.norm(centre[others] - centre[one], axis=1) <= reach_mm]
+        pairs += [(min(one, other), max(one, other)) for other in near.tolist()]
+    return sorted(pairs)

@@ -266,7 +266,12 @@ def test_a_sequence_that_lost_its_first_frame(tmp_path, capsys):
 
 
 def test_frames_that_are_no_pairs_are_an_error_and_can_be_kept(tmp_path, capsys):
-    folder = write(tmp_path / "day", [moved(k)[0] for k in range(6)])
+    """The pairs share a strip on the left, which has few valid vectors, and those can be averaged."""
+    frames = []
+    for k in range(3):
+        (a, b), other = moved(k), moved(k + 3)[0]
+        frames += [a, np.where(np.arange(a.shape[1]) < 32, b, other)]
+    folder = write(tmp_path / "day", frames)
     for verb in ("evaluate", "mean"):
         words = [verb, str(folder), *OPTIONS[: 6 if verb == "mean" else None]]
         assert main([*words, "-o", str(tmp_path / verb)]) == USAGE
@@ -275,6 +280,16 @@ def test_frames_that_are_no_pairs_are_an_error_and_can_be_kept(tmp_path, capsys)
         assert "im0000.tif + im0001.tif" in said.out
         assert main([*words, "--least-valid", "0", "-o", str(tmp_path / verb)]) == DONE
         capsys.readouterr()
+
+
+def test_unrelated_frames_are_an_error_and_have_no_mean(tmp_path, capsys):
+    folder = write(tmp_path / "day", [moved(k)[0] for k in range(6)])
+    for verb, kept in (("evaluate", DONE), ("mean", USAGE)):
+        words = [verb, str(folder), *OPTIONS[: 6 if verb == "mean" else None], "-o", str(tmp_path / verb)]
+        assert main(words) == USAGE
+        assert "only 0 % of the windows have a valid vector" in " ".join(capsys.readouterr().err.split())
+        assert main([*words, "--least-valid", "0"]) == kept
+    assert "no pair of this series has a vector" in capsys.readouterr().err
 
 
 def test_second_frames_by_an_option_or_as_a_second_pattern(tmp_path, capsys):

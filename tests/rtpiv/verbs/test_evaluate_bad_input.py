@@ -86,10 +86,22 @@ def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
     other = render(load_scene(scene), printed_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
     assert evaluate(tmp_path, scene, (frames[0], other)) == DONE
     said = " ".join(capsys.readouterr().out.split())
+    assert "no better than unrelated pictures, so no vector is valid" in said
+    assert "check that they are one pair" in (tmp_path / "out" / "report.html").read_text()
+    summary = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert summary["doubt"]
+    assert summary["vectors"]["valid"] == 0
+
+
+def test_a_pair_of_which_little_is_shared_is_told_what_measures_more(good, tmp_path, capsys):
+    scene, (first, second) = good
+    other = render(load_scene(scene), printed_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
+    mixed = np.where(np.arange(first.shape[1]) < 96, second, other)
+    assert evaluate(tmp_path, scene, (first, mixed)) == DONE
+    said = " ".join(capsys.readouterr().out.split())
     assert "% of the vectors were measured" in said
     assert "larger last windows measure more" in said
     assert "check that the frames are one pair" in (tmp_path / "out" / "report.html").read_text()
-    assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["doubt"]
 
 
 @pytest.mark.parametrize("kind", ["8 bit png", slow("16 bit left-aligned")])

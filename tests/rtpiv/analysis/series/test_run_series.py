@@ -101,7 +101,8 @@ def test_bad_pairs_are_named_left_out_and_counted(made, run):
     assert "of its vectors were measured, and 100 % is usual" in mean.left_out[1][1]
     assert mean.count.max() == PAIRS - 2
     assert not mean.doubts
-    assert "only 20 % of the vectors of a usual pair" in replace(mean, usual_share=0.2).doubt
+    (doubt,) = replace(mean, usual_share=0.2).doubts
+    assert "only 20 % of the vectors of a usual pair" in doubt
     assert np.nanmedian(mean.mean_px, axis=(0, 1)) == pytest.approx((SHIFT_PX[0], -SHIFT_PX[1]), abs=0.02)
 
 
