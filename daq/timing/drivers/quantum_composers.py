@@ -10,8 +10,8 @@ begins together in the first period, and so many pulses leave as were asked for.
 pause.
 
 **RUN undoes a STOP** (ADR 42). T0 runs from `start_lamps` or `stand_by` until everything is off, between bursts
-too: the key STOP, and every off of another program, clear it. The string that stops T0 for a burst therefore
-asks for it first. If T0 did not run, off is sent at once, and a person has to release the laser.
+too: the key STOP, and every off of another program, clear it. The string that begins a burst therefore asks for
+T0 before it stops and starts it. If T0 did not run, off is sent at once, and a person has to release the laser.
 
 **The end of a burst is not told.** STAT stays 1 on a box that arms by RUN, and nothing else can be asked. A burst
 is over when its time is over; then its outputs are written off and read back, so that another RUN, at its keys,
@@ -24,10 +24,9 @@ echoed are skipped. What was refused is refused for good: nothing that switches 
 **Lines that get lost.** Every line is answered, and the next one is to wait for that answer (9500 Plus manual,
 p. 38, which advises against several in one string). No manual asks for a pause; but a program for the 575 makes
 one of 50 ms besides. As a rule that would stretch a chunk's arming from 0.1 to 3.6 s, so it is for boxes that
-need it: those that do not answer every line of a string when they are opened, or later a question. Off is
-written in one string, the start of a burst in two: outputs come on only once T0 is known to be off. A box that
-takes one line at a time may hear the first line of off alone: that stops everything, and it is said again. Such
-a box is started line by line.
+need it: those that do not answer every line of a string when they are opened, or later a question. Off and the
+start of a burst are written in one string. A box that takes one line at a time may hear the first line of off
+alone: that stops everything, and it is said again. Such a box is started line by line.
 """
 
 import math
@@ -340,16 +339,13 @@ class QuantumComposersBox(TimingBox):
             self._off(number)
 
     def _start(self, burst: Sequence[int]) -> None:
-        """Begin a burst, first asking whether somebody has stopped T0.
+        """Begin a burst in one string, of which the first line asks whether somebody has stopped T0.
 
-        T0 is known to be off before an output is switched on: on a box that refuses to stop it, outputs that are
-        switched on would give pulses at once.
+        An exchange more would be time in which a STOP is undone.  A box that refuses to stop T0 gives pulses while
+        its outputs come on, at most the counted ones, until the off that follows.
         """
-        self._string([Command(f":PULSE{T0}:STAT", asks=True), Command(f":PULSE{T0}:STAT", "0")])
-        self._string([Command(f":PULSE{number}:STAT", "1") for number in [*burst, T0]])
-
-    def _string(self, words: Sequence[Command]) -> None:
-        """Write words in one string and see every answer; one that asks whether T0 runs must be answered by 1."""
+        lines = [(T0, "0"), *((number, "1") for number in [*burst, T0])]
+        words = [Command(f":PULSE{T0}:STAT", asks=True), *(Command(f":PULSE{n}:STAT", v) for n, v in lines)]
         unanswered = list(words)
 
         def accept(answer: object) -> bool | None:

@@ -147,7 +147,8 @@ def run_series(
             f"only {100.0 * check.valid_share:.0f} % of the windows have a valid vector, median of pairs: {a} and"
             f" {b}, and the others like them, are no pairs, or show no particles, or move too far",
             place=series.run,
-            cure="name pairs by --second, by @2-3,4-5 behind the name or by --both; or give a larger --first-window"
+            cure="name pairs by --second, by @2-3,4-5 behind the name or by --both, or set a larger"
+            " --first-window"
             + ("; or keep these vectors with --least-valid 0" if check.valid_share > 0.0 else ""),
         )
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)

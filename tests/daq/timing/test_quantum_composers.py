@@ -187,7 +187,7 @@ def test_every_line_but_off_and_the_start_waits_for_the_answer_to_the_one_before
         d.laser.safe()
         (off,) = d.box.off_bytes()
         starts = [data for data in log if data not in ("read", off) and data.count(b"\n") > 1]
-        assert [data.count(b"\n") for data in starts] == [2, 5]  # T0 asked and off; four outputs, RUN
+        assert [data.count(b"\n") for data in starts] == [7]  # T0 asked, off, four outputs, RUN
         strings = ("read", off, *starts)
         assert all(data.count(b"\n") == 1 for data in log if data not in strings)
         assert not [late for soon, late in itertools.pairwise(log) if soon != "read" and late not in strings]
@@ -364,16 +364,21 @@ def test_a_start_whose_first_answer_is_0_is_switched_off_at_once():
         assert d.pulses(Role.Q_SWITCH_1) <= 1
 
 
-def test_a_box_that_refuses_to_stop_t0_gives_no_pulse():
-    """Outputs that come on while T0 runs begin at once, and a box that refuses one off may refuse the next."""
+def test_a_box_that_refuses_to_stop_t0_is_off_with_the_first_off_that_it_takes():
+    """Its outputs come on in the string that begins the burst, while T0 runs on."""
     with desk() as d:
         d.to_armed()
         before = d.pulses(Role.Q_SWITCH_1)
         d.emulator.refuses_off.update(dict.fromkeys(range(5), 3))
         with pytest.raises(CommandRejected, match=r":PULSE0:STAT 0"):
             d.laser.fire(50)
+        assert d.laser.state is LaserState.UNKNOWN
+        d.laser.safe()
+        assert d.clock.now_s() - d.emulator.refused_off_s < 0.3
+        given = d.pulses(Role.Q_SWITCH_1)
+        assert given - before < 50
         d.clock.sleep_s(10.0)
-        assert d.pulses(Role.Q_SWITCH_1) == before
+        assert d.pulses(Role.Q_SWITCH_1) == given
 
 
 def test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the_first_word():
