@@ -11,10 +11,11 @@ reason why it rests. So nothing is taken from one answer:
   was moved, or counts anew since a restart: its reference is gone. Reads it the same at the same place, its
   coordinate is the same.
 
-What that cannot see: a stage that was pushed without power to where it reads the same again, and one that
-restarts in motion and then reads its target. A library that opens a box again never learns that it was off, and
-that is why no reference outlives the program: after every opening the stage is homed, or a person says where it
-stands (`homing: hand`, `confirm`): then its zero lies where that makes it lie.
+What that cannot see: a stage that was pushed without power to where it reads the same again, one that restarts in
+motion and then reads its target, and one that was stopped at its box so late that it brakes to within `SHORT_MM`
+of its target or reference. A library that opens a box again never learns that it was off, and that is why no
+reference outlives the program: after every opening the stage is homed, or a person says where it stands
+(`homing: hand`, `confirm`): then its zero lies where that makes it lie.
 
 Calls go through one thread with a deadline (`stages.foreign.calls`). Nothing but finite numbers goes in.
 """

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
 
@@ -69,7 +70,7 @@ class World:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             env=os.environ | {"PYTHONFAULTHANDLER": ""}, **options,
         )  # fmt: skip
-        assert child.stdout.readline() == "ready\n", child.communicate()[1]
+        assert read_line(child) == "ready\n"
         self.world.clock.set_speed(1.0)
         return child
 
@@ -87,6 +88,18 @@ def go(child):
     """Let a child do what it was started for."""
     child.stdin.write("\n")
     child.stdin.flush()
+
+
+def read_line(child, patience_s=60.0):
+    """Return the next line that a child prints; a child that prints none in time is killed, and the test fails."""
+    late = threading.Timer(patience_s, child.kill)
+    late.start()
+    try:
+        line = child.stdout.readline()
+    finally:
+        late.cancel()
+    assert line, f"the child printed no line within {patience_s:g} s, or ended: {end(child)[2]}"
+    return line
 
 
 def end(child):

@@ -7,6 +7,7 @@ import math
 
 import pytest
 
+from sim.emulators.foreign_box import ForeignBox
 from stages.errors import MotionStopped, StageError
 from stages.protocols import grbl
 
@@ -52,7 +53,11 @@ class Hand:
             short_mm = abs(target - motor.target) * built.lead_mm / built.steps_per_rev
             if math.isinf(target):  # it looks for a switch
                 edges_mm = (built.low_switch_mm, built.high_switch_mm, built.index_mm)
-                short_mm = min(abs(motor.carriage_mm - edge_mm) for edge_mm in edges_mm)
+                rest_mm = motor.carriage_mm
+                if isinstance(emulator, ForeignBox):  # brakes, and rests without a word at a switch on that way
+                    rest_mm += (motor.target - motor.steps) * built.lead_mm / built.steps_per_rev
+                    rest_mm = min(max(rest_mm, built.low_switch_mm), built.high_switch_mm)
+                short_mm = min(abs(rest_mm - edge_mm) for edge_mm in edges_mm)
             if short_mm > SHORT_MM and not self.has_stopped:
                 self.has_stopped = True
                 witness.stopped()

@@ -16,7 +16,7 @@ import pytest
 
 import stages.watchdog
 from stages.watchdog import SHORT_LIFE_S, Watchdog, needs_watchdog, word_of
-from tests.stages.children import end, go, served
+from tests.stages.children import end, go, read_line, served
 
 FAR_MM = 110.0  # five seconds away
 MOVE = f"stage.move({{'a': {FAR_MM}}})"
@@ -45,8 +45,9 @@ def test_without_the_watchdog_it_drives_on(driver):
         child = world.start(TELL_PID + MOVE)
         begun_mm = world.true_mm()
         go(child)
-        watchdog = int(child.stdout.readline())
+        watchdog = int(read_line(child))
         moved(world, begun_mm)
+        child.send_signal(signal.SIGSTOP)  # it would stop the motion once it missed its watchdog
         os.kill(watchdog, signal.SIGKILL)
         child.kill()
         end(child)
@@ -144,7 +145,7 @@ def test_at_rest_nothing_is_said():
         real = line.send
         line.send = lambda data: (sent.append(data), real(data))
         go(child)
-        pid = int(child.stdout.readline())
+        pid = int(read_line(child))
         child.kill()
         end(child)
         world.wait_until(lambda: not Path(f"/proc/{pid}").exists() or "Z" in status(pid))
@@ -183,7 +184,7 @@ def test_a_watchdog_that_was_killed_is_replaced_and_told_everything():
         child = world.start(TELL_PID + "sys.stdin.readline(); " + MOVE)
         begun_mm = world.true_mm()
         go(child)
-        os.kill(int(child.stdout.readline()), signal.SIGKILL)
+        os.kill(int(read_line(child)), signal.SIGKILL)
         time.sleep(0.2)
         go(child)
         moved(world, begun_mm)
@@ -340,10 +341,11 @@ def test_a_watchdog_that_is_killed_is_missed_at_once_and_one_that_is_closed_is_n
 def test_a_motion_whose_watchdog_is_killed_is_stopped():
     with served("zaber_ascii") as world:
         child = world.start(TELL_PID + MOVE)
-        pid = int(child.stdout.readline())
         begun_mm = world.true_mm()
-        go(child)
+        go(child)  # it prints only then
+        pid = int(read_line(child))
         moved(world, begun_mm)
         os.kill(pid, signal.SIGKILL)
         assert world.rest_mm() < 60.0
-        end(child)
+        assert child.wait(60) == 1
+        assert "MotionStopped: the watchdog of this program was killed" in end(child)[2]
