@@ -48,6 +48,7 @@ def test_without_the_watchdog_it_drives_on(driver):
         watchdog = int(read_line(child))
         moved(world, begun_mm)
         child.send_signal(signal.SIGSTOP)  # it would stop the motion once it missed its watchdog
+        world.wait_until(lambda: status(child.pid) == "T")
         os.kill(watchdog, signal.SIGKILL)
         child.kill()
         end(child)
