@@ -19,8 +19,9 @@ partners), and
 Cells count that make up squares of `SQUARE` x `SQUARE`, and with them what belongs to them. Where next to nothing
 moves, nothing is said, for it may be a flow at rest.
 
-**Writing and bars** are thinner. They are plateaus, areas of 3 x 3 px whose darkest pixel is `PLATEAU`
-times brighter than those of moving particles, in either frame: digits of a clock change between both.
+**Writing and bars** are thinner. They are lines of cells (`LINE`) that stand still and are far brighter than a
+flow; and plateaus, areas of 3 x 3 px whose darkest pixel is `PLATEAU` times brighter than those of moving
+particles in most areas of the frame, in either frame: digits of a clock change between both.
 
 The frames may be those of one pair, or A of one and B of another, which no slow flow makes alike: then r and E are
 means over all that are compared. A series finds its still light so, from frames whose background is not taken
@@ -28,6 +29,7 @@ off: what is left of a wall then flickers as the pulses do, and stands still no 
 """
 
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,17 +50,20 @@ HARDLY, SHAKEN = (
     0.5,
 )  # of E_0: structure of a plain cell; r of one before a raised floor, if the camera shakes
 PLATEAU, PLATEAU_QUANTILE = 1.3, 0.999  # over the plateaus of particles, and how many of these are darker
+AREAS, USUAL_AREA = 8, 0.8  # along each axis; share of areas that writing does not reach
 LETTER_PX2, LETTER_PX, HALO_PX = (
     5,
     15,
     7,
 )  # least plateau within that square; side of gaps between letters, and of what an edge reaches
+FLAT = 0.01  # of a pixel: by which plateaus differ that are resampled
 EQUAL = 0.1  # of a plateau's height: difference between both frames
 HALF = 0.5
 RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle images
 CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
 QUICK, SPREADS = 0.3, 9.0  # r of a usual cell below which flow is quick; of floors, in median deviations
 GRAIN = 0.08  # of how much a floor is raised: change from frame to frame that is still that of a body
+LINE = 2, 8  # cells of a line of writing
 SQUARE, GAP = 4, 7  # cells along each axis that must stand still together; that may lack a grain between them
 
 Floats = NDArray[np.float32]
@@ -228,8 +233,10 @@ def _still(
     # A saturated frame shows no grain that the other has, and a shaking camera none at its place.
     shaken = (alike > SHAKEN) & (moving < np.square(GRAIN * apart))
     plain |= (apart > 0.0) & ((least < HARDLY * usual) | shaken)
-    square_of_cells = np.ones((SQUARE, SQUARE), bool)
-    still = scipy.ndimage.binary_opening((rest & bright & (alike > ALIKE)) | (other & plain), square_of_cells)
+    shines = rest & bright & (alike > ALIKE)
+    still = scipy.ndimage.binary_opening(shines | (other & plain), np.ones((SQUARE, SQUARE), bool))
+    for line in (LINE, LINE[::-1]):
+        still |= scipy.ndimage.binary_opening(shines, np.ones(line, bool))
     if not still.any():
         return np.asarray(still)
     # A wall has places without a grain, and an edge where its cells see particles beside it. They belong to it
@@ -252,8 +259,8 @@ def _written(
     import cv2
 
     both, either, uneven = plateaus
-    # Digits that change seem to move; but they are flat, and particles are not.
-    particles = float(np.quantile(uneven[moves[::2, ::2]], PLATEAU_QUANTILE))
+    # Digits that change seem to move; but they are flat, and particles are not, or they lie in a few areas.
+    particles = float(np.quantile(_brightest_of_areas(uneven, moves[::2, ::2]), USUAL_AREA))
     least = ground + PLATEAU * (particles - ground)
     core = (both > least) & valid
     if not core.any():
@@ -274,6 +281,16 @@ def _written(
     # The darkest of 3 x 3 px stands at their middle.
     reach = np.ones((3 + HALO_PX - 1, 3 + HALO_PX - 1), np.uint8)
     return np.asarray(cv2.dilate(bright * kept[parts], reach) > 0)
+
+
+def _brightest_of_areas(plateaus: NDArray[Any], moves: NDArray[np.bool_]) -> Floats:
+    """Quantiles of the plateaus (h, w) of areas in which most moves; of all that moves where there is none."""
+    edges = [np.linspace(0, side, AREAS + 1).astype(int) for side in moves.shape]
+    areas = [
+        np.s_[top:bottom, left:right] for top, bottom in pairwise(edges[0]) for left, right in pairwise(edges[1])
+    ]
+    most = [area for area in areas if moves[area].sum() > HALF * moves[area].size] or [np.s_[:, :]]
+    return np.array([np.quantile(plateaus[area][moves[area]], PLATEAU_QUANTILE) for area in most], np.float32)
 
 
 def _share_of_cells(valid: NDArray[np.bool_], shape: tuple[int, ...]) -> Floats:
@@ -340,7 +357,8 @@ def _plateaus(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     either = np.maximum(one, other)
     every = slice(None, None, 2), slice(None, None, 2)
     brightest = np.asarray(cv2.dilate(np.maximum(a, b), size))[every]
-    return np.minimum(one, other), either, np.where(brightest > either[every], either[every], 0)
+    step = np.asarray(FLAT * brightest, brightest.dtype)
+    return np.minimum(one, other), either, np.where(brightest - either[every] > step, either[every], 0)
 
 
 def _products(one: Floats, other: Floats) -> Floats:

@@ -1,7 +1,9 @@
 """What is called valid in pictures as labs have them: hardly any is wrong, and clean pictures lose nothing."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 import scipy
@@ -233,6 +235,45 @@ def test_digits_that_change_are_found_with_those_that_do_not(seed, cell_px, lett
     assert found.silent <= judge(plain, evaluate(plain)).silent
     assert field.counts["still"] > 20
     assert found.covered > 0.85
+
+
+def resampled(frame, rng):
+    """By a third of a pixel, as a correction does."""
+    return cv2.warpAffine(
+        frame.astype(np.float32),
+        np.array([[1.0, 0.0, 0.37], [0.0, 1.0, -0.21]]),
+        frame.shape,
+        flags=cv2.INTER_LANCZOS4,
+    )
+
+
+def as_jpeg(frame, rng):
+    return cv2.imdecode(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 88])[1], cv2.IMREAD_UNCHANGED)
+
+
+def rounded_off(frame, rng):
+    """As a correction leaves frames that it moves by nothing."""
+    return frame.astype(np.float32) + rng.normal(0.0, 1e-5, frame.shape).astype(np.float32)
+
+
+def dimmed(frame, rng):
+    """Below saturation, with noise on the writing as well."""
+    return np.clip(np.rint(0.78 * frame + rng.normal(0.0, 2.0, frame.shape)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("stored", [resampled, as_jpeg, rounded_off, dimmed])
+def test_digits_that_change_are_found_however_frames_are_stored(stored):
+    """The command corrects frames before it looks, and 82 of 937 vectors stayed wrong by up to 3.8 px."""
+    for seed in (16, 461):
+        scene = hard_scenes.text_scene(seed, uniform(3.4, -1.7))
+        rng = np.random.default_rng(seed)
+        scene = replace(scene, a=stored(scene.a, rng), b=stored(scene.b, rng))
+        field = evaluate(scene)
+        found = judge(scene, field)
+        plain = behind(seed, uniform(3.4, -1.7), 0.0)
+        assert found.wrong == 0, seed
+        assert found.silent <= judge(plain, evaluate(plain)).silent, seed
+        assert found.covered > 0.85
 
 
 def test_a_dark_band_is_no_flow_in_a_slow_fluid_either():
