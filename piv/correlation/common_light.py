@@ -6,11 +6,12 @@ is common to a and b goes off both with the part that is darker,
     a - min(a, b) = max(a - b, 0),      b - min(a, b) = max(b - a, 0).
 
 Particles that have moved by their own image stay whole, whatever lies behind them. Of those that have moved less,
-both parts are pushed apart (`APART`), and at rest they seem to have moved by three deviations of their image. So
-there is common light where, in most windows, what is left moves by more than that (`FAR` deviations) with a clear
-peak, and the window as it is either shows no displacement, but no good match either, or the same displacement and
-a match at rest that slow places in it do not explain. Longer vectors then lose what their images were pushed apart
-by; shorter ones mean nothing and are rejected.
+both parts are pushed apart (`APART`), and at rest they seem to have moved by three deviations of their image.
+So there is common light where, in most windows, what is left moves by more than that (`FAR` deviations) with a
+clear peak, and the window as it is either shows no displacement, though no good match either, or more of it
+moves than a slow flow leaves behind; or matches worse than what is left; or shows the same displacement and a
+match at rest that slow places in it do not explain. Longer vectors then lose what their images were pushed
+apart by; shorter ones mean nothing and are rejected.
 
 The size of images is that of the pair, or of what is left where this is far smaller: behind a coarse texture. It
 is smaller as well, the seams of images, where large ones hardly move; but then windows match as a whole at some
@@ -32,11 +33,14 @@ from piv.errors import PairError
 
 Floats = NDArray[np.float64]
 SUSPECT = 0.04  # median match of windows at no displacement; particles that have moved give 0.00 to 0.03
-GOOD = 0.93  # median match at the vectors, noise aside, that leaves nothing to explain
+GOOD = 0.97  # median match at the vectors, noise aside, that leaves nothing to explain
 POOR = 0.85  # match at rest, noise aside, that is not that of a fluid at rest
+OVER, LEFT_OVER = 2.0, 0.02  # share of the light that moves, by that which slow vectors leave; and without any
+BETTER = 0.05  # match of what is left over that of windows as they are
 NEAR_PX = 1.5  # between what a window shows as it is and what is left of it
 WINDOW_PX = 64  # side of the windows that are asked
 FAR = 3.75  # displacement in deviations of a particle image
+SEAMS_APART = 3.0  # the same of images at rest, which is no such displacement unless they leave too much
 SEAMS, RESTS = (
     0.2,
     0.45,
@@ -132,7 +136,8 @@ def without_common_light(pair: Pair, known: Known, min_valid: float, threads: in
         return None
     grid = window_grid(shape, WINDOW_PX, 0.0)
     frames, left = (DeformedPair(part.a, part.b, part.valid, part.floor) for part in (pair, rest))
-    found = correlate_windows(left, grid, min_valid, threads).shift_px
+    moved = correlate_windows(left, grid, min_valid, threads)
+    found = moved.shift_px
     asked = np.asarray(np.isfinite(found).all(axis=-1))
     clear = asked & (peak_ratios(left, grid, asked, min_valid, threads) > WEAK)
     length_px = np.linalg.norm(found, axis=-1)
@@ -142,16 +147,20 @@ def without_common_light(pair: Pair, known: Known, min_valid: float, threads: in
         if _is_behind_texture(whole, spread_px2, left_px2, without_noise):
             spread_px2 = WIDER * left_px2
     image_px = float(np.sqrt(spread_px2))
-    far = clear & (length_px > FAR * image_px)
-    if far.sum() < max(FEWEST, SHARE * asked.sum()):
-        return None
     at_rest = match_at_rest(frames, grid, 0.0, threads)
     slow = np.exp(-np.square(known.vectors_px).sum(axis=-1) / (4.0 * spread_px2))
     vectors = np.stack([known.means(grid, known.vectors_px[..., axis]) for axis in range(2)], axis=-1)
-    poor = known.means(grid, known.correlation) * without_noise < POOR
-    rests = (np.linalg.norm(vectors, axis=-1) < image_px) & poor
+    match = known.means(grid, known.correlation)
+    # What moves as one is more than such slow vectors leave behind, or matches better than they do.
+    left_over = moved.correlation * (1.0 - at_rest) > OVER * (1.0 - known.means(grid, slow)) + LEFT_OVER
+    better = moved.correlation > match + BETTER
+    is_at_rest = np.linalg.norm(vectors, axis=-1) < image_px
+    far = clear & (length_px > np.where(is_at_rest & left_over, SEAMS_APART, FAR) * image_px)
+    if far.sum() < max(FEWEST, SHARE * asked.sum()):
+        return None
+    rests = is_at_rest & (left_over | (match * without_noise < POOR))
     same = np.linalg.norm(vectors - found, axis=-1) < NEAR_PX
-    common = np.where(rests, at_rest, np.where(same, at_rest - known.means(grid, slow), 0.0))
+    common = np.where(rests | better, at_rest, np.where(same, at_rest - known.means(grid, slow), 0.0))
     if not np.nanquantile(common[far], 0.25) > LEAST_COMMON:
         return None
     return CommonLight(rest, float(np.nanmedian(at_rest[far])), image_px)

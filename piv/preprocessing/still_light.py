@@ -148,7 +148,13 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     seen = np.asarray(valid_cells & (cells.square > SEEN * np.median(cells.square[cells.square > 0.0])))
     if not seen.any():
         return None
-    moves = seen & (cells.alike < MOVES)
+    moves = np.asarray(seen & (cells.alike < MOVES))
+    # Single cells between sparse particles at rest hold nothing but noise, which is not alike either.
+    areas = np.asarray(scipy.ndimage.binary_opening(moves, np.ones((SQUARE, SQUARE), bool)))
+    if areas.sum() > LEAST_MOVING * seen.sum():
+        moves = areas
+    else:
+        moves &= cells.square > HALF * np.median(cells.square[seen])
     if moves.sum() <= LEAST_MOVING * seen.sum():
         # A fluid at rest is not told from a wall, but has other light than places without any structure.
         moves, cells = seen, cells._replace(alike=np.zeros_like(cells.alike))

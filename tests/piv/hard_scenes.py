@@ -135,7 +135,9 @@ def body_scene(seed, solid, flow, level, texture, grain_px=1.0, light=(1.0, 1.0)
     return Scene(*exposed(rng, lights), full, solid)
 
 
-def behind(seed, flow, fixed, lights=(1.0, 1.0), fixed_lights=(1.0, 1.0), shadow=None, clean=False, **image):
+def behind(
+    seed, flow, fixed, lights=(1.0, 1.0), fixed_lights=(1.0, 1.0), shadow=None, clean=False, noise=NOISE, **image
+):
     """A flow with something `fixed` (H, W) added to both frames, and multiplied by shadow(x, y, number)."""
     rng = np.random.default_rng(seed)
     found = []
@@ -144,7 +146,7 @@ def behind(seed, flow, fixed, lights=(1.0, 1.0), fixed_lights=(1.0, 1.0), shadow
     ):
         shade = 1.0 if shadow is None else shadow(*grid(), number)
         found.append(BASE + light * shade * one + still * fixed)
-    return Scene(*exposed(rng, found), flow, clean=clean)
+    return Scene(*exposed(rng, found, noise), flow, clean=clean)
 
 
 def rough(seed, deviation, grain_px=0.85):

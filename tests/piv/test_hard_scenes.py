@@ -184,6 +184,28 @@ def test_fixed_patterns_are_taken_off_and_named(fixed):
     assert np.nanmin(np.hypot(field.u_px, field.v_px)[field.valid]) >= 0.9 * field.common_light_px
 
 
+@pytest.mark.parametrize("flow", [(-2.65, 1.32), (3.95, -2.46), (1.82, 2.11), (-2.64, -4.93)])
+@pytest.mark.parametrize("share", [0.02, 0.05])
+def test_hot_pixels_do_not_hold_sparse_particles(share, flow):
+    """Half of 24 such pairs were called a fluid at rest, or between rest and their flow, with a small sigma."""
+    for seed in (471, 472):
+        scene = behind(seed, uniform(*flow), hard_scenes.hot_pixels(seed, share), density=0.012, peak=90.0)
+        found = judge(scene, evaluate(scene))
+        assert found.wrong <= 0.003 * found.valid, seed
+        assert found.silent <= 0.005 * found.valid, seed
+        if np.hypot(*flow) > 3.5:  # shorter ones mean nothing
+            assert found.covered > 0.9, seed
+
+
+def test_a_slow_flow_with_sparse_particles_does_not_stand_still():
+    """Cells without particles hold noise, which was taken for the usual light of a flow: 70 % stood still."""
+    slow = lambda x, y: (0.6 * np.sin(y / 25.0), 0 * x)  # noqa: E731
+    for seed in (481, 482, 483):
+        field = evaluate(behind(seed, slow, 0.0, density=0.01, sigma_px=0.5, peak=250.0, noise=3.0))
+        assert field.counts["still"] == 0, seed
+        assert field.valid.mean() > 0.9, seed
+
+
 @pytest.mark.parametrize("slope", [0.045, 0.06, 0.075])
 def test_what_moves_less_than_a_particle_image_is_not_valid_behind_a_pattern(slope):
     flow = lambda x, y: (slope * (y - 70), 0 * x)  # noqa: E731 - over 0 to more than 8 px
