@@ -1,30 +1,17 @@
-"""What all tests share: how examples are drawn, and the witness of every simulated bench that a test makes.
+"""What all tests share: how examples are drawn, in which order files run, and how the garbage collector is set.
 
 Drawn examples are judged by their results, never by how long a busy machine took.
-
-Whatever else a test looks at, it fails if on a simulated bench of its own something has truly passed a limit or
-come too close, has moved on after a stop, or was told a false position (`sim.witness`). A test that provokes
-such a thing on purpose says so: ``@pytest.mark.provokes("limit")``; then it must happen. Benches in other
-processes write what their witnesses see into a folder that the environment names. Stops are judged on clocks
-that move by waiting only: on the others the machine's load would be judged.
 """
 
 import gc
 import os
 import signal
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
 
 from rtpiv.command_line import first_use
-from sim.emulators.protocol_sim import LINES
-from sim.mechanics.clock import VirtualClock
-from sim.witness.witness import LEDGER, Witness
-from stages.stage import Stage
-from stages.stop_latch import StopLatch
 
 first_use.MOST_HELPERS = 0  # all cores have tests
 
@@ -103,86 +90,3 @@ def pytest_collection_finish() -> None:
 def _turn(item: pytest.Item) -> int:
     path = item.path.as_posix()
     return next((turn for turn, name in enumerate(LONG) if path.endswith(f"/{name}")), len(LONG))
-
-
-def _address(table: Any) -> str:
-    """Name of the simulated line that a controller hangs on, whatever way leads to it."""
-    if hasattr(table, "objects"):
-        return str(next(iter(table.objects.values())).arguments.get("address", "")).removeprefix("sim://")
-    return str(getattr(table, "port", None) or getattr(table, "adapters", None)).removeprefix("sim://")
-
-
-class Watch:
-    """Collects the witnesses of a test, and tells them of the stops that are theirs."""
-
-    def __init__(self) -> None:
-        self.witnesses: list[Witness] = []
-        self._by_latch: dict[int, list[Witness]] = {}
-        self._kept: list[object] = []  # an id must not be used again
-
-    def made(self, witness: Witness) -> None:
-        self.witnesses.append(witness)
-
-    def opened(self, stage: Stage) -> None:
-        lines = [LINES.get(_address(table)) for table in stage.config.controllers.values()]
-        ours = [
-            witness
-            for witness in self.witnesses
-            if any(watched.line in lines for watched in witness.axes.values())
-        ]
-        for witness in ours:
-            witness.cleared()  # a new program knows nothing of the stops of an older one
-        self._by_latch[id(stage.latch)] = [w for w in ours if isinstance(w.clock, VirtualClock)]
-        self._kept.append(stage.latch)
-
-    def stopped(self, latch: StopLatch) -> None:
-        for witness in self._by_latch.get(id(latch), []):
-            witness.stopped()
-
-    def cleared(self, latch: StopLatch) -> None:
-        for witness in self._by_latch.get(id(latch), []):
-            witness.cleared()
-
-    def violations(self, ledger: Path) -> list[str]:
-        seen = [str(violation) for witness in self.witnesses for violation in witness.judge()]
-        elsewhere = [line for path in ledger.glob("*.txt") for line in path.read_text().splitlines()]
-        return seen + [line for line in elsewhere if line not in seen]
-
-
-def _after(original: Callable[..., Any], also: Callable[[Any], None]) -> Callable[..., Any]:
-    def called(self: Any, *args: Any, **options: Any) -> Any:
-        result = original(self, *args, **options)
-        also(self)
-        return result
-
-    return called
-
-
-def _before(original: Callable[..., Any], also: Callable[[Any], None]) -> Callable[..., Any]:
-    def called(self: Any, *args: Any, **options: Any) -> Any:
-        also(self)
-        return original(self, *args, **options)
-
-    return called
-
-
-@pytest.fixture(autouse=True)
-def witnesses(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Watch]:
-    """Watch every simulated bench that the test makes."""
-    watch = Watch()
-    ledger = tmp_path_factory.getbasetemp() / f"witness-{abs(hash(request.node.nodeid)):x}"
-    ledger.mkdir()
-    monkeypatch.setenv(LEDGER, str(ledger))
-    monkeypatch.setattr(Witness, "__init__", _after(Witness.__init__, watch.made))
-    monkeypatch.setattr(Stage, "__init__", _after(Stage.__init__, watch.opened))
-    monkeypatch.setattr(StopLatch, "stop", _after(StopLatch.stop, watch.stopped))
-    monkeypatch.setattr(StopLatch, "clear", _before(StopLatch.clear, watch.cleared))
-    yield watch
-    violations = watch.violations(ledger)
-    provoked = {kind for mark in request.node.iter_markers("provokes") for kind in mark.args}
-    unwanted = [text for text in violations if text.split(" of ")[0] not in provoked]
-    assert not unwanted, "what the simulated world has seen:\n" + "\n".join(unwanted[:10])
-    missed = [kind for kind in provoked if not any(text.startswith(f"{kind} of ") for text in violations)]
-    assert not missed, f"the test says that it provokes what has not happened: {missed}"

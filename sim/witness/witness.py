@@ -375,6 +375,7 @@ class Witness:
         self._ongoing[kind, what] = len(self.violations), time_s
         self.violations.append(violation)
         if ledger := os.environ.get(LEDGER):
+            Path(ledger).mkdir(exist_ok=True)
             with (Path(ledger) / f"{os.getpid()}.txt").open("a", encoding="utf-8") as file:
                 file.write(f"{violation}\n")
 

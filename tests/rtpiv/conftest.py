@@ -12,6 +12,7 @@ import pytest
 
 from rtpiv.analysis.pictures import saved
 from rtpiv.analysis.report import page
+from tests.watched_benches import witnesses  # noqa: F401 - a fixture
 
 PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg=="

@@ -1,7 +1,9 @@
 """The fixture that watches every test sees what happens on its benches: these tests fail if it does not."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +12,10 @@ from sim.stages import SimulatedStages
 from stages.stage import Stage
 from tests.stages.benches import screws, stages_table
 
+TESTS = Path(__file__).resolve().parents[1]
+MAKES_BENCH = re.compile(
+    r"from sim\.(stages|rehearsed|watched_world|witness)|Simulated(Stages|Bench)|[-\"]-simulate\b|simulate=True"
+)
 BEYOND = """
 from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
@@ -71,3 +77,11 @@ def test_a_stop_of_another_program_is_over_with_it(made):
         clock.sleep_s(1.0)
     with Stage.open(offered, clock):
         drive(world, clock, b"/1 1 move abs 4000\n")
+
+
+def test_folders_with_benches_import_the_witness():
+    watched = [path.parent for path in TESTS.rglob("conftest.py") if "witnesses" in path.read_text("utf-8")]
+    making = [path for path in TESTS.rglob("test_*.py") if MAKES_BENCH.search(path.read_text("utf-8"))]
+    unwatched = [str(path.relative_to(TESTS)) for path in making if not {*watched} & {*path.parents}]
+    assert len(making) > 50
+    assert not unwatched, "import tests.watched_benches.witnesses in the conftest.py of their folders"

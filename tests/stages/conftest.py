@@ -14,6 +14,7 @@ from stages.controller import Controller
 from stages.drivers_by_name import DRIVERS, FOREIGN
 from stages.stage import Stage
 from tests.stages.benches import beside_marks, screws, stages_table
+from tests.watched_benches import witnesses  # noqa: F401 - a fixture
 
 
 @dataclass

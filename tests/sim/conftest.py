@@ -1,0 +1,5 @@
+"""The witness of simulated benches."""
+
+from tests.watched_benches import witnesses
+
+__all__ = ["witnesses"]
