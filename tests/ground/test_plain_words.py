@@ -9,6 +9,7 @@ from ground import plain_words
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError
 from rtpiv.analysis.pairs.piv_file import PivTable
+from tests.loops import loop_over
 from tracer.media import MEDIA, medium_called
 from tracer.scene.scene_file import load_priors, load_scene
 from tracer.scene.scene_tables import SceneTable
@@ -63,8 +64,8 @@ def test_all_at_once_whatever_found_it(tmp_path):
     assert said[7].startswith("bodies.7: should be a table")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "sentence"),
+@loop_over(
+    "old, new, sentence",
     [
         ("532", "green", "wavelength_nm: should be a number, not 'green'"),
         ("532", "'532'", "wavelength_nm: should be a number, not '532'; leave the quotes out"),
@@ -111,8 +112,7 @@ def test_glass_behind_the_camera(tmp_path):
     assert "behind the camera" in said
 
 
-@pytest.mark.parametrize(
-    ("said", "meant"),
+@loop_over("said, meant",
     [("acrylic", "PMMA"), ("Plexiglas", "PMMA"), ("pmma", "PMMA"), ("BK7", "N-BK7"), ("bk 7", "N-BK7"),
      ("borosilicate", "borosilicate"), ("Duran", "borosilicate"), ("soda lime", "soda-lime"),
      ("Quartz", "fused-silica"), ("fused silica", "fused-silica"), ("Water", "water")],

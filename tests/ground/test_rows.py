@@ -6,11 +6,12 @@ from collections.abc import Iterator
 import pytest
 
 from ground.rows import LEAST_ROWS, run_parts, run_rows
+from tests.loops import loop_over
 
 
-@pytest.mark.parametrize("rows", [0, 1, 7, 16, 17, 100, 2016])
-@pytest.mark.parametrize("block", [None, 1, 24])
-@pytest.mark.parametrize("threads", [1, 2, 5])
+@loop_over("rows", [0, 1, 7, 16, 17, 100, 2016])
+@loop_over("block", [None, 1, 24])
+@loop_over("threads", [1, 2, 5])
 def test_every_row_once(rows, block, threads):
     done, lock = [0] * rows, threading.Lock()
 

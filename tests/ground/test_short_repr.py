@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from ground.short_repr import short_repr
+from tests.loops import loop_over
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.ray_map import build_ray_map
 
@@ -45,7 +45,7 @@ def test_one_line():
     assert repr(Inner(1.0 / 3.0)) == "Inner(a=0.333333)"
 
 
-@pytest.mark.parametrize("name", VALUES)
+@loop_over("name", VALUES)
 def test_what_people_get_is_short(name):
     module, _, kind = name.partition(":")
     assert "short_repr" in getattr(importlib.import_module(module), kind).__repr__.__qualname__

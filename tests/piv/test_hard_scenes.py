@@ -11,6 +11,7 @@ import scipy
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorFlag
+from tests.loops import loop_over
 from tests.piv import hard_scenes
 from tests.piv.hard_scenes import SIDE, behind, body_scene, box, disc, drawn_over, rough, uniform
 
@@ -135,7 +136,7 @@ def test_a_mask_on_a_clean_dark_body_costs_no_accuracy_beside_it(body):
     assert 0.5 < np.mean([value for number, value in sigmas if number == 1]) < 2.2
 
 
-@pytest.mark.parametrize("name", CLEAN)
+@loop_over("name", CLEAN)
 def test_clean_pictures_lose_no_vector(name):
     scene = CLEAN[name]()
     field = evaluate(scene)

@@ -22,6 +22,7 @@ from piv.correlation.vector_field import VectorFlag
 from rtpiv.analysis.pairs.piv_file import PivOptions, PivTable
 from rtpiv.analysis.series.series_folder import SeriesFile
 from sim.bench_table import SimulationTable
+from tests.loops import loop_over
 from tracer.scene.scene_file import load_scene
 from tracer.scene.scene_tables import SceneTable
 
@@ -35,7 +36,7 @@ def keys_of(model: object) -> set[str]:
     return {key for table in tables for key in table.get("properties", {})}
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "model",
     [
         *(SceneTable, BenchTable, SimulationTable, TimingTable, ReadingSection, RunFile, Line, DoneFile, Moved),

@@ -20,6 +20,7 @@ from rtpiv.options import call_of, parser
 from rtpiv.options.command import VERBS
 from rtpiv.options.signature import REQUIRED, signature, summary
 from rtpiv.verbs.completion import completion_script
+from tests.loops import loop_over
 
 
 def completed(tmp_path, *words):
@@ -43,7 +44,7 @@ def test_every_verb_is_listed_once():
     assert all(summary(verb) for verb in VERBS)
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@loop_over("verb", VERBS)
 def test_what_a_verb_takes_is_what_its_function_takes(verb):
     """Read from the source, and as Python itself says it."""
     function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)

@@ -7,6 +7,7 @@ import pytest
 
 from sim.camera.packing import FORMATS, to_format_bits
 from sim.frame_truth import WORLDS, FrameTruth, NoTruth, truth_of, with_truth
+from tests.loops import loop_over
 
 AXES = ["rail_z", "glass_x", "target_y"]
 TRUTH = FrameTruth(7, 4_000_000_001, {"rail_z": -194.9995, "glass_x": 0.0, "target_y": 1700.123}, True)
@@ -26,7 +27,7 @@ def expected(truth):
     )
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@loop_over("name", FORMATS)
 def test_it_goes_through_every_format(name):
     image = to_format_bits(with_truth(picture(), TRUTH, 12), 12, name)
     read = truth_of(image, AXES)

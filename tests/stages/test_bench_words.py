@@ -26,6 +26,7 @@ from stages.errors import (
 from stages.protocols import grbl
 from stages.stage import Stage
 from stages.who_answers import kind_of_box
+from tests.loops import loop_over
 from tests.stages.benches import screws, stages_table
 
 USUAL = {"zaber_ascii": 115_200, "isel_dnc": 19_200, "pi_gcs2": 115_200, "grbl": 115_200, "thorlabs_apt": 115_200}
@@ -195,8 +196,8 @@ class Echo(Emulator):
         self.say(data + self.answer)
 
 
-@pytest.mark.parametrize("answer", [b"", b"\r\nok\r\n"])
-@pytest.mark.parametrize("sort_of_box", DRIVERS)
+@loop_over("answer", [b"", b"\r\nok\r\n"])
+@loop_over("sort_of_box", DRIVERS)
 def test_a_line_with_echo(sort_of_box, answer):
     clock = VirtualClock()
     line = Line(Echo({}, clock), clock)

@@ -23,6 +23,7 @@ from stages.errors import (
 )
 from stages.stage import Stage
 from stages.states import AxisState
+from tests.loops import loop_over
 from tests.stages.benches import BOXES, screws, stages_table, true_errors_um
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
@@ -340,8 +341,8 @@ def test_a_word_from_before_a_loss_does_not_hold(by_hand):
 # ---- the bench file ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("library", "change", "text"),
+@loop_over(
+    "library, change, text",
     [
         ("micromanager", {"devices": {}}, "say either devices, or config"),
         ("micromanager", {"config": "a.cfg"}, "say either devices, or config"),

@@ -18,6 +18,7 @@ from stages.errors import ProtocolViolation
 from stages.protocols import grbl
 from stages.stage import Stage
 from stages.states import AxisState
+from tests.loops import loop_over
 from tests.stages.benches import stages_table
 
 
@@ -247,8 +248,8 @@ def test_a_driver_understands_a_box_that_is_none_of_ours(spoken, made):
     assert len(box.asked) > 20
 
 
-@pytest.mark.parametrize(
-    ("line", "meant"),
+@loop_over(
+    "line, meant",
     [
         (b"GrblHAL 1.1f ['$' or '$HELP' for help]", grbl.Banner("1.1f", "GrblHAL", "'$' or '$HELP' for help")),
         (

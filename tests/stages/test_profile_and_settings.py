@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from stages.axis_settings import AxisSettings
 from stages.errors import StageUsageError
 from stages.profile import Approach, duration_s, legs
+from tests.loops import loop_over
 
 UP = Approach(True, 0.5, 1.0)
 DOWN = Approach(False, 0.5, 1.0)
@@ -42,7 +43,7 @@ def test_duration_is_that_of_the_integrated_trapezoid(distance_mm, speed, accele
     assert sum(speeds) * total / pieces == pytest.approx(distance_mm, rel=2e-3)
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "change",
     [
         {"limits_mm": (0.0, 0.0)},

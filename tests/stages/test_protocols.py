@@ -11,6 +11,7 @@ from stages.drivers_by_name import DRIVERS
 from stages.errors import ProtocolViolation
 from stages.protocols import isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
 from stages.protocols.framing import Lines
+from tests.loops import loop_over
 
 GRAMMARS = {name: import_module(f"stages.protocols.{name}") for name in DRIVERS}
 CLASSES = [(grammar, cls) for grammar in GRAMMARS.values() for cls in (*grammar.COMMANDS, *grammar.ANSWERS)]
@@ -44,22 +45,17 @@ def documented(grammar, cls, encode=lambda message: message.to_bytes(), undo=lam
     return True
 
 
-@pytest.mark.parametrize(("grammar", "cls"), CLASSES)
+@loop_over("grammar, cls", CLASSES)
 def test_every_message_has_documented_examples_and_meets_them(grammar, cls):
     assert cls.examples()
     assert all(example.source and isinstance(example.message, cls) for example in cls.examples())
     assert documented(grammar, cls)
 
 
-def exact_examples():
-    shorter = {b"/\n", b"/home\n", b"/1 move abs 10000\n", b"/01 1 get pos\n", b"/1 system reset\n"}
-    for grammar, cls in CLASSES:
-        for example in cls.examples():
-            if example.raw not in shorter:
-                yield pytest.param(example, id=f"{grammar.__name__}-{example.raw!r}")
+SHORTER = {b"/\n", b"/home\n", b"/1 move abs 10000\n", b"/01 1 get pos\n", b"/1 system reset\n"}
 
 
-@pytest.mark.parametrize("example", list(exact_examples()))
+@loop_over("example", [each for _, cls in CLASSES for each in cls.examples() if each.raw not in SHORTER])
 def test_written_exactly_as_documented(example):
     """Byte for byte, but for abbreviations we never use."""
     assert example.message.to_bytes() == example.raw
@@ -80,15 +76,9 @@ def mutants(value):
     return [1]
 
 
-def mutations():
-    for grammar, cls in CLASSES:
-        for field in dataclasses.fields(cls):
-            yield pytest.param(
-                grammar, cls, field.name, id=f"{cls.__module__.split('.')[-1]}.{cls.__name__}.{field.name}"
-            )
-
-
-@pytest.mark.parametrize(("grammar", "cls", "name"), list(mutations()))
+@loop_over(
+    "grammar, cls, name", [(*each, field.name) for each in CLASSES for field in dataclasses.fields(each[1])]
+)
 def test_a_mutated_field_is_noticed(grammar, cls, name):
     """The same bug in both directions cancels itself between driver and emulator; examples still see it."""
     for index in range(3):
@@ -183,7 +173,7 @@ def test_apt_lets_nobody_tell_the_end_of_a_motion():
     assert isinstance(answer, thorlabs_apt.Unasked)
 
 
-@pytest.mark.parametrize("cut", range(0, 103, 7))
+@loop_over("cut", range(0, 103, 7))
 def test_apt_an_identity_is_found_behind_the_rest_of_a_message(cut):
     example, *_ = thorlabs_apt.Info.examples()
     raw, stream = APT_POSITION[3:] + example.raw + APT_MOVED, thorlabs_apt.IdentityStream(0x50)

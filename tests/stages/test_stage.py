@@ -21,6 +21,7 @@ from stages.errors import (
 )
 from stages.stage import Stage
 from stages.states import AxisState
+from tests.loops import loop_over
 from tests.stages.benches import screws
 from tests.stages.mixed import paper_bench
 
@@ -160,8 +161,8 @@ def test_ports_are_closed_whatever_happens(mocker):
     assert not any(line.opened for line in world.lines.values())
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
+@loop_over(
+    "change, sentence",
     [
         (lambda t: t["axes"]["rail_z"].pop("limits_mm"), "limits_mm' is missing"),
         (lambda t: t["axes"]["rail_z"].update(limits_mm=[0.0, 0.0]), "never means no limit"),

@@ -18,6 +18,7 @@ from daq.runs.pairs import pairs_of
 from rtpiv.command_line.cli import DEVICE, DONE, main
 from rtpiv.options import parser
 from rtpiv.options.command import VERBS
+from tests.loops import loop_over
 from tests.system.pages import (
     DOCS,
     HARDWARE,
@@ -94,7 +95,7 @@ SAID = {  # what must be said
 }
 
 
-@pytest.mark.parametrize("command", sorted({command for _, command in ALL}))
+@loop_over("command", sorted({command for _, command in ALL}))
 def test_every_command_is_one_that_the_program_takes(command):
     parser().parse_args(words(command))
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from tests.loops import loop_over
 from tracer.errors import SceneError
 from tracer.light import band, gaussian, light_of, line, white_led
 from tracer.light_table import LAMPS_DIFFER_NM, ONE_FIGURE_NM, LightTable
@@ -86,8 +87,8 @@ def test_colours_have_the_mean_and_nearly_the_spread_of_the_light():
     np.testing.assert_allclose(few, [[546.1, 577.0], [0.75, 0.25]])
 
 
-@pytest.mark.parametrize(
-    ("told", "words"),
+@loop_over(
+    "told, words",
     [
         ({}, "exactly one of"),
         ({"source": "lamp"}, "exactly one of"),
@@ -134,8 +135,8 @@ def test_a_width_may_mean_a_band_or_a_gaussian_as_wide_or_of_the_same_variance()
     assert max(light.spread_nm for light in cut.rivals()) < 6.0
 
 
-@pytest.mark.parametrize(
-    ("told", "unsure_nm"),
+@loop_over(
+    "told, unsure_nm",
     [
         ({"mean_nm": 550.0}, ONE_FIGURE_NM),
         ({"mean_nm": 532.0}, ONE_FIGURE_NM),  # the particles' own, and nobody says that it is their laser

@@ -8,6 +8,7 @@ from mpmath import mpf
 from benchmarks.reference import follow_pixel
 from benchmarks.scenes import PAPER, aimed_pixels
 from ground.rows import run_rows
+from tests.loops import loop_over
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens
 from tracer.kernels.march import march_pixel_tangents, trace_rows
@@ -89,7 +90,7 @@ def test_far_cameras(distance: float) -> None:
         assert mpmath.hypot(seen.x - mpf(x), seen.y - mpf(y)) <= 10.0 * height * 2.0**-52
 
 
-@pytest.mark.parametrize("seed", range(24))
+@loop_over("seed", range(24))
 def test_random_scenes(seed: int) -> None:
     rng = np.random.default_rng(seed)
     bodies = random_bodies(rng, (1, 2, 3, 5)[seed % 4])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.loops import loop_over
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens, look_at
 from tracer.kernels.branches import branch_number
@@ -60,7 +61,7 @@ def mirrored_scene(seed: int) -> Scene:
     return Scene(camera_at((0.0, 0.0, top + 200.0), focal_px=700.0, sensor_px=size), tuple(bodies))
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "where",
     [*map(some_scene, SCENES), *map(random_lockstep_scene, range(8)), *map(mirrored_scene, range(8))],
 )
@@ -93,7 +94,7 @@ def test_only_exact_mirrors_count() -> None:
         assert not find_mirrors(where.with_camera(other)).in_x
 
 
-@pytest.mark.parametrize("where", [*map(some_scene, SCENES), *map(random_lockstep_scene, range(8))])
+@loop_over("where", [*map(some_scene, SCENES), *map(random_lockstep_scene, range(8))])
 def test_silhouettes_hold_every_pixel_that_meets_glass_and_little_else(where: Scene) -> None:
     """Row intervals against the distance of every pixel's ray from the centre, asked one by one."""
     camera, balls = pack_camera(where.camera), pack_chain(where)

@@ -12,6 +12,7 @@ import pytest
 
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
+from tests.loops import loop_over
 from tests.tracer.scenes import ball, camera_at, scene
 from tracer.errors import StaleMap
 from tracer.scene.scene import Scene
@@ -166,7 +167,7 @@ def test_the_hostile_files_below_differ_from_a_good_one_in_one_thing(tmp_path: P
     assert RayMap.load(hostile(tmp_path / "good")).plane_mm.shape == (4, 5, 2)
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "members",
     [
         {"plane_mm": pickled()},
@@ -196,7 +197,6 @@ def test_the_hostile_files_below_differ_from_a_good_one_in_one_thing(tmp_path: P
         {"header": header_of(branches=[])},
         {"header": header_of(layout="1")},
     ],
-    ids=range(26),
 )
 def test_hostile_members(members: dict[str, bytes], tmp_path: Path) -> None:
     path = hostile(tmp_path / "hostile", **members)

@@ -9,6 +9,7 @@ from correction.masked import _filled, masked_pixels, pixels_in, points_in
 from correction.node_status import NodeStatus
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
+from tests.loops import loop_over
 from tracer.errors import SceneError
 from tracer.masked import LEFT_OUT, left_out
 from tracer.scene.scene_file import dump_scene, load_scene
@@ -112,9 +113,9 @@ def _loaded(folder, text):
     return load_scene(folder / "scene.yaml")
 
 
-@pytest.mark.parametrize("name", ["disc", "outside", "specks"])
-@pytest.mark.parametrize(
-    ("kind", "options"),
+@loop_over("name", ["disc", "outside", "specks"])
+@loop_over(
+    "kind, options",
     [
         (bool, {}),  # tifffile writes it with MinIsWhite
         (bool, {"byteorder": ">"}),

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ground.errors import ConfigError
+from tests.loops import loop_over
 from tests.tracer.drawn_meshes import ball_points, stone_points, stone_value, write_obj, write_ply
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Mesh, Sphere
@@ -184,8 +185,7 @@ def dented(path: Path, p: NDArray[np.float64], n: NDArray[np.float64], t: NDArra
     return write_ply(path, p, n, t)
 
 
-@pytest.mark.parametrize(
-    ("write", "words"),
+@loop_over("write, words",
     [
         (lambda path, p, n, t: write_ply(path, p, None, t), "has no normals"),
         (lambda path, p, n, t: write_ply(path, p, n, t[1:]), "is open at"),

@@ -16,6 +16,7 @@ import pytest
 from mpmath import mpf
 
 from benchmarks.reference import Glass, Vector, along, dot, follow, roots, snell
+from tests.loops import loop_over
 from tests.slow_cases import one_in_three
 from tests.tracer.scenes import ball, camera_at, one_ray
 from tracer.kernels.sphere import angles, through
@@ -132,8 +133,8 @@ def test_distance_impact_and_index(distance: float, impact: float, n: float) -> 
     assert lost <= inherent + 1.0
 
 
-@pytest.mark.parametrize("radius_mm", RADII_MM)
-@pytest.mark.parametrize("impact", IMPACTS)
+@loop_over("radius_mm", RADII_MM)
+@loop_over("impact", IMPACTS)
 def test_radius(radius_mm: float, impact: float) -> None:
     """A micrometre and a kilometre: only ratios count."""
     for distance in (17.0, 500.0 / radius_mm if radius_mm < 1.0 else 2.0):
@@ -142,8 +143,8 @@ def test_radius(radius_mm: float, impact: float) -> None:
         assert lost <= inherent + 1.0
 
 
-@pytest.mark.parametrize("n", [1.0 + 1e-14, 1.0 + 1e-12, 1.0 + 1e-9, 1.0 + 1e-6, 1.0 + 1e-4, 1.023, 1.53, 4.0])
-@pytest.mark.parametrize("impact", [1e-8, 1e-3, 0.5, 0.9, 0.999, 1.0 - 1e-6])
+@loop_over("n", [1.0 + 1e-14, 1.0 + 1e-12, 1.0 + 1e-9, 1.0 + 1e-6, 1.0 + 1e-4, 1.023, 1.53, 4.0])
+@loop_over("impact", [1e-8, 1e-3, 0.5, 0.9, 0.999, 1.0 - 1e-6])
 def test_the_deflection_itself_keeps_its_digits_as_n_goes_to_one(n: float, impact: float) -> None:
     """Relative to the deflection, however small: g without cancellation.  Inherent: b and n by one unit."""
     b2, radius = impact**2 * 625.0, 25.0

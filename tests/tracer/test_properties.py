@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from benchmarks.scenes import PAPER, aimed_pixels
+from tests.loops import loop_over
 from tests.tracer.scenes import TILTED, ball, camera_at, random_scene, scene
 from tracer.bodies import Sphere
 from tracer.kernels.march import march, trace_rays, trace_trails
@@ -181,8 +182,8 @@ def moved(where: Scene, matrix: NDArray[np.float64], scale: float) -> Scene:
     return replace(where, camera=camera_at((0.0, 0.0, 1e7)), bodies=tuple(bodies))
 
 
-@pytest.mark.parametrize(
-    ("matrix", "scale", "exact"),
+@loop_over(
+    "matrix, scale, exact",
     [
         (np.eye(3), 2.0**10, True),
         (np.eye(3), 2.0**-10, True),
@@ -192,9 +193,8 @@ def moved(where: Scene, matrix: NDArray[np.float64], scale: float) -> Scene:
         (np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]), 1.0, False),
         (np.eye(3), 3.7, False),
     ],
-    ids=["x 1024", "/ 1024", "mirror", "half turn", "quarter turn", "turn", "x 3.7"],
 )
-@pytest.mark.parametrize("name", ["two_spheres_500", "pyramid_500", TILTED])
+@loop_over("name", ["two_spheres_500", "pyramid_500", TILTED])
 def test_moved_scenes(name: str, matrix: NDArray[np.float64], scale: float, exact: bool) -> None:
     """Turned, mirrored and scaled scenes give turned, mirrored and scaled maps; bits where arithmetic allows."""
     where = scene(name)

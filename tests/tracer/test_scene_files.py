@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from benchmarks.scenes import PAPER
 from ground.errors import ConfigError
+from tests.loops import loop_over
 from tests.tracer.scenes import HOLLOW, TILTED, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.errors import SceneError
@@ -157,7 +158,7 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("name", BROKEN)
+@loop_over("name", BROKEN)
 def test_broken_files(name: str, tmp_path: Path) -> None:
     old, new, line, words = BROKEN[name]
     assert old in GOOD
@@ -178,8 +179,8 @@ def test_everything_wrong_is_told_at_once(tmp_path: Path) -> None:
     assert [problem.line for problem in error.problems] == [12, 15]
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
+@loop_over(
+    "content, words",
     [
         (b"", "is empty"),
         (b"# nothing yet\n", "is empty"),
@@ -197,7 +198,6 @@ def test_everything_wrong_is_told_at_once(tmp_path: Path) -> None:
         (b"a: &a [*a, *a, *a]\n", "nested too deeply"),
         (b"a: &a 1\nb: [" + b"*a, " * 40 + b"1]\n", "more than 16 aliases"),
     ],
-    ids=lambda value: value if isinstance(value, str) else f"{len(value)} bytes",
 )
 def test_hostile_files_are_refused_quickly(tmp_path: Path, content: bytes, words: str) -> None:
     start = time.process_time()
@@ -244,7 +244,7 @@ def test_round_trip_keeps_the_hash(name: str, tmp_path: Path) -> None:
     assert again.sphere_table().tobytes() == first.sphere_table().tobytes()
 
 
-@pytest.mark.parametrize("seed", range(25))
+@loop_over("seed", range(25))
 def test_round_trip_of_random_scenes(seed: int, tmp_path: Path) -> None:
     first = random_scene(np.random.default_rng(seed), cores=seed % 2 == 1)
     rod = Rod("rod", (200.0, 1.0 / 3.0, 9.0), (300.0, 1e-7, 12.0), math.pi)
@@ -303,8 +303,8 @@ def test_the_hash_sees_every_number_and_no_name(tmp_path: Path) -> None:
         assert load_scene(write(tmp_path, GOOD.replace(old, new, 1))).content_hash() != reference, (old, new)
 
 
-@pytest.mark.parametrize(
-    ("glass", "wavelength_nm", "n"),
+@loop_over(
+    "glass, wavelength_nm, n",
     [
         # Catalogue values: n_d at 587.5618 nm, n_F at 486.1327, n_C at 656.2725, n_e at 546.0740.
         ("N-BK7", 587.5618, 1.51680),

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import mpmath
 import numpy as np
-import pytest
 from mpmath import mpf
 from scipy.spatial.transform import Rotation
 
 from benchmarks.reference import dot, follow_pixel
 from sim.demo.scenes import named_scene
+from tests.loops import loop_over
 from tracer.bodies import Core
 from tracer.camera import Lens
 from tracer.kernels.landing import STATE, trace_landings
@@ -116,7 +116,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "pixel"), CASES)
+@loop_over("name, pixel", CASES)
 def test_every_derivative_agrees_with_fifty_digits(name, pixel):
     scene = exact_scene(name)
     found = landings(scene, [pixel], POSE)

@@ -14,6 +14,7 @@ from benchmarks.walls_reference import Walls, follow_walls, unit, vector
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from rtpiv.analysis.views.field_of_view import field_of_view
+from tests.loops import loop_over
 from tests.tracer.drawn_walls import (
     AIR_CAMERA,
     GLASS,
@@ -352,8 +353,7 @@ def sideways() -> Window:
     return window(name="side", centre_mm=(90.0, 0.0, 60.0), normal=(1.0, 0.0, 0.0), radius_mm=50.0)
 
 
-@pytest.mark.parametrize(
-    ("bodies", "words"),
+@loop_over("bodies, words",
     [
         (lambda: (tube(), ball(46.0)), "tube 'tube' cuts body 'b'"),
         (lambda: (window(), ball(150.0)), "window 'window' cuts body 'b'"),

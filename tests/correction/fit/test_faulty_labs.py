@@ -2,9 +2,8 @@
 
 import re
 
-import pytest
-
 from tests.correction.fit.faulty_labs import KINDS, faulty, right
+from tests.loops import loop_over
 
 SEED = 308
 
@@ -13,7 +12,7 @@ def test_there_are_at_least_25_kinds():
     assert len(KINDS) >= 25
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@loop_over("kind", KINDS)
 def test_every_kind_changes_something_and_says_what_must_be_said(kind):
     sound, case = right(SEED), faulty(kind, SEED)
     parts = ("given", "bare", "glass", "printed", "priors", "named_mm", "spoil", "pose")

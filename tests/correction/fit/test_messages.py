@@ -17,6 +17,7 @@ from correction.fit.seen.measurement import MeasuredFrame, TargetFrame
 from tests.correction.fit.drawn_labs import photographed
 from tests.correction.fit.drawn_optics import Lab
 from tests.correction.fit.faulty_labs import right
+from tests.loops import loop_over
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
@@ -37,7 +38,7 @@ def fragments(row: list[str]) -> list[str]:
     return re.findall(r"`([^`]+)`", row[0])
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: fragments(row)[0])
+@loop_over("row", ROWS)
 def test_every_message_of_the_table_is_one_of_the_code_and_has_a_test(row):
     said = "\n".join(words_in(ast.parse(path.read_text(encoding="utf-8"))) for path in CODE)
     assert all(fragment in said for fragment in fragments(row))

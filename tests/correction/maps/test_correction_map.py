@@ -10,6 +10,7 @@ from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import NodeStatus
 from ground.errors import MapFileError
 from tests.correction.small_scenes import SCENES, small_scene
+from tests.loops import loop_over
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Lens
 from tracer.errors import StaleMap
@@ -125,8 +126,8 @@ def test_more_layers_do_not_change_the_best_view():
     assert np.array_equal(one.pixel[0], three.pixel[0], equal_nan=True)
 
 
-@pytest.mark.parametrize("layers", [1, 2])
-@pytest.mark.parametrize("name", SCENES)
+@loop_over("layers", [1, 2])
+@loop_over("name", SCENES)
 def test_views_that_cannot_be_among_the_best_are_left_out_and_no_bit_changes(name, layers):
     _, some = inverted(name, layers=layers)
     _, every = inverted(name, layers=layers, skip=False)
@@ -208,8 +209,8 @@ def test_stored_maps_come_back_and_foreign_ones_are_refused(tmp_path):
         CorrectionMap.load(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
+@loop_over(
+    "name, value",
     [
         ("status", 77),
         ("branch", 60000),

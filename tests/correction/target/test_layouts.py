@@ -13,6 +13,7 @@ from correction.errors import TargetNotFound
 from correction.target.board_file import PrintedBoard, read_board
 from correction.target.board_search import find_board, track_board
 from tests.correction.target.photographs import FOLDER
+from tests.loops import loop_over
 
 NAMES = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
 SIDE_PX, MARGIN = 36, 2  # of a square, and squares of paper around
@@ -91,8 +92,8 @@ def test_a_part_of_a_board_that_shows_no_layout_is_refused_and_read_with_the_lay
     assert np.abs(nearby.position_px - project(nearby.plane_mm)).max() < 0.2
 
 
-@pytest.mark.parametrize("legacy", [True, False])
-@pytest.mark.parametrize("by", [(0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (2, 0)])
+@loop_over("legacy", [True, False])
+@loop_over("by", [(0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (2, 0)])
 def test_a_wrong_number_of_squares_is_refused(legacy, by):
     image, project = drawn(11, 8, legacy)
     board = told(11 + by[0], 8 + by[1])

@@ -8,6 +8,7 @@ import pytest
 from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable, _at_least, _distance
 from stages.errors import Obstructed, StageUsageError
 from stages.stage import Piece
+from tests.loops import loop_over
 from tests.stages.conftest import bench  # noqa: F401 - a fixture
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
@@ -72,7 +73,7 @@ def brute_force_mm(guard, moved, draws=40_000):
     return smallest
 
 
-@pytest.mark.parametrize("seed", range(12))
+@loop_over("seed", range(12))
 def test_closest_approach_agrees_with_brute_force(seed):
     rng = np.random.default_rng(seed)
     guard = keep_out(tilt=rng.uniform(-0.3, 0.3))
@@ -84,8 +85,8 @@ def test_closest_approach_agrees_with_brute_force(seed):
     assert sampled_mm - exact_mm < 12.0
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_what_is_judged_by_lengths_alone_is_judged_as_by_solving(seed, mocker):
+@loop_over("seed", range(60))
+def test_what_is_judged_by_lengths_alone_is_judged_as_by_solving(seed, monkeypatch):
     rng = np.random.default_rng((1, seed))
     guard = keep_out(gap_mm=rng.uniform(0.0, 60.0), clearance_mm=rng.uniform(0.1, 60.0))
     axis = str(rng.choice(list(AXES)))
@@ -100,9 +101,10 @@ def test_what_is_judged_by_lengths_alone_is_judged_as_by_solving(seed, mocker):
         return "free"
 
     quickly, found = judged(), list(guard.overlaps())
-    mocker.patch("daq.bench.keep_out._at_least", return_value=-np.inf)
-    assert judged() == quickly
-    assert list(guard.overlaps()) == found
+    with monkeypatch.context() as patched:
+        patched.setattr("daq.bench.keep_out._at_least", lambda *_: -np.inf)
+        assert judged() == quickly
+        assert list(guard.overlaps()) == found
 
 
 def test_no_distance_is_shorter_than_what_its_shadows_say():

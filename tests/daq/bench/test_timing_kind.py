@@ -15,6 +15,7 @@ from daq.timing.states import LaserState
 from ground.errors import ConfigError
 from stages.errors import MotionBarred
 from tests.daq.small_bench import write_bench
+from tests.loops import loop_over
 
 CHANNELS = "lamp_1: A, q_switch_1: B, lamp_2: C, q_switch_2: D, camera: E, marker: F"
 HEAD = "max_rate_hz: 15.0, lamp_to_q_switch_us: [180.0, 185.0], warmup_s: 0.0"
@@ -66,8 +67,8 @@ def test_leaving_by_an_error_switches_off(tmp_path):
     assert not unit.line.emulator.is_on_at(0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
+@loop_over(
+    "changes, words",
     [
         ({"channels": CHANNELS.replace("D", "B")}, "two things hang on one output"),
         ({"channels": CHANNELS.replace("q_switch_1", "q_switch")}, "'q_switch' is none of"),

@@ -3,6 +3,7 @@
 import pytest
 
 from daq.cameras.link import USABLE, carried_bytes_s, told_bytes_s
+from tests.loops import loop_over
 
 
 def pixels_in_a_second(mbits, packet_bytes):
@@ -12,8 +13,8 @@ def pixels_in_a_second(mbits, packet_bytes):
     return packets * (packet_bytes - 20 - 8 - 8)
 
 
-@pytest.mark.parametrize("packet_bytes", [576, 1500, 8000, 9000])
-@pytest.mark.parametrize(("link", "mbits"), [("1GigE", 1000), ("2.5GigE", 2500), ("10GigE", 10000)])
+@loop_over("packet_bytes", [576, 1500, 8000, 9000])
+@loop_over("link, mbits", [("1GigE", 1000), ("2.5GigE", 2500), ("10GigE", 10000)])
 def test_packets_on_an_ethernet_cable(link, mbits, packet_bytes):
     expected = USABLE * pixels_in_a_second(mbits, packet_bytes)
     settings = {"GevSCPSPacketSize": packet_bytes}

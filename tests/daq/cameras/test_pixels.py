@@ -7,6 +7,7 @@ from daq.cameras.formats import BY_CODE, FORMATS, pixel_format
 from daq.cameras.kernels import unpack as kernels
 from daq.cameras.pixels import unpack
 from daq.errors import BadFrame
+from tests.loops import loop_over
 
 WIDTHS = [1, 2, 3, 7, 8, 31]
 
@@ -28,9 +29,9 @@ def pixel_by_definition(name, data, width, row, col, row_bytes):
     return value % {"Mono8": 256, "Mono10": 1024, "Mono12": 4096, "Mono14": 16384, "Mono16": 65536}[name]
 
 
-@pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("padding", [None, 0, 3])
+@loop_over("name", FORMATS)
+@loop_over("width", WIDTHS)
+@loop_over("padding", [None, 0, 3])
 def test_every_bit_lands_where_the_standard_says(name, width, padding):
     form = FORMATS[name]
     height = 5

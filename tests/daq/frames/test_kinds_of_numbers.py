@@ -9,6 +9,7 @@ import tifffile
 from daq.frames.named_frame import read_named
 from daq.frames.source import source_of
 from piv.errors import FrameError, PairError
+from tests.loops import loop_over
 
 h5py = pytest.importorskip("h5py")
 SHAPE = (40, 48)
@@ -17,7 +18,7 @@ KINDS = ("u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8", ">i2", ">f8
 AS_THEY_ARE = ("u1", "u2", "f4")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@loop_over("kind", KINDS)
 def test_any_kind_of_number_is_read(tmp_path, kind):
     values = STACK if "u" in kind else STACK - 60
     wanted = kind[-2:] if kind[-2:] in AS_THEY_ARE else "f4"

@@ -14,6 +14,7 @@ from daq.frames.numbered_files import WITH, first_pairs
 from daq.frames.source import is_source, source_of
 from piv.errors import PairError
 from rtpiv.command_line.cli import DONE, USAGE, main
+from tests.loops import loop_over
 from tests.piv.conftest import make_pair
 
 N = range(1, 5)
@@ -179,8 +180,8 @@ JOINED = {"top-bottom": lambda a, b: np.vstack((a, b)), "left-right": lambda a, 
           "interlaced": interlaced}  # fmt: skip
 
 
-@pytest.mark.parametrize("layout", JOINED)
-@pytest.mark.parametrize("shift", [(3.0, 0.5), (-7.0, 4.0), (0.3, 5.0), (12.0, -9.0)])
+@loop_over("layout", JOINED)
+@loop_over("shift", [(3.0, 0.5), (-7.0, 4.0), (0.3, 5.0), (12.0, -9.0)])
 def test_both_exposures_in_one_file_are_found(layout, shift):
     one, other = (JOINED[layout](*moved(seed, shift)) for seed in (1, 2))
     across, _ = likeness(one, other)

@@ -3,9 +3,8 @@
 import random
 import threading
 
-import pytest
-
 from daq.pipeline.live_queue import LiveQueue
+from tests.loops import loop_over
 
 
 def put(queue, number, size=2, room=True):
@@ -72,8 +71,8 @@ def test_who_waits_hears_the_end():
     assert heard == [None]
 
 
-@pytest.mark.parametrize("size", [1, 2, 3])
-@pytest.mark.parametrize("seed", range(20))
+@loop_over("size", [1, 2, 3])
+@loop_over("seed", range(20))
 def test_whatever_the_speed_nothing_is_torn_lost_or_kept_twice(size, seed):
     """A thread that takes at random: every group is done as a whole or left out as a whole."""
     chance, limit = random.Random(seed), 1 + seed % 5

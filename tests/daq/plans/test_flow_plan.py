@@ -9,6 +9,7 @@ from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
 from ground.errors import ConfigError
 from tests.daq.small_bench import write_bench
+from tests.loops import loop_over
 
 LASER = (
     "  laser: {kind: timing, box: qc9520, port: /dev/one, channels: {q_switch_1: B, q_switch_2: D, camera: E, "
@@ -76,7 +77,7 @@ def test_another_dt_is_another_plan(tmp_path):
     assert one != other
 
 
-@pytest.mark.parametrize(("changes", "words"), [
+@loop_over("changes, words", [
     ({"plan": PLAN.replace("dt_us: 80.0\n", "")}, "dt_us"),
     ({"plan": PLAN.replace("80.0", "-1.0")}, "dt_us: should be greater than 0"),
     ({"plan": PLAN.replace("80.0", ".nan")}, "not a finite number"),

@@ -8,14 +8,14 @@ from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
+from tests.loops import loop_over
 
 TRIGGERED = {"TriggerMode": "On", "TriggerSource": "Software"}
 UNLIMITED = {"DeviceLinkThroughputLimit": 1e6, "DeviceLinkThroughputLimitMode": "Off"}
 SLOW = {"ExposureTime": 250_000.0, "SensorReadoutTime": 30_000.0, "PayloadSize": 6_000_000}
 
 
-@pytest.mark.parametrize(
-    ("settings", "needed_s"),
+@loop_over("settings, needed_s",
     [
         ({"ExposureTime": 250_000.0}, 0.25),
         ({"ExposureTimeAbs": 250_000.0}, 0.25),

@@ -16,6 +16,7 @@ from daq.runner.pair_finder import (
     longest_gap,
 )
 from tests.daq.runner.frame_trains import RATE_HZ, SECTIONS, Faults, arms, gap_us, train
+from tests.loops import loop_over
 
 KIND = Faults(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -68,8 +69,8 @@ def test_a_kind_camera_loses_nothing(name):
     assert judged(name, 500, seed=3, faults=KIND) == (500, 500, 0)
 
 
-@pytest.mark.parametrize("name", SECTIONS)
-@pytest.mark.parametrize("first", [1, 2, 3])
+@loop_over("name", SECTIONS)
+@loop_over("first", [1, 2, 3])
 def test_first_frames_that_were_skipped_cost_their_pairs_and_no_other(name, first):
     section = SECTIONS[name]
     frames = list(train(section, 40, KIND, random.Random(0)))
@@ -229,8 +230,8 @@ def test_the_longest_gap_leaves_ten_per_cent():
     assert (1 - spaced) / spaced == pytest.approx(1.1)
 
 
-@pytest.mark.parametrize("name", [name for name in SECTIONS if SECTIONS[name].shape != "double_height"])
-@pytest.mark.parametrize("lost", [True, False])
+@loop_over("name", [name for name in SECTIONS if SECTIONS[name].shape != "double_height"])
+@loop_over("lost", [True, False])
 def test_a_frame_between_a_and_b_is_noticed_by_its_id_although_it_never_came(name, lost):
     """The right marks, at the right distance; but the camera has counted one more in between."""
     section = SECTIONS[name]

@@ -20,6 +20,7 @@ from daq.runs.run_folder import RunFolder
 from daq.runs.seal import sealed
 from rtpiv.command_line.cli import DEVICE, main
 from tests.daq.small_run import about_run, keep_frame, planned
+from tests.loops import loop_over
 
 NAN, HUGE = float("nan"), 10**30
 GONE = object()  # a key that is taken out
@@ -67,25 +68,30 @@ LINES = [  # kind of line, place in it, value
 
 
 @pytest.mark.parametrize("sealing", [True, False])
-@pytest.mark.parametrize(("kind", "place", "value"), LINES)
-def test_a_spoilt_line_is_refused_with_its_number(open_run, kind, place, value, sealing):
+def test_a_spoilt_line_is_refused_with_its_number(open_run, sealing):
     """Sealed lines of today, and those without seals of the first layout."""
-    lines = [json.loads(line) for line in open_run.journal_path.read_text().splitlines()]
-    number = next(index for index, line in enumerate(lines) if line["kind"] == kind)
+    text = open_run.journal_path.read_text()
     if not sealing:
         tree = json.loads((open_run.path / "run.json").read_text())
         tree.pop("seal")
         (open_run.path / "run.json").write_text(json.dumps(tree | {"layout": 1}))
-    for line in lines:
-        line.pop("seal")
-    spoil(lines[number], place, value)
-    records = [json.dumps(line, separators=(",", ":")).encode() for line in lines]
-    open_run.journal_path.write_bytes(
-        b"".join((sealed(record) if sealing else record) + b"\n" for record in records)
-    )
-    with pytest.raises(RunDamaged) as caught:
-        open_run.entries()
-    one_sentence(caught, f"steps.jsonl:{number + 1}: ", "restore the file from a copy")
+
+    @loop_over("kind, place, value", LINES)
+    def check(kind, place, value):
+        lines = [json.loads(line) for line in text.splitlines()]
+        number = next(index for index, line in enumerate(lines) if line["kind"] == kind)
+        for line in lines:
+            line.pop("seal")
+        spoil(lines[number], place, value)
+        records = [json.dumps(line, separators=(",", ":")).encode() for line in lines]
+        open_run.journal_path.write_bytes(
+            b"".join((sealed(record) if sealing else record) + b"\n" for record in records)
+        )
+        with pytest.raises(RunDamaged) as caught:
+            RunFolder(open_run.path).entries()
+        one_sentence(caught, f"steps.jsonl:{number + 1}: ", "restore the file from a copy")
+
+    check()
 
 
 @pytest.mark.parametrize(
@@ -129,20 +135,25 @@ RUN = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("place", "value"), RUN)
-def test_a_spoilt_run_file_is_refused_with_its_line(open_run, place, value):
+def test_a_spoilt_run_file_is_refused_with_its_line(open_run):
     path = open_run.path / "run.json"
-    tree = json.loads(path.read_text())
-    tree.pop("seal")
-    spoil(tree, place, value)
-    path.write_bytes(sealed(json.dumps(tree, indent=1).encode()))
-    with pytest.raises(RunDamaged) as caught:
-        _ = open_run.about
-    if value is not GONE and place[0] != "layout" and place[-1] not in ("index", "first_frame", "reference"):
-        text = path.read_text().splitlines()
-        said = int(str(caught.value).split("run.json:")[1].split(":")[0])
-        assert f'"{place[-1]}"' in text[said - 1], (text[said - 1], caught.value)
-    one_sentence(caught, "run.json", "restore the file from a copy")
+    original = path.read_text()
+
+    @loop_over("place, value", RUN)
+    def check(place, value):
+        tree = json.loads(original)
+        tree.pop("seal")
+        spoil(tree, place, value)
+        path.write_bytes(sealed(json.dumps(tree, indent=1).encode()))
+        with pytest.raises(RunDamaged) as caught:
+            _ = open_run.about
+        if value is not GONE and place[0] != "layout" and place[-1] not in ("index", "first_frame", "reference"):
+            text = path.read_text().splitlines()
+            said = int(str(caught.value).split("run.json:")[1].split(":")[0])
+            assert f'"{place[-1]}"' in text[said - 1], (text[said - 1], caught.value)
+        one_sentence(caught, "run.json", "restore the file from a copy")
+
+    check()
 
 
 DONE = [

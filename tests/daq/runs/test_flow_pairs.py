@@ -9,6 +9,7 @@ from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
 from piv.errors import PairError
 from tests.daq.small_run import about_run, keep_frame, planned
+from tests.loops import loop_over
 
 PIXELS = np.full((4, 4), 7, np.uint16)
 PERIOD_NS = 100_000_000
@@ -103,7 +104,7 @@ def without(number, key):
     return change
 
 
-@pytest.mark.parametrize(("change", "line", "words"), [
+@loop_over("change, line, words", [
     (of_pair(3, exposure="A"), 5, "says exposure A where the run keeps exposure B"),
     (of_pair(2, exposure="B"), 4, "says exposure B where the run keeps exposure A"),
     (of_pair(4, dt_us=90.0), 6, "says dt_us 90 and the plan says 80"),

@@ -3,6 +3,7 @@
 import pytest
 
 from tests.daq.timing.person_stops import BOXES, HOWS, Run, listing, on_a_line, play
+from tests.loops import loop_over
 
 UNSEEN = "start"  # the string, or the six lines, that begin a burst; see `person_stops`
 
@@ -14,8 +15,8 @@ def require_dark(table):
     assert not wrong
 
 
-@pytest.mark.parametrize("how", HOWS)
-@pytest.mark.parametrize("box", BOXES)
+@loop_over("how", HOWS)
+@loop_over("box", BOXES)
 def test_nothing_leaves_after_a_person_has_ended_it(box, how):
     require_dark(listing(box, how, "write", 9))
     require_dark(listing(box, how, "time", 9))

@@ -21,6 +21,7 @@ from sim.mechanics.clock import VirtualClock
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import CommandRejected, StageError
+from tests.loops import loop_over
 
 WIRING = {Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}
 HEAD = LaserHead(max_rate_hz=100.0, pulse_us=50.0)
@@ -135,8 +136,8 @@ def test_dt_is_what_the_box_can_do(dt_us):
         assert laser.dt_us == 250.0
 
 
-@pytest.mark.parametrize("driver", FIRMWARE)
-@pytest.mark.parametrize("kind", KINDS)
+@loop_over("driver", FIRMWARE)
+@loop_over("kind", KINDS)
 def test_one_fault_at_any_answer(driver, kind):
     for answer in range(0, 30):
         with desk(driver, faults=[Fault(kind, answer, delay_s=2.0)]) as (laser, emulator, line, clock):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from daq.timing.protocols import pivlab_synchroniser, pulse_box, quantum_composers, srs_dg645
 from stages.errors import ProtocolViolation
+from tests.loops import loop_over
 
 GRAMMARS = (quantum_composers, pivlab_synchroniser, pulse_box, srs_dg645)
 CLASSES = [(grammar, cls) for grammar in GRAMMARS for cls in (*grammar.COMMANDS, *grammar.ANSWERS)]
@@ -19,7 +20,7 @@ def decode(grammar, cls, raw):
     return message
 
 
-@pytest.mark.parametrize(("grammar", "cls"), CLASSES)
+@loop_over("grammar, cls", CLASSES)
 def test_every_message_is_read_and_written_as_documented(grammar, cls):
     assert cls.examples()
     for example in cls.examples():
@@ -38,7 +39,7 @@ def mutants(value):
     return [value + "1"] if isinstance(value, str) else ["1"]
 
 
-@pytest.mark.parametrize(("grammar", "cls"), CLASSES)
+@loop_over("grammar, cls", CLASSES)
 def test_every_field_counts(grammar, cls):
     for example in cls.examples():
         for field in dataclasses.fields(cls):

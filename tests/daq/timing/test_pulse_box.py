@@ -20,6 +20,7 @@ from stages.errors import NoReply, StageError, WrongDevice
 from tests.daq.bench.test_timing_kind import GOOD, bench_with
 from tests.daq.runner.test_laser_trials import TIMING, WRONG, Hands
 from tests.daq.timing.test_quantum_composers import EXPOSURES, desk
+from tests.loops import loop_over
 
 
 @contextmanager
@@ -44,8 +45,8 @@ def give(emulator, clock, number, period_us, width_us, phase_us=0.0):
     clock.advance_to(begun_s + 1e-6 * period_us * number + 0.1)
 
 
-@pytest.mark.parametrize("clock_off", [0.0, 1e-4, -1e-4])
-@pytest.mark.parametrize(("rate_hz", "width_us"), [(10.0, 10.0), (10.0, 400.0), (1.0, 10.0), (100.0, 10.0)])
+@loop_over("clock_off", [0.0, 1e-4, -1e-4])
+@loop_over("rate_hz, width_us", [(10.0, 10.0), (10.0, 400.0), (1.0, 10.0), (100.0, 10.0)])
 def test_every_edge_is_counted_once(clock_off, rate_hz, width_us):
     period_us = 1e6 / rate_hz
     with counter(clock_off=clock_off) as (box, emulator, clock):
@@ -119,7 +120,7 @@ NEEDS_TIMES = {"a pulse is late", "twice as fast", "a tenth too slow"}  # which 
 OF_THE_MARKER = {"marker one fewer", "the marker is dead"}
 
 
-@pytest.mark.parametrize("wrong", sorted(WRONG.keys() - NEEDS_TIMES - OF_THE_MARKER))
+@loop_over("wrong", sorted(WRONG.keys() - NEEDS_TIMES - OF_THE_MARKER))
 def test_and_a_wrong_one_is_not(wrong):
     with desk() as d:
         WRONG[wrong](d)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from daq.timing.errors import PulsesRefused
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role, schedule_of
+from tests.loops import loop_over
 
 LAMPS = LaserHead(
     max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0), q_switch_to_light_us=(0.1, 0.2), min_dt_us=1.0
@@ -69,8 +70,7 @@ def test_a_second_trigger_begins_exposure_b():
     assert pulses[Role.CAMERA_B].delay_us - pulses[Role.CAMERA].delay_us == pytest.approx(10_000.0)
 
 
-@pytest.mark.parametrize(
-    ("timing", "head", "exposures", "words"),
+@loop_over("timing, head, exposures, words",
     [
         ((200_000.0, 10.0), LAMPS, DOUBLE, "longer than the 100000 us from pair to pair"),
         ((90_000.0, 10.0), LAMPS, DOUBLE, "does not fit into the two exposures of the camera: 3.5 to"),

@@ -7,6 +7,7 @@ import pytest
 from tests.fuzz.benches.play import Player
 from tests.fuzz.benches.sequences import Command, written
 from tests.fuzz.benches.stages import Playground
+from tests.loops import loop_over
 
 BEFORE = [["move", {"glass_z": 25.0}], ["move", {"glass_x": 0.0}]]  # the ball stands between target and lens
 DURING = {
@@ -53,7 +54,7 @@ def played(playground, controller, do, what, number, action):
     assert not findings, f"{findings[0]}  --replay '{written(sequence)}'"
 
 
-@pytest.mark.parametrize(("controller", "number"), CASES)
+@loop_over("controller, number", CASES)
 def test_at_some_places(controller, number):
     playground, do = Playground(longest_s=0), DURING[controller][number]
     for place, action in zip(itertools.cycle((1, 7) if number else (3, 9)), ACTIONS + OF_THE_BOX[controller]):

@@ -13,6 +13,7 @@ from piv.correlation.settings import PivSettings, settings_of
 from piv.correlation.sizes import widened
 from piv.correlation.windows import WindowGrid, spaced, window_grid
 from piv.errors import PairError
+from tests.loops import loop_over
 from tests.piv.correlation import flows
 from tests.piv.fixed_windows import evaluate_pair
 
@@ -171,8 +172,8 @@ def test_settings_that_a_file_has_kept():
         PivSettings(windows_px=(32,), finest_px=16)
 
 
-@pytest.mark.parametrize("name", ["windows_px", "finest_px", "extra_passes"])
-@pytest.mark.parametrize("value", ["shown", float("inf"), float("nan"), None, {}])
+@loop_over("name", ["windows_px", "finest_px", "extra_passes"])
+@loop_over("value", ["shown", float("inf"), float("nan"), None, {}])
 def test_what_a_damaged_file_says_of_settings_is_refused_in_a_way_that_its_reader_knows(name, value):
     """A word where a size should be, as in a series.json of which two keys have run into one."""
     kept = {"windows_px": [64, 32], "finest_px": 16, "extra_passes": 2}

@@ -12,6 +12,7 @@ import tifffile
 from ground import terminal
 from piv.errors import FrameError
 from piv.files.frame_file import read_frame
+from tests.loops import loop_over
 
 RNG = np.random.default_rng(0)
 RGB8 = RNG.integers(0, 256, (40, 50, 3)).astype(np.uint8)
@@ -116,10 +117,8 @@ def test_what_a_jpeg_says_of_itself_is_not_believed(tmp_path):
         read_frame(tmp_path / "a.jpg")
 
 
-@pytest.mark.parametrize("comment", [b" ", b"\n# by a camera\n", b"\n# a\n# b 1 2\n"])
-@pytest.mark.parametrize(
-    ("most", "kind"), [(255, np.uint8), (100, np.uint8), (4095, np.uint16), (65535, np.uint16)]
-)
+@loop_over("comment", [b" ", b"\n# by a camera\n", b"\n# a\n# b 1 2\n"])
+@loop_over("most, kind", [(255, np.uint8), (100, np.uint8), (4095, np.uint16), (65535, np.uint16)])
 def test_a_pgm_is_read_number_by_number(tmp_path, most, kind, comment):
     shown = RNG.integers(0, most + 1, (40, 50)).astype(kind)
     head = b"P5" + comment + b"50" + comment + b"40\n" + str(most).encode() + b"\n"

@@ -5,6 +5,7 @@ import pytest
 
 from piv.errors import FrameError
 from piv.preprocessing.sliding_minimum import DARK_SHARE, without_sliding_minimum
+from tests.loops import loop_over
 
 
 def brute_force(frames, reach):
@@ -16,8 +17,8 @@ def brute_force(frames, reach):
     return clean
 
 
-@pytest.mark.parametrize("reach", [1, 4, 20])
-@pytest.mark.parametrize("count", [2, 5, 9, 23])
+@loop_over("reach", [1, 4, 20])
+@loop_over("count", [2, 5, 9, 23])
 def test_it_is_brute_force_to_the_last_bit(count, reach):
     frames = np.random.default_rng(count).integers(0, 65536, (count, 5, 6)).astype(np.uint16)
     clean = list(without_sliding_minimum(iter(frames), reach))

@@ -6,6 +6,7 @@ import pytest
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorFlag
 from piv.preprocessing.still_light import across_pairs, still_light
+from tests.loops import loop_over
 from tests.piv.conftest import draw, make_pair
 from tests.piv.fixed_windows import evaluate_pair
 
@@ -118,8 +119,8 @@ def test_counts_of_any_size_show_the_same_wall(scale, kind):
     np.testing.assert_array_equal(still_light([pair], EVERYWHERE), still_light([over_a_wall(7)], EVERYWHERE))
 
 
-@pytest.mark.parametrize("rows", [189, 190, 191, 192])
-@pytest.mark.parametrize("columns", [221, 222, 223])
+@loop_over("rows", [189, 190, 191, 192])
+@loop_over("columns", [221, 222, 223])
 def test_frames_have_any_size(rows, columns):
     pair = [frame[:rows, :columns] for frame in over_a_wall(1)]
     still, whole = still_light([pair], np.ones((rows, columns), bool)), still_light([over_a_wall(1)], EVERYWHERE)

@@ -28,6 +28,7 @@ from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import FileCheck, check
 from rtpiv.verbs.init import FILES, QUESTIONS, GivenLab, init
+from tests.loops import loop_over
 from tests.slow_cases import slow
 from tracer.light_table import LightTable
 from tracer.scene.scene_file import load_priors, load_scene
@@ -117,8 +118,8 @@ def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
         assert load_yaml(file).tree == tree
 
 
-@pytest.mark.parametrize(
-    ("arrangement", "balls"),
+@loop_over(
+    "arrangement, balls",
     [
         *(
             ("behind", 3),

@@ -1,9 +1,9 @@
 """Camera bytes against bit strings written out by hand."""
 
 import numpy as np
-import pytest
 
 from sim.camera.packing import FORMATS, pack, payload_bytes, to_format_bits
+from tests.loops import loop_over
 
 
 def bits_by_definition(name, pixels):
@@ -26,8 +26,8 @@ def bits_by_definition(name, pixels):
     return b"".join(value.to_bytes(1 if name == "Mono8" else 2, "little") for value in pixels)
 
 
-@pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 5), (4, 6), (5, 1)])
+@loop_over("name", FORMATS)
+@loop_over("shape", [(1, 1), (1, 2), (3, 5), (4, 6), (5, 1)])
 def test_bytes_are_those_of_the_standard(name, shape):
     top = 1 << FORMATS[name][2]
     image = np.random.default_rng(3).integers(0, top, shape, dtype=np.uint16)

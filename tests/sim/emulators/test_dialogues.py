@@ -12,6 +12,7 @@ from sim.mechanics.clock import VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
 from sim.timing_boxes import pivlab_synchroniser, quantum_composers, srs_dg645
 from stages.drivers_by_name import DRIVERS
+from tests.loops import loop_over
 
 TIMING = {
     "quantum_composers": quantum_composers.EMULATOR, "pivlab_synchroniser": pivlab_synchroniser.EMULATOR,
@@ -82,7 +83,7 @@ class Replay:
             assert fnmatch.fnmatchcase(heard, pattern), f"{heard!r} is not {rest!r}"
 
 
-@pytest.mark.parametrize(("protocol", "setup", "lines"), list(dialogues()))
+@loop_over("protocol, setup, lines", list(dialogues()))
 def test_documented_dialogue(protocol, setup, lines):
     replay = Replay(protocol, setup)
     for line in lines:

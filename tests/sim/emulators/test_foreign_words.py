@@ -3,8 +3,7 @@
 import json
 import re
 
-import pytest
-
+from tests.loops import loop_over
 from tests.sim.emulators.foreign_words import FILE, pulse_generator_word
 from tests.stages.test_devices_page import rows
 
@@ -16,7 +15,7 @@ CLAIMS = [
 ]
 
 
-@pytest.mark.parametrize(("section", "word", "client"), CLAIMS)
+@loop_over("section, word, client", CLAIMS)
 def test_a_foreign_client_is_named_for_words_that_it_has_said(section, word, client):
     (said,) = [words[section] for name, words in HEARD.items() if name.startswith(client)]
     if section == "qc9510":

@@ -11,6 +11,7 @@ from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.kernels.surfaces import entry_rod, entry_sphere, snell
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
+from tests.loops import loop_over
 from tracer.bodies import Core, Rod, Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.errors import SceneError
@@ -179,8 +180,8 @@ def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
     assert meeting[2] == pytest.approx(meeting[0], abs=1e-10)
 
 
-@pytest.mark.parametrize("cores", [(), ((20.0, 1.0),), ((24.0, 1.0003), (15.0, 1.6), (9.0, 1.2))])
-@pytest.mark.parametrize("name", sorted(SCENES))
+@loop_over("cores", [(), ((20.0, 1.0),), ((24.0, 1.0003), (15.0, 1.6), (9.0, 1.2))])
+@loop_over("name", sorted(SCENES))
 def test_two_formulations_agree(name, cores):
     """Quadratic and vectors here, foot points and rotations in the tracer: the same plane points and light."""
     scene = misaligned(named_scene(name), seed=7, barrel=0.01)

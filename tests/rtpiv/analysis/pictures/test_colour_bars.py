@@ -3,17 +3,17 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from rtpiv.analysis.pictures.plane_axes import colour_bar, plane_panels
+from tests.loops import loop_over
 
 LABELS = ("speed [m/s]", "difference from the known shift [px]", "sigma by the flow through the sheet [m/s]")
 
 
-@pytest.mark.parametrize("ratio", [0.15, 0.375, 1.0, 3.0])
-@pytest.mark.parametrize("label", LABELS)
-@pytest.mark.parametrize("highest", [0.0035, 0.9, 120.0])
+@loop_over("ratio", [0.15, 0.375, 1.0, 3.0])
+@loop_over("label", LABELS)
+@loop_over("highest", [0.0035, 0.9, 120.0])
 def test_no_label_is_cut_off_and_no_number_touches_another(ratio, label, highest):
     figure, (axes,) = plane_panels(ratio)
     FigureCanvasAgg(figure)

@@ -22,6 +22,7 @@ from rtpiv.analysis.report.tables import (
 )
 from rtpiv.analysis.report.verdict import claim_said, worst_claim
 from tests.correction.evaluate.vectors import uniform_field
+from tests.loops import loop_over
 
 SHIFT_PX = (4.0, -3.0)
 
@@ -68,9 +69,9 @@ def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
     assert glass.where(evaluation()).sum() == 400 <= glass.nodes(evaluation())
 
 
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("moved", [0.3, 0.001, None])
-@pytest.mark.parametrize("slanted", [0.1, None])
+@loop_over("known", [True, False])
+@loop_over("moved", [0.3, 0.001, None])
+@loop_over("slanted", [0.1, None])
 def test_no_part_is_larger_than_its_total(known, moved, slanted):
     for total in totals_of(evaluation(known=known, moved=moved, slanted=slanted)):
         named = "sigma by the flow through the sheet" in dict(total.parts)
