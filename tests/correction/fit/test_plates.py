@@ -25,7 +25,7 @@ from tracer.scene.fit_section import FitCameraTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 
-PITCH_MM, STEP_MM = 3.5, 1.2
+PITCH_MM, STEP_MM = 5.0, 1.2
 SIGMA = {"scale_sigma": (1e-4, 1e-4), "step_sigma_mm": 0.01}
 
 
@@ -36,7 +36,7 @@ def plate(levels, step_mm=STEP_MM, pitch_mm=PITCH_MM, bright=True):
     return board, (Plate if levels else DotGrid)(pitch_mm, 0.65 * pitch_mm, **words)
 
 
-def bare(paper, size_px=504):
+def bare(paper, size_px=360):
     """A nominal camera, and a frame of the bare target by one that stands a little elsewhere."""
     nominal = at_size(named_scene("two_spheres_500"), size_px)
     scene = misaligned(nominal, 3).with_bodies(())
@@ -68,7 +68,7 @@ def test_marks_of_a_level_land_where_its_plane_is(levels):
         (("rows", 1.2), ("rows", 1.0), "by rows, .* 1.20. mm behind .* step_mm: 1; say"),
         (("rows", 1.2), ("columns", 1.2), "by rows, .* levels: columns"),
         (("alternating", 1.2), ("rows", 1.2), "by alternating, .* levels: rows"),
-        (("columns", -0.8), ("columns", 0.8), "by columns, .* -0.80\\d* mm behind"),
+        (("columns", -0.8), ("columns", 0.8), "by columns, .* -0.(80|79[5-9])\\d* mm behind"),
         (("rows", 1.2), ("", 0.0), "by rows, .* nothing of levels"),
         (("", 0.0), ("rows", 1.2), "all dots on one level"),
     ],
@@ -92,7 +92,7 @@ def test_a_plate_told_right_fits_and_says_its_step():
 def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_off():
     scene = misaligned(at_size(named_scene("two_spheres_500"), 504), 5)
     board, paper = plate("rows", 1.0, 5.0)
-    frame = EXACT.expose(render_irradiance(scene, paper, samples=8, seed=1), seed=0)
+    frame = EXACT.expose(render_irradiance(scene, paper, samples=5, seed=1), seed=0)
     shown = expect(scene, TargetPose(), board)
     shown = shown.take(shown.branch > 0)
     fit = measure(frame, shown, board)
@@ -113,7 +113,7 @@ def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles
     [(3, "rows", True), (4, "rows", True), (5, "rows", True), (3, "alternating", False), (4, "columns", False)],
 )
 def test_the_map_behind_two_balls_is_right_by_plates(seed, levels, bright):
-    board, paper = plate(levels, 1.0, bright=bright)
+    board, paper = plate(levels, 1.0, 3.5, bright)
     nominal = at_size(named_scene("two_spheres_500"), 1008)
     truth = misaligned(nominal, seed)
     frames = [
@@ -147,7 +147,7 @@ def of_one_frame(degrees, levels, seed):
     focal, principal = FOCAL_PX + rng.normal(0.0, 40.0), np.array(middle) + rng.normal(0.0, 12.0, 2)
     rotation = look_at(tuple(place.tolist()), aim, 0.05 + 0.02 * rng.normal())
     true = camera_at(tuple(place.tolist()), rotation, float(focal), tuple(principal.tolist()))
-    board, paper = plate(levels, 1.0)
+    board, paper = plate(levels, 1.0, 3.5)
     scale = tuple((1.0 + SIGMA["scale_sigma"][0] * rng.normal(size=2)).tolist())
     dots = paper.dots
     if levels:  # as well as its maker knows
