@@ -13,6 +13,7 @@ the next corner (1 square away) and are thinner than the distance from an edge t
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,20 @@ QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
     ((-1, 0), (0, -1)),
     ((0, 1), (-1, 0)),
 )
+
+
+@cache
+def _turned_discs(
+    discs: tuple[Square, ...], odd_bright: bool | None, turn: tuple[Square, Square]
+) -> frozenset[tuple[int, int, bool]]:
+    """Disc squares after a turn, relative to their lowest column and row, with their shade (None: all alike).
+
+    Cached, since a fit makes a stretched board for each evaluation of its residuals.
+    """
+    cells = np.array(discs) @ np.array(turn).T
+    cells -= cells.min(axis=0)
+    bright = (np.array(discs).sum(axis=1) % 2 == 1) == odd_bright
+    return frozenset((int(i), int(j), bool(b)) for (i, j), b in zip(cells, bright, strict=True))
 
 
 @dataclass(frozen=True)
@@ -110,11 +125,7 @@ class Chessboard(Board):
             )
 
     def _shape(self, turn: tuple[Square, Square]) -> frozenset[tuple[int, int, bool]]:
-        """Disc squares after a turn, relative to their lowest column and row, with their shade."""
-        cells = np.array(self.discs) @ np.array(turn).T
-        cells -= cells.min(axis=0)
-        bright = self.is_bright(np.array(self.discs)) & (self.dots is None)
-        return frozenset((int(i), int(j), bool(b)) for (i, j), b in zip(cells, bright, strict=True))
+        return _turned_discs(self.discs, self.odd_bright if self.dots is None else None, turn)
 
     @property
     def is_mirror_symmetric(self) -> bool:

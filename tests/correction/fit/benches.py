@@ -38,11 +38,17 @@ class Unknowns:
 
 
 @cache
-def bench(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tuple[float, ...] = ()) -> Unknowns:
-    """Photograph the target at z = 0 and at further heights."""
-    nominal = at_size(named_scene(name), SIZE_PX)
+def bench(
+    name: str,
+    seed: int,
+    bare_mm: tuple[float, ...] = (),
+    glass_mm: tuple[float, ...] = (),
+    size_px: int = SIZE_PX,
+) -> Unknowns:
+    """Photograph the target at z = 0 and further heights; a smaller sensor sees fewer squares, as wide in px."""
+    nominal = at_size(named_scene(name), size_px)
     truth = misaligned(nominal, seed, barrel=BARREL_35MM if name == "one_sphere_250" else 0.0)
-    square = FINE.get(name, SQUARE_MM)
+    square = FINE.get(name, SQUARE_MM) * SIZE_PX / size_px
     frames = []
     for glass, heights in ((False, (0.0, *bare_mm)), (True, (0.0, *glass_mm))):
         scene = truth if glass else truth.with_bodies(())

@@ -14,11 +14,11 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.patterns import DotGrid
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tests.correction.fit.benches import BOARD, bench
+from tests.correction.fit.benches import bench
 from tracer.board import LARGE_DOTS, Dots
 from tracer.scene.scene_file import load_priors, load_scene
 
-MADE = "two_spheres_500", 6, (-10.0, 10.0)
+MADE = "two_spheres_500", 6, (-10.0, 10.0), (), 714
 TANK = """
 wavelength_nm: 532.0
 camera: {focal_px: 1600.0, position_mm: [0.0, 0.0, 700.0], sensor_px: [480, 384]}
@@ -30,19 +30,13 @@ fit:
 """
 
 
-def refused(frames, nominal=None, board=BOARD):
-    with pytest.raises(CorrectionError) as said:
-        fit_scene(nominal or bench(*MADE).nominal, frames, board)
-    return str(said.value)
-
-
 def test_exchanged_files_are_named():
     """The frame with glass is called bare, and the bare one is called that with glass; renamed they fit."""
     frames = bench(*MADE).frames
     at_zero = [frame for frame in frames if frame.height_mm == 0.0]
-    said = refused([replace(frame, glass=not frame.glass) for frame in at_zero])
-    assert "shows the bare target without glass" in said
-    assert "the files are exchanged" in said
+    exchanged = [replace(frame, glass=not frame.glass) for frame in at_zero]
+    with pytest.raises(CorrectionError, match=r"shows the bare target without glass.*the files are exchanged"):
+        fit_scene(bench(*MADE).nominal, exchanged, bench(*MADE).board)
 
 
 def test_exchanged_heights_are_named():
@@ -50,8 +44,8 @@ def test_exchanged_heights_are_named():
     nominal = bench(*MADE).nominal.with_bodies(())
     swapped = [replace(frame, height_mm=-frame.height_mm) for frame in bare]
     with pytest.raises(FitFailed, match=r"with its heights exchanged: z\+ and z- are swapped"):
-        fit_scene(nominal, swapped, BOARD)
-    fit_scene(nominal, bare, BOARD)  # as advised
+        fit_scene(nominal, swapped, bench(*MADE).board)
+    fit_scene(nominal, bare, bench(*MADE).board)  # as advised
 
 
 @pytest.mark.parametrize(
@@ -66,7 +60,7 @@ def test_turned_frames_are_named(turn, words):
     bare = next(frame for frame in bench(*MADE).frames if not frame.glass)
     nominal = bench(*MADE).nominal.with_bodies(())
     with pytest.raises(TargetNotFound, match=words):
-        fit_scene(nominal, [replace(bare, image=np.ascontiguousarray(turn(bare.image)))], BOARD)
+        fit_scene(nominal, [replace(bare, image=np.ascontiguousarray(turn(bare.image)))], bench(*MADE).board)
 
 
 @pytest.fixture

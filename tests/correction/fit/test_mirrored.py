@@ -7,19 +7,19 @@ import pytest
 
 from correction.fit.scene_fit import fit_scene
 from ground.errors import ConfigError
-from tests.correction.fit.benches import BOARD, bench
+from tests.correction.fit.benches import bench
 from tracer.scene.scene_file import dump_scene, load_scene
 from tracer.strategies.trace import trace
 
-MADE = "one_sphere_500", 3
+MADE = "two_spheres_500", 6, (), (), 714
 
 
 def test_frames_from_right_to_left_give_the_same_scene_and_map():
     made = bench(*MADE)
     camera = made.nominal.camera
     mirrored = [replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1])) for frame in made.frames]
-    usual = fit_scene(made.nominal, made.frames, BOARD).measured_scene
-    found = fit_scene(replace(made.nominal, camera=camera.mirrored()), mirrored, BOARD).measured_scene
+    usual = fit_scene(made.nominal, made.frames, made.board).measured_scene
+    found = fit_scene(replace(made.nominal, camera=camera.mirrored()), mirrored, made.board).measured_scene
     assert found.camera.is_mirrored
     assert np.abs(np.subtract(found.camera.position_mm, usual.camera.position_mm)).max() < 1e-3
     for one, other in zip(found.spheres, usual.spheres, strict=True):

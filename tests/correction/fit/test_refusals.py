@@ -9,11 +9,14 @@ from correction.errors import FitFailed, GlassNotSeen, TargetNotFound, ViewsMiss
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.target import Chessboard
-from tests.correction.fit.benches import BOARD, SIZE_PX, SQUARE_MM, bench, photograph
+from tests.correction.fit.benches import bench, photograph
 from tests.correction.fit.rendered_labs import photographed
 from tracer.media import ConstantMedium
 
-MADE = ("two_spheres_500", 6)
+SIZE_PX = 714
+MADE = ("two_spheres_500", 6, (), (), SIZE_PX)
+BOARD = bench(*MADE).board
+SQUARE_MM = BOARD.square_mm
 
 
 def clear_and_glass():
@@ -50,7 +53,9 @@ def test_squares_too_small_through_the_glass():
     """A small ball far from the target shows all of it, far too small."""
     nominal = bench(*MADE).nominal
     scene = nominal.with_bodies([replace(nominal.spheres[0], centre_mm=(10.0, 5.0, 150.0), radius_mm=16.0)])
-    frames = [photograph(scene if glass else scene.with_bodies(()), glass, 0.0, 1) for glass in (False, True)]
+    frames = [
+        photograph(scene if glass else scene.with_bodies(()), glass, 0.0, 1, SQUARE_MM) for glass in (False, True)
+    ]
     with pytest.raises(GlassNotSeen, match=r"squares look \d\.\d px wide through the glass, 10 are needed; print"):
         fit_scene(scene, frames, BOARD)
 
@@ -108,7 +113,7 @@ def test_a_sphere_that_the_scene_does_not_list_is_never_silent():
 def test_another_square_than_believed_is_noticed_by_the_distance():
     truth = bench(*MADE).truth
     clear = photograph(truth.with_bodies(()), False, 0.0, 1, square_mm=1.1 * SQUARE_MM)
-    with pytest.raises(FitFailed, match=r"1\.1 times as large as .* give the right square_mm \(about 3\.8\d\)"):
+    with pytest.raises(FitFailed, match=r"1\.1 times as large as .* give the right square_mm \(about 5\.4\d\)"):
         fit_scene(bench(*MADE).nominal.with_bodies(()), [clear], BOARD)
 
 
