@@ -73,7 +73,7 @@ REFUSED = [  # dialect, settings, reason
 
 
 def behind_both(rows):
-    """Rows with a rig: each Harvesters camera is a process, so two of three rows are slow where Aravis is at hand."""
+    """Rows with a rig: each Harvesters camera is a process, so most are slow where Aravis is at hand."""
     dear = pytest.mark.slow if find_library("aravis-0.8") else ()
     harvesters = [
         pytest.param(HarvestersRig, *row, marks=dear if number % 3 else ()) for number, row in enumerate(rows)
