@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow test-without-posix slow slow-balance docs docs-check coverage dist labs lab-table fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
+.PHONY: demo test test-slow test-without-posix slow slow-balance docs docs-check coverage dist labs lab-table fuzz lamps sheets starts benchmark bench lint style types fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -30,8 +30,8 @@ demo: $(STAMP)
 	$(BIN)/rtpiv demo -o demo
 
 test: $(STAMP)
-	@$(MAKE) --no-print-directory -j4 compiled-rays compiled-frames lint collected
-	@$(MAKE) --no-print-directory fast-tests
+	@$(MAKE) --no-print-directory -j4 compiled-rays compiled-frames style collected
+	@$(MAKE) --no-print-directory -j2 fast-tests types
 	@$(BIN)/python -m tests.slow_suite
 
 fast-tests: $(STAMP)
@@ -157,11 +157,16 @@ compiled-frames: $(STAMP)
 collected: $(STAMP)
 	-@[ -d tests/__pycache__ ] || $(BIN)/python -m pytest -n0 -q --collect-only >/dev/null
 
-lint: $(STAMP)
+lint: style types
+
+style: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# A minute without its cache, beside tests that often wait; they come first where cores are few.
+types: $(STAMP)
+	nice $(BIN)/mypy
 
 # The picture in the README: the demo's report in a headless browser (needs chromium).
 picture: demo

@@ -34,8 +34,8 @@ for name in {"SIGHUP", "SIGQUIT", "SIGTSTP"} & set(dir(signal)):
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One process more than cores: a fifth of the time a test waits for a program, a port or a disk."""
-    return (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1) + 1
+    """Two processes more than cores: a third of the time a test waits for a program, a port or a disk."""
+    return (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1) + 2
 
 
 # The files that take longest begin: they are handed out in order (--no-loadscope-reorder), and the last are short.
