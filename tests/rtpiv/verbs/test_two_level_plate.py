@@ -63,6 +63,7 @@ def test_the_run_of_a_plate_is_calibrated_by_its_own_board(lab, tmp_path, capsys
     assert found["map_sigma_px"]["behind glass"]["largest"] < 0.1
 
 
+@pytest.mark.slow  # ten seconds of search; fit/test_plates names what is told wrong, on bare frames
 def test_frames_of_a_plate_that_is_told_as_another_are_refused(lab, tmp_path, capsys):
     """The same frames in a folder that is no run: the board stands on the command line."""
     steps = json.loads((run_of(lab) / "run.json").read_text())["steps"]
