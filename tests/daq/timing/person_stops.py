@@ -13,6 +13,7 @@ import argparse
 import math
 from collections import Counter
 from contextlib import contextmanager, suppress
+from functools import cache
 
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions, Rules
@@ -188,6 +189,7 @@ def play(box, how, at=None, by="write"):
         return run.play(at, by)
 
 
+@cache
 def passed(box, by):
     """Exchanges, bytes or seconds of a run that nobody disturbs, once it is warm."""
     with on_a_line(Run(box, "STOP")) as run:
