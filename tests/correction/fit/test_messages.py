@@ -18,6 +18,7 @@ from tests.correction.fit.drawn_labs import photographed
 from tests.correction.fit.drawn_optics import Lab
 from tests.correction.fit.faulty_labs import right
 from tests.loops import loop_over
+from tests.slow_cases import slow
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
@@ -107,7 +108,7 @@ def bare_fit(share: float, told: float) -> Progress:
     return work
 
 
-@pytest.mark.parametrize("share", [0.03, -0.03])
+@pytest.mark.parametrize("share", [0.03, slow(-0.03)])
 def test_heights_that_are_off_by_one_factor_are_named_and_followed_by_a_right_fit(share):
     with pytest.raises(FitFailed, match="heights of the target seem to be") as refused:
         bare_fit(share, 0.0)

@@ -4,8 +4,6 @@ import fnmatch
 import json
 from pathlib import Path
 
-import pytest
-
 from sim.emulators import emulator_class
 from sim.emulators.isel_dnc import IselEmulator
 from sim.mechanics.clock import VirtualClock
@@ -31,7 +29,7 @@ def dialogues():
         setup = json.loads(next(line for line in head.splitlines() if line.startswith("@")).removeprefix("@"))
         for part in parts:
             title, *lines = part.splitlines()
-            yield pytest.param(protocol, setup, lines, id=f"{protocol}: {title}")
+            yield f"{protocol}: {title}", protocol, setup, lines
 
 
 def spoken(text):
@@ -83,8 +81,8 @@ class Replay:
             assert fnmatch.fnmatchcase(heard, pattern), f"{heard!r} is not {rest!r}"
 
 
-@loop_over("protocol, setup, lines", list(dialogues()))
-def test_documented_dialogue(protocol, setup, lines):
+@loop_over("title, protocol, setup, lines", dialogues())
+def test_documented_dialogue(title, protocol, setup, lines):
     replay = Replay(protocol, setup)
     for line in lines:
         if line and not line.startswith("#"):
