@@ -41,20 +41,17 @@ def pytest_xdist_auto_num_workers() -> int:
 # The files that take longest begin: they are handed out in order (--no-loadscope-reorder), and the last are short.
 # Those that compile what another file asks for as well begin long before it: two processes would compile it twice.
 LONG = (
-    "test_correction_map.py",
-    "tracer/test_walls.py",
-    "test_bed_sheets.py",
-    "test_report.py",
-    "test_board_search.py",
-    "test_any_byte.py",
-    "test_flows.py",
-    "test_init.py",
-    "test_shells.py",
-    "test_names_and_limits.py",
-    "test_stages.py",
-    "test_series_verbs.py",
-    "test_what_the_system_refuses.py",
-)
+    "test_correction_map.py", "tracer/test_walls.py", "test_bed_sheets.py", "test_external_light.py",
+    "test_dependent_features.py", "fit/test_plates.py", "cameras/test_contract.py", "live/test_page.py",
+    "test_find_sheet.py", "test_laser_ends.py", "test_laser_trials.py", "test_environment.py",
+    "test_names_of_files.py", "test_board_search.py", "test_report.py", "test_any_byte.py",
+    "test_stop_signals.py", "test_run_series.py", "test_person_stops.py", "test_harvesters.py",
+    "test_photographs.py", "test_foreign_libraries.py", "test_flows.py", "test_init.py", "test_port.py",
+    "test_shells.py", "test_two_level_plate.py", "test_laser_verb.py", "stages/test_foreign.py",
+    "test_camera_lies.py", "test_names_and_limits.py", "test_stages.py", "test_causes.py", "test_watchdog.py",
+    "test_series_verbs.py", "test_what_the_system_refuses.py", "test_hard_scenes.py", "test_refusals.py",
+    "verbs/test_imports.py", "test_pair_shapes.py",
+)  # fmt: skip
 
 
 SLOW_S = 3600.0  # what hangs is ended; what waits for a busy core is not
