@@ -32,6 +32,11 @@ from tests.daq.runner.test_flow_step import chunks, judge
 def told_light(monkeypatch):
     need_harvesters()
     monkeypatch.setattr(world, "LitFlow", ToldLight)
+    # The world keeps pace with the wall while pulses come: only once the camera waits, or homing takes 30 s.
+    is_awaited, triggers, arm = threading.Event(), SimulatedTiming.triggers_camera.fget, PairSource.arm
+    paced = property(lambda unit: is_awaited.is_set() and triggers(unit))
+    monkeypatch.setattr(SimulatedTiming, "triggers_camera", paced)
+    monkeypatch.setattr(PairSource, "arm", lambda self: (is_awaited.set(), arm(self)))
 
 
 def write_foreign(folder, shape="two_blocks", rate_hz=25.0, dt_us=100.0, plan_more="", **changes):
@@ -138,7 +143,7 @@ def test_the_wait_for_the_first_trigger_ends_on_request(tmp_path, monkeypatch):
     told = []
 
     def ask_for_the_end(self):
-        threading.Timer(3.0, lambda: setattr(self, "_presses", 1)).start()
+        threading.Timer(1.0, lambda: setattr(self, "_presses", 1)).start()
         told.append(True)
         return enter(self)
 
