@@ -6,7 +6,7 @@ the loopback.  `bench_table` says what can be chosen, `world` what is true.
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -163,6 +163,10 @@ class SimulatedBench:
     def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Turn an axis without a motor, and type what its scale seems to read."""
         return self._stages.turns(question, given_up)
+
+    def place(self, positions_mm: Mapping[str, float]) -> None:
+        """Let axes stand elsewhere, without any motor."""
+        self._stages.place(positions_mm)
 
     def seed(self, is_open: bool) -> None:
         """Open or close the seeding of the flow."""

@@ -144,6 +144,11 @@ class SimulatedStages:
             self.lines[self.config.axes[axis].controller].emulator.advance()
             self.motors[axis].slip(distance_mm)
 
+    def place(self, positions_mm: Mapping[str, float]) -> None:
+        """Let carriages stand elsewhere from now on, which no controller knows."""
+        for axis, there_mm in positions_mm.items():
+            self.slip(axis, self.config.axes[axis].sign * (there_mm - self.true_mm(axis)))
+
     def jam(self, axis: str) -> None:
         """Let the carriage of an axis be stuck from now on; pulses go on, and an encoder notices."""
         with self.lines[self.config.axes[axis].controller].lock:

@@ -53,6 +53,10 @@ class Simulation(Protocol):
         """Files that tell the truth, by name, to score a run by; nothing that works on the run may read them."""
         ...
 
+    def place(self, positions_mm: Mapping[str, float]) -> None:
+        """Let axes stand elsewhere, where no command has moved them: of a page that moves nothing."""
+        ...
+
     def seed(self, is_open: bool) -> None:
         """Open or close the seeding of a simulated flow, which at a real bench a person does."""
         ...

@@ -13,7 +13,7 @@ from correction.maps.corrector import Corrector
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
 from daq.bench.elements import CAMERA
-from daq.bench.opened import OpenBench, open_bench
+from daq.bench.opened import open_bench
 from daq.cameras.frame import Frame
 from daq.live.live_page import BYTES_PER_PX, LivePage
 from daq.pipeline.corrections import Corrections
@@ -28,7 +28,6 @@ from tracer.scene.scene_file import load_scene
 if TYPE_CHECKING:
     from rtpiv.analysis.through_glass import ThroughGlass
 
-NEAR_MM = 0.5  # of the place in the scene file: a correction is near enough to be looked at
 BATCH = 1000  # frames of one arming
 
 
@@ -48,7 +47,7 @@ def live(
     bench : path
         bench.yaml; its camera is opened with its settings, nothing else is touched.
     simulate : bool
-        Use its simulation.
+        Use its simulation, with every axis at the place in the scene file.
     scene : path, optional
         Scene for the correction, such as a fitted one; default is the bench's.
     correct : bool
@@ -86,17 +85,15 @@ def live(
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
         exposures = CameraSession(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s)
         exposures.set_up()
-        away = _away(loaded, hardware)
-        if away and corrector is not None:
-            corrector = None
-            screen.print(f"no correction is shown: {away}", soft_wrap=True, highlight=False)
+        if hardware.simulation is not None:  # its axes begin where they were switched off; no stage is opened
+            hardware.simulation.place(loaded.home_mm)
         page.say("waiting for the camera's first frame")
         seen, begun_s = 0, time.monotonic()
         try:
             for frame in _endless(exposures):
                 with frame:
                     corrected = None if corrector is None else corrector(frame.pixels)
-                    words, pictures = _snapshot(loaded, frame, corrected, shows, seen, begun_s, away)
+                    words, pictures = _snapshot(loaded, frame, corrected, shows, seen, begun_s)
                     if shown is not None:
                         words["run"] += f"; {shown.sentence}"
                     page.say(words["doing"])
@@ -123,19 +120,6 @@ def _corrector(scene: Scene) -> Corrector:
     return corrections.corrector(BEHIND_GLASS)
 
 
-def _away(bench: Bench, hardware: OpenBench) -> str:
-    """Which axes of a simulated bench stand elsewhere than where the scene holds; "" if none is known to."""
-    if hardware.simulation is None:
-        return ""
-    true_mm = hardware.simulation.true_mm()
-    away = [f"{name} by {true_mm[name] - mm:+.1f} mm" for name, mm in bench.home_mm.items()
-            if abs(true_mm[name] - mm) > NEAR_MM]  # fmt: skip
-    if not away:
-        return ""
-    cure = f"see a run corrected: rtpiv acquire PLAN --bench {bench.path} --simulate --home --live"
-    return f"simulated axes stand off the place in the scene file: {', '.join(away)}; {cure}"
-
-
 def _endless(exposures: CameraSession) -> Iterator[Frame]:
     while True:
         for _, frame in exposures.frames(BATCH, may_lose=BATCH):
@@ -149,16 +133,15 @@ def _snapshot(
     shows: str,
     seen: int,
     begun_s: float,
-    away: str,
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     elapsed_s = max(time.monotonic() - begun_s, 1e-9)
     age_ms = (time.monotonic_ns() - frame.meta.received_ns) / 1e6
     words = {
         "run": f"{bench.table.name}: nothing is kept",
-        "doing": f"no correction: {away}" if away else "the correction is for axes at the place in the scene file",
+        "doing": "the correction is for axes at the place in the scene file",
         "shows": shows,
-        "view": "" if away else BEHIND_GLASS,  # outlines of the scene are elsewhere, too
-        "rims": not away,
+        "view": BEHIND_GLASS,
+        "rims": True,
         "bits": frame.meta.significant_bits,
         "counters": {
             "frames": [str(seen + 1), False],

@@ -1,45 +1,44 @@
-"""`rtpiv live --simulate`: a correction is for one place, and simulated axes begin at another."""
-
-from types import SimpleNamespace
-from typing import Any, cast
+"""`rtpiv live --simulate`: the simulated axes stand where the correction is for, and the page shows it."""
 
 import numpy as np
-import pytest
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import Bench
-from daq.bench.opened import OpenBench
-from rtpiv.verbs.init import init
-from rtpiv.verbs.live import _away, _snapshot
+from daq.live.live_page import LivePage
+from rtpiv.verbs.live import live
+from sim.bench import SimulatedBench
+from tests.daq.small_bench import write_bench
+
+SIDE_PX = 252
+SIMULATION = "samples: 1\nis_misaligned: false\ncamera_transport: memory"
 
 
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    folder = tmp_path_factory.mktemp("lab")
-    init(folder)
-    return load_bench(folder / "bench.yaml")
+def likeness(one, other):
+    """Correlation of two pictures in the middle, behind the balls, where both have light."""
+    one, other = (picture[SIDE_PX // 4 : -SIDE_PX // 4, SIDE_PX // 4 : -SIDE_PX // 4] for picture in (one, other))
+    both = np.isfinite(one) & np.isfinite(other)
+    return np.corrcoef(one[both], other[both])[0, 1]
 
 
-def hardware(true_mm: dict[str, float] | None) -> OpenBench:
-    simulation = None if true_mm is None else SimpleNamespace(true_mm=lambda: true_mm)
-    return cast("OpenBench", SimpleNamespace(simulation=simulation))
+def test_the_page_of_a_simulated_bench_shows_its_board_as_without_glass(tmp_path, monkeypatch):
+    """The axes were switched off anywhere: beside the marks that they are homed at, the glass 65 mm below its place."""
+    shown = []
 
+    def keep(self, words, pictures):
+        shown.append((words, {name: np.array(pixels) for name, pixels in pictures.items()}))
 
-def test_axes_that_stand_elsewhere_are_named(bench: Bench) -> None:
-    at_home = bench.home_mm
-    assert _away(bench, hardware(at_home)) == ""
-    assert _away(bench, hardware(None)) == ""  # nobody knows at a real bench
-    said = _away(bench, hardware(at_home | {"glass_y": at_home["glass_y"] - 48.3}))
-    where, cure = said.split("; ")
-    assert where == "simulated axes stand off the place in the scene file: glass_y by -48.3 mm"
-    assert cure == f"see a run corrected: rtpiv acquire PLAN --bench {bench.path} --simulate --home --live"
+    monkeypatch.setattr(LivePage, "show", keep)
+    path = write_bench(tmp_path, SIDE_PX, SIMULATION)
+    live(path, simulate=True, for_s=0.2)
+    words, pictures = shown[-1]
+    assert words["view"] == "glass"
+    assert words["rims"] is True
 
-
-def test_the_page_says_so_and_draws_no_outlines(bench: Bench) -> None:
-    meta = SimpleNamespace(received_ns=0, significant_bits=12)
-    frame: Any = SimpleNamespace(meta=meta, pixels=np.zeros((4, 4), np.uint16))
-    words, pictures = _snapshot(bench, frame, None, "chessboard", 0, 0.0, "glass_y stands elsewhere")
-    assert words["doing"] == "no correction: glass_y stands elsewhere"
-    assert words["view"] == ""
-    assert words["rims"] is False
-    assert list(pictures) == ["raw"]
+    bench = load_bench(path)
+    simulation = SimulatedBench(bench)
+    try:
+        simulation.place(bench.home_mm | {"glass_y": -134.0})
+        clear = simulation.world.light()
+    finally:
+        simulation.close()
+    assert likeness(pictures["raw"], clear) < 0.7
+    assert likeness(pictures["corrected"], clear) > 0.8  # squares of five pixels, blurred
