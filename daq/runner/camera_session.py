@@ -20,6 +20,9 @@ refused.
 
 A simulated camera has to draw what it sees, which takes this computer a second or minutes. That is not the
 camera's time: the timeout counts what has passed less what was drawn (`now_s`).
+
+**Loss.**  A camera without a frame for a second is asked whether it is there, so a pulled cable costs seconds,
+however long the timeout.
 """
 
 import math
@@ -49,6 +52,7 @@ from daq.runner.trigger_match import UNCONFIRMED, TriggerMatch
 from daq.runs.frame_accounting import FrameAccounting, FrameCounters
 from stages.stop_latch import StopLatch
 
+SILENCE_S, SILENT_ANSWER_S = 1.0, 3.0  # without a frame, until the camera is asked; and for its answer
 LATE, UNASKED = "came after timeout_s of the bench file had passed", "came unasked"
 OTHER = "came in another format than the camera was set to"
 
@@ -122,6 +126,7 @@ class CameraSession:
         self._tell_doubt = tell_doubt
         self._drawn_s = drawn_s
         self._token = 0
+        self._heard_s = self.now_s()  # a frame, or an answer to a probe
         self._format = FrameFormat({})
         self._is_armed = False
         self._ended = FrameAccounting()  # when the last arm ended, as the next two
@@ -308,9 +313,8 @@ class CameraSession:
             One came that cannot be used.
         """
         while True:
-            self.ask()
             left_s = deadline_s - self.now_s()
-            frame = self.camera.poll(max(0.0, min(SLICE_S, left_s)))
+            frame = self.look(max(0.0, min(SLICE_S, left_s)))
             if frame is not None:
                 return frame
             if left_s <= 0.0:
@@ -323,9 +327,17 @@ class CameraSession:
         return frame
 
     def look(self, timeout_s: float) -> Frame | None:
-        """Next whole frame within a short time, or None; BadFrame if one came that cannot be used."""
+        """Next whole frame within a short time, or None; BadFrame if one came that cannot be used.
+
+        CameraLost if the camera was silent for a second and does not answer when it is asked.
+        """
         self.ask()
-        return self.camera.poll(timeout_s)
+        frame = self.camera.poll(timeout_s)
+        if frame is not None or self.now_s() - self._heard_s > SILENCE_S:
+            if frame is None:
+                self.camera.probe(SILENT_ANSWER_S)
+            self._heard_s = self.now_s()
+        return frame
 
     @property
     def is_armed(self) -> bool:

@@ -1,5 +1,6 @@
 """What a camera tells between steps reaches the journal; what it does not tell, or does wrong, ends nothing."""
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -100,3 +101,26 @@ def test_what_a_camera_does_not_tell_is_left_out(tmp_path, kind):
     camera = kind(tmp_path / "in")
     camera.open()
     assert camera_facts(camera) == {}
+
+
+class Unplugged(FilesCamera):
+    """Loses its cable in its first exposure: it says nothing, and answers nothing."""
+
+    def poll(self, timeout_s):
+        time.sleep(timeout_s)
+
+    def probe(self, timeout_s):
+        raise CameraLost("no answer")
+
+
+def test_a_pulled_cable_is_known_long_before_the_timeout(tmp_path):
+    """Ten minutes for a frame, of a long exposure or a trigger from outside."""
+    write_frames(tmp_path / "in", 1)
+    section = CameraSection(backend="files", settings={"TriggerMode": "On"}, timeout_s=600.0)
+    session = CameraSession(Unplugged(tmp_path / "in"), section)
+    begun_s = time.monotonic()
+    with pytest.raises(CameraLost):
+        session.wait_until(session.now_s() + section.timeout_s)
+    with pytest.raises(CameraLost):
+        [session.look(0.05) for _ in range(200)]  # as pairs are waited for
+    assert time.monotonic() - begun_s < 10.0

@@ -20,7 +20,7 @@ def likeness(one, other):
 
 
 def test_the_page_of_a_simulated_bench_shows_its_board_as_without_glass(tmp_path, monkeypatch):
-    """The axes were switched off anywhere: beside the marks that they are homed at, the glass 65 mm below its place."""
+    """The axes were switched off beside the marks that they are homed at, the glass 65 mm below its place."""
     shown = []
 
     def keep(self, words, pictures):
