@@ -15,7 +15,7 @@ from daq.timing.box import TimingBox
 from daq.timing.errors import LaserDoubt, LaserStopped, NotNow, TimingUsageError
 from daq.timing.states import Event, LaserState, LaserStateMachine
 from stages.clock import Clock
-from stages.errors import StageError
+from stages.errors import CommandRejected, StageError
 
 CONFIRM_S = 0.2  # between two attempts to read back that everything is off
 LEAVING_S = 10.0  # how long whoever leaves goes on with them; a cable that comes loose is mostly put back by then
@@ -152,6 +152,8 @@ class Darkness:
         except BaseException as error:
             was_stopped = self._box.latch.held
             self.say_quietly(str(error) or type(error).__name__)
+            if isinstance(error, CommandRejected):  # it may refuse off as well: said until it reads back, at once
+                self.confirm()
             if was_stopped and isinstance(error, LaserDoubt):  # the box has only shown what the stop did
                 raise LaserStopped(f"{self._states.name} was switched off: {self._states.why}") from error
             raise

@@ -48,6 +48,7 @@ MODELS = {  # what a box says of itself, by the name that a bench file gives it
     "qc9510": "QC,9518", "qc9520": "QC,9528", "qc9530": "QC,9538", "bnc575": "BNC,575-8", "bnc577": "BNC,577-8",
 }  # fmt: skip
 HAS_CLOCK_MODE = ("953", "577")  # models, by their beginning; of the 577 it is not known
+RESET = -1  # the number of *RST among what may be refused
 T0_WORDS = {
     "PER": "0.1", "MOD": "NORM", "BCO": "1", "PCO": "1", "OCO": "1", "CYCL": "1", "TRIG:MOD": "DIS",
     "TRIG:EDG": "RIS", "TRIG:LEV": "2.50", "GAT:MOD": "DIS", "GAT:LOG": "HIGH", "GAT:LEV": "2.50",
@@ -170,16 +171,22 @@ class QuantumComposersEmulator(PulsingEmulator):
         self._heard_s = -math.inf
         self.locked = True  # whether an external clock is there for XPL
         self.gate_is_high = True  # level at the gate input; nothing on it is high
-        self.refuses_off: Counter[int] = Counter()  # by output: how often "off" is still answered by ?8
+        self.refuses_off: Counter[int] = Counter()  # by output, or `RESET`: how often it still is ?8
         self.refuse = 0  # commands to come that are answered by ?8
         self.refused_off_s = -math.inf  # when an "off" was last
         self._name = f"{variant.model},{serial:05d},1.2.2-1.2.0"
         self._stream = CommandStream()
-        self._t0 = _Channel(T0_WORDS | (CLOCK_MODE_WORDS if variant.has_clock_mode else CLOCK_WORDS))
-        self._channels = [_Channel({**OUTPUT_WORDS, "MUX": str(1 << n)}) for n in range(variant.outputs)]
+        self._t0 = _Channel(self._first_words(0))
+        self._channels = [_Channel(self._first_words(n)) for n in range(1, variant.outputs + 1)]
         self._last = 1  # number of the pulse that was spoken of last
         if variant.autorun:
             self._switch(0, True)
+
+    def _first_words(self, number: int) -> dict[str, str]:
+        """Settings of T0 (0) or an output as the box leaves its factory."""
+        if number:
+            return {**OUTPUT_WORDS, "MUX": str(1 << (number - 1))}
+        return T0_WORDS | (CLOCK_MODE_WORDS if self._variant.has_clock_mode else CLOCK_WORDS)
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
@@ -323,9 +330,13 @@ class QuantumComposersEmulator(PulsingEmulator):
         match command.keyword.upper(), command.asks:
             case "*IDN", True:
                 return self._name
+            case "*RST", False if self.refuses_off[RESET] > 0:
+                self.refuses_off[RESET] -= 1
+                return "?8"
             case "*RST", False:
-                for number in range(len(self._all)):
+                for number, channel in enumerate(self._all):
                     self._switch(number, False)
+                    channel.words.update(self._first_words(number))
                 return "ok"
             case "*TRG", False:
                 if not (self._t0.on and self._waits_for_edge and self._period_begins_s is None):

@@ -65,6 +65,7 @@ STOPPED = (
 _CLOCKS = re.compile(r"INT|EXT|XPL|SYS|EXT\d{2,3}")  # a mode, or one word; XPL? is a loop that is not locked
 _SECONDS = re.compile(r"-?\d+\.\d{9,12}")
 _WHOLE = re.compile(r"\d{1,8}")
+_BOOLEAN = re.compile(r"[01]")
 T = TypeVar("T")
 _MAKERS = ("QC", "QUANTUM", "BNC", "BERKELEY")
 
@@ -103,7 +104,8 @@ class QuantumComposersBox(TimingBox):
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts.
 
-        One that refuses, or whose answer does not come, keeps none of the others from being told.
+        One that refuses, or whose answer does not come, keeps none of the others from being told; a box that goes
+        on refusing is reset, which ends everything.
         """
         with self._lock:
             self.drop()
@@ -114,6 +116,11 @@ class QuantumComposersBox(TimingBox):
             on = [number for number in order if self._flag(number, "STAT")]
             for _ in range(MORE_ROUNDS):
                 troubles += [trouble for number in on if (trouble := self._try_off(number)) is not None]
+                on = [number for number in on if self._flag(number, "STAT")]
+            if on:  # the last word that a box which refuses these may know: every setting is lost with it
+                with suppress(CommandRejected):
+                    self._tell(Command("*RST"))
+                troubles += [trouble for number in order if (trouble := self._try_off(number)) is not None]
                 on = [number for number in on if self._flag(number, "STAT")]
             if on:
                 names, why = ", ".join(map(_name, on)), f" ({troubles[0]})" if troubles else ""
@@ -411,27 +418,22 @@ class QuantumComposersBox(TimingBox):
 
     def _flag(self, number: int, keyword: str) -> bool:
         """A boolean that two answers agree on."""
-        text = self._text(number, keyword)
-        if text not in ("0", "1"):
-            self._suspect = True
-            raise ProtocolViolation(f"{self.name}: {keyword} is neither 0 nor 1", text.encode())
-        return text == "1"
+        return self._checked(number, keyword, _BOOLEAN, "is neither 0 nor 1") == "1"
 
     def _seconds(self, number: int, keyword: str) -> float:
         """A time that two answers agree on, with all its digits."""
-        text = self._text(number, keyword)
-        if not _SECONDS.fullmatch(text):
-            self._suspect = True
-            raise ProtocolViolation(f"{self.name}: {keyword} has not all the digits of a time", text.encode())
-        return float(text)
+        return float(self._checked(number, keyword, _SECONDS, "has not all the digits of a time"))
 
     def _whole(self, number: int, keyword: str) -> int:
         """A count that two answers agree on."""
+        return int(self._checked(number, keyword, _WHOLE, "is no count"))
+
+    def _checked(self, number: int, keyword: str, form: re.Pattern[str], wrong: str) -> str:
         text = self._text(number, keyword)
-        if not _WHOLE.fullmatch(text):
+        if not form.fullmatch(text):
             self._suspect = True
-            raise ProtocolViolation(f"{self.name}: {keyword} is no count", text.encode())
-        return int(text)
+            raise ProtocolViolation(f"{self.name}: {keyword} {wrong}", text.encode())
+        return text
 
     def _text(self, number: int, keyword: str) -> str:
         """A value that two answers agree on."""
@@ -450,12 +452,13 @@ class QuantumComposersBox(TimingBox):
     def _set(
         self, number: int, keyword: str, value: str, moves: bool = False, timeout_s: float | None = None
     ) -> bool:
-        command = Command(f":PULSE{number}:{keyword}", value)
+        return self._tell(Command(f":PULSE{number}:{keyword}", value), moves, timeout_s)
 
+    def _tell(self, command: Command, moves: bool = False, timeout_s: float | None = None) -> bool:
         def accept(answer: object) -> bool | None:
             if isinstance(answer, Done):
                 return True
-            self._judge(answer, f"{command.keyword} {value}")
+            self._judge(answer, f"{command.keyword} {command.value or ''}".rstrip())
             return None
 
         return self._transact(command.to_bytes(), accept, timeout_s, moves=moves)

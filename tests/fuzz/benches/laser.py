@@ -11,7 +11,8 @@ end it: no pulse rises more than `LATE_S` after any of them until a person relea
 What reaches the box by no word is not meant (a pulled cable, a line that is lost on its way). A STOP that falls
 into the lines by which a box that loses them is started is counted as `unseen` (ADR 42).
 
-A box that loses lines is told off every `AGAIN_S`; where it refuses one, what leaves until the next is its own.
+A box that loses lines, or refuses off, is told off every `AGAIN_S`; what leaves until the next is its own. It is
+told until it reads back as off: by the verb that it has refused, or by the thread that watches a burst.
 Whoever leaves the bench opens it again, also one whose cable is put back meanwhile; nothing is on after that.
 
 **Somebody turns a knob.** Whether that makes light is judged by the box itself, never by what the program
@@ -207,10 +208,14 @@ class Story:
     # ---- what may happen -----------------------------------------------------------------------------
 
     def is_refused(self, pulse, state):
-        """Whether the program knows, has said off, and a box that takes one line at a time has just refused it."""
-        if state is not LaserState.UNKNOWN or self.kind == "oltSync" or not self.emulator._variant.needs_s:
+        """Whether the program knows, has said off, and the box has just refused it."""
+        if state is not LaserState.UNKNOWN or self.kind == "oltSync":
             return False
         return pulse.rises_s - self.emulator.refused_off_s <= AGAIN_S
+
+    def is_refused_since(self, time_s):
+        """Whether the box has refused an off since then."""
+        return self.kind != "oltSync" and self.emulator.refused_off_s >= time_s
 
     def asked_for(self, pairs):
         self.asked = pairs
@@ -309,7 +314,7 @@ class Story:
     def refuse_off(self):
         """One output, or T0, is not switched off when it is told to, a few times."""
         if self.kind != "oltSync":
-            self.emulator.refuses_off[self.rng.randrange(5)] = self.rng.choice((1, 2, 3, 5))
+            self.emulator.refuses_off[self.rng.randrange(5)] = self.rng.choice((1, 2, 3, 5, 99))
 
     def stop_key(self):
         """The key STOP of the box, or the key of a diode laser."""
@@ -484,11 +489,14 @@ class Story:
 
     def do(self, name):
         self.log.append(f"{self.clock.now_s():9.3f} {self.laser.state.value:9s} {name}")
-        self.looks_s = self.clock.now_s() if name in LOOKS else None
+        begun_s = self.clock.now_s()
+        self.looks_s = begun_s if name in LOOKS else None
         try:
             getattr(self, name)()
         except (DaqError, StageError) as error:
             self.log[-1] += f" -> {type(error).__name__}: {error}"
+        if self.laser._states._state is LaserState.UNKNOWN and self.is_refused_since(begun_s):
+            self.laser.confirm_off()  # as the supervisor of a burst does, at once
         is_over = self.laser._states._state in EMITS and self.clock.now_s() > self.laser._ends_s
         if name in LOOKS and self.line.reached and is_over:
             self.found.append("it goes on although its time is over, and was looked at")
