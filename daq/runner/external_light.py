@@ -6,13 +6,10 @@ goes on. What cannot be checked is in `daq.runs.frame_accounting.UNCHECKED`.
 """
 
 from collections.abc import Callable, Mapping
-from itertools import pairwise
-from statistics import median
 from typing import Self
 
 from daq.bench.bench_table import Bench
 from daq.cameras.camera import Setting
-from daq.errors import RunUsageError
 from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
 from daq.runner.interrupts import Interrupts
 from daq.runner.laser_session import exposure_of, require_rate
@@ -21,29 +18,6 @@ from daq.runs.frame_accounting import EXTERNAL, LEFT
 from daq.timing.pulses import LaserHead, PairExposures, schedule_of
 
 WAITING = "waiting for the triggers of the synchroniser; start it in its own program"
-
-
-ENOUGH_GAPS = 3  # between pairs, to tell a rate where one may be lost
-RATE_TOLERANCE = 0.02  # share by which triggers may come at another rate than the plan says
-
-
-def require_rate_seen(chunk: Chunk, rate_hz: float) -> None:
-    """Refuse a synchroniser that runs at another rate than the plan says, by the camera's clock.
-
-    Raises
-    ------
-    RunUsageError
-        With the rate at which pairs came.
-    """
-    gaps_ns = [late - soon for soon, late in pairwise(chunk.kept_ns)]
-    if len(gaps_ns) < ENOUGH_GAPS or not all(chunk.kept_ns):
-        return
-    seen_hz = 1e9 / median(gaps_ns)
-    if abs(seen_hz / rate_hz - 1.0) > RATE_TOLERANCE:
-        raise RunUsageError(
-            f"the synchroniser triggers {seen_hz:.4g} pairs/s by the camera's clock, and the plan says rate_hz: "
-            f"{rate_hz:g}; make them the same, and begin a new run"
-        )
 
 
 class ExternalLight:

@@ -28,10 +28,10 @@ from typing import Any
 from daq.errors import FramesLost
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
-from daq.runner.external_light import ExternalLight, require_rate_seen
+from daq.runner.external_light import ExternalLight
 from daq.runner.interrupts import Interrupts
 from daq.runner.laser_session import LaserSession, require_rate
-from daq.runner.pair_source import Chunk, Pair, PairSource
+from daq.runner.pair_source import Chunk, Pair, PairSource, require_rate_seen
 from daq.runner.pair_writer import PairWriter
 from daq.runner.progress import Progress
 from daq.runs.frame_accounting import ELSEWHERE, EXTERNAL, LEFT, SURPLUS
@@ -125,7 +125,7 @@ class FlowStep:
             if self._light.synchroniser == EXTERNAL:
                 if self._interrupts.wanted:
                     return place >= step.frames
-                require_rate_seen(chunks[0], order.rate_hz)
+                require_rate_seen(chunks[0].periods_ns, order.rate_hz)
             # The last frame of a chunk is a B: a marker that calls it an A is found here.
             for side in self._sides:
                 side.source.trust_marker(is_final=False)

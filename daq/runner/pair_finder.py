@@ -29,7 +29,7 @@ change.
 """
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
@@ -86,7 +86,9 @@ class PairFinder(Generic[T]):
         self._first: _Held[T] | None = None  # an A that waits for its B
         self._pair: tuple[_Held[T], _Held[T]] | None = None  # waits for the frame behind it
         self._last: FrameMeta | None = None
+        self._before: deque[FrameMeta] = deque(maxlen=2)
         self.rejected: Counter[str] = Counter()  # frames, by reason
+        self.periods_ns: list[int] = []  # of triggers, over two frames that follow each other, whatever they show
         self.pairs = 0
 
     def add(self, meta: FrameMeta, item: T) -> tuple[T, T] | None:
@@ -102,6 +104,7 @@ class PairFinder(Generic[T]):
             self._reject(held, DOUBLED)
             self._last = meta
             return None
+        self._measure_period(meta)
         exposure, self._last = self._exposure(meta), meta
         if last is not None and meta.timestamp_ns < last.timestamp_ns:
             exposure = None
@@ -124,6 +127,13 @@ class PairFinder(Generic[T]):
     def last(self) -> Exposure | None:
         """What the marker says of the frame that was exposed last; None if nothing, or of `spacing`."""
         return None if self._last is None or self._section.told_by == "spacing" else self._exposure(self._last)
+
+    def _measure_period(self, meta: FrameMeta) -> None:
+        """Note the time from the frame before the last one: of two frames a pulse one period, if none is lost."""
+        first = self._before[0] if len(self._before) == 2 else meta
+        if first.sequence + 2 == meta.sequence and first.timestamp_ns:
+            self.periods_ns.append(meta.timestamp_ns - first.timestamp_ns)
+        self._before.append(meta)
 
     def _exposure(self, meta: FrameMeta) -> Exposure | None:
         """What the marker says; of `spacing`, B is what comes soon after another frame."""

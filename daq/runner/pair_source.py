@@ -5,7 +5,7 @@ Several cameras are asked in turn by one thread, so a source that has nothing ye
 
 import time
 from collections import Counter
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 
 from daq.bench.pairs_section import PairsSection
@@ -29,7 +29,7 @@ class Chunk:
     kept: int = 0
     surplus: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
-    kept_ns: list[int] = field(default_factory=list)  # camera clock of every pair that is kept
+    periods_ns: list[int] = field(default_factory=list)  # of the triggers, by the camera's clock
 
     @property
     def lost(self) -> int:
@@ -47,6 +47,30 @@ class Chunk:
         never = f"{counted(self.never_came, 'frame')} never came" if self.never_came > 0 else ""
         told = "; ".join(filter(None, (reasons, never)))
         return f"{self.kept} of {self.fired} pairs that were fired are sure ({told or 'nothing else came'})"
+
+
+ENOUGH_PERIODS, MANY_PERIODS = 4, 24  # to tell a rate at the end of a chunk; and while one goes on
+RATE_TOLERANCE = 0.02  # share by which triggers may come at another rate than the plan says
+
+
+def require_rate_seen(periods_ns: Sequence[int], rate_hz: float) -> None:
+    """Refuse a synchroniser that runs at another rate than the plan says, by the camera's clock.
+
+    Frames that are lost without a gap in their ids make periods longer, never shorter: the lower quartile counts.
+
+    Raises
+    ------
+    RunUsageError
+        With the rate at which frames came.
+    """
+    if len(periods_ns) < ENOUGH_PERIODS:
+        return
+    seen_hz = 1e9 / max(sorted(periods_ns)[len(periods_ns) // 4], 1)
+    if abs(seen_hz / rate_hz - 1.0) > RATE_TOLERANCE:
+        raise RunUsageError(
+            f"the synchroniser triggers {seen_hz:.4g} pairs/s by the camera's clock, and the plan says rate_hz: "
+            f"{rate_hz:g}; make them the same, and begin a new run"
+        )
 
 
 SLICE_S = 0.05
@@ -151,7 +175,10 @@ class PairSource:
                     exposures.reject(frame, True, PAIRLESS)  # no trigger of this chunk made it
                     continue
                 is_first, seen = False, seen + 1
-                yield finder.add(frame.meta, frame)
+                found = finder.add(frame.meta, frame)
+                if order.laser is None and len(finder.periods_ns) % MANY_PERIODS == MANY_PERIODS - 1:
+                    require_rate_seen(finder.periods_ns, order.rate_hz)
+                yield found
             self._sense.chunk_ended(finder.last)
             if pair := finder.end():
                 yield pair
@@ -159,6 +186,7 @@ class PairSource:
             if pair := finder.end():  # something came between
                 self.drop(chunk, LEFT, *pair)
             chunk.dropped.update(finder.rejected)
+            chunk.periods_ns = finder.periods_ns
 
     def is_flipped(self, pair: Pair) -> bool:
         """Whether the other exposure is the brighter one now."""
@@ -174,7 +202,6 @@ class PairSource:
             raise
         second = self.exposures.hand_over(second)
         chunk.kept += 1
-        chunk.kept_ns.append(first.meta.timestamp_ns)
         return first, second
 
     def drop(self, chunk: Chunk, why: str, *frames: Frame) -> None:

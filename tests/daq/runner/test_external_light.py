@@ -1,17 +1,20 @@
 """A flow whose laser and camera another program triggers: whole pairs, and what nothing here has checked."""
 
 import html
+import random
 import re
 import threading
 
 import pytest
 
 from daq.bench.bench_file import load_bench
+from daq.bench.pairs_section import PairsSection
+from daq.cameras.frame import FrameMeta
 from daq.errors import CameraTimeout, PlanError, RunInterrupted, RunUsageError
 from daq.plans.plan import load_plan
-from daq.runner.external_light import require_rate_seen
 from daq.runner.interrupts import Interrupts
-from daq.runner.pair_source import Chunk, PairSource
+from daq.runner.pair_finder import PairFinder
+from daq.runner.pair_source import PairSource, require_rate_seen
 from daq.runs.frame_accounting import UNCHECKED
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
@@ -77,12 +80,38 @@ def test_pairs_of_another_programs_pulses_are_whole(tmp_path, capsys, shape, fau
     assert html.escape(UNCHECKED[1:]) in page.html()
 
 
-def test_a_rate_is_told_by_the_gaps_between_pairs_though_one_is_lost():
-    at = [int(1e9 * (number + 1) / 12.5) for number in (0, 1, 2, 4, 5, 6)]
-    require_rate_seen(Chunk(6, kept_ns=at), 12.5)
-    require_rate_seen(Chunk(2, kept_ns=at[:2]), 25.0)  # too few to tell
-    with pytest.raises(RunUsageError, match=r"triggers 12\.5 pairs/s .* says rate_hz: 25"):
-        require_rate_seen(Chunk(6, kept_ns=at), 25.0)
+@pytest.mark.parametrize("lost", [0.0, 0.15, 0.4])
+@pytest.mark.parametrize("counts_lost", [True, False])
+def test_a_rate_is_told_by_frames_though_a_busy_computer_loses_some(lost, counts_lost):
+    """At twice the rate the pairs whose neighbours are lost come at the rate of the plan."""
+    rng = random.Random(7)
+    section = PairsSection(shape="two_blocks", marker="line_status", line=1, dead_us=100.0)
+    for share in (0.5, 0.97, 1.0, 1.03, 2.0, 3.0):
+        finder = PairFinder(section, 25.0, 500.0, lambda item: None)
+        sequence = 0
+        for pulse in range(60):
+            for second in (False, True):
+                is_lost = rng.random() < lost
+                sequence += not is_lost or counts_lost
+                at_ns = 10**9 + round(pulse * 4e7 / share) + 500_000 * second
+                meta = FrameMeta(
+                    sequence,
+                    sequence,
+                    at_ns,
+                    at_ns,
+                    400.0,
+                    "Mono12",
+                    12,
+                    chunks={"LineStatusAll": 0 if second else 2},
+                )
+                if not is_lost:
+                    finder.add(meta, None)
+        if share == 1.0:
+            require_rate_seen(finder.periods_ns, 25.0)
+            continue
+        with pytest.raises(RunUsageError, match=f"triggers {25 * share:.4g} pairs/s .* says rate_hz: 25"):
+            require_rate_seen(finder.periods_ns, 25.0)
+    require_rate_seen(finder.periods_ns[:3], 25.0)  # too few to tell
 
 
 def test_what_is_not_checked_is_said_before_a_run_by_check_and_in_the_report(tmp_path, capsys):
@@ -114,7 +143,7 @@ def test_a_warm_up_belongs_to_a_laser(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate_hz", [12.5, 24.0])
+@pytest.mark.parametrize("rate_hz", [12.5, 24.0, 50.0])
 def test_a_synchroniser_at_another_rate_than_the_plans_is_found(tmp_path, rate_hz):
     with pytest.raises(RunUsageError, match=f"triggers {rate_hz:.4g} pairs/s by the camera's clock"):
         run(tmp_path, rate_hz=rate_hz, pairs=6, chunk=6)
