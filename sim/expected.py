@@ -1,27 +1,30 @@
 """How long a simulated bench will take for the steps of a plan: it draws every picture with rays.
 
-Seconds of one core for a million pixels, measured of scenes of one to four balls on two computers of 2024; a
-slower or busy computer takes twice as long, so this says minutes or hours and no more. A target is drawn once a
-place and colour, on all cores, and its further frames get new noise alone; every frame of a flow has particles
-and a core of its own, while others correct the one before.
+A target is drawn once a place and colour, on all cores, and its further frames get new noise alone. What a pixel
+of it takes differs tenfold from scene to scene, so some pixels are drawn and timed. Every frame of a flow has
+particles and a core of its own, while others correct the one before, and a flow is seen in real time.
 """
 
 from collections.abc import Sequence
 
 from daq.bench.bench_table import Bench
+from daq.plans.forecast import frames_s
 from daq.plans.steps import Step
 from ground.rows import thread_count
+from sim.arranged import arranged, sheet_mm, true_scene
 from sim.bench_table import SimulationTable, simulation_of
 from sim.light import colours_of, in_each_colour, target_light
+from sim.renderer.patterns import placed
+from sim.renderer.render import drawing_s
+from sim.world import print_of
 
-TARGET_S, TARGET_SAMPLES = 2.5, 4  # a million pixels at so many rays each
-FLOW_S = 0.6
+FLOW_S = 0.6  # of a core, for a million pixels of a frame with particles
 NOISE_S = 0.1
 STEP_S = 0.3  # motors, journal, disk
 
 
 def expected_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
-    """Return the seconds that each step will take, drawing included.
+    """Return the seconds that each step will take on an idle computer, drawing included.
 
     Parameters
     ----------
@@ -32,27 +35,37 @@ def expected_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
     """
     table = simulation_of(bench)
     seen: set[tuple[object, ...]] = set()
+    views_s: dict[tuple[str, str], float] = {}
     found = []
     for step in steps:
-        is_new = step.pulses is not None or (step.shows, step.positions_mm) not in seen
-        seen.add((step.shows, step.positions_mm))
-        found.append(STEP_S + _frames_s(bench, table, step, is_new))
+        taken_s = STEP_S + _frames_s(bench, table, step)
+        if step.pulses is None and table.ring is None and (step.shows, step.positions_mm) not in seen:
+            seen.add((step.shows, step.positions_mm))
+            kind = step.shows, step.view
+            if kind not in views_s:
+                views_s[kind] = _view_s(bench, table, step)
+            taken_s += views_s[kind]
+        found.append(taken_s)
     return found
 
 
-def _frames_s(bench: Bench, table: SimulationTable, step: Step, is_new: bool) -> float:
+def _frames_s(bench: Bench, table: SimulationTable, step: Step) -> float:
     width, height = bench.scene.camera.sensor_px
     megapixels = 1e-6 * width * height
-    if step.pulses is not None:
-        each = NOISE_S if table.flow.prepared is not None else FLOW_S
-        return step.frames * megapixels * each
-    view_s = 0.0
-    if table.ring is None and is_new:
-        lamp = target_light(bench) if step.shows == "chessboard" else None
-        colours = (
-            1
-            if lamp is None
-            else len(in_each_colour(bench.scene, colours_of(lamp.light(bench.scene.wavelength_nm))))
-        )
-        view_s = megapixels * TARGET_S * table.samples / TARGET_SAMPLES * colours / thread_count()
-    return view_s + step.frames * megapixels * NOISE_S
+    if step.pulses is None:
+        return step.frames * megapixels * NOISE_S
+    each_s = NOISE_S if table.flow.prepared is not None else FLOW_S
+    return max(frames_s(bench, step), step.frames * megapixels * each_s)
+
+
+def _view_s(bench: Bench, table: SimulationTable, step: Step) -> float:
+    """Time to draw what the camera sees in a step."""
+    scene, pose = arranged(bench, true_scene(bench, table), step.targets_mm, table.glass_off_mm)
+    lamp = target_light(bench) if step.shows == "chessboard" else None
+    coloured = [scene]
+    if lamp is not None:
+        coloured = [each for each, _ in in_each_colour(scene, colours_of(lamp.light(scene.wavelength_nm)))]
+    pattern = placed(print_of(bench, table.seed, step.shows), pose)
+    each_s = drawing_s(coloured[0], pattern, table.samples, table.pupil, sheet_mm(bench))
+    width, height = scene.camera.sensor_px
+    return len(coloured) * width * height * each_s / thread_count()

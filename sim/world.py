@@ -85,7 +85,7 @@ class World:
         self.lit = lit
         if lit is None and shows == FLOW:
             self.lit = LitFlow(exposures_before, LATER_S * exposures_before)
-        self.print = _print_of(bench, table.seed, shows)
+        self.print = print_of(bench, table.seed, shows)
         self.lamp = target_light(bench) if shows == BOARD else None  # particles are lit by the laser
         self._colours: Colours = ((self.scene.wavelength_nm, 1.0),)
         if self.lamp is not None:
@@ -208,7 +208,8 @@ def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid | Pl
     return (Chessboard if told.codes is None else CodedBoard)(**vars(on_paper))
 
 
-def _print_of(bench: Bench, seed: int, shows: str) -> Print:
+def print_of(bench: Bench, seed: int, shows: str) -> Print:
+    """Return what hangs on the target's stage."""
     if shows == BOARD:
         return _board_of(bench, seed)
     camera = bench.scene.camera

@@ -110,7 +110,7 @@ def forecast(
         for said in (link_excess(bench, step), _sheet_blocked(bench, step)):
             if said:
                 violations.append(Violation(step.index, step.tag, said))
-        steps_s.append(step_s + step.settle_s + STEP_OVERHEAD_S + _frames_s(bench, step))
+        steps_s.append(step_s + step.settle_s + STEP_OVERHEAD_S + frames_s(bench, step))
     duration_s = sum(steps_s) + max(
         (step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0
     )
@@ -141,7 +141,8 @@ def _sheet_blocked(bench: Bench, step: Step) -> str:
     return f"{there} from the light sheet, and {free}{cure}"
 
 
-def _frames_s(bench: Bench, step: Step) -> float:
+def frames_s(bench: Bench, step: Step) -> float:
+    """Return the seconds that the frames of a step take at hardware."""
     order = step.pulses
     if order is None:
         return step.frames * _frame_s(bench.table.camera.settings)

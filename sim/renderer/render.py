@@ -7,6 +7,7 @@ Each pixel is the mean of n x n rays.  Where glass compresses the view, so that 
 silhouettes), it is traced again with 2n x 2n.
 """
 
+import time
 from dataclasses import dataclass
 from functools import cache
 
@@ -27,6 +28,7 @@ from tracer.scene.scene import Scene
 BLOCK_ROWS = 4
 BYTES_PER_PX = 30.0  # light, counts and noise of a frame
 CROWDED = 2.5
+PROBED_PX = 1500  # whose drawing is timed, 15 to 200 ms
 
 
 @dataclass(frozen=True)
@@ -142,14 +144,33 @@ def render_irradiance(
     def block(first: int, last: int) -> None:
         rows, columns = np.mgrid[first:last, 0:width]
         pixels = np.column_stack((rows.ravel(), columns.ravel()))
-        light, spread = _sample(tables, pattern, pixels, samples, seed)
-        again = np.flatnonzero(spread > CROWDED * tables.px_mm)
-        for part in np.array_split(again, 1 + len(again) // 4096):
-            light[part] = _sample(tables, pattern, pixels[part], 2 * samples, seed)[0]
-        out[first:last] = light.reshape(last - first, width)
+        out[first:last] = _light_on(tables, pattern, pixels, samples, seed).reshape(last - first, width)
 
     run_rows(block, height, BLOCK_ROWS)
     return out
+
+
+def drawing_s(
+    scene: Scene, pattern: Pattern, samples: int, aperture: Aperture | None, sheet_mm: tuple[float, float] | None
+) -> float:
+    """Return the seconds of a core that a pixel of `render_irradiance` takes here, measured on some of them."""
+    tables = tables_of(scene, pattern.pose, aperture, sheet_mm)
+    pixels = np.random.default_rng(0).integers(scene.camera.shape, size=(PROBED_PX, 2))
+    _light_on(tables, pattern, pixels[:1], samples, 0)  # code that has to be loaded first is no part of it
+    begun_s = time.thread_time()
+    _light_on(tables, pattern, pixels, samples, 0)
+    return (time.thread_time() - begun_s) / PROBED_PX
+
+
+def _light_on(
+    tables: SceneTables, pattern: Pattern, pixels: NDArray[np.int64], samples: int, seed: int
+) -> NDArray[np.float32]:
+    """Light (N,) on pixels (N, 2), with more rays where they need it."""
+    light, spread = _sample(tables, pattern, pixels, samples, seed)
+    again = np.flatnonzero(spread > CROWDED * tables.px_mm)
+    for part in np.array_split(again, 1 + len(again) // 4096):
+        light[part] = _sample(tables, pattern, pixels[part], 2 * samples, seed)[0]
+    return light
 
 
 def _sample(

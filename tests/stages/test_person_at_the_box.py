@@ -144,5 +144,5 @@ def test_a_stop_at_some_places_holds(bench, variant, doing):
 @pytest.mark.parametrize("doing", ["move", "home"])
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_a_stop_at_every_place_holds(bench, variant, doing):
-    # a library that begins late moves for a tenth of the time; a feed hold waits for the end of homing on the board
+    # a library that begins late moves for a tenth of the time; a feed hold waits for the end of homing
     assert play_all(bench, variant, doing, 60) >= 5 or (variant, doing) == ("grbl", "home")
