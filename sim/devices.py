@@ -162,7 +162,7 @@ def connect(unit: SimulatedTiming, clock: PacedClock | ScaledClock, wires: Wires
 @contextmanager
 def simulated_counter(section: CounterSection, world: World, clock: Clock) -> Iterator[CounterSection]:
     """Hang a pulse box on the trigger cable of the timing unit; yield the section with its port."""
-    emulator = PulseBoxEmulator({}, clock)
+    emulator = PulseBoxEmulator(clock)
     for unit in world.timing:
         unit.listen_at_cable(emulator.hear_pulse)
     with _port(Line(emulator, clock), clock) as port:

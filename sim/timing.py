@@ -88,7 +88,7 @@ class SimulatedTiming:
             options = made.individual(table.port)
         elif issubclass(made, QuantumComposersEmulator):
             options = made.individual(table.port) | made.model_of(table.box)
-        self._emulator = emulator = made({}, clock, **options)
+        self._emulator = emulator = made(clock, **options)
         self.line = Line(emulator, clock)
         self.switches = {name: new_switch(name) for name in table.switches}  # addresses
         self.outputs: Outputs = emulator.outputs

@@ -6,7 +6,6 @@ moments must rise, come in pairs, and end within the cycle. The pins are the out
 """
 
 import itertools
-from collections.abc import Mapping
 from typing import Any
 
 from daq.timing.protocols.pivlab_synchroniser import (
@@ -21,7 +20,6 @@ from daq.timing.protocols.pivlab_synchroniser import (
     Verdict,
 )
 from sim.emulators.device import Clock, serial_number
-from sim.mechanics.motion import Motor
 from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
 
@@ -33,16 +31,14 @@ class OltSyncEmulator(PulsingEmulator):
 
     Parameters
     ----------
-    motors : mapping
-        None; there for the likeness with other emulators.
     clock : Clock
         Time of the world.
     name : str
         What it says of itself.
     """
 
-    def __init__(self, motors: Mapping[str, Motor], clock: Clock, name: str = "oltSync:0012") -> None:
-        super().__init__(motors, clock)
+    def __init__(self, clock: Clock, name: str = "oltSync:0012") -> None:
+        super().__init__(clock)
         self.name = name
         self._stream = CommandStream()
         self._pins: tuple[tuple[int, ...], ...] = ()
@@ -53,11 +49,6 @@ class OltSyncEmulator(PulsingEmulator):
     def individual(cls, name: str) -> dict[str, Any]:
         """What tells this box from another of its kind."""
         return {"name": f"oltSync:{serial_number(name)}"}
-
-    @property
-    def is_running(self) -> bool:
-        """Whether it gives pulses."""
-        return self._period_begins_s is not None
 
     def person_stops(self) -> None:
         """The key of the laser is turned off: the box goes on, and nothing that it gives makes light."""
@@ -71,11 +62,6 @@ class OltSyncEmulator(PulsingEmulator):
 
     def _lets_out(self) -> bool:
         return self._key_is_on
-
-    def switch_off(self) -> None:
-        """Power fails: no pulse."""
-        super().switch_off()
-        self._end_periods()
 
     def _power_up(self) -> None:
         self._stream = CommandStream()
@@ -120,8 +106,8 @@ class OltSyncEmulator(PulsingEmulator):
 class XmSyncEmulator(OltSyncEmulator):
     """An xmSync: it places the pulses of a straddling camera itself."""
 
-    def __init__(self, motors: Mapping[str, Motor], clock: Clock, name: str = "SYNC_UOA1") -> None:
-        super().__init__(motors, clock, name)
+    def __init__(self, clock: Clock, name: str = "SYNC_UOA1") -> None:
+        super().__init__(clock, name)
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:

@@ -10,7 +10,6 @@ says how many pulses were sent. A count that was set ends it by itself.
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from daq.timing.protocols.pulse_box import (
@@ -27,7 +26,6 @@ from daq.timing.protocols.pulse_box import (
     Reply,
 )
 from sim.emulators.device import Clock, Emulator
-from sim.mechanics.motion import Motor
 from sim.timing_boxes.pulsing import Pulse
 
 
@@ -36,8 +34,6 @@ class PulseBoxEmulator(Emulator):
 
     Parameters
     ----------
-    motors : mapping
-        None; there for the likeness with other emulators.
     clock : Clock
         Time of the world.
     busy_is_high : bool
@@ -50,13 +46,12 @@ class PulseBoxEmulator(Emulator):
 
     def __init__(
         self,
-        motors: Mapping[str, Motor],
         clock: Clock,
         busy_is_high: bool = False,
         version: int = 1,
         clock_off: float = 0.0,
     ) -> None:
-        super().__init__(motors, clock)
+        super().__init__({}, clock)
         self._busy_is_high, self._version, self._clock_off = busy_is_high, version, clock_off
         self._edges: list[tuple[float, bool]] = []  # of the input, to come
         self._is_high = self._runs = self._is_ready = self._starts_at_edge = False

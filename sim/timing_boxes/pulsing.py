@@ -13,11 +13,10 @@ A listener is called in the thread in which the box lives, with no lock of ours 
 import heapq
 from abc import abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 from sim.emulators.device import Clock, Emulator
-from sim.mechanics.motion import Motor
 
 KEPT = 10_000  # pulses that can be looked back at
 
@@ -62,17 +61,25 @@ class PulsingEmulator(Emulator):
 
     Parameters
     ----------
-    motors : mapping
-        None; there for the likeness with other emulators.
     clock : Clock
         Time of the world.
     """
 
-    def __init__(self, motors: Mapping[str, Motor], clock: Clock) -> None:
-        super().__init__(motors, clock)
+    def __init__(self, clock: Clock) -> None:
+        super().__init__({}, clock)  # nothing of it moves
         self.outputs = Outputs()
         self._period_begins_s: float | None = None  # None: nothing runs
         self._coming: list[tuple[float, int, Pulse]] = []
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it gives pulses."""
+        return self._period_begins_s is not None
+
+    def switch_off(self) -> None:
+        """Power fails: no pulse."""
+        super().switch_off()
+        self._end_periods()
 
     @property
     def next_s(self) -> float | None:

@@ -38,7 +38,6 @@ from typing import Any, Literal
 
 from daq.timing.protocols.quantum_composers import Command, CommandStream, shortened
 from sim.emulators.device import Clock, serial_number
-from sim.mechanics.motion import Motor
 from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
 
@@ -152,8 +151,6 @@ class QuantumComposersEmulator(PulsingEmulator):
 
     Parameters
     ----------
-    motors : mapping
-        None; there for the likeness with other emulators.
     clock : Clock
         Time of the world.
     variant : Variant
@@ -162,10 +159,8 @@ class QuantumComposersEmulator(PulsingEmulator):
         Serial number.
     """
 
-    def __init__(
-        self, motors: Mapping[str, Motor], clock: Clock, variant: Variant = QC9530, serial: int = 2311
-    ) -> None:
-        super().__init__(motors, clock)
+    def __init__(self, clock: Clock, variant: Variant = QC9530, serial: int = 2311) -> None:
+        super().__init__(clock)
         self._variant = variant
         self._echo, self._autorun = variant.echo, variant.autorun
         self._heard_s = -math.inf
@@ -286,11 +281,6 @@ class QuantumComposersEmulator(PulsingEmulator):
         for channel in self._channels:
             if self._variant.arms == "run all" or (self._variant.arms == "run" and channel.on):
                 channel.arm()
-
-    def switch_off(self) -> None:
-        """Power fails: no tick, no pulse."""
-        super().switch_off()
-        self._end_periods()
 
     def _power_up(self) -> None:
         self._stream = CommandStream()

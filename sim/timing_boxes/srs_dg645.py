@@ -9,7 +9,6 @@ What ends a burst that runs, no text says. `ends` is what does: "mode" (BURM 0),
 its count; a new delay holds from the next cycle on, and what has not risen yet is taken back.
 """
 
-from collections.abc import Mapping
 from typing import Any, Literal
 
 from daq.timing.protocols.srs_dg645 import (
@@ -23,7 +22,6 @@ from daq.timing.protocols.srs_dg645 import (
     Value,
 )
 from sim.emulators.device import Clock, serial_number
-from sim.mechanics.motion import Motor
 from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
 
@@ -45,8 +43,6 @@ class Dg645Emulator(PulsingEmulator):
 
     Parameters
     ----------
-    motors : mapping
-        None; there for the likeness with other emulators.
     clock : Clock
         Time of the world.
     serial : int
@@ -57,12 +53,11 @@ class Dg645Emulator(PulsingEmulator):
 
     def __init__(
         self,
-        motors: Mapping[str, Motor],
         clock: Clock,
         serial: int = 1013,
         ends: Literal["mode", "nothing"] = "mode",
     ) -> None:
-        super().__init__(motors, clock)
+        super().__init__(clock)
         self._name = f"Stanford Research Systems,DG645,s/n{serial:06d},ver1.00.10E"
         self._ends = ends
         self.unlocked = 0  # bits of INSR that say that a clock is not locked
@@ -74,11 +69,6 @@ class Dg645Emulator(PulsingEmulator):
     def individual(cls, name: str) -> dict[str, Any]:
         """What tells this box from another of its kind."""
         return {"serial": serial_number(name)}
-
-    @property
-    def is_running(self) -> bool:
-        """Whether it gives cycles."""
-        return self._period_begins_s is not None
 
     def set_inside(self, word: str, value: float) -> None:
         """Somebody sets something at the keys of the box."""
@@ -96,11 +86,6 @@ class Dg645Emulator(PulsingEmulator):
         self.advance()
         if self._settings["TSRC"] == SINGLE_SHOT:
             self._trigger(self.event_s)
-
-    def switch_off(self) -> None:
-        """Power fails: no pulse."""
-        super().switch_off()
-        self._end_periods()
 
     def _power_up(self) -> None:
         self._stream = CommandStream()

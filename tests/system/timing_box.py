@@ -17,7 +17,7 @@ from sim.timing import emulator_of
 def main():
     link, log, box = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
     clock = ScaledClock()
-    emulator = emulator_of(box)({}, clock)
+    emulator = emulator_of(box)(clock)
     with log.open("w", buffering=1) as lines, PtyPort(Line(emulator, clock)) as port:
         emulator.outputs.listen(lambda pulse: lines.write(f"{time.monotonic():.6f} {pulse.output}\n"))
         link.symlink_to(port.path)

@@ -109,7 +109,7 @@ def test_every_driver_is_probed_for():
 @pytest.mark.parametrize("baud", [38_400, 115_200])
 def test_a_pulse_generator_is_named_and_goes_on_as_it_was(tmp_path, box, model, baud):
     clock = VirtualClock()
-    emulator = QuantumComposersEmulator({}, clock, Variant(model))
+    emulator = QuantumComposersEmulator(clock, Variant(model))
     emulator.set_inside(2, "STAT", "1")
     emulator.set_inside(0, "STAT", "1")
     words = [dict(channel.words) for channel in emulator._all]
@@ -130,7 +130,7 @@ def test_a_pulse_generator_is_named_and_goes_on_as_it_was(tmp_path, box, model, 
 @pytest.mark.parametrize(("made", "box"), [(OltSyncEmulator, "pivlab_oltsync"), (XmSyncEmulator, "pivlab_xmsync")])
 def test_a_synchroniser_is_named(made, box):
     clock = VirtualClock()
-    emulator = made({}, clock)
+    emulator = made(clock)
     with on_a_line(emulator, clock, 9600):
         found, asked = probe("sim://probed", clock)
     assert found is not None
@@ -197,7 +197,7 @@ def test_the_verb_writes_what_was_said(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("daq.bench.probe.SYSTEM_CLOCK", clock)
     monkeypatch.setattr("rtpiv.verbs.probe.ask_port", lambda port: probe(port, clock))
-    with on_a_line(QuantumComposersEmulator({}, clock, Variant("BNC,575-8")), clock, 38_400):
+    with on_a_line(QuantumComposersEmulator(clock, Variant("BNC,575-8")), clock, 38_400):
         assert main(["probe", "sim://probed"]) == DONE
     said = " ".join(capsys.readouterr().out.split())
     assert "BNC,575-8,02311" in said

@@ -71,11 +71,11 @@ class Run:
         if box in SYNCHRONISERS:
             driver, firmware = SYNCHRONISERS[box]
             wiring, head = DIODE, HEADS["diodes"]
-            self.emulator = firmware({}, self.clock)
+            self.emulator = firmware(self.clock)
         else:
             lit, options = FIRMWARE[box]
             driver, wiring, head = QuantumComposersBox, LAMPS if lit == "lamps" else PUMPED, HEADS[lit]
-            self.emulator = QuantumComposersEmulator({}, self.clock, Variant(**options))
+            self.emulator = QuantumComposersEmulator(self.clock, Variant(**options))
         self.line = Line(self.emulator, self.clock)
         self.line.on_told = self.told
         self.box = driver("laser", wiring, self.clock)

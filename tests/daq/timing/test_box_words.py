@@ -16,6 +16,7 @@ from sim.emulators.zaber_ascii import ZaberEmulator
 from sim.mechanics.clock import ScaledClock, VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
+from sim.timing_boxes.pulsing import PulsingEmulator
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from sim.timing_boxes.srs_dg645 import Dg645Emulator
 from stages.errors import DeviceLost, PortUnavailable, StageError
@@ -47,7 +48,8 @@ def on_line():
 
     def put(made, motors=()):
         clock = VirtualClock()
-        emulator = made({name: Motor(STAGE) for name in motors}, clock)
+        is_unit = issubclass(made, PulsingEmulator)
+        emulator = made(clock) if is_unit else made({name: Motor(STAGE) for name in motors}, clock)
         LINES["desk"] = Line(emulator, clock)
         return LINES["desk"], clock
 
@@ -57,7 +59,7 @@ def on_line():
 
 def box_of(driver, clock=None):
     box = driver("laser", WIRED[driver][0], clock or VirtualClock())
-    box.address = OltSyncEmulator({}, VirtualClock()).name
+    box.address = OltSyncEmulator(VirtualClock()).name
     return box
 
 

@@ -34,7 +34,7 @@ FIRMWARE = {OltSyncBox: OltSyncEmulator, XmSyncBox: XmSyncEmulator}
 @contextmanager
 def desk(driver=OltSyncBox, faults=(), rules=RULES):
     clock = VirtualClock()
-    emulator = FIRMWARE[driver]({}, clock)
+    emulator = FIRMWARE[driver](clock)
     line = Line(emulator, clock, FaultSchedule(faults))
     box = driver("laser", WIRING, clock)
     box.address = emulator.name

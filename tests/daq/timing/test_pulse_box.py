@@ -27,7 +27,7 @@ from tests.slow_cases import slow
 @contextmanager
 def counter(clock=None, **firmware):
     clock = clock or VirtualClock()
-    emulator = PulseBoxEmulator({}, clock, **firmware)
+    emulator = PulseBoxEmulator(clock, **firmware)
     LINES["counter"] = Line(emulator, clock)
     box = PulseBox("counter", clock)
     try:
@@ -86,7 +86,7 @@ def test_a_count_whose_answer_is_lost_is_no_count():
 
 def test_what_a_board_without_the_firmware_needs_is_said():
     clock = VirtualClock()
-    LINES["counter"] = Line(Mute({}, clock), clock)
+    LINES["counter"] = Line(Mute(clock), clock)
     with pytest.raises(NoReply, match="TeensyPulseGenerator"):
         PulseBox("counter", clock).connect("sim://counter")
     LINES.pop("counter")

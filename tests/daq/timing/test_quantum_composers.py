@@ -34,7 +34,7 @@ class Desk:
 
     def __init__(self, wiring=WIRING, head=HEAD, faults=(), **firmware):
         self.clock = VirtualClock()
-        self.emulator = QuantumComposersEmulator({}, self.clock, Variant(**firmware))
+        self.emulator = QuantumComposersEmulator(self.clock, Variant(**firmware))
         self.line = Line(self.emulator, self.clock, FaultSchedule(faults))
         self.box = QuantumComposersBox("laser", wiring, self.clock)
         self.laser = Laser("laser", self.box, head, Rules(warmup_s=1.0), self.clock)

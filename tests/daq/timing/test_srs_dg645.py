@@ -38,7 +38,7 @@ class Desk:
 
     def __init__(self, faults=(), wiring=WIRING, **firmware):
         self.clock = VirtualClock()
-        self.emulator = Dg645Emulator({}, self.clock, **firmware)
+        self.emulator = Dg645Emulator(self.clock, **firmware)
         self.line = Line(self.emulator, self.clock, FaultSchedule(faults))
         self.box = Dg645Box("laser", wiring, self.clock)
         self.laser = Laser("laser", self.box, LaserHead(max_rate_hz=100.0), RULES, self.clock)

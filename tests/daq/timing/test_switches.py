@@ -69,7 +69,7 @@ def test_a_modem_line_is_a_switch():
 
 def test_a_port_without_modem_lines_is_refused():
     clock = ScaledClock()
-    box, words = QuantumComposersEmulator({}, clock), "has no line CTS that could be read"
+    box, words = QuantumComposersEmulator(clock), "has no line CTS that could be read"
     with PtyPort(Line(box, clock)) as port, pytest.raises(PortUnavailable, match=words):
         ModemLine(port.path, "cts")
     with pytest.raises(PortUnavailable, match="does not exist"):
@@ -165,7 +165,7 @@ def test_who_watches_is_told_to_the_one_who_is_asked_for_the_code(capsys, monkey
 def firing_box(rate_hz=200.0, **switches):
     """A real box that fires; the laser, and when each of its Q-switch pulses rose on the wall's clock."""
     clock, risen_s = ScaledClock(), []
-    emulator = QuantumComposersEmulator({}, clock)
+    emulator = QuantumComposersEmulator(clock)
     emulator.outputs.listen(lambda pulse: risen_s.append(time.monotonic()) if pulse.output == "B" else None)
     with PtyPort(Line(emulator, clock)) as port:
         wired = {"q_switch_1": "B", "q_switch_2": "D", "camera": "E"}

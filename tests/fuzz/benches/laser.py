@@ -111,7 +111,7 @@ class Story:
         wiring = {"lamps": LAMPS, "pumped": PUMPED, "oltSync": DIODE}[self.kind]
         driver = OltSyncBox if self.kind == "oltSync" else QuantumComposersBox
         if self.kind == "oltSync":
-            self.emulator = OltSyncEmulator({}, self.clock)
+            self.emulator = OltSyncEmulator(self.clock)
         else:
             variant = Variant(
                 outputs=8 if self.kind == "lamps" else 4,
@@ -120,7 +120,7 @@ class Story:
                 arms=self.rng.choice(("run", "run all", "state")),
                 needs_s=self.rng.choice((0.0, 0.0, 0.005, 0.04)),
             )
-            self.emulator = QuantumComposersEmulator({}, self.clock, variant)
+            self.emulator = QuantumComposersEmulator(self.clock, variant)
         self.line = Line(self.emulator, self.clock)
         self.address = f"fuzz-{id(self):x}"
         LINES[self.address] = self.line

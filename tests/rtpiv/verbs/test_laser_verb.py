@@ -35,7 +35,7 @@ def alone(tmp_path_factory, monkeypatch):
 @pytest.fixture
 def box():
     clock = ScaledClock()
-    emulator = QuantumComposersEmulator({}, clock)
+    emulator = QuantumComposersEmulator(clock)
     with PtyPort(Line(emulator, clock)) as port:
         emulator.path = port.path
         yield emulator

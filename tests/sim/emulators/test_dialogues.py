@@ -2,6 +2,7 @@
 
 import fnmatch
 import json
+from functools import partial
 from pathlib import Path
 
 from sim.emulators import emulator_class
@@ -45,8 +46,8 @@ class Replay:
             options["settings"] = {int(number): value for number, value in options["settings"].items()}
         if "variant" in options:
             options["variant"] = quantum_composers.Variant(**options["variant"])
-        made = TIMING[protocol] if protocol in TIMING else emulator_class(protocol)
-        self.device = made(motors, self.clock, **options)
+        made = TIMING[protocol] if protocol in TIMING else partial(emulator_class(protocol), motors)
+        self.device = made(self.clock, **options)
         self.framed = protocol != "isel_dnc"
         self.is_hexadecimal = protocol in HEXADECIMAL
         self.heard = []

@@ -17,7 +17,7 @@ def test_qmi_sets_reads_and_fires_a_9530():
     from qmi.instruments.quantum_composers import pulse_generator9530 as theirs
 
     clock = ScaledClock(1.0)
-    box = QuantumComposersEmulator({}, clock)
+    box = QuantumComposersEmulator(clock)
     with PtyPort(Line(box, clock)) as port:
         qmi.start("bench")
         try:
@@ -56,7 +56,7 @@ def test_qmi_sets_reads_and_fires_a_9530():
 def test_a_box_that_waits_for_its_trigger_is_given_one_by_a_word(mode, ticks):
     """*TRG, which bnc575_delay_generator says; whoever waits for no trigger is refused."""
     clock = VirtualClock()
-    box = QuantumComposersEmulator({}, clock, Variant("BNC,575-8"))
+    box = QuantumComposersEmulator(clock, Variant("BNC,575-8"))
     heard = []
     box.say = heard.append
 
