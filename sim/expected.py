@@ -18,9 +18,9 @@ from sim.renderer.patterns import placed
 from sim.renderer.render import drawing_s
 from sim.world import print_of
 
-FLOW_S = 0.6  # of a core, for a million pixels of a frame with particles
-NOISE_S = 0.1
-STEP_S = 0.3  # motors, journal, disk
+FLOW_S = 0.35  # for a million pixels of a frame with particles
+NOISE_S = 0.06
+STEP_S = 0.04  # motors, journal, disk
 
 
 def expected_s(bench: Bench, steps: Sequence[Step]) -> list[float]:

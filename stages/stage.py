@@ -10,11 +10,10 @@ configured moves (`after_home`), each judged as every move. A stop goes to every
 queue and every turn, is harmless when nothing moves, and holds until `clear_stop`.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from ground.named_program import require_trust
 from stages.axis import Arrival, Axis, Turn
@@ -30,24 +29,7 @@ from stages.states import AxisState
 from stages.stop_latch import StopLatch
 from stages.stop_signals import StopSignals
 from stages.watchdog import Watchdog
-
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """One axis moving while the others rest: part of the way of a move."""
-
-    axis: str
-    start_mm: float
-    end_mm: float
-    others_mm: Mapping[str, float]  # every axis, this one included at its start
-
-
-class Guard(Protocol):
-    """Judges a way before it is driven; `daq.bench.keep_out.KeepOut` is one."""
-
-    def check(self, way: Sequence[Piece]) -> None:
-        """Raise `Obstructed` if the way must not be driven."""
-        ...
+from stages.way import Guard, Piece
 
 
 class Stage:

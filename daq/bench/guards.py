@@ -7,7 +7,8 @@ from daq.bench.bench_table import Bench
 from daq.bench.elements import CAMERA, GLASS, TARGET
 from daq.bench.keep_out import Carrier, Element, KeepOut
 from stages.clock import SYSTEM_CLOCK
-from stages.stage import Guard, Piece, Stage
+from stages.stage import Stage
+from stages.way import Guard, Piece
 from tracer.scene.scene import Scene
 
 

@@ -34,7 +34,7 @@ from pydantic import Field
 from ground.config import Table
 from ground.usual import Usual
 from stages.errors import Obstructed, StageUsageError
-from stages.stage import Piece
+from stages.way import Piece
 from tracer.bodies import Room
 from tracer.scene.scene import Scene
 

@@ -16,8 +16,8 @@ import ctypes
 import math
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -462,8 +462,16 @@ class AravisCamera:
                 f"the camera at {self._address} was restarted: it no longer knows who controls it; open it again"
             )
 
-    def _errors(self, what: str) -> "_Translate":
-        return _Translate(self, what)
+    @contextmanager
+    def _errors(self, what: str) -> Iterator[None]:
+        """Turn what libaravis reports into a loss or a plain camera error, by asking the camera itself."""
+        try:
+            yield
+        except (AravisError, SettingRefused) as error:
+            self._probe(PROBE_MIN_S)  # a lost camera refuses everything
+            if isinstance(error, AravisError):
+                raise CameraError(f"{what}: {error}") from error
+            raise
 
     def _drop_stream(self) -> None:
         stream, self._stream = self._stream, 0
@@ -489,21 +497,3 @@ def _packets_per_frame(nodes: AravisNodes, payload_bytes: int) -> int:
     packet_bytes = int(nodes.get(PACKET_SIZE)) if nodes.has(PACKET_SIZE) else SMALLEST_PACKET_BYTES
     data_bytes = max(1, (packet_bytes & 0xFFFF) - PACKET_OVERHEAD_BYTES)
     return -(-payload_bytes // data_bytes) + 2
-
-
-class _Translate:
-    """Turn what libaravis reports into a loss or a plain camera error, by asking the camera itself."""
-
-    def __init__(self, camera: AravisCamera, what: str) -> None:
-        self._camera = camera
-        self._what = what
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if not isinstance(error, AravisError | SettingRefused):
-            return
-        self._camera._probe(PROBE_MIN_S)  # a lost camera refuses everything
-        if isinstance(error, AravisError):
-            raise CameraError(f"{self._what}: {error}") from error

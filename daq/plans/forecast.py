@@ -28,6 +28,7 @@ from stages.stage import Stage
 FRAME_OVERHEAD_S = 0.05  # trigger, readout, hand-over
 STEP_OVERHEAD_S = 0.1  # reading the positions back, fsync of the journal
 CHUNK_OVERHEAD_S = 1.5  # arming of camera and laser, dark frames at either end, books
+SIMULATED_START_S, MAP_S = 0.5, 0.7  # opening and homing a simulated bench; a map of a million pixels
 FILE_OVERHEAD_BYTES = 4096
 DEFAULT_RATE_HZ = 10.0
 
@@ -193,7 +194,9 @@ def time_said(bench: Bench, steps: Sequence[Step], said: Forecast, simulate: boo
     hardware = in_words(said.duration_s)
     if not simulate or bench.table.simulation is None or not (drawn_s := simulated_s(bench, steps)):
         return hardware
-    return f"{hardware} on hardware, {in_words(sum(drawn_s))} simulated on an idle computer"
+    width, height = bench.scene.camera.sensor_px
+    begins_s = SIMULATED_START_S + MAP_S * 1e-6 * width * height
+    return f"{hardware} on hardware, {in_words(begins_s + sum(drawn_s))} simulated on an idle computer"
 
 
 @dataclass(frozen=True)

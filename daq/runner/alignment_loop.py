@@ -29,7 +29,7 @@ from daq.runs.journal_lines import Entry
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_folder import RunFolder, frame_entries
 from stages.errors import StageUsageError
-from stages.stage import Guard
+from stages.way import Guard
 from tracer.scene.scene_file import load_priors
 
 SAID_MM = 1e-6

@@ -7,7 +7,7 @@ import pytest
 
 from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable, _at_least, _distance
 from stages.errors import Obstructed, StageUsageError
-from stages.stage import Piece
+from stages.way import Piece
 from tests.loops import loop_over
 from tests.stages.conftest import bench  # noqa: F401 - a fixture
 from tracer.bodies import Rod, Sphere

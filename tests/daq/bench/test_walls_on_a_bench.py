@@ -15,7 +15,7 @@ from ground.errors import ConfigError
 from sim.arranged import arranged
 from sim.witness.clearances import Carried, Clearances
 from stages.errors import Obstructed, StageUsageError
-from stages.stage import Piece
+from stages.way import Piece
 from tests.daq.small_bench import write_bench
 from tracer.scene.scene_file import dump_scene, load_scene
 

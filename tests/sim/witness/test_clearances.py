@@ -6,7 +6,7 @@ import pytest
 
 from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable
 from sim.witness.clearances import Carried, Clearances
-from stages.stage import Piece
+from stages.way import Piece
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
 from tracer.media import ConstantMedium
