@@ -20,6 +20,7 @@ from collections.abc import Callable
 from itertools import count
 from typing import Any
 
+from daq.timing.drivers_by_name import driver_class
 from daq.timing.pulses import Role
 from daq.timing.timing_table import TimingTable
 from sim.emulators.device import Clock
@@ -89,6 +90,7 @@ class SimulatedTiming:
         elif issubclass(made, QuantumComposersEmulator):
             options = made.individual(table.port) | made.model_of(table.box)
         self._emulator = emulator = made(clock, **options)
+        self._box = table.box
         self.line = Line(emulator, clock)
         self.switches = {name: new_switch(name) for name in table.switches}  # addresses
         self.outputs: Outputs = emulator.outputs
@@ -101,6 +103,13 @@ class SimulatedTiming:
     def firmware(self) -> Firmware:
         """The box, with the keys that a person presses."""
         return self._emulator
+
+    def hear_foreign_off(self) -> None:
+        """Hear off as `rtpiv laser off` writes it to the port, past the program that has it open."""
+        box = driver_class(self._box)("another program", self.wiring)
+        box.address = getattr(self._emulator, "name", "")
+        for data in box.off_bytes() if not self.line.dead else ():
+            self._emulator.feed(data)
 
     def light_delay_s(self, pulse: int) -> float:
         """From a Q-switch, 0 or 1, to its light."""

@@ -28,7 +28,7 @@ from sim.timing_boxes.pulsing import Pulse
 from sim.witness.witness import Violation
 from sim.world import World
 
-BY_A_PERSON = ("stop", "run", "door")
+BY_A_PERSON = ("stop", "run", "door", "off")
 DARK_S = 0.3  # after a person has ended the light, until which pulses may leave
 ON_THE_WIRE = ("late", "split", "lost", "cut", "doubled", "garbled")
 
@@ -124,15 +124,18 @@ class FaultStrikes:
                 world.dim(1.0 if fault.share is None else fault.share)
 
     def _act_at_unit(self, fault: Fault, unit: SimulatedTiming) -> None:
-        """Press a key of a timing unit, or open its door."""
+        """Press a key of a timing unit, open its door, or write to it as another program would."""
         if fault.what == "run":
             self.stopped_s.pop(fault.of, None)
-        else:
+        elif fault.what == "door" or unit.firmware.has_something_to_stop:
             self.stopped_s.setdefault(fault.of, self._clock.now_s())
         if fault.what == "door":
             CLOSED.update(dict.fromkeys(unit.switches.values(), False))
         else:
             with unit.line.lock:
+                if fault.what == "off":
+                    unit.hear_foreign_off()
+                    return
                 (unit.line.emulator.person_stops if fault.what == "stop" else unit.firmware.person_runs)()
 
     @staticmethod

@@ -17,7 +17,8 @@ a box   unplug               its cable is out until the bench is opened again
         lost, cut, doubled,  its next answer does not come, or half of it, or twice, or with a wrong byte
         garbled
 timing  the same, and        a person presses the key STOP of the box, or its key RUN, or opens the switches of
-unit    stop, run, door      door and key; from then on no light may leave until RUN is pressed
+unit    stop, run, door,     door and key, or another program sends off to the box past the one that holds its
+        off                  port; from then on no light may leave until RUN is pressed
 camera  unplug               it is gone until the bench is opened again
         late                 the next frame leaves it `delay_s` later
         lost, cut, doubled   the next frame does not come, or with a part of its pixels missing, or twice
@@ -46,12 +47,12 @@ from stages.controller_tables import ControllerTable
 
 What = Literal[
     "unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled", "stop", "run", "door",
-    "knock", "stall", "dim",
+    "off", "knock", "stall", "dim",
 ]  # fmt: skip
 OF_A_BOX = ("unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled")
 OF_A: dict[str, tuple[str, ...]] = {
     "box": OF_A_BOX,
-    "timing unit": (*OF_A_BOX, "stop", "run", "door"),
+    "timing unit": (*OF_A_BOX, "stop", "run", "door", "off"),
     "camera": ("unplug", "late", "lost", "cut", "doubled"),
     "axis": ("knock", "stall"),
     "lamp": ("dim",),

@@ -76,6 +76,11 @@ class PulsingEmulator(Emulator):
         """Whether it gives pulses."""
         return self._period_begins_s is not None
 
+    @property
+    def has_something_to_stop(self) -> bool:
+        """Whether a key that stops it, or an off, would end something."""
+        return self.is_running
+
     def switch_off(self) -> None:
         """Power fails: no pulse."""
         super().switch_off()

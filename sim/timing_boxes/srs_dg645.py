@@ -70,6 +70,11 @@ class Dg645Emulator(PulsingEmulator):
         """What tells this box from another of its kind."""
         return {"serial": serial_number(name)}
 
+    @property
+    def has_something_to_stop(self) -> bool:
+        """Whether it gives cycles or is ready to."""
+        return self.is_running or self._settings["BURM"] == 1
+
     def set_inside(self, word: str, value: float) -> None:
         """Somebody sets something at the keys of the box."""
         self.advance()
