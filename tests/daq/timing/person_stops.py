@@ -3,10 +3,13 @@
     python -m tests.daq.timing.person_stops                 # a table of box and moment, every exchange
     python -m tests.daq.timing.person_stops --by byte       # every byte
 
-The person presses STOP at the box, has another program write the bytes of `off` to it, says `rtpiv laser off`, or
-opens the door for a moment.  Nobody releases anything afterwards, so no pulse may rise later than `LATE_S` after
-it, and the run has to end with an error.  The one exception is `start`: RUN undoes a STOP that falls between the
-question for T0 and RUN, which are in one string, or in six lines of a box that loses lines (ADR 42).
+The person presses STOP at the box, has another program write the bytes of `off` to it, says `rtpiv laser off`,
+opens the door for a moment, presses Ctrl-C, or kills the program, after which only the watchdog writes to the box,
+if it was told by then that something may be on.  Nobody releases anything afterwards, so no pulse may rise later
+than `LATE_S` after it, and the run has to end with an error; of a program that has ended nothing may be left on.
+Of the watchdog's string a box that loses lines hears the first, T0, which ends everything.  The one exception is
+`start`: RUN undoes a STOP that falls between the question for T0 and RUN, which are in one string, or in six lines
+of a box that loses lines (ADR 42).
 """
 
 import argparse
@@ -19,6 +22,7 @@ from daq.errors import DaqError
 from daq.timing.conditions import Conditions, Rules
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
+from daq.timing.drivers.srs_dg645 import Dg645Box
 from daq.timing.laser import Laser
 from daq.timing.pulses import Q_SWITCHES, LaserHead, PairExposures, PulseTiming, Role
 from sim.emulators.line import Line
@@ -26,6 +30,7 @@ from sim.emulators.protocol_sim import LINES
 from sim.mechanics.clock import VirtualClock
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator, Variant
+from sim.timing_boxes.srs_dg645 import Dg645Emulator
 from stages.errors import StageError
 
 LATE_S = 0.3
@@ -34,6 +39,7 @@ CHUNKS, PAIRS, RATE_HZ = 3, 20, 10.0
 GOOD = Conditions(True, True, True, 5.0, 1000)
 LAMPS = {Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH_2: "D", Role.CAMERA: "E"}
 PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.MARKER: "D"}
+DG645 = {Role.Q_SWITCH_1: "AB", Role.Q_SWITCH_2: "CD", Role.CAMERA: "EF"}
 DIODE = {Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}
 HEADS = {"lamps": LaserHead(15.0, lamp_to_q_switch_us=(180.0, 185.0)), "diodes": LaserHead(100.0, pulse_us=50.0)}
 FIRMWARE = {
@@ -42,10 +48,32 @@ FIRMWARE = {
     for arms in ("run", "run all", "state")
     for needs_s in (0.0, 0.04)
 }
-SYNCHRONISERS = {"oltSync": (OltSyncBox, OltSyncEmulator), "xmSync": (XmSyncBox, XmSyncEmulator)}
-BOXES = (*FIRMWARE, *SYNCHRONISERS)
-HOWS = ("STOP", "foreign off", "door")
+OTHERS = {
+    "oltSync": (OltSyncBox, OltSyncEmulator, DIODE), "xmSync": (XmSyncBox, XmSyncEmulator, DIODE),
+    "dg645": (Dg645Box, Dg645Emulator, DG645),
+}  # fmt: skip
+BOXES = (*FIRMWARE, *OTHERS)
+ENDS = ("Ctrl-C", "kill")  # of the program
+HOWS = ("STOP", "foreign off", "door", *ENDS)
+WATCHDOG_S = (0.05, 0.08, 0.13, 0.25)  # after a kill, when it writes off
 SAYS_NOTHING = {("oltSync", "STOP"), ("xmSync", "STOP")}  # the key of a diode laser, which no line reports
+
+
+class Killed(BaseException):
+    """kill -9: nothing that the program writes from now on reaches the box."""
+
+
+class ToldWatchdog:
+    """Knows what the watchdog of the program was told."""
+
+    def __init__(self):
+        self.is_told = False
+
+    def moves(self, name):
+        self.is_told = True
+
+    def rests(self, name):
+        self.is_told = False
 
 
 class Door:
@@ -66,11 +94,11 @@ class Run:
 
     def __init__(self, box, how):
         self.clock = VirtualClock()
-        self.how, self.moment = how, "open"
+        self.how, self.moment, self.is_slow = how, "open", box.endswith("slow")
         self.stopped_s, self.when, self.is_at_this_write, self.error = math.inf, "", False, None
-        if box in SYNCHRONISERS:
-            driver, firmware = SYNCHRONISERS[box]
-            wiring, head = DIODE, HEADS["diodes"]
+        if box in OTHERS:
+            driver, firmware, wiring = OTHERS[box]
+            head = HEADS["diodes"]
             self.emulator = firmware(self.clock)
         else:
             lit, options = FIRMWARE[box]
@@ -80,6 +108,7 @@ class Run:
         self.line.on_told = self.told
         self.box = driver("laser", wiring, self.clock)
         self.box.address = getattr(self.emulator, "name", "")
+        self.box.watchdog = self.watchdog = ToldWatchdog()
         self.door = Door()
         self.laser = Laser("laser", self.box, head, Rules(warmup_s=0.5, uncounted=True), self.clock)
         self.lit = {wiring[role] for role in Q_SWITCHES if role in wiring}
@@ -98,15 +127,25 @@ class Run:
             self.emulator.person_stops()
         elif self.how == "foreign off":
             self.send_off()
+        elif self.how == "Ctrl-C":
+            raise KeyboardInterrupt
+        elif self.how == "kill":
+            self.line.send = lambda data: None
+            for after_s in WATCHDOG_S if self.watchdog.is_told else ():
+                self.clock.at(self.clock.now_s() + after_s, self.feed_off)
+            raise Killed
         else:
             self.door.closed = False
             self.laser.switch_opened("the switch of the door is open")  # as the thread does that reads it
             self.door.closed = True
 
-    def send_off(self, again_s=(0.03, 0.05, 0.12, 0.3)):
-        """Another program writes off, as the watchdog does; a box that is busy loses some of it, or all."""
+    def feed_off(self):
         for data in self.box.off_bytes():
             self.emulator.feed(data)
+
+    def send_off(self, again_s=(0.03, 0.05, 0.12, 0.3)):
+        """Another program writes off, as the watchdog does; a box that is busy loses some of it, or all."""
+        self.feed_off()
         if isinstance(self.emulator, QuantumComposersEmulator) and self.emulator.is_on_at(0):
             self.stopped_s, self.when = math.inf, ""
             if again_s:
@@ -124,7 +163,7 @@ class Run:
 
     def play(self, at, by="write"):
         """Fire; the person acts before exchange (or after byte) `at` since the laser is warm, or at a time."""
-        with suppress(DaqError, StageError):
+        with suppress(DaqError, StageError, KeyboardInterrupt, Killed):
             try:
                 self.begin()
                 if at is not None and by in ("write", "byte") and self.how == "door":
@@ -135,14 +174,23 @@ class Run:
                     self.clock.at(self.clock.now_s() + at, self.stop)
                 for number in range(CHUNKS):
                     self.chunk(number)
-            except (DaqError, StageError) as error:
+            except BaseException as error:
                 self.error = error
                 raise
+            finally:
+                self.line.hooks.clear()
+                if self.how == "Ctrl-C":
+                    self.laser.close()
         self.moment = "after"
-        self.line.hooks.clear()
         self.clock.sleep_s(5.0)
         self.emulator.advance()
         return self
+
+    @property
+    def is_on(self):
+        """Whether the box goes on by itself, or has an output on."""
+        outputs = () if self.is_slow else getattr(self.emulator, "_all", ())
+        return self.emulator.is_running or any(channel.on for channel in outputs)
 
     def begin(self):
         self.laser.open("sim://person")
@@ -220,6 +268,7 @@ def listing(box, how, by="write", count=None):
         row[0] += 1
         row[1] += most > 0
         row[2] = max(row[2], most)
+        row[3] += how in ENDS and run.is_on
         row[3] += run.error is None and run.when not in ("", "last end") and (box, how) not in SAYS_NOTHING
     return table
 
