@@ -1,0 +1,128 @@
+"""A program that ends by Ctrl-C or is killed, at any byte of a move or a reference run: nothing goes on moving."""
+
+import pytest
+
+from stages.stage import Stage
+
+WATCHDOG_S = (0.02, 0.05, 0.1, 0.22)  # after a kill, when it writes what stops
+BRAKED_S = 1.0  # the last of these, and the ramp
+
+
+class Killed(BaseException):
+    """kill -9: nothing that the program writes from now on reaches the box."""
+
+
+class ToldWatchdog:
+    """Knows what the watchdog of the program was told."""
+
+    def __init__(self):
+        self.is_told = False
+
+    def moves(self, name):
+        self.is_told = True
+
+    def rests(self, name):
+        self.is_told = False
+
+
+class End:
+    """Ends the program, once."""
+
+    def __init__(self, made, how):
+        self.made, self.how, self.ended_s = made, how, None
+        made.controller.watchdog = self.watchdog = ToldWatchdog()
+
+    def strike(self):
+        made = self.made
+        self.ended_s = made.clock.now_s()
+        if self.how == "Ctrl-C":
+            raise KeyboardInterrupt
+        made.line.send = lambda data: None
+        for after_s in WATCHDOG_S if self.watchdog.is_told else ():
+            made.clock.at(self.ended_s + after_s, self.stop_as_the_watchdog_does)
+        raise Killed
+
+    def stop_as_the_watchdog_does(self):
+        for data in self.made.controller.watchdog_bytes():
+            self.made.line.emulator.feed(data)
+
+
+def begun(bench, driver):
+    made = bench(driver)
+    made.stage.home()
+    made.stage.move({"a": 40.0, "b": 45.0})
+    return made
+
+
+DOINGS = {"move": lambda stage: stage.move({"a": 100.0, "b": 90.0}), "home": lambda stage: stage.home()}
+
+
+def play(bench, driver, doing, how, place, what):
+    """Begin something, end the program at a place, and watch the carriages; whether it was ended."""
+    made = begun(bench, driver)
+    end = End(made, how)
+    if what == "seconds":
+        made.clock.at(made.clock.now_s() + place, end.strike)
+    else:
+        made.line.hooks.after(place, what, end.strike)
+    try:
+        with made.stage:
+            DOINGS[doing](made.stage)
+    except (KeyboardInterrupt, Killed):
+        pass
+    made.line.hooks.clear()
+    if end.ended_s is None:
+        return False
+    made.clock.advance_to(end.ended_s + BRAKED_S)
+    places_mm = [made.world.true_mm(axis) for axis in "ab"]
+    made.clock.sleep_s(30.0)
+    assert [made.world.true_mm(axis) for axis in "ab"] == places_mm
+    assert made.world.witness.judge() == []
+    return True
+
+
+def places(bench, driver, doing, number):
+    """Places spread over what passes on the line meanwhile and over the time it takes."""
+    made = begun(bench, driver)
+    before, begun_s = dict(made.line.hooks.passed), made.clock.now_s()
+    DOINGS[doing](made.stage)
+    took_s = made.clock.now_s() - begun_s
+    for what, count in made.line.hooks.passed.items():
+        passed = count - before[what]
+        for place in sorted({1 + passed * k // number for k in range(number)} if passed else ()):
+            yield place, what
+    for k in range(number):
+        yield took_s * (k + 0.5) / number, "seconds"
+
+
+def play_all(bench, driver, doing, how, number):
+    ended = 0
+    for place, what in places(bench, driver, doing, number):
+        try:
+            ended += play(bench, driver, doing, how, place, what)
+        except AssertionError as error:
+            raise AssertionError(f"{driver}, {doing}, {how} after {place} {what}: {error}") from error
+    return ended
+
+
+@pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
+@pytest.mark.parametrize("doing", DOINGS)
+def test_nothing_moves_on_when_a_program_has_ended(bench, driver, doing, how):
+    assert play_all(bench, driver, doing, how, 2) > 4
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
+@pytest.mark.parametrize("doing", DOINGS)
+def test_nothing_moves_on_wherever_a_program_has_ended(bench, driver, doing, how):
+    assert play_all(bench, driver, doing, how, 30) > 60
+
+
+@pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
+def test_the_judge_sees_a_motion_that_goes_on(bench, monkeypatch, how):
+    monkeypatch.setattr(Stage, "halt_quietly", lambda self: None)
+    monkeypatch.setattr(Stage, "close", lambda self: None)
+    monkeypatch.setattr(End, "stop_as_the_watchdog_does", lambda self: None)
+    with pytest.raises(AssertionError):
+        play_all(bench, "zaber_ascii", "move", how, 2)
