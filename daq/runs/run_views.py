@@ -215,7 +215,7 @@ def board_of(
         Run folders and frames.
     square_mm, disc_mm : float, optional
         What somebody says of the board; otherwise squares are those of `Chessboard`, and discs as wide in them.
-        Such a print is as unsure as that of a board file without measured bars.
+        Such a print, or that of a run, is as unsure as that of a board file without measured bars.
     board : Path, optional
         Or a board file that says it.
 
@@ -250,8 +250,7 @@ def board_of(
     usual = Chessboard()
     square = said["square_mm"] or usual.square_mm
     disc = said["disc_mm"] or usual.disc_mm / usual.square_mm * square
-    unsure = 0.0 if runs else UNMEASURED
-    return Chessboard(square, disc, scale_sigma=(unsure, unsure))
+    return Chessboard(square, disc, scale_sigma=(UNMEASURED, UNMEASURED))
 
 
 def _printed(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], sizes: Sequence[str]) -> Chessboard:

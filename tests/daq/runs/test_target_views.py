@@ -14,6 +14,7 @@ from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import board_of, target_views
 from tests.daq.small_run import BENCH, about_run, keep_frame, planned
 
+UNMEASURED = (0.005, 0.005)  # scale sigmas of a print that was not measured
 AXES_Z = BENCH.replace("target_x", "target_z").replace("along: x", "along: z")
 PIXELS = np.full((4, 4), 7, np.uint16)
 
@@ -58,7 +59,7 @@ def test_a_bench_or_a_place_that_cannot_be_read_is_one_sentence(tmp_path):
 def test_a_run_knows_its_board_and_nobody_contradicts_it(tmp_path):
     run = run_of(tmp_path, [("clear", 3.0, 3.0)], square_mm=5.0, disc_mm=2.0)
     frame = run / "frames" / "000000.tif"
-    assert board_of([run]) == board_of([frame], 5.0, 2.0) == Chessboard(5.0, 2.0)
+    assert board_of([run]) == board_of([frame], 5.0, 2.0) == Chessboard(5.0, 2.0, scale_sigma=UNMEASURED)
     for options, words in (
         ((2.5,), "square_mm 5, the options say 2.5"),
         ((5.0, 1.0), "disc_mm 2, the options say 1"),
@@ -66,14 +67,15 @@ def test_a_run_knows_its_board_and_nobody_contradicts_it(tmp_path):
         with pytest.raises(BoardError, match=words):
             board_of([frame], *options)
     other = run_of(tmp_path, [("clear", 3.0, 3.0)], square_mm=4.0)
-    assert board_of([other], disc_mm=1.6) == Chessboard(4.0, 1.6)  # an older run does not say its discs
+    old = board_of([other], disc_mm=1.6)  # an older run does not say its discs
+    assert old == Chessboard(4.0, 1.6, scale_sigma=UNMEASURED)
     with pytest.raises(BoardError, match="frames of one board"):
         board_of([frame, other])
 
 
 def test_lone_files_have_the_given_board_with_the_scale_sigma_of_an_unmeasured_print(tmp_path):
     unmeasured = PrintedBoard(kind="chessboard", square_mm=5.0, disc_mm=2.0).board()
-    assert unmeasured.scale_sigma == (0.005, 0.005)
+    assert unmeasured.scale_sigma == UNMEASURED
     assert board_of([tmp_path / "a.tif"]) == replace(unmeasured, square_mm=2.5, disc_mm=1.0)
     assert board_of([tmp_path / "a.tif"], 5.0, 2.0) == unmeasured
 
