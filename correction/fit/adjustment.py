@@ -256,6 +256,7 @@ class Adjustment:
             scale = by_region(frame.behind, rest.factors)[:, None]
             value = value / scale
             near = np.linalg.norm(value, axis=1) < OUTLIER  # False for NaN
+            near &= np.isfinite(part.rate).all(axis=(1, 2))  # a ray that meets the board with the cause alone
             used.append(frame.taken(near))
             left.append(Residuals(value[near], (part.rate / scale[:, :, None])[near]))
         return weights, used, left

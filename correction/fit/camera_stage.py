@@ -40,7 +40,7 @@ from correction.fit.seen.measurement import (
 from correction.fit.seen.prediction import expect
 from correction.fit.solve.contact import clear_of, pushed_apart
 from correction.fit.solve.solver import Solution
-from correction.fit.solve.unknowns import Unknowns, unknowns_of
+from correction.fit.solve.unknowns import Unknowns, lens_reach, unknowns_of
 from correction.target.board_search import Predict, corners_in_view
 from correction.target.lattice_fit import LEAST_BOARD
 from correction.target.size_seen import size_seen
@@ -49,7 +49,10 @@ from tracer.camera import Camera, Vector3
 from tracer.scene.fit_section import FitCameraTable
 from tracer.scene.scene import Scene
 
-LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold any lens
+LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold short lenses
+DISTORTED = (
+    0.1  # of a corner's distance from the axis, by a term of any lens: terms of long ones are large numbers
+)
 HEIGHTS_FREED = 0.05  # share by which all heights of the target may be off
 FAR_OR_LARGE = ("camera.z", "camera.focal_px", "print.")  # numbers that are seen as one: how large the board is
 MORE = 1.05  # times as many corners that the bare target shows without glass
@@ -58,6 +61,8 @@ SURE = 3.0  # sigmas that the camera may be off
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
 COARSER = 4  # times that a view through walls is predicted coarser than frames
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
+GRAIN_PX, STEEPEST = 1.0, 0.998  # smoothing against noise; quantile of slopes that is an edge's steepest
+BLURRED_PX, BLURRED = 2.0, 0.12  # pixels, and share of a square, from which an edge hides marks of 0.4 squares
 
 
 def find_camera(work: Progress) -> None:
@@ -65,7 +70,7 @@ def find_camera(work: Progress) -> None:
     try:
         unknowns, solution = _fit_camera(work, work.bare_frames[:1], _reach(work))
     except TargetNotFound as missing:
-        raise TargetNotFound(files_exchanged(work) or str(missing)) from None
+        raise TargetNotFound(files_exchanged(work) or _out_of_focus(work) or str(missing)) from None
     if solution.pull > PRIOR_LIMIT and not cause_on_bare(work):
         unknowns, solution = _follow_board(work, unknowns, solution)
     if len(work.bare_frames) > 1:
@@ -83,6 +88,28 @@ def find_camera(work: Progress) -> None:
                     " distance of the camera and the print again: an error of either is one of every length"
                 )
             )
+
+
+def _out_of_focus(work: Progress) -> str:
+    """Say that edges of the first bare frame are too blurred for its marks.
+
+    An edge of contrast A, blurred by a Gaussian of sigma s, has a slope of A / (s sqrt(2 pi)) at most.
+    """
+    frame = work.bare_frames[0]
+    light = scipy.ndimage.gaussian_filter(frame.image.astype(np.float64), GRAIN_PX)
+    contrast = float(np.ptp(np.quantile(light, (0.05, 0.95))))
+    steepest = float(np.quantile(np.hypot(*np.gradient(light)), STEEPEST))
+    blur_px, square_px = (
+        contrast / max(steepest * np.sqrt(2.0 * np.pi), 1e-9),
+        work.board.square_mm / work.pitch_mm,
+    )
+    if not max(BLURRED_PX, BLURRED * square_px) < blur_px < square_px:
+        return ""
+    return (
+        f"{frame.name}: its edges are blurred by {blur_px:.1f} px (one sigma), and squares are {square_px:.0f} px"
+        " wide: the frame is out of focus, so that the marks of the board cannot be told; focus the lens on the"
+        " board, or close its aperture"
+    )
 
 
 def files_exchanged(work: Progress) -> str:
@@ -256,7 +283,9 @@ def cause_on_bare(work: Progress) -> str:
 
 def _lens_freed(work: Progress) -> Unknowns:
     """What is free on the bare target if any term of the lens may be."""
-    free = {name: max(size, getattr(work.priors.camera, name)) for name, size in LENS_FREED.items()}
+    far = lens_reach(work.nominal.camera)
+    sizes = {name: max(size, DISTORTED * far.get(name, 0.0)) for name, size in LENS_FREED.items()}
+    free = {name: max(size, getattr(work.priors.camera, name)) for name, size in sizes.items()}
     camera = work.priors.camera.model_copy(update=free)
     wider = work.unknowns_of(work.nominal, work.priors.model_copy(update={"camera": camera}))
     return wider.only((*ON_BARE, *work.walls))
@@ -279,10 +308,12 @@ def _lens_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: flo
     found = [f"{name} {values[name]:+.2g}" for name in new if abs(values[name]) > CLEAR * sigma[name]]
     if not found:
         return ""
+    free = dict(zip(wider.names, wider.sigma.tolist(), strict=True))
+    sizes = {name: free["camera.cu" if name == "principal_px" else f"camera.{name}"] for name in LENS_FREED}
     return (
         f"the lens is off its axis or distorts more than is told: with its terms free the bare target is where"
-        f" the camera shows it, to {rms_px:.2g} px, and {', '.join(found)} differ from what was held; free"
-        f" {', '.join(LENS_FREED)} in fit.camera"
+        f" the camera shows it, to {rms_px:.2g} px, and {', '.join(found)} differ from what was held; free them in"
+        f" fit.camera: {', '.join(f'{name}: {size:.2g}' for name, size in sizes.items())}"
     )
 
 

@@ -25,6 +25,7 @@ from correction.fit.judge.light_of_glass import light_of_glass
 from correction.fit.judge.result import FitStep, SceneFit, check
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import TargetFrame
+from correction.fit.seen.seen_through import balls_seen_otherwise
 from correction.fit.seen.smear import Dispersion
 from correction.fit.seen.unconfirmed_ways import masked_around, unconfirmed_ways
 from correction.fit.seen.unlisted_parts import View, compare_views
@@ -85,8 +86,8 @@ def fit_scene(
         try:
             find_glass(work)
         except GlassNotSeen as missing:  # a board of another size is seen elsewhere than the scene shows it
-            words = files_exchanged(work), size_told(work), str(missing)
-            raise GlassNotSeen("; ".join(filter(None, words))) from None
+            words = files_exchanged(work), size_told(work), _balls_in_words(work)
+            raise GlassNotSeen("; ".join(filter(None, words)) or str(missing)) from None
     fit = _looked_through(work, _estimated(work))
     say(str(fit.history[-1]))
     try:
@@ -136,7 +137,8 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
     lattice = [frame.index for frame in work.bare]
     compared = compare_views(fit.scene, views, board, lattice, place, sizes)
     paired = {way: fit.paired(way) for way in fit.expected}
-    lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene))
+    rather = balls_seen_otherwise(fit.scene, views[0].image, views[0].pose, board) if views else {}
+    lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene), rather)
     lost_balls = {one.name for one in lost if one.is_ball}
     off = tuple(rim for rim in compared.rims if rim.ball not in lost_balls)
     rims = unsure_rims(fit.scene, fit.ball_root, lost_balls)
@@ -163,9 +165,19 @@ def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float6
 
 
 def _blamed(work: Progress, reason: str) -> str:
-    """Say how large the bare board is seen, and what the rims of the balls show, then the reason of a failure."""
+    """Say how large the bare board is seen, and what rims and views of the balls show, then why the fit failed."""
     seen = work.outlines.in_words(0.0) if work.outlines else ""
-    return "; ".join(each for each in (size_told(work), seen, reason) if each)
+    return "; ".join(each for each in (size_told(work), _balls_in_words(work), seen, reason) if each)
+
+
+def _balls_in_words(work: Progress) -> str:
+    """Say what balls as given are not as the first frame with glass shows them."""
+    if not work.glass_frames:
+        return ""
+    frame = work.glass_frames[0]
+    scene = work.unknowns.scene.with_camera(work.unknowns.camera(work.full))
+    pose = work.unknowns.pose(work.full, work.height_number(frame))
+    return "; ".join(balls_seen_otherwise(scene, frame.image, pose, work.board, is_refused=True).values())
 
 
 def _rivals(fit: SceneFit, priors: FitTable, light: Light | None) -> list[Rival]:

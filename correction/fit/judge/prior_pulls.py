@@ -68,8 +68,8 @@ class PriorPull:
     @property
     def reason(self) -> str:
         """What the numbers do, and what to check."""
-        both = zip(self.names, self.pulls, strict=True)
-        each = ", ".join(f"{name} {pull:+.1f}" for name, pull in both if abs(pull) >= NAMED)
+        both, least = zip(self.names, self.pulls, strict=True), min(NAMED, max(map(abs, self.pulls)))
+        each = ", ".join(f"{name} {pull:+.1f}" for name, pull in both if abs(pull) >= least)
         if self.kind == LENGTHS:
             return (
                 f"lengths are pulled alike ({each} sigmas), as by a print {100.0 * abs(self.scale):.2g} %"

@@ -254,6 +254,8 @@ def check(fit: SceneFit) -> None:
         text = f"{name} had to move that many of its sigmas; check its value, or allow more in the fit section"
         if fit.verdict.cause is not None:
             text = f"{fit.verdict.cause.sentence}. With that held, {text}"
+        else:  # one number may have been pulled by the error of another that is held tighter
+            text = "; ".join([*map(str, fit.verdict.pulls), text])
         raise FitFailed("distance from the prior [sigma]", pull, PRIOR_LIMIT, text)
     if fit.verdict.pulls and (joint := fit.verdict.pulls[0]).sigmas > PRIOR_LIMIT:
         raise FitFailed("joint distance from the priors [sigma]", joint.sigmas, PRIOR_LIMIT, joint.reason)

@@ -48,7 +48,7 @@ from correction.fit.solve.solver import (
     residuals,
     touching,
 )
-from correction.fit.solve.unknowns import LENS, Unknowns
+from correction.fit.solve.unknowns import LENS, Unknowns, lens_reach
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST
 from tracer.strategies.sensitivity import CAMERA, TARGET
 
@@ -61,9 +61,9 @@ UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
 HARDLY = 3.0  # sigmas by which a free number is pulled, from which those may be wrong
 HEIGHTS_ORDINARY = 0.02  # share by which all heights of the target are off
-MOVED_CAMERA = 0.8  # weight of a camera that has moved against a board: what is measured is seen by the camera
+EITHER_MOVED = 0.7  # weight of a moved board and of a moved camera: either error is 1.2 sigma at most
 CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
-LENS_TERM = 1.0
+LENS_TERM, DISTORTED = 1.0, 0.02  # of short lenses; of a corner's distance from the axis, of long ones
 BALL_ORDINARY = {"radius": 0.1, "n": 0.01}
 GIVEN_ORDINARY = CAMERA_ORDINARY | BALL_ORDINARY | dict.fromkeys("xyz", 0.5)
 PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 4.0
@@ -315,9 +315,11 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     added, unsaid_px = as_linear(unknowns, stands, other, moving)
     change = np.column_stack((other - stands + added, wider.columns @ open_still))
     of_own = one.ordinary[:, None] * np.column_stack((at[free:], open_still[free:]))
-    if one.since is not None:  # either the board has changed, or what looks at it
-        shares = np.sqrt([1.0 - MOVED_CAMERA, MOVED_CAMERA])
-        change = np.column_stack((shares[0] * change, shares[1] * (change + one.since @ of_own)))
+    if one.since is not None:
+        seen_since = change + one.since @ of_own
+        if one.board is not None:  # either the board has moved, or what looks at it
+            seen_since = np.sqrt(EITHER_MOVED) * np.column_stack((change, seen_since))
+        change = seen_since
     worth = gain - size * np.log(count)
     found_now = replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
     return replace(found_now, unsaid_px=unsaid_px)
@@ -385,9 +387,9 @@ def _held_numbers(
 
     terms = [f"camera.{term}" for term in LENS if f"camera.{term}" in held]
     if terms:
-        yield numbered(
-            "", np.full(len(terms), LENS_TERM), list(map(names.index, terms)), partial(words.lens_terms, terms)
-        )
+        far = lens_reach(unknowns.camera(full))
+        size = np.array([max(LENS_TERM, DISTORTED * far[term.partition(".")[2]]) for term in terms])
+        yield numbered("", size, list(map(names.index, terms)), partial(words.lens_terms, terms))
     for name in held:
         ball, part = name.split(".")
         ordinary = CAMERA_ORDINARY.get(part) if ball == "camera" else BALL_ORDINARY.get(part)

@@ -40,10 +40,12 @@ class Unconfirmed:
         Corners that are where the scene shows them, and all that it shows.
     is_ball : bool
         Whether no way through the ball is confirmed.
-    rim_is_elsewhere : bool
-        Whether it does not stand where its rim is seen.
     masked : tuple of MaskedPart
         What no map is to use.
+    rim_is_elsewhere : bool
+        Whether it does not stand where its rim is seen.
+    rather : str
+        What it seems to be, in a sentence (`seen_through`), if that is known.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Unconfirmed:
     is_ball: bool
     masked: tuple[MaskedPart, ...]
     rim_is_elsewhere: bool = False
+    rather: str = ""
 
     @property
     def share(self) -> float:
@@ -63,6 +66,8 @@ class Unconfirmed:
         found = (
             f"{self.paired} of {self.expected} corners seen through `{self.name}` are where the scene shows them"
         )
+        if self.rather:
+            return f"{self.rather}; the ball is masked in every map"
         if self.rim_is_elsewhere:
             return (
                 f"`{self.name}` does not stand where its rim is seen, and no more than {self.paired} corners are"
@@ -126,6 +131,7 @@ def unconfirmed_ways(
     paired: Mapping[str, int],
     place_mm: Mapping[str, float],
     rim_mm: Mapping[str, Vector3] | None = None,
+    rather: Mapping[str, str] | None = None,
 ) -> tuple[Unconfirmed, ...]:
     """Ways and balls that corners do not confirm, balls first.
 
@@ -139,8 +145,10 @@ def unconfirmed_ways(
         Ball that may have moved -> standard deviation of its place sideways, once all corners are seen.
     rim_mm : mapping, optional
         Ball that does not stand where its own rim is seen -> its centre there.
+    rather : mapping, optional
+        Ball through which other squares are seen -> what it seems to be.
     """
-    rim_mm = rim_mm or {}
+    rim_mm, rather = rim_mm or {}, rather or {}
     failed = {
         way
         for way, count in expected.items()
@@ -152,12 +160,15 @@ def unconfirmed_ways(
         count = sum(expected[way] for way in ways)
         there = sum(paired.get(way, 0) for way in ways if way not in failed)
         elsewhere = sphere.name in rim_mm and 0 < there < FEW
-        if sphere.name in place_mm and count and (elsewhere or not there):
+        is_lost = sphere.name in place_mm and count and (elsewhere or not there)
+        if is_lost or sphere.name in rather:
             parts = tuple(MaskedPart(UNCONFIRMED, through=branch_of(way)) for way in ways)
             at = [sphere, *([replace(sphere, centre_mm=rim_mm[sphere.name])] if elsewhere else [])]
-            outlines = [_around(one, scene.camera, WIDER * place_mm[sphere.name]) for one in at]
+            wider_mm = WIDER * place_mm.get(sphere.name, 0.0)
+            outlines = [_around(one, scene.camera, wider_mm) for one in at]
             total = sum(paired.get(way, 0) for way in ways)
-            balls.append(Unconfirmed(sphere.name, total, count, True, (*outlines, *parts), elsewhere))
+            seems = rather.get(sphere.name, "")
+            balls.append(Unconfirmed(sphere.name, total, count, True, (*outlines, *parts), elsewhere, seems))
             failed -= set(ways)
     ways_alone = [
         Unconfirmed(

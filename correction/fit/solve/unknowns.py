@@ -246,6 +246,12 @@ class Unknowns:
         return table
 
 
+def lens_reach(camera: Camera) -> dict[str, float]:
+    """Values of terms of the lens that each move a corner of the frame by its whole distance from the axis."""
+    away = camera.focal_px / (0.5 * float(np.hypot(*camera.sensor_px)))
+    return {"k1": away**2, "k2": away**4, "k3": away**6, "p1": away, "p2": away}
+
+
 def unknowns_of(
     scene: Scene,
     heights_mm: Sequence[float],

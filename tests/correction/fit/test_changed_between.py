@@ -28,10 +28,14 @@ def lab_of(scene: Scene) -> Lab:
     return Lab(scene.camera, tuple(balls))
 
 
-def fitted(seed: int, since: Scene | None = None) -> tuple[SceneFit, Chi]:
-    """Fit corners of a lab that was otherwise since the bare frames, and how large errors are in sigmas."""
+def fitted(seed: int, since: Scene | None = None, truth: Scene | None = None) -> tuple[SceneFit, Chi]:
+    """Fit corners of a lab that was otherwise since the bare frames, and how large errors are in sigmas.
+
+    The truth is as it has been since, unless it is given.
+    """
     case, rng = right(seed), np.random.default_rng((58, seed))
     since, square = since or case.bare, case.board.square_mm
+    truth = truth or since
     board, frames = Chessboard(square, 0.4 * square), []
     for glass, scene in ((False, case.bare.bare()), (True, since)):
         frames.append(photographed(scene, lab_of(scene), board, glass, 0.01, 0.01, rng))
@@ -39,7 +43,7 @@ def fitted(seed: int, since: Scene | None = None) -> tuple[SceneFit, Chi]:
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     chi = {}
     for behind in (False, True):
-        _, error, sigma = map_error(fit, since, lab_of(since), rng, behind)
+        _, error, sigma = map_error(fit, truth, lab_of(truth), rng, behind)
         chi[behind] = float(np.sqrt(np.mean((error / sigma) ** 2)))
     return fit, chi
 
@@ -74,6 +78,19 @@ def test_a_lens_that_was_focused_between_frames_is_named_and_in_sigma(seed):
     assert "focused or zoomed" in fit.verdict.sentences[0]
     assert 0.8 < chi[False] < 1.25
     assert chi[True] < 1.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_a_board_that_moved_between_frames_is_named_and_in_sigma(seed):
+    """Seen from a board that moved, camera and balls have moved the other way; the world has not."""
+    truth, by = right(seed).bare, np.array((-0.03, 0.02, 0.0))
+    at = (np.array(truth.camera.position_mm) + by).tolist()
+    balls = [replace(ball, centre_mm=tuple((np.array(ball.centre_mm) + by).tolist())) for ball in truth.spheres]
+    moved = truth.with_camera(replace(truth.camera, position_mm=tuple(at))).with_bodies(balls)
+    fit, chi = fitted(seed, moved, truth)
+    assert "board or camera seem to have moved" in fit.verdict.sentences[0]
+    assert max(chi.values()) < 1.25
 
 
 def test_a_right_lab_names_nothing():

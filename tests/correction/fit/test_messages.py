@@ -8,8 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 
-from correction.errors import FitFailed
+from correction.errors import FitFailed, TargetNotFound
 from correction.fit import camera_stage, glass_stage
 from correction.fit.camera_stage import find_camera
 from correction.fit.progress import Progress
@@ -77,8 +78,11 @@ def test_what_the_search_has_made_of_a_scene_is_no_reason_to_print_larger_square
     assert all(word in said for word in ("radius", "glass", "hollow", "not listed"))
 
 
-def bare_fit(share: float, told: float) -> Progress:
-    """The camera's stage with bare targets at three heights, all off by a share, of which one is told."""
+def bare_fit(share: float, told: float, nearer_mm: float = 0.0) -> Progress:
+    """The camera's stage with bare targets at three heights, all off by a share, of which one is told.
+
+    The file has the camera nearer than it is.
+    """
     case = right(2)
     camera = case.bare.camera
     view = camera.position_mm[2] * camera.sensor_px[0] / camera.focal_px
@@ -91,9 +95,9 @@ def bare_fit(share: float, told: float) -> Progress:
         found[height] = photographed(below, Lab(below.camera, ()), case.board, False, 0.01, 0.01, rng)
     image = np.arange(16, dtype=np.uint16).reshape(4, 4)
     frames = [TargetFrame(f"bare{h:+g}", image, False, h * (1.0 + told)) for h in heights]
-    work = Progress(
-        case.given, [*frames, TargetFrame("glass", image, True)], case.board, FitTable(), lambda _: None
-    )
+    x, y, z = case.given.camera.position_mm
+    given = case.given.with_camera(replace(case.given.camera, position_mm=(x, y, z - nearer_mm)))
+    work = Progress(given, [*frames, TargetFrame("glass", image, True)], case.board, FitTable(), lambda _: None)
     measured = {frame.name: found[h] for frame, h in zip(frames, heights, strict=True)}
 
     def taken(
@@ -117,3 +121,26 @@ def test_heights_that_are_off_by_one_factor_are_named_and_followed_by_a_right_fi
     assert named == pytest.approx(3.0, abs=0.5)
     work = bare_fit(share, float(np.sign(share)) * 0.01 * named)  # the advice, followed
     assert np.abs(work.unknowns.free(work.full)).max() < 3.0
+
+
+def test_a_distance_that_moved_far_is_a_warning_and_the_right_one_is_none():
+    for nearer in (4.0, 0.0):
+        work = bare_fit(0.0, 0.0, nearer * FitTable().camera.position_mm)
+        said = [str(step) for step in work.history if "sigmas from what was known of it before" in str(step)]
+        assert bool(said) == (nearer > 0.0)
+        assert all("camera.z" in one and "measure the distance" in one for one in said)
+
+
+def test_frames_out_of_focus_are_named_as_such():
+    """Discs of 0.4 squares are lost in edges blurred by 0.25; sharp frames without discs are none of these."""
+    case = right(1)
+    height, width = case.given.camera.shape
+    v, u = np.mgrid[0:height, 0:width]
+    side = case.board.square_mm * case.given.camera.focal_px / case.given.camera.position_mm[2]
+    light = 500.0 + 2000.0 * ((u // side + v // side) % 2)
+    for blur, said in ((0.25, "out of focus"), (0.03, "bring them into view")):
+        image = scipy.ndimage.gaussian_filter(light, blur * side).astype(np.uint16)
+        frames = [TargetFrame("bare", image, False), TargetFrame("glass", image, True)]
+        work = Progress(case.given, frames, case.board, FitTable(), lambda _: None)
+        with pytest.raises(TargetNotFound, match=said):
+            find_camera(work)
