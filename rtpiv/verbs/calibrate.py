@@ -31,6 +31,8 @@ from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
 PICTURES = "rtpiv.analysis.pictures"
+FITTED = ("scene.yaml", "fit.npz", "map_sigma.npz", "calibration.json")
+DRAWN = ("map_sigma.png", "convergence.png", "smooth_residuals.png", "residuals.png", "calibration.html")
 NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm)?")
 WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear_z+10mm.tif and so on"
 
@@ -44,6 +46,7 @@ def calibrate(
     disc_mm: Positive | None = None,
     board: Named | None = None,
     pictures: bool = True,
+    overwrite: bool = False,
 ) -> SceneFit:
     """Fit a scene to frames of its target.
 
@@ -67,6 +70,8 @@ def calibrate(
         Or its board.yaml, written by ``rtpiv target``, with the scale of the print.
     pictures : bool
         Draw pictures, after all else is written.
+    overwrite : bool
+        Replace files of these names in the folder that was named, made from something else.
 
     Returns
     -------
@@ -88,7 +93,8 @@ def calibrate(
     nominal, priors = nominal_scene(folder, path_of(scene))
     target = board_of([folder], square_mm, disc_mm, path_of(board))
     frames = target_frames(folder, nominal.camera.shape)
-    with results_in(out, "fit") as out:
+    made_from = dict.fromkeys((*FITTED, *(DRAWN if pictures else ())), folder)
+    with results_in(out, "fit", overwrite=overwrite, made_from=made_from) as out:
 
         def say(text: str) -> None:
             progress.print(f"{time.monotonic() - began:6.1f} s  {text}")

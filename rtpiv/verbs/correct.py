@@ -112,6 +112,7 @@ def correct(
     as_float: bool = False,
     check_target: bool = False,
     pictures: bool = True,
+    overwrite: bool = False,
 ) -> Corrected:
     """Correct frames that were taken through the glass of a scene.
 
@@ -135,6 +136,8 @@ def correct(
         of a run that photographed a print, show particles in the scene's light sheet.
     pictures : bool
         Draw ``overview.png``, after all else is written.
+    overwrite : bool
+        Replace files of these names in the folder that was named, made from something else.
 
     Returns
     -------
@@ -170,7 +173,10 @@ def correct(
     shape = loaded.camera.shape
     _refuse_same_names(frames)
     scene_file = None if recipe.sigma_limit_px is None else path_of(scene)
-    with results_in(out, "corrected") as out:
+    source = Path("a scene in memory") if isinstance(scene, Scene) else Path(scene)
+    made_from = {f"{stem_of(path)}.tif": path for path in frames}
+    made_from |= dict.fromkeys(("mask.tif", "correction.json", *(["overview.png"] if pictures else [])), source)
+    with results_in(out, "corrected", overwrite=overwrite, made_from=made_from) as out:
         with ReadAhead(frames, shape) as acquired:
             board = recipe.board(frames)
             dewarp = recipe.dewarp(fitted.camera, board)

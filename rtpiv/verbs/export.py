@@ -19,6 +19,14 @@ from rtpiv.verbs.results import results_in
 from tracer.scene.scene_file import load_scene
 
 SCENES = (".yaml", ".yml")
+ENDINGS = {  # of the files of each format
+    "csv": (".csv",),
+    "matlab": (".mat",),
+    "tecplot": (".dat",),
+    "paraview": (".vtk", "_00000.vtk"),
+    "netcdf": ("_correction.nc", "_rays.nc"),
+    "tiff": ("_mask.tif", "_status.tif", "_u.tif", "_v.tif", "_x.tif", "_y.tif"),
+}
 MOST_NAMED = 8  # variables of a file
 MAPS_SAID = (
     "pixels [px] of nodes, and places on the plane [mm] of pixels; NaN where nothing is recovered or met, and"
@@ -31,6 +39,7 @@ def export(
     /,
     to: Literal["csv", "matlab", "paraview", "tecplot", "netcdf", "tiff"],
     out: Named | None = None,
+    overwrite: bool = False,
 ) -> list[Path]:
     """Write vectors, or the maps of a scene, in another program's format.
 
@@ -44,6 +53,8 @@ def export(
     out : path, optional
         Folder, default ``exported`` (or ``exported-2`` ... where that has results); files keep their names, and
         have those of their folders before them where several share one.
+    overwrite : bool
+        Replace files of that name in the folder that was named, made from something else.
 
     Returns
     -------
@@ -74,7 +85,10 @@ def export(
                 raise RunUsageError(f"{source}: is NetCDF already, which PIVPy and xarray read as it is")
             raise RunUsageError(f"{source}: {kind} can be exported to {' or '.join(formats)}, not {to}")
     names = _names(sources)
-    with results_in(out, "exported") as out:
+    made_from = {
+        f"{name}{ending}": source for source, name in zip(sources, names, strict=True) for ending in ENDINGS[to]
+    }
+    with results_in(out, "exported", overwrite=overwrite, made_from=made_from) as out:
         written: list[Path] = []
         said = MAPS_SAID
         for source, name in progress_if_long(list(zip(sources, names, strict=True)), len(sources), "files"):
@@ -83,7 +97,7 @@ def export(
                     written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / name)
                 else:
                     vectors = read_vectors(source)
-                    written += FORMATS[to](out / name, vectors)
+                    written += FORMATS[to](out / f"{name}{ENDINGS[to][0]}", vectors)
                     said = _said(vectors, to)
             except OSError as error:
                 raise DiskError(f"{out}: {why(error)}; make room, then try again") from error

@@ -5,19 +5,22 @@ scene beside the scene of the other.
 """
 
 import errno
+import json
 import os
 import tempfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
+from daq.atomic_write import write_json
 from daq.errors import DiskError, RunUsageError
 from ground.file_lock import folder_held
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 OF_VECTORS = ("evaluation.json", "series.json", "vectors.nc")  # files that tell what a folder holds
+MADE_FROM = ".made_from.json"  # which file of a folder was made from what
 _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())  # by the call that is carried out
 
 
@@ -33,6 +36,7 @@ def results_in(
     goes_on: Callable[[Path], bool] = _never,
     copies: Collection[str] = (),
     overwrite: bool = False,
+    made_from: Mapping[str, Path] | None = None,
 ) -> Iterator[Path]:
     """Give a call the folder for its results, for itself alone, the calls in it included.
 
@@ -50,7 +54,11 @@ def results_in(
     copies : collection of str
         Names of the files that are no results but copies of what was given.
     overwrite : bool
-        Replace what vectors of other frames lie in the folder that was named, where `goes_on` tells them apart.
+        Replace what lies in the folder that was named: vectors of other frames, where `goes_on` tells them apart,
+        and files of `made_from`.
+    made_from : mapping of str to path, optional
+        Files that this call writes there, and from what. Those that are there and were made from something else,
+        or by hand, are overwritten on request only; the folder keeps a list of them.
 
     Yields
     ------
@@ -60,7 +68,7 @@ def results_in(
     Raises
     ------
     RunUsageError, DiskError
-        As `require_folder`; or another process works in the folder, or it holds vectors of other frames.
+        As `require_folder`; or another process works in the folder, or it holds results of something else.
     """
     with ExitStack() as held:
         for folder in [Path(out)] if out is not None else _usual(usual):
@@ -68,7 +76,7 @@ def results_in(
             if not is_ours and not _is_free(folder):
                 continue
             try:
-                held.enter_context(_alone_in(require_folder(folder), copies))
+                held.enter_context(_alone_in(require_folder(folder), (*copies, MADE_FROM)))
             except BlockingIOError:
                 if is_ours:
                     cure = "let it finish, or name another folder with -o"
@@ -84,7 +92,25 @@ def results_in(
                 raise RunUsageError("holds vectors of other frames", place=folder, cure=cure)
             for file in others:
                 file.unlink()
+        if made_from:
+            _keep_others(folder, {name: os.path.realpath(path) for name, path in made_from.items()}, overwrite)
         yield folder
+
+
+def _keep_others(folder: Path, made_from: Mapping[str, str], overwrite: bool) -> None:
+    """Refuse to overwrite files in a folder that were made from something else; list those that will be made."""
+    try:
+        known = json.loads((folder / MADE_FROM).read_bytes())
+    except (OSError, ValueError):
+        known = {}
+    known = known if isinstance(known, dict) else {}
+    others = [name for name in made_from if (folder / name).exists() and known.get(name) != made_from[name]]
+    if others and not overwrite:
+        more = f" and {len(others) - 1} more that this call writes" if len(others) > 1 else ""
+        cure = "give another folder with -o, or --overwrite"
+        raise RunUsageError(f"holds {others[0]}{more}, made from something else", place=folder, cure=cure)
+    # Before they are written, so that an interrupted call can be given again.
+    write_json(folder / MADE_FROM, {**known, **made_from})
 
 
 def _usual(name: str) -> Iterator[Path]:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from correction.maps.aperture import BlurMap
 
 PICTURES = "rtpiv.analysis.pictures"
+DRAWN = ("plane.png", "camera_view.png", "slant.png", "scene.png", "blur.png", "radial_curve.png")
 SHOWN_BODIES = 40
 LONGEST_NAME = 32
 SHEET_STEP = 4  # corrected pixels between places that may be seen twice; 2 says the same in four times the time
@@ -62,7 +63,9 @@ class Traced:
     pictures: tuple[Path, ...] = field(repr=False)
 
 
-def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = True) -> Traced:
+def trace(
+    scene: Named | Scene, /, out: Named | None = None, pictures: bool = True, overwrite: bool = False
+) -> Traced:
     """Trace a scene; print what it shows of the plane, and leave pictures.
 
     Parameters
@@ -77,6 +80,8 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
         the camera's aperture.
     pictures : bool
         Draw them, after the figures are printed; else the folder is left alone.
+    overwrite : bool
+        Replace pictures of another scene in the folder that was named.
 
     Returns
     -------
@@ -92,7 +97,9 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
     """
     loaded, name = (scene, "scene") if isinstance(scene, Scene) else (load_scene(scene), Path(scene).stem)
     screen = console()
-    with results_in(out, "trace") as out:
+    source = Path("a scene in memory") if isinstance(scene, Scene) else Path(scene)
+    made_from = dict.fromkeys(DRAWN if pictures else (), source)
+    with results_in(out, "trace", overwrite=overwrite, made_from=made_from) as out:
         for question in [] if isinstance(scene, Scene) else scene_questions(scene):
             screen.print(question, soft_wrap=True, highlight=False)
         ray_map = build_ray_map(loaded)
@@ -134,10 +141,9 @@ def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = Tr
             if pictures:
                 _draw_on_plane(draw, out, loaded, correction_map.grid, slant, blur)
                 _draw_views(draw, out, name, loaded, share.size_mm[0], view)
-        names = ["plane.png", "camera_view.png", "slant.png", "scene.png"] if pictures else []
+        lacking = {"blur.png": blur is None, "radial_curve.png": view is None}
+        names = [name for name in DRAWN if pictures and not lacking.get(name)]
         if pictures:
-            names += ["blur.png"] if blur is not None else []
-            names += ["radial_curve.png"] if view is not None else []
             screen.print(f"{', '.join(names)} are in {out}")
         return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names))
 

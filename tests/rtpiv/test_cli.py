@@ -100,7 +100,7 @@ def test_usage_errors_exit_with_2(arguments, capsys):
 def test_a_good_frame_is_corrected(bench):
     code, out = run(bench, "good.tif")
     assert code == 0
-    assert {path.name for path in out.iterdir()} == {"good.tif", "mask.tif", "overview.png", "correction.json"}
+    assert {path.name for path in out.glob("[!.]*")} == {"good.tif", "mask.tif", "overview.png", "correction.json"}
 
 
 def broken(bench):
@@ -186,9 +186,9 @@ def test_several_problems_are_reported_at_once(bench, capsys):
 @pytest.mark.draws
 def test_trace_leaves_pictures(bench):
     assert main(["trace", str(bench / "scene.yaml"), "-o", str(bench / "trace")]) == 0
-    names = {path.name for path in (bench / "trace").iterdir()}
+    names = {path.name for path in (bench / "trace").glob("[!.]*")}
     assert names == {"plane.png", "camera_view.png", "slant.png", "scene.png", "radial_curve.png"}
-    for path in (bench / "trace").iterdir():
+    for path in (bench / "trace").glob("[!.]*"):
         assert path.stat().st_size > 1000
 
 
@@ -200,3 +200,22 @@ def test_warnings_of_libraries_do_not_reach_the_user(capsys):
         assert capsys.readouterr().err == ""
         warnings.warn("the bench has no watchdog", RtpivWarning, stacklevel=1)
     assert "the bench has no watchdog" in capsys.readouterr().err
+
+
+def test_neither_pictures_nor_frames_of_something_else_are_overwritten(bench, tmp_path, capsys):
+    out, refused = tmp_path / "out", "made from something else; give another folder with -o, or --overwrite"
+    other = tmp_path / "other.yaml"
+    other.write_bytes((bench / "scene.yaml").read_bytes())
+    trace = ["trace", str(bench / "scene.yaml"), "-o", str(out)]
+    assert main(trace) == main(trace) == 0  # the same once more
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    assert main(["trace", str(other), "-o", str(out)]) == 2
+    assert refused in capsys.readouterr().err
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+    # Corrected frames have the names of acquired ones, so a folder with those loses none.
+    (tmp_path / "day").mkdir()
+    frame, words = tmp_path / "day" / "good.tif", ["--scene", str(bench / "scene.yaml"), "--no-pictures"]
+    frame.write_bytes((bench / "good.tif").read_bytes())
+    assert main(["correct", str(frame), *words, "-o", str(frame.parent)]) == 2
+    assert refused in capsys.readouterr().err
+    assert frame.read_bytes() == (bench / "good.tif").read_bytes()

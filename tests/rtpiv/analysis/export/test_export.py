@@ -142,7 +142,7 @@ def test_files_of_one_name_are_called_after_their_folders(tmp_path, capsys):
         written(tmp_path / folder / "vectors.nc")
     both = [str(tmp_path / folder / "vectors.nc") for folder in ("pair_1", "pair_2")]
     assert main(["export", *both, "--to", "matlab", "-o", str(tmp_path / "out")]) == DONE
-    assert {file.name for file in (tmp_path / "out").iterdir()} == {"pair_1_vectors.mat", "pair_2_vectors.mat"}
+    assert {file.name for file in (tmp_path / "out").glob("[!.]*")} == {"pair_1_vectors.mat", "pair_2_vectors.mat"}
     assert main(["export", both[0], both[0], "--to", "matlab", "-o", str(tmp_path / "out")]) == USAGE
     assert "is named twice" in capsys.readouterr().err
 
@@ -150,3 +150,24 @@ def test_files_of_one_name_are_called_after_their_folders(tmp_path, capsys):
 def test_vectors_are_not_exported_to_what_they_are(tmp_path, capsys):
     assert exported(written(tmp_path / "a.nc"), "netcdf", tmp_path / "out") == USAGE
     assert "a.nc: is NetCDF already" in " ".join(capsys.readouterr().err.split())
+
+
+def test_names_with_dots_stay_apart_and_results_of_others_are_kept(tmp_path, capsys):
+    places = [written(tmp_path / name) for name in ("run.1.nc", "run.2.nc")]
+    out = tmp_path / "out"
+    for to, ending in (("matlab", "mat"), ("tecplot", "dat"), ("csv", "csv")):
+        words = ["--to", to, "-o", str(out)]
+        assert main(["export", *map(str, places), *words]) == DONE
+        assert (out / f"run.1.{ending}").exists()
+        assert (out / f"run.2.{ending}").exists()
+    (tmp_path / "other").mkdir()
+    other = written(tmp_path / "other" / "run.2.nc")
+    (out / "run.3.csv").write_text("by hand")
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    for source in (other, written(tmp_path / "run.3.nc")):
+        assert main(["export", str(source), "--to", "csv", "-o", str(out)]) == USAGE
+        assert "made from something else; give another folder with -o, or --overwrite" in capsys.readouterr().err
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+    assert main(["export", str(places[1]), *words]) == DONE  # the same once more
+    assert main(["export", str(other), *words, "--overwrite"]) == DONE
+    assert main(["export", str(places[1]), *words]) == USAGE
