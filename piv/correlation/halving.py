@@ -31,8 +31,15 @@ exp(-d^2/(4 s^2)), so
 
     r^2 = 2 s^2 (e - e_0)(1 - C_before)/C_after
 
-is the mean square of a component, e_0 (`CHANCE`) what following noise explains. It is the least that
-`piv.correlation.pair` says of their resolution: under noise nothing else shows it.
+is the mean square of a component, e_0 what following noise explains. It is the least that `piv.correlation.pair`
+says of their resolution: under noise nothing else shows it. By chance e differs from e_0 (`CHANCE` has both,
+measured in uniform flows), and where a frame shows no flow half of those differences are positive. So the mean x
+of e - e_0 over a usual window, without places that take the finest ones, counts by t^2/(1 + t^2), t = (x/x_0)^2,
+x_0 the chance deviation at one place: two of such a mean.
+
+**What does not match and is flow** is seen by the correlation statistics as if it were noise. Passes repeat noise
+and enlarge it (`piv.correlation.response`), while of the flow each pass sees only what the one before has left. So
+the share x of the random variance, what halving explains, does not grow.
 
 Lepski, Theory Probab. Appl. 35, 454 (1991), on the principle: the largest window that smaller ones do not
 contradict.
@@ -50,23 +57,29 @@ from piv.correlation.windows import WindowGrid
 
 PROMISED, WIDE = 0.05, 0.21  # of what does not match; deviation of a window's weights in sides
 EXPLAINED = 0.15  # of what does not match: from here on halving counts
-CHANCE = (  # variance of a particle image [px^2], and what vectors explain by following their noise (measured)
-    (0.14, 0.22, 0.3),
-    (0.07, 0.045, 0.04),
+CHANCE = (  # variance of a particle image [px^2]; what vectors explain by following their noise, and its deviation
+    (0.14, 0.22, 0.4, 1.0, 3.8, 7.9),
+    (0.07, 0.045, 0.034, 0.038, 0.043, 0.055),
+    (0.025, 0.018, 0.018, 0.025, 0.06, 0.075),
 )
 PIECES = 3.0  # particle images that the finest windows must hold
 JUDGED = 3  # side of what is judged together, in finest windows
-CELL_PX = 4  # light is added up over cells about as large as a particle image
+CELL_PX = 4  # light is added up over cells about as large as a particle image, at least
 LEFT_PX, LEFT_SHARE = 0.1, 0.03  # more fine vectors than this share moved by more: another pass
 
 Floats = NDArray[np.float64]
 
 
 class Found(NamedTuple):
-    """Passes that were added; and what windows of usual size miss as halving shows (ny, nx) [px], 0 of others."""
+    """Passes that were added, and what halving shows (ny, nx).
+
+    missed_px : what windows of usual size miss [px], 0 of others; flow_share : share of what did not match in them
+    that is flow.
+    """
 
     added: int
     missed_px: Floats
+    flow_share: Floats
 
 
 def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2: float) -> Found:
@@ -87,20 +100,36 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2:
     before = matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
     if not _promises(course.predictor() - usual, before, spread_px2, grid, usual_px):
         course.read_again(usual, Sizes((grid.size_px, usual_px), np.ones(grid.shape, np.int64)))
-        return Found(0, np.zeros(grid.shape))
+        return Found(0, np.zeros(grid.shape), np.zeros(grid.shape))
     course.look(grid)
     after = matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
     explained = (after - before) / np.maximum(1.0 - before, 1e-3)
-    fine = (explained > EXPLAINED) & (pieces_of(course.deformed.a, grid, settings.window_sigma) >= PIECES)
+    fine = (explained > EXPLAINED) & (
+        pieces_of(course.deformed.a, grid, settings.window_sigma, spread_px2) >= PIECES
+    )
     sizes = Sizes((grid.size_px, usual_px), np.where(fine, 0, 1))
     course.look(grid, np.where(fine[..., None], course.predictor(), usual), sizes)
     added = 0
     while added < settings.extra_passes and _changes(course.found):
         course.look(grid, None, sizes)
         added += 1
-    gained = np.maximum(explained - np.interp(spread_px2, *CHANCE), 0.0) * (1.0 - before) / np.maximum(after, 1e-3)
+    flow = _clear_share(explained, fine, spread_px2, usual_px / grid.step_px)
+    gained = flow * (1.0 - before) / np.maximum(after, 1e-3)
     missed = np.sqrt(2.0 * sampled_px2 * np.clip(gained, 0.0, 1.0))
-    return Found(added, np.where(sizes.which == 1, missed, 0.0))
+    return Found(added, np.where(sizes.which == 1, missed, 0.0), np.clip(flow, 0.0, 1.0))
+
+
+def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, window_steps: float) -> Floats:
+    """What halving explains (ny, nx) beyond chance, as far as that is clear; not negative. See the top."""
+    usual, chance = (float(np.interp(spread_px2, CHANCE[0], values)) for values in CHANCE[1:])
+    beyond = explained - usual
+    sums, weights = (
+        scipy.ndimage.gaussian_filter(np.where(fine, 0.0, part), 0.5 * window_steps, mode="nearest")
+        for part in (beyond, np.ones_like(beyond))
+    )
+    mean = np.where(fine, beyond, sums / np.maximum(weights, 1e-3))
+    clear = np.square(np.square(mean / chance))
+    return np.maximum(mean, 0.0) * clear / (1.0 + clear)
 
 
 def _promises(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
@@ -111,22 +140,25 @@ def _promises(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGr
     return bool(scipy.ndimage.binary_opening(around > PROMISED, np.ones((side, side), bool)).any())
 
 
-def pieces_of(frame: NDArray[np.float32], grid: WindowGrid, window_sigma: float) -> Floats:
+def pieces_of(
+    frame: NDArray[np.float32], grid: WindowGrid, window_sigma: float, spread_px2: float = 0.0
+) -> Floats:
     """How many particle images (ny, nx) of about the same light would make that of each window of `grid`.
 
     Of N equal ones the light W has a sum whose square is N times the sum of squares.
     """
     import cv2
 
-    height, width = (side // CELL_PX for side in frame.shape)
-    whole = np.square(frame[: height * CELL_PX, : width * CELL_PX])
+    cell_px = max(CELL_PX, round(4.0 * float(np.sqrt(spread_px2))))
+    height, width = (side // cell_px for side in frame.shape)
+    whole = np.square(frame[: height * cell_px, : width * cell_px])
     light = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
-    reach = float(np.sqrt(variance_px2(grid.size_px, window_sigma))) / CELL_PX
+    reach = float(np.sqrt(variance_px2(grid.size_px, window_sigma))) / cell_px
     seen = np.square(cv2.GaussianBlur(light, (0, 0), reach))  # means under the weights, and under their squares
     squares = cv2.GaussianBlur(np.square(light), (0, 0), reach / np.sqrt(2.0))
     count = 4.0 * np.pi * reach**2 * seen / np.maximum(squares, np.float32(1e-30))
     at = (
-        np.clip(((place + 0.5) / CELL_PX).astype(np.int64), 0, cells - 1)
+        np.clip(((place + 0.5) / cell_px).astype(np.int64), 0, cells - 1)
         for place, cells in ((grid.y_px, height), (grid.x_px, width))
     )
     return np.asarray(count[np.ix_(*at)], np.float64)

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 UNEVEN = 1.9
 TWICE_PX = 0.19
 OTHERWISE, LOST_SHARE = 0.45, 0.1
+NOISE_RANGE = 3.0  # range of nine normal deviates over their deviation
 GAP = 3  # windows of 3 x 3
 LARGEST_PX = 1e6  # more than any displacement
 MATCHED = 0.75  # quantile
@@ -110,7 +111,13 @@ def matched_share(correlation: Floats, good: NDArray[np.bool_]) -> Floats:
     return share
 
 
-def unmatched_px(vectors: Floats, seen_px: Floats, correlation: Floats, good: NDArray[np.bool_]) -> Floats:
+def unmatched_px(
+    vectors: Floats,
+    seen_px: Floats,
+    correlation: Floats,
+    good: NDArray[np.bool_],
+    sigma_px: Floats | None = None,
+) -> Floats:
     """Standard deviation (ny, nx) of a component by light that moves otherwise than the vector says, see 4. above.
 
     Parameters
@@ -123,6 +130,8 @@ def unmatched_px(vectors: Floats, seen_px: Floats, correlation: Floats, good: ND
         At the vectors.
     good : ndarray of bool, shape (ny, nx)
         Vectors that are believed.
+    sigma_px : ndarray of float64, shape (ny, nx, 2), optional
+        Random sigma of the vectors, whose noise has a range of its own; default none.
     """
     share = 1.0 - matched_share(correlation, good)
     gap = ~good & np.isfinite(seen_px).all(axis=-1)
@@ -132,6 +141,9 @@ def unmatched_px(vectors: Floats, seen_px: Floats, correlation: Floats, good: ND
         scipy.ndimage.maximum_filter(np.where(known, sign * values, -LARGEST_PX), (3, 3, 1))
         for sign in (1.0, -1.0)
     )
-    range_px = np.sqrt(np.square(np.maximum(high + low, 0.0)).mean(axis=-1))
+    squares = np.square(np.maximum(high + low, 0.0))
+    if sigma_px is not None:
+        squares = np.maximum(squares - np.square(NOISE_RANGE * np.nan_to_num(sigma_px)), 0.0)
+    range_px = np.sqrt(squares.mean(axis=-1))
     unmatched: Floats = OTHERWISE * np.clip(share - LOST_SHARE, 0.0, 1.0) * range_px
     return unmatched

@@ -27,7 +27,9 @@ GREY_BITS: dict[tuple[int, int], type[np.number[Any]]] = {  # by sample format
     (1, 8): np.uint8, (1, 16): np.uint16, (1, 32): np.uint32, (1, 64): np.uint64, (3, 32): np.float32,
     (2, 8): np.int8, (2, 16): np.int16, (2, 32): np.int32, (2, 64): np.int64, (3, 64): np.float64,
 }  # fmt: skip
-OF_OPENCV = (np.uint8, np.uint16, np.float32)
+READ_AS: dict[int, tuple[int, type[np.number[Any]]]] = {  # sample format and kind that OpenCV reads, by bits
+    8: (1, np.uint8), 16: (1, np.uint16), 32: (3, np.float32), 64: (3, np.float64),
+}  # fmt: skip
 PLAIN = (COMPRESSION.NONE, COMPRESSION.ADOBE_DEFLATE, COMPRESSION.DEFLATE, COMPRESSION.PACKBITS)
 ALL_SEEN = {1, 2, 3, 4, 5, 6, 7, 8}  # orientations
 
@@ -97,7 +99,7 @@ def grey_page(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN4
     if (form, bits) not in GREY_BITS:
         kind = {1: "uint", 2: "int", 3: "float"}.get(form, "other ")
         raise FrameError(f"holds {kind}{bits}; {NEEDED}")
-    if _needs_opencv(page) and GREY_BITS[form, bits] not in OF_OPENCV:
+    if _needs_opencv(page) and form != READ_AS[bits][0] and 339 not in page.tags:
         raise FrameError(f"holds {GREY_BITS[form, bits].__name__} compressed by {_name(page.compression)}; save it"
                          " uncompressed")  # fmt: skip
     if int(page.imagedepth) != 1:
@@ -138,15 +140,20 @@ def _needs_opencv(page: Any) -> bool:  # noqa: ANN401
 
 
 def _by_opencv(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN401
-    """Decode by OpenCV's codecs, which invert and turn some images themselves: the tags that say so are hidden."""
+    """Decode by OpenCV's codecs, which invert and turn some images themselves: the tags that say so are hidden.
+
+    Of the kinds of number it knows one of each size; others are unpacked as that one, bit by bit.
+    """
     import cv2
 
     stream.seek(0)
     altered = bytearray(stream.read())
     order = "little" if page.parent.byteorder == "<" else "big"
-    for code, plain in ((262, 2 if page.samplesperpixel > 1 else 1), (274, 1)):
+    form, kind = READ_AS[page.bitspersample]
+    own = GREY_BITS[int(page.sampleformat or 1), page.bitspersample]
+    for code, plain in ((262, 2 if page.samplesperpixel > 1 else 1), (274, 1), (339, form)):
         tag = page.tags.get(code)
-        if tag is not None:
+        if tag is not None and tag.count == 1:
             altered[tag.valueoffset : tag.valueoffset + 2] = plain.to_bytes(2, order)  # type: ignore[arg-type]
     try:
         pages = (number, number + 1)
@@ -156,6 +163,8 @@ def _by_opencv(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN
     if not whole or len(found) != 1:
         raise FrameError(f"is compressed by {_name(page.compression)}, and damaged; copy it from the camera again")
     pixels = np.asarray(found[0])
+    if pixels.dtype == kind:
+        pixels = pixels.view(own)
     return pixels if pixels.ndim == 2 else pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]  # OpenCV has blue first
 
 

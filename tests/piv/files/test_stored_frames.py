@@ -162,6 +162,21 @@ def test_a_preview_is_no_page(tmp_path):
     assert np.array_equal(read_frame(tmp_path / "a.tif"), GREY16)
 
 
+@pytest.mark.parametrize("kind", [np.int8, np.int16, np.int32, np.uint32, np.float32, np.float64])
+def test_packed_numbers_of_any_kind(tmp_path, kind):
+    """OpenCV packs what has the same bits; the tag then says what they are."""
+    frame = (GREY16.astype(np.int64) // 40 - (40 if kind is not np.uint32 else 0)).astype(kind)
+    packed_as = {1: np.uint8, 2: np.uint16, 4: np.float32, 8: np.float64}[frame.itemsize]
+    form = {"u": 1, "i": 2, "f": 3}[frame.dtype.kind]
+    for codec in (5, 8):
+        for predictor in (1, 2, 3) if packed_as in (np.float32, np.float64) else (1, 2):
+            how = [cv2.IMWRITE_TIFF_COMPRESSION, codec, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
+            cv2.imwrite(str(tmp_path / "a.tif"), frame.view(packed_as), how)
+            with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+                file.pages[0].tags["SampleFormat"].overwrite(form)
+            np.testing.assert_array_equal(read_frame(tmp_path / "a.tif"), frame.astype(np.float32), f"{how}")
+
+
 def refused(folder):
     cv2.imwrite(str(folder / "clear.png"), with_alpha(GREY8, 100))
     write_png(folder / "bilevel.png", GREY8, "1")
