@@ -462,7 +462,8 @@ def _of_flow(course: Course, sizes: Sizes, halved: Found, added: int) -> Floats:
         for side in sizes.sides_px
     ]
     once = 1.0 / np.square(np.array(growths)[sizes.which])
-    return np.sqrt(1.0 - halved.flow_share * np.maximum(1.0 - once, 0.0))
+    factor: Floats = np.sqrt(1.0 - halved.flow_share * np.maximum(1.0 - once, 0.0))
+    return factor
 
 
 def _finer(course: Course, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:

@@ -19,7 +19,8 @@ the flow did in them. So a mean over those that are left is biased, and neither 
 says so. With p, the share of the pairs that looked at a place and have a vector there:
 
 * below `LEAST_SHARE` there is no mean: most of what it would be of is missing;
-* above it, what was lost may have moved by anything that the mean shows around. With the range D of a component
+* a place alone among others without a mean has none either: nothing supports it;
+* elsewhere, what was lost may have moved by anything that the mean shows around. With the range D of a component
   over 3 x 3 places, all of it alike, the mean is off by (1 - p) times a number of mean square D^2/3.
 
 Where dropped vectors are chance, D is small, and so is this.
@@ -41,8 +42,10 @@ Floats = NDArray[np.float64]
 
 
 def measured_often(moments: Moments, looked: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Where (ny, nx) enough of the pairs that looked, `looked` (ny, nx) in number, have a vector."""
-    return moments.count >= LEAST_SHARE * np.maximum(looked, 1)
+    """Where (ny, nx) enough of the pairs that looked, `looked` (ny, nx) in number, have a vector; none alone."""
+    often = (moments.count > 0) & (moments.count >= LEAST_SHARE * np.maximum(looked, 1))
+    here_and_around = scipy.ndimage.convolve(often.astype(np.int64), np.ones((3, 3), np.int64), mode="constant")
+    return np.asarray(often & ((here_and_around > 1) | (often.size == 1)))
 
 
 def selection_sigma(moments: Moments, looked: NDArray[np.int64]) -> Floats:

@@ -95,8 +95,8 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
 
 def show_series(screen: Console, books: "Evaluated") -> None:
     """Say what became of the pairs of a series."""
-    done = f"{books.pairs - len(books.failed)} of {counted(books.pairs, 'pair')} have vectors"
-    screen.print(done + (f"; {books.kept} of them had been evaluated before" if books.kept else ""))
+    before = f"; {books.kept} of them had been evaluated before" if books.kept else ""
+    screen.print(books.summary + before, style="bold red" if books.has_few_valid else None)
     for tag, why in list(books.failed.items())[:SHOWN]:
         screen.print(f"{tag} is left out: {why}", style="bold red")
     if len(books.failed) > SHOWN:

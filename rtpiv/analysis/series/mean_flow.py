@@ -84,7 +84,7 @@ class MeanFlow:
     no_map_sigma : str
         Why these two are None.
     too_few : (ny, nx) bool or None
-        Places without a mean because fewer than half of the pairs that looked at them have a vector there.
+        Places without a mean: fewer than half of the pairs that looked there have a vector, or none is beside it.
     slope : (ny, nx, 2) float64 or None
         dX/dz, dY/dz of the rays that show the vectors, y up; None where nobody has asked.
     out_of_plane : OutOfPlane
@@ -184,8 +184,8 @@ class MeanFlow:
         if not places:
             return ""
         return (
-            f"{places} places have no mean: fewer than half of the pairs have a vector there, and these are not "
-            "like the others; smaller windows or a shorter dt may resolve what moves there"
+            f"{places} places have no mean: fewer than half of the pairs have a vector there, or none beside it, "
+            "and these are not like the others; smaller windows or a shorter dt may resolve what moves there"
         )
 
     @property

@@ -17,6 +17,7 @@ from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.pairs.evaluation import Evaluation, PairMethod
 from rtpiv.analysis.pairs.pair_vectors import joined_vectors
+from rtpiv.analysis.pairs.piv_file import LEAST_VALID
 from rtpiv.analysis.series.chunk import Detailed, correction_of, evaluate_chunk, evaluate_chunk_closely
 from rtpiv.analysis.series.series_checks import check_series
 from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder, sound_content
@@ -48,6 +49,8 @@ class Evaluated:
         Pairs that an earlier call had evaluated.
     warnings : tuple of str
         What the vectors of a series say against its scale, its times or its order.
+    valid_share : float
+        Share of the windows with a valid vector, median of the pairs; 1 where that was not asked.
     """
 
     pairs: int
@@ -56,6 +59,7 @@ class Evaluated:
     series: SeriesFolder | None = None
     kept: int = 0
     warnings: tuple[str, ...] = ()
+    valid_share: float = 1.0
 
     @cached_property
     def vectors(self) -> Vectors:
@@ -66,9 +70,18 @@ class Evaluated:
         return joined_vectors([self.series.vectors(number, key) for number, key in enumerate(keys)])
 
     @property
+    def has_few_valid(self) -> bool:
+        """Whether so few windows have a valid vector that these may be no pairs."""
+        return self.valid_share < LEAST_VALID
+
+    @property
     def summary(self) -> str:
         """How many pairs have vectors, in a line."""
-        return f"{self.pairs - len(self.failed)} of {self.pairs} pairs have vectors"
+        done = f"{self.pairs - len(self.failed)} of {counted(self.pairs, 'pair')} have vectors"
+        if not self.has_few_valid:
+            return done
+        share = f"{100.0 * self.valid_share:.0f} %"
+        return f"only {share} of the windows have a valid vector, so these may be no pairs; {done}"
 
     def __str__(self) -> str:
         """How many pairs have vectors, and what each pair says that is known in detail."""
@@ -152,7 +165,8 @@ def run_series(
             + ("; or keep these vectors with --least-valid 0" if check.valid_share > 0.0 else ""),
         )
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
-    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept, warnings=check.warnings)
+    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept, warnings=check.warnings,
+                     valid_share=check.valid_share)  # fmt: skip
 
 
 def _with_readings(given: PairsOfSeries, tag: str, found: Detailed) -> Detailed:

@@ -29,6 +29,9 @@ def test_below_half_of_the_pairs_that_looked_there_is_no_mean():
     often = measured_often(moments, looked)
     assert not often[2, 3]
     assert often.sum() == often.size - 1
+    alone = np.zeros((10, *SHAPE), bool)
+    alone[:, 2, 3] = True  # in all pairs, and nothing is around it
+    assert not measured_often(moments_of(np.ones((10, *SHAPE, 2)), alone), np.full(SHAPE, 10)).any()
     kept = moments.only(often)
     assert np.isnan(kept.mean_uv[2, 3]).all()
     assert kept.count[2, 3] == kept.sigma_count[2, 3] == 0
