@@ -149,7 +149,8 @@ def refine_pass(
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
     dense = raw.valid_fraction >= settings.min_valid
     shift[~dense] = np.nan
-    least = LEAST_CORRELATION * (1.0 if is_first or not dense.any() else np.nanmedian(raw.correlation[dense]))
+    told = raw.correlation[dense & np.isfinite(raw.correlation)]  # constant windows have none
+    least = LEAST_CORRELATION * (1.0 if is_first or not told.size else float(np.median(told)))
     lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
     seen = predictor + shift
     if lost.any() and pair.worth is None:  # frames that complete each other match in the middle, always

@@ -1,5 +1,7 @@
 """Masked, replaced, rejected and impossible: each by its name, nothing silently."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
@@ -118,3 +120,17 @@ def test_pairs_that_are_none_are_named(pair):
 def test_settings_that_cannot_work_are_named(bad, words):
     with pytest.raises(PairError, match=words):
         PivSettings(**bad)
+
+
+@pytest.mark.filterwarnings("error")
+def test_frames_whose_light_lies_apart_give_no_warning_of_numpy(particle_pair):
+    """Windows that are constant in one frame have no correlation, of which no median can be taken."""
+    for seed in range(3, 63, 10):
+        side = int(np.random.default_rng(seed).integers(36, 160))
+        a, b = particle_pair(
+            lambda u, v: (1.0 + 0 * u, 1.0 + 0 * v), (side, side), seed=seed, ppp=0.003, noise=0.0
+        )
+        a[:, : side // 2] = 100
+        b[:, side // 2 :] = 100
+        with suppress(PairError):
+            evaluate_pair(a, b)
