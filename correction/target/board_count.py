@@ -23,7 +23,7 @@ from correction.errors import TargetNotFound
 from correction.target.board_ends import Ends, ends_of
 from correction.target.board_origin import Placing
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
-from correction.target.corners import CornerSearch, refine_corners
+from correction.target.corners import WINDOW, CornerSearch, refine_corners
 from correction.target.lattice_growth import Patch
 from correction.target.scale_search import crossing_corners
 
@@ -31,6 +31,7 @@ UPRIGHT = 0.8  # cosine between an axis of the board and where it is expected: 3
 LEAST_LINE = 3  # corners on a line of the lattice that count it as one of the board
 ASKED = 25  # corners of a patch that say how far it lies from where it is expected
 HALF = 0.5  # squares
+COUNTED_PX = 16.0  # half window of corners that are only counted: they are measured once their place is known
 
 
 def place_by_count(
@@ -64,6 +65,7 @@ def place_by_count(
         patch.position_px,
         patch.axes_px,
         sign=patch.sign,
+        window=np.minimum(WINDOW, COUNTED_PX / np.linalg.norm(patch.axes_px, axis=1).max(axis=1)),
         search=CornerSearch(board.arm, patch.error_px, max_shift=0.3),
     )
     crossing = crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign)

@@ -251,8 +251,9 @@ def _measured(
         raise TargetNotFound(reason)
     found = measure_lattice(frame, board, placed, mask, discs_count)
     patch = Patch(found.index, found.position_px, found.axes_px, board.corner_sign(found.index))
-    reason = wrong_size(frame, board, patch, Placing(QUARTER_TURNS[0], (0, 0)))
-    if reason and not board.is_plain:
+    # A plain board was placed by its ends already.
+    reason = "" if board.is_plain else wrong_size(frame, board, patch, Placing(QUARTER_TURNS[0], (0, 0)))
+    if reason:
         raise TargetNotFound(reason)
     return found
 
