@@ -78,7 +78,7 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     if placed:
         return _measured(frame, board, placed, mask, discs_count=False)
     if board.codes is not None:
-        raise TargetNotFound(why_no_codes(frame, board, markers))
+        raise TargetNotFound(why_no_codes(frame, board, markers, patches[0]))
     marked = _with_discs(frame, patches, board)
     if marked is not None:
         return _measured(frame, board, [marked], mask, discs_count=True)
@@ -133,7 +133,7 @@ def track_board(
     if placed:
         _plausible(board, view, *placed[0])
     if board.codes is not None and not placed and reach is not None:
-        raise TargetNotFound(why_no_codes(frame, board, markers))
+        raise TargetNotFound(why_no_codes(frame, board, markers, patches[0]))
     if board.dots is not None and marked is None and reach is not None:
         raise TargetNotFound(
             _why_another_size(patches[0], (index, predicted), board)

@@ -27,8 +27,11 @@ AGREE = 2  # markers
 MISREAD, SURE_OF_ONE = 0.04, 6  # share of markers that may be misread; of so many that agree, one anyway
 CENTRED, AS_LARGE, ALONG = 0.15, 0.2, 0.97  # marker in its square: squares off, relative size, cosine to the axes
 LAYOUTS = "new", "legacy"
-WINDOWS_PX = 23, 3  # of the threshold, the smallest: one window is three times as fast as all of them
-ENOUGH = 10  # markers, with which no smaller windows are tried
+# Readings of a frame: smallest window of the threshold [px], enlargement, markers with which no other is tried.
+# One window is three times as fast as all of them; small or soft markers need an enlarged, sharpened copy.
+READINGS = (23, 1, 10), (3, 1, SURE_OF_ONE), (3, 2, 0)
+SHARPENED, SHARPENED_PX = 1.5, 1.5  # gain, and width of what is taken off [px of the frame]
+CELL_PX, LIKELY = 3.0, 0.25  # width of a cell that is read in usual focus; share of bright squares that say it
 DICTIONARIES = *(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)), "DICT_ARUCO_ORIGINAL"
 
 
@@ -95,18 +98,25 @@ def read_markers(frame: NDArray[Any], board: Chessboard, dictionary: str = "") -
     low, high = np.percentile(frame, (0.5, 99.5))
     grey = np.clip((frame.astype(np.float32) - low) * (255.0 / max(float(high - low), 1e-6)), 0.0, 255.0)
     known, read = marker_squares(board), list[Marker]()
-    for smallest in WINDOWS_PX:
-        settings = cv2.aruco.DetectorParameters()
-        settings.errorCorrectionRate = 0.0  # what is nearly a marker is none
-        settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = smallest, max(WINDOWS_PX)
-        reader = cv2.aruco.ArucoDetector(_dictionary(dictionary or _coded(board)[1].dictionary), settings)
+    settings = cv2.aruco.DetectorParameters()
+    settings.errorCorrectionRate = 0.0  # what is nearly a marker is none
+    settings.adaptiveThreshWinSizeMax = max(window for window, _, _ in READINGS)
+    reader = cv2.aruco.ArucoDetector(_dictionary(dictionary or _coded(board)[1].dictionary), settings)
+    for window, times, enough in READINGS[:-1] if dictionary else READINGS:
+        if times > 1:
+            grey = cv2.resize(grey, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
+            soft = cv2.GaussianBlur(grey, (0, 0), SHARPENED_PX * times)
+            grey = np.clip(grey + SHARPENED * (grey - soft), 0.0, 255.0)
+        settings.adaptiveThreshWinSizeMin = window
+        reader.setDetectorParameters(settings)
         found, numbers, _ = reader.detectMarkers(grey.astype(np.uint8))
-        read = [
-            Marker(np.asarray(corners, dtype=np.float64).reshape(4, 2), int(number))
+        again = [
+            Marker((np.asarray(corners, dtype=np.float64).reshape(4, 2) + 0.5) / times - 0.5, int(number))
             for number, corners in zip(np.ravel(numbers) if numbers is not None else (), found, strict=True)
             if dictionary or int(number) in known
         ]
-        if len(read) >= ENOUGH:
+        read = max(read, again, key=len)
+        if len(read) >= enough:
             break
     return read
 
@@ -181,11 +191,13 @@ def _contradiction(board: Chessboard, count: int, against: int) -> str:
     )
 
 
-def why_no_codes(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marker]) -> str:
-    """Say why markers place nothing: too few, those of another dictionary, or mirrored ones."""
+def why_no_codes(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marker], patch: Patch) -> str:
+    """Say why markers place nothing of a patch: too few, those of another dictionary, or mirrored ones."""
     _, codes, _ = _coded(board)
+    # Small or soft cells are misread as a few markers of any dictionary.
+    least = max(AGREE, 2 * len(markers), LIKELY * 0.5 * len(patch.index))
     mirrored = read_markers(np.ascontiguousarray(frame[:, ::-1]), board)
-    if len(mirrored) > max(AGREE, 2 * len(markers)):
+    if len(mirrored) > least:
         return (
             f"the frame is a mirror image: {len(mirrored)} markers can be read in it only from right to left; set"
             " ReverseX or ReverseY of the camera back, or mirrored: true in the camera section of the scene where"
@@ -193,14 +205,18 @@ def why_no_codes(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marke
         )
     for other in DICTIONARIES:
         found = [] if other == codes.dictionary else read_markers(frame, board, other)
-        if len(found) > max(AGREE, 2 * len(markers)):
+        if len(found) > least:
             return (
                 f"the frame shows {len(found)} markers of {other}, and the board file names {codes.dictionary};"
                 " give the dictionary that the board was printed with"
             )
+    cell_px = np.linalg.norm(patch.axes_px, axis=1).mean() * codes.marker_share
+    cell_px /= _dictionary(codes.dictionary).markerSize + 2
+    cause = f"their cells are {cell_px:.1f} px wide, {CELL_PX:g} px are needed: " if cell_px < CELL_PX else ""
+    cure = "use larger squares or more magnification" if cause else "check focus, light and glare"
     return (
-        f"{len(markers)} markers of the board could be read, which are too few to say which squares are seen; use"
-        " squares of 16 px or more, more light, or give the dictionary that it was printed with"
+        f"{len(markers)} markers of the board could be read, which are too few to tell which squares are in view;"
+        f" {cause}{cure}, or give the dictionary that it was printed with"
     )
 
 
