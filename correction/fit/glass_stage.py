@@ -23,6 +23,7 @@ from correction.fit.seen.pairing import Candidates, candidates_of, pair
 from correction.fit.seen.prediction import LEAST_SQUARE_PX, expect, square_behind_px
 from correction.fit.seen.silhouettes import followed, seen_outlines
 from correction.fit.solve.unknowns import Unknowns
+from correction.target.turned_frame import turned_against
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import SPHERE
@@ -42,6 +43,7 @@ UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline fr
 
 def find_glass(work: Progress) -> None:
     """Fit the glass to the corners seen through it, the camera held."""
+    _refuse_turned(work)
     _follow_outlines(work)
     prefixes = [f"{sphere.name}." for sphere in work.unknowns.scene.spheres] + ["glass "]
     prefixes += [f"{body.name}." for body, _ in work.unknowns.other_bodies.bodies if not body.stays]
@@ -55,6 +57,19 @@ def find_glass(work: Progress) -> None:
     if lost and (work.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
         _find_all_lost(work, unknowns, coarse, candidates)
     _fit_glass(work, unknowns, "pass 2", only_behind=False)
+
+
+def _refuse_turned(work: Progress) -> None:
+    """Refuse frames with glass that are turned or mirrored, where those of the bare target are not."""
+    bare = {frame.height_mm: frame for frame in reversed(work.bare_frames)}
+    for frame in work.glass_frames:
+        own = bare.get(frame.height_mm)
+        words = turned_against(own.image, frame.image) if own else ""
+        if own and words:
+            raise GlassNotSeen(
+                f"{frame.name} {words} against {own.name}: turn the file back, or take the frame again with the"
+                " camera set as for the bare target"
+            )
 
 
 def _follow_outlines(work: Progress) -> None:

@@ -96,6 +96,15 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
     return placing
 
 
+def discs_elsewhere(frame: NDArray[Any], patch: Patch, placing: Placing, board: Chessboard) -> int:
+    """Count squares of a patch that show a disc where a placed board has none; 0 if one is where it should be."""
+    cells, _, _ = _disc_squares(frame, patch)
+    # A square turns about its middle, its index is that of its lower left corner.
+    squares = (cells + 0.5 - np.array(placing.shift)) @ np.array(placing.turn) - 0.5
+    seen = {(round(i), round(j)) for i, j in squares.tolist()}
+    return 0 if seen & set(board.discs) else len(seen)
+
+
 def place_by_prediction(
     patch: Patch, index: NDArray[np.int64], predicted_px: NDArray[np.float64], board: Chessboard
 ) -> Placing | None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
 from correction.target.board_count import place_by_count
-from correction.target.board_origin import Placing, place_by_discs, place_by_prediction
+from correction.target.board_origin import Placing, discs_elsewhere, place_by_discs, place_by_prediction
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_no_codes
 from correction.target.evidence import View, contradiction, squares_off, turn_and_scale, wrong_size
@@ -30,9 +30,9 @@ from correction.target.lattice_fit import (
     holds_discs,
     measure_lattice,
 )
-from correction.target.lattice_growth import Patch, grow_patches
+from correction.target.lattice_growth import Patch, grow_patches, lattice_axes
 from correction.target.marks import find_marks
-from correction.target.scale_search import find_patches
+from correction.target.scale_search import crossing_corners, find_patches
 from correction.target.size_seen import CLEARLY_OFF, size_seen
 from correction.target.smooth_view import on_smooth_map
 from piv.errors import FrameError
@@ -136,17 +136,24 @@ def track_board(
         raise TargetNotFound(why_no_codes(frame, board, markers, patches[0]))
     if board.dots is not None and marked is None and reach is not None:
         raise TargetNotFound(
-            _why_another_size(patches[0], (index, predicted), board)
+            _why_another_size(frame, patches[0], view, board)
             or f"a grid of {len(patches[0].index)} dots is in the frame, but not the {len(board.discs)} large"
             " dots that mark the origin, whole and as large as the camera should see them; bring them into view,"
             " or correct pitch and camera"
         )
     if marked is None and not placed and (reach is not None or board.is_plain):
         try:
-            board, place = place_by_count(frame, patches[0], board, (index, predicted), reach)
+            board, place = place_by_count(frame, patches[0], board, view, reach)
         except TargetNotFound as error:
-            raise TargetNotFound(_why_another_size(patches[0], (index, predicted), board) or str(error)) from None
+            raise TargetNotFound(_why_another_size(frame, patches[0], view, board) or str(error)) from None
         marked = patches[0], place
+        elsewhere = discs_elsewhere(frame, *marked, board) if board.discs else 0
+        if elsewhere:
+            raise TargetNotFound(
+                f"{elsewhere} discs are seen in other squares than those where the edges of the board put them:"
+                " the frame may be a mirror image or turned, or the discs described are not those of the print;"
+                " bring all discs into view"
+            )
     if marked is not None:
         placed = [marked]
     if placed:
@@ -159,7 +166,7 @@ def track_board(
             if len(placed) == 1:
                 predicted = _corrected(index, predicted, patch, placing)
     if not placed:
-        raise TargetNotFound(_why_not_placed(index, predicted, patches[0], board))
+        raise TargetNotFound(_why_not_placed(frame, patches[0], (index, predicted), board))
     return _measured(frame, board, placed, mask, discs_count=False)
 
 
@@ -359,17 +366,18 @@ def _plausible(board: Chessboard, view: View, patch: Patch, placing: Placing) ->
     )
 
 
-def _why_another_size(patch: Patch, view: tuple[NDArray[np.int64], NDArray[np.float64]], board: Chessboard) -> str:
+def _why_another_size(frame: NDArray[Any], patch: Patch, view: View, board: Chessboard) -> str:
     """Say how much larger than told the board is, where a patch is so all over; "" where it is not."""
+    if board.dots is None:  # saddles along an edge of the paper are of no size
+        patch = patch.take(crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign))
+        lattice_axes(patch.index, patch.position_px, patch.axes_px)
     size = size_seen(patch.position_px, patch.axes_px, view, board)
     return size.sentence if size is not None and size.differs(CLEARLY_OFF) else ""
 
 
-def _why_not_placed(
-    index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, board: Chessboard
-) -> str:
+def _why_not_placed(frame: NDArray[Any], patch: Patch, view: View, board: Chessboard) -> str:
     """Say why the largest patch lies on no predicted corners: squares of another size, or too far off."""
-    return _why_another_size(patch, (index, predicted), board) or (
+    return _why_another_size(frame, patch, view, board) or (
         f"the lattice in the frame lies more than half a square from its prediction and no"
         f" {board.origin_marks[:-1]} is seen; give a better start, or bring the {board.origin_marks} into view"
     )

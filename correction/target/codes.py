@@ -184,6 +184,12 @@ def _contradiction(board: Chessboard, count: int, against: int) -> str:
     """Say that markers name several places, with what usually is the cause."""
     (columns, rows), codes, _ = _coded(board)
     layout = f" in layout {codes.layout}" if codes.layout else ""
+    if against == 1:
+        return (
+            f"{count} markers agree where the board is, and one contradicts them: it may be misread; bring more"
+            " light or a sharper focus, so that more markers are read, or check squares, dictionary and layout in"
+            " board.yaml"
+        )
     return (
         f"{count} markers agree where the board is, and {against} are in other squares than on a board of"
         f" {columns} x {rows} squares{layout}: check squares, dictionary and layout (new, or legacy: OpenCV before"

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.errors import GlassNotSeen
 from correction.fit.scene_fit import fit_scene
+from correction.target.turned_frame import turned_against
 from ground.errors import ConfigError
 from tests.correction.fit.benches import bench
 from tracer.scene.scene_file import dump_scene, load_scene
@@ -30,6 +32,31 @@ def test_frames_from_right_to_left_give_the_same_scene_and_map():
     both = seen.recovered & same.recovered
     assert both.mean() > 0.6
     assert np.median(np.linalg.norm((seen.plane_mm - same.plane_mm)[both], axis=1)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        (lambda image: image[:, ::-1], "is mirrored left to right"),
+        (lambda image: image[::-1], "is mirrored upside down"),
+        (lambda image: image[::-1, ::-1], "is turned by 180 degrees"),
+        (np.rot90, "is turned by 90 degrees counterclockwise"),
+        (lambda image: image.T, "has rows and columns exchanged"),
+    ],
+)
+def test_frames_with_glass_that_alone_are_turned_or_mirrored_are_named(turn, words):
+    made = bench(*MADE)
+    frames = [
+        replace(frame, image=np.ascontiguousarray(turn(frame.image))) for frame in made.frames if frame.glass
+    ]
+    bare = [frame for frame in made.frames if not frame.glass]
+    with pytest.raises(GlassNotSeen, match=rf"glass_z\+0mm {words} against target_clear.*: turn the file back"):
+        fit_scene(made.nominal, [*bare, *frames], BOARD)
+    for frame in frames:  # noise, and a lamp that shines from elsewhere
+        dim = 0.3 * frame.image + np.random.default_rng(1).normal(0.0, 8.0, frame.image.shape)
+        dim *= np.linspace(0.4, 1.6, len(dim))
+        assert turned_against(bare[0].image, dim.astype(np.float32)) == words
+        assert turned_against(bare[0].image, np.roll(turn(frame.image), (9, 14), (0, 1))) == ""  # camera moved
 
 
 def test_a_scene_file_keeps_that_its_camera_is_mirrored(tmp_path):

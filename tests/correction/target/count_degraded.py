@@ -1,4 +1,4 @@
-"""Degraded boards in one count: right, refused and why, wrong in silence; every second one drawn, some unknowingly flipped.
+"""Degraded boards in one count: right, refused and why, wrong in silence; half of them drawn, some flipped.
 
 python -m tests.correction.target.count_degraded 0 500
 """
@@ -25,10 +25,22 @@ FLIPPED = r"mirror|turned by"  # words that name a flipped frame
 STRAYS = 0.03  # of the corners of a drawn board, where an edge of something else crosses one of a square
 UNKNOWN = 0.2  # of the drawn boards: flipped, and the camera does not know
 CAUSES = {  # words of a refusal -> what it takes to be true: one of these was done, or is in the frame
-    r"^no (chessboard|grid of dots) in": {"noisy", "packed", "blurred", "glaring", "dim", "hidden", "cropped", "balls"},
+    r"^no (chessboard|grid of dots) in": {
+        "noisy",
+        "packed",
+        "blurred",
+        "glaring",
+        "dim",
+        "hidden",
+        "cropped",
+        "balls",
+    },
     r"but not the \d (discs|large dots)": {"noisy", "packed", "blurred", "glaring", "hidden", "cropped", "balls"},
     r"could be read": {"noisy", "packed", "blurred", "glaring", "dim", "hidden", "cropped", "shrunk", "balls"},
     r"too noisy|too blurred|could be fitted": {"noisy", "packed", "blurred", "glaring", "dim", "shrunk"},
+    r"may be any of": {"hidden", "cropped", "glaring", "noisy", "plain"},
+    r"no such place": {"hidden", "cropped", "glaring", "noisy", "plain"},
+    r"one contradicts them": {"noisy", "packed", "blurred", "dim", "shrunk"},
     r"do not lie on one smooth view": {"balls"},
 }
 

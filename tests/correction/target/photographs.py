@@ -94,15 +94,18 @@ def _photograph(path, about):
 
 
 def drawn_board(seed):
-    """Return a drawn board behind up to three balls as if it were a photograph, and how far its camera may be off."""
+    """Return a drawn board behind balls as if it were a photograph, and squares its camera may be off."""
     one = drawn(seed)
     columns, rows = one.board.squares or (33, 33)
-    grid = np.stack(np.meshgrid(np.arange(-columns, columns + 1), np.arange(-rows, rows + 1)), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(np.arange(-columns, columns + 1), np.arange(-rows, rows + 1)), axis=-1).reshape(
+        -1, 2
+    )
     index = grid[one.board.has_corner(grid)]
     places = one.true.project(one.board.place_mm(index))
     corners = {(i, j): place for (i, j), place in zip(index.tolist(), places, strict=True)}
     project = one.nominal.project
-    found = Photograph(one.about, one.image, one.board, corners, np.eye(3), project)
+    image = _grey(one.image * (220.0 / np.percentile(one.image, 99.0)))
+    found = Photograph(one.about, image, one.board, corners, np.eye(3), project)
     return found, REACH_MM / one.board.square_mm
 
 
