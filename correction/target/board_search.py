@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from correction.errors import TargetNotFound
 from correction.target.board_count import place_by_count
 from correction.target.board_origin import Placing, discs_elsewhere, place_by_discs, place_by_prediction
-from correction.target.chessboard import QUARTER_TURNS, Chessboard
+from correction.target.chessboard import Chessboard
 from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_no_codes
-from correction.target.evidence import View, contradiction, squares_off, turn_and_scale, wrong_size
+from correction.target.evidence import View, squares_off, turn_and_scale, wrong_size
 from correction.target.lattice_fit import (
     LEAST_BOARD,
     MOST_FOREIGN,
@@ -76,12 +76,12 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     frame, patches, markers = _patches(image, board, mask)
     board, placed = _with_codes(frame, patches, markers, board)
     if placed:
-        return _measured(frame, board, placed, mask, discs_count=False)
+        return measure_lattice(frame, board, placed, mask)
     if board.codes is not None:
         raise TargetNotFound(why_no_codes(frame, board, markers, patches[0]))
     marked = _with_discs(frame, patches, board)
     if marked is not None:
-        return _measured(frame, board, [marked], mask, discs_count=True)
+        return measure_lattice(frame, board, [marked], mask, discs_count=True)
     raise TargetNotFound(
         f"a lattice of {len(patches[0].index)} corners is in the frame, but not the {len(board.discs)}"
         f" {board.origin_marks} that mark the origin; bring them into view, or give a prediction of the view"
@@ -167,7 +167,7 @@ def track_board(
                 predicted = _corrected(index, predicted, patch, placing)
     if not placed:
         raise TargetNotFound(_why_not_placed(frame, patches[0], (index, predicted), board))
-    return _measured(frame, board, placed, mask, discs_count=False)
+    return measure_lattice(frame, board, placed, mask)
 
 
 def _is_mirrored(board: Chessboard, predict: Predict) -> bool:
@@ -243,26 +243,6 @@ def _patches(
         seen = len(patches[0].index) if patches else 0
         raise TargetNotFound(_why_no_lattice(frame, board, seen))
     return frame, patches, markers
-
-
-def _measured(
-    frame: NDArray[Any],
-    board: Chessboard,
-    placed: list[tuple[Patch, Placing]],
-    mask: NDArray[np.bool_] | None,
-    discs_count: bool,
-) -> BoardDetection:
-    """Fit the corners of placed patches, or say what in the frame contradicts their place."""
-    reason = contradiction(board, *placed[0])
-    if reason:
-        raise TargetNotFound(reason)
-    found = measure_lattice(frame, board, placed, mask, discs_count)
-    patch = Patch(found.index, found.position_px, found.axes_px, board.corner_sign(found.index))
-    # A plain board was placed by its ends already.
-    reason = "" if board.is_plain else wrong_size(frame, board, patch, Placing(QUARTER_TURNS[0], (0, 0)))
-    if reason:
-        raise TargetNotFound(reason)
-    return found
 
 
 def _why_no_lattice(frame: NDArray[Any], board: Chessboard, seen: int) -> str:

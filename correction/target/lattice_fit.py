@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
 from correction.target.board_origin import Placing
-from correction.target.chessboard import Chessboard
+from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.corners import CornerSearch
+from correction.target.evidence import contradiction, wrong_size
 from correction.target.lattice_growth import STEPS, Patch, lattice_axes
 from correction.target.marks import refine_marks
 from correction.target.scale_search import crossing_corners
@@ -67,7 +68,7 @@ def measure_lattice(
     board: Chessboard,
     placed: list[tuple[Patch, Placing]],
     mask: NDArray[np.bool_] | None,
-    discs_count: bool,
+    discs_count: bool = False,
 ) -> BoardDetection:
     """Sub-pixel fit of all placed corners, then of those that their neighbours predict.
 
@@ -86,8 +87,12 @@ def measure_lattice(
     Raises
     ------
     TargetNotFound
-        Too many corners lie off one smooth view, or too few could be fitted.
+        Too many corners lie off one smooth view, too few could be fitted, or shades or edges of squares contradict
+        their place.
     """
+    reason = contradiction(board, *placed[0])
+    if reason:
+        raise TargetNotFound(reason)
     index, start, axes = _claims(placed, board)
     error_px = max(patch.error_px for patch, _ in placed)
     smooth = on_smooth_map(index, start, axes, _deep(board, index))
@@ -153,6 +158,11 @@ def measure_lattice(
     refused = {reason: n for reason, n in refused.items() if reason != "OK"}
     if foreign:
         refused["FOREIGN"] = foreign
+    # A plain board was placed by its ends already.
+    patch = Patch(known_index, position, known_axes, board.corner_sign(known_index))
+    reason = "" if board.is_plain else wrong_size(frame, board, patch, Placing(QUARTER_TURNS[0], (0, 0)))
+    if reason:
+        raise TargetNotFound(reason)
     return BoardDetection(board, known_index, position, sigma, known_axes, blurs, refused)
 
 

@@ -39,13 +39,8 @@ def find_patches(
 
     Parameters
     ----------
-    frame : (H, W) uint8, uint16 or float32
-        The frame.
-    board : Chessboard
-    mask : (H, W) bool, optional
-        True where marks may lie.
-    square_px : float, optional
-        Side of a square as seen without glass; only its scale is searched.
+    frame, board, mask, square_px
+        As of `find_marks`; with `square_px` only its scale is searched.
     """
     best = grow_patches(find_marks(frame, board, mask, square_px))
     if board.dots is not None or square_px is not None:

@@ -41,12 +41,11 @@ def target(
     scene: Named | Scene | None = None,
     /,
     measured_mm: tuple[float, float] | None = None,
-    kind: Literal["chessboard", "charuco", "dots", "particles"] = "chessboard",
+    kind: Literal["chessboard", "charuco", "charuco-legacy", "dots", "particles"] = "chessboard",
     paper: Literal["A4", "A3", "A2", "letter"] = "A4",
     square_mm: float | None = None,
     size_mm: tuple[float, float] | None = None,
     seed: int = 1,
-    layout: Literal["new", "legacy"] = "new",
     out: Named | None = None,
 ) -> Target:
     """Write a target to print, as PDF at true size; or write down how large the printer made it.
@@ -58,8 +57,9 @@ def target(
         show. Without one, squares of 2.5 mm.  With `measured_mm` the board.yaml of the print instead.
     measured_mm : (float, float), optional
         The bars along x and y in the margin, as measured on paper: goes into the board file, nothing is drawn.
-    kind : {"chessboard", "charuco", "dots", "particles"}
-        What is printed.  Particles are for shift runs: a printed flow.
+    kind : {"chessboard", "charuco", "charuco-legacy", "dots", "particles"}
+        What is printed.  Legacy is the layout of OpenCV before 4.6 and of calib.io, which differs where the number
+        of rows is even.  Particles are for shift runs: a printed flow.
     paper : {"A4", "A3", "A2", "letter"}
         Of the printer.
     square_mm : float, optional
@@ -69,8 +69,6 @@ def target(
         Width and height of the target; what a page does not hold goes on several.  Default: one page.
     seed : int
         Of particles: the same seed prints the same page.
-    layout : {"new", "legacy"}
-        Of charuco: which squares carry markers where the number of rows is even; legacy as OpenCV before 4.6.
     out : path, optional
         Folder, default ``target`` (or ``target-2`` ... where that has results): ``target.pdf`` and ``board.yaml``,
         which says what is printed.
@@ -95,10 +93,6 @@ def target(
 
     if kind == "particles" and square_mm is not None:
         raise RunUsageError("particles have no squares", cure="leave --square-mm out, or choose another --kind")
-    if kind != "charuco" and layout != "new":
-        raise RunUsageError(
-            "only charuco boards have a layout", cure="leave --layout out, or choose --kind charuco"
-        )
     if measured_mm is not None:
         return _measured(scene, measured_mm)
     screen, loaded = console(), scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
@@ -113,21 +107,21 @@ def target(
         else:
             if loaded is not None:
                 seen = (
-                    best_square(loaded, size, kind == "charuco")
+                    best_square(loaded, size, "charuco" in kind)
                     if square_mm is None
                     else corners_of(loaded, pages.whole_dots(square_mm), size)
                 )
                 square_mm = seen.square_mm
                 screen.print(seen.sentence)
             square_mm = pages.whole_dots(square_mm or PLAIN_MM)
-            if kind == "charuco":
-                sheet = sheets.charuco(size, square_mm, layout)
+            if "charuco" in kind:
+                sheet = sheets.charuco(size, square_mm, "legacy" if kind == "charuco-legacy" else "new")
             else:
                 sheet = (sheets.dots if kind == "dots" else sheets.chessboard)(size, square_mm)
             words = f"rtpiv {kind}, {square_mm:.4g} mm."
         path = folder / "target.pdf"
         printed = pages.write_pages(path, sheet, paper, words)
-        board = PrintedBoard(kind=kind, bars_mm=list(printed.bars_mm), **sheet.about)
+        board = PrintedBoard(kind=sheet.kind, bars_mm=list(printed.bars_mm), **sheet.about)
         write_board(folder / "board.yaml", board)
         columns, rows = printed.pages
         many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
