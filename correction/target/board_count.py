@@ -71,7 +71,12 @@ def place_by_count(
     crossing = crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign)
     corners = replace(patch, position_px=fit.position_px).take(fit.valid & crossing)
     if len(corners.index) < LEAST_LINE**2:
-        misfits = fit.counts().get("MISFIT", 0)
+        misfits, whole = fit.counts().get("MISFIT", 0), len(corners.index)
+        if 2 * whole > min(np.count_nonzero(crossing), LEAST_LINE**2):
+            raise TargetNotFound(
+                f"only {whole} corners between four squares are in view, {LEAST_LINE**2} are needed; bring"
+                " more of the board into view"
+            )
         cause, cure = ("noisy", "bring more light") if 2 * misfits > len(fit.valid) else ("blurred", "check focus")
         raise TargetNotFound(f"the corners of the board are too {cause} to be measured; {cure}")
     turn, expected = _as_expected(corners, *view)

@@ -21,7 +21,7 @@ from correction.errors import TargetNotFound
 from correction.target.board_count import place_by_count
 from correction.target.board_origin import Placing, discs_elsewhere, place_by_discs, place_by_prediction
 from correction.target.chessboard import Chessboard
-from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_no_codes
+from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_mirrored, why_no_codes
 from correction.target.evidence import View, squares_off, turn_and_scale, wrong_size
 from correction.target.lattice_fit import (
     LEAST_BOARD,
@@ -294,7 +294,10 @@ def _with_codes(
     Markers of a part of a board may agree in both layouts, a square apart: edges, shades, or a view that is good
     to `reach` squares must leave one.
     """
-    found = place_by_codes(patches, markers, board)
+    try:
+        found = place_by_codes(patches, markers, board)
+    except TargetNotFound as error:
+        raise TargetNotFound(why_mirrored(frame, board, markers, patches[0]) or str(error)) from None
     kept = found
     if len(kept) > 1:
         patch, _ = found[0][1][0]

@@ -184,11 +184,11 @@ def _contradiction(board: Chessboard, count: int, against: int) -> str:
     """Say that markers name several places, with what usually is the cause."""
     (columns, rows), codes, _ = _coded(board)
     layout = f" in layout {codes.layout}" if codes.layout else ""
-    if against == 1:
+    if count < SURE_OF_ONE:
         return (
-            f"{count} markers agree where the board is, and one contradicts them: it may be misread; bring more"
-            " light or a sharper focus, so that more markers are read, or check squares, dictionary and layout in"
-            " board.yaml"
+            f"{count} markers agree where the board is, and {against} contradict them: so few may be misread, as in"
+            " a soft or mirrored view; bring more light or a sharper focus, so that more markers are read, or check"
+            " squares, dictionary and layout in board.yaml"
         )
     return (
         f"{count} markers agree where the board is, and {against} are in other squares than on a board of"
@@ -200,15 +200,10 @@ def _contradiction(board: Chessboard, count: int, against: int) -> str:
 def why_no_codes(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marker], patch: Patch) -> str:
     """Say why markers place nothing of a patch: too few, those of another dictionary, or mirrored ones."""
     _, codes, _ = _coded(board)
-    # Small or soft cells are misread as a few markers of any dictionary.
-    least = max(AGREE, 2 * len(markers), LIKELY * 0.5 * len(patch.index))
-    mirrored = read_markers(np.ascontiguousarray(frame[:, ::-1]), board)
-    if len(mirrored) > least:
-        return (
-            f"the frame is a mirror image: {len(mirrored)} markers can be read in it only from right to left; set"
-            " ReverseX or ReverseY of the camera back, or mirrored: true in the camera section of the scene where"
-            " it looks at the target by a mirror"
-        )
+    mirrored = why_mirrored(frame, board, markers, patch)
+    if mirrored:
+        return mirrored
+    least = _least_other(markers, patch)
     for other in DICTIONARIES:
         found = [] if other == codes.dictionary else read_markers(frame, board, other)
         if len(found) > least:
@@ -224,6 +219,23 @@ def why_no_codes(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marke
         f"{len(markers)} markers of the board could be read, which are too few to tell which squares are in view;"
         f" {cause}{cure}, or give the dictionary that it was printed with"
     )
+
+
+def why_mirrored(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marker], patch: Patch) -> str:
+    """Say that a frame shows more markers from right to left; "" where it does not."""
+    mirrored = read_markers(np.ascontiguousarray(frame[:, ::-1]), board)
+    if len(mirrored) <= _least_other(markers, patch):
+        return ""
+    return (
+        f"the frame is a mirror image: {len(mirrored)} markers can be read in it only from right to left; set"
+        " ReverseX or ReverseY of the camera back, or mirrored: true in the camera section of the scene where"
+        " it looks at the target by a mirror"
+    )
+
+
+def _least_other(markers: Sequence[Marker], patch: Patch) -> float:
+    """How many other markers there must be more than: small or soft cells are misread as a few of any kind."""
+    return max(AGREE, 2 * len(markers), LIKELY * 0.5 * len(patch.index))
 
 
 def _votes(patch: Patch, markers: Sequence[Marker], board: Chessboard) -> Counter[Placing]:

@@ -24,6 +24,10 @@ from correction.target.smooth_view import as_the_largest_piece_says, on_smooth_m
 LEAST_BOARD = 12  # corners: the six squares around the discs and a little more
 MOST_FOREIGN = 0.2  # of the corners may lie off the smooth view of the others
 MISFIT_TIMES, LEAST_MISFIT = 5.0, 0.05  # of the median residual of all corners; of the half contrast, at least
+UNSURE_TIMES, LEAST_UNSURE_PX = (
+    6.0,
+    0.1,
+)  # of the median sigma, at least: edges of covers are none of squares
 EXTENSIONS = 2  # rings of corners added around those found
 
 
@@ -107,7 +111,7 @@ def measure_lattice(
     position, sigma, blurs = np.empty((3, 0, 2))
     tried: set[tuple[int, int]] = set()
     refused: dict[str, int] | None = None
-    misfit = np.inf
+    misfit = unsure_px = np.inf
     for extension in range(1 + EXTENSIONS):
         fit = refine_marks(
             frame,
@@ -124,7 +128,9 @@ def measure_lattice(
             valid = valid & crossing_corners(frame, board, fit.position_px, axes, board.corner_sign(index))
             if valid.any():
                 misfit = min(misfit, max(MISFIT_TIMES * float(np.median(fit.residual[valid])), LEAST_MISFIT))
-            valid &= fit.residual <= misfit
+                usual_px = float(np.median(fit.sigma_px[valid]))
+                unsure_px = min(unsure_px, max(UNSURE_TIMES * usual_px, LEAST_UNSURE_PX))
+            valid &= (fit.residual <= misfit) & (fit.sigma_px.max(axis=1) <= unsure_px)
         known_index = np.concatenate((known_index, index[valid]))
         known_axes = np.concatenate((known_axes, axes[valid]))
         position = np.concatenate((position, fit.position_px[valid]))

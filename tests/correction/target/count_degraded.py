@@ -37,10 +37,11 @@ CAUSES = {  # words of a refusal -> what it takes to be true: one of these was d
     },
     r"but not the \d (discs|large dots)": {"noisy", "packed", "blurred", "glaring", "hidden", "cropped", "balls"},
     r"could be read": {"noisy", "packed", "blurred", "glaring", "dim", "hidden", "cropped", "shrunk", "balls"},
+    r"between four squares": {"hidden", "cropped", "glaring", "balls"},
     r"too noisy|too blurred|could be fitted": {"noisy", "packed", "blurred", "glaring", "dim", "shrunk"},
     r"may be any of": {"hidden", "cropped", "glaring", "noisy", "plain"},
     r"no such place": {"hidden", "cropped", "glaring", "noisy", "plain"},
-    r"one contradicts them": {"noisy", "packed", "blurred", "dim", "shrunk"},
+    r"so few may be misread": {"noisy", "packed", "blurred", "dim", "shrunk", "flipped"},
     r"do not lie on one smooth view": {"balls"},
 }
 

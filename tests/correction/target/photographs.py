@@ -22,7 +22,10 @@ SETS = {"opencv/opencv_left.json": "left", "opencv/opencv_right.json": "right", 
 BY_HAND = {  # the outer four inner corners [px] where glare hides the board from OpenCV's finder
     "calibration_frame1025.jpg": [(460.0, 515.0), (1182.0, 520.0), (432.0, 980.0), (1170.0, 1028.0)]
 }
-STRAY_PX = 1.0  # a corner so far from its true place is wrong
+STRAY_PX, STRAY_BLUR = (
+    1.0,
+    0.25,
+)  # so far from its place a corner is wrong; of the blur of its edges
 
 
 @dataclass(frozen=True)
@@ -222,7 +225,7 @@ def verdict(one, reach=None, off_squares=(0.0, 0.0), strays=0.0):
             for (i, j), place in zip(found.index.tolist(), found.position_px, strict=True)
         ]
     )
-    stray = np.count_nonzero(off > STRAY_PX)
+    stray = np.count_nonzero(off > np.maximum(STRAY_PX, STRAY_BLUR * found.blurs_px.max(axis=1)))
     if stray > strays * len(off) or off.max() > 0.3 * np.linalg.norm(found.axes_px, axis=1).mean():
         return "wrong", f"{stray} of {len(off)}, by up to {off.max():.1f} px"
     return "right", len(off)
