@@ -186,9 +186,9 @@ def _contradiction(board: Chessboard, count: int, against: int) -> str:
     layout = f" in layout {codes.layout}" if codes.layout else ""
     if count < SURE_OF_ONE:
         return (
-            f"{count} markers agree where the board is, and {against} contradict them: so few may be misread, as in"
-            " a soft or mirrored view; bring more light or a sharper focus, so that more markers are read, or check"
-            " squares, dictionary and layout in board.yaml"
+            f"{count} markers agree where the board is, and {against} contradict them: so few may be misread, as"
+            " in a soft or mirrored view; bring more light or a sharper focus, so that more markers are read, or"
+            " check squares, dictionary and layout in board.yaml"
         )
     return (
         f"{count} markers agree where the board is, and {against} are in other squares than on a board of"
