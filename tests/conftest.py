@@ -7,6 +7,8 @@ import gc
 import os
 import signal
 from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -59,7 +61,7 @@ SLOW_S = 3600.0  # what hangs is ended; what waits for a busy core is not
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Long files first, all else in its order; a slow test is not judged by how long a busy machine takes."""
-    items.sort(key=_turn)
+    items.sort(key=lambda item: _turn(item.path))
     is_posix = os.name == "posix" and not config.pluginmanager.has_plugin("tests.no_posix.plugin")
     for item in items:
         if not is_posix and (only := item.get_closest_marker("posix")):
@@ -84,6 +86,7 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(50_000, 20, 20)
 
 
-def _turn(item: pytest.Item) -> int:
-    path = item.path.as_posix()
-    return next((turn for turn, name in enumerate(LONG) if path.endswith(f"/{name}")), len(LONG))
+@cache
+def _turn(path: Path) -> int:
+    """Place of a file among those that take long; all others come behind them."""
+    return next((turn for turn, name in enumerate(LONG) if path.as_posix().endswith(f"/{name}")), len(LONG))

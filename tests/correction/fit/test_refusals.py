@@ -9,14 +9,16 @@ from correction.errors import FitFailed, GlassNotSeen, TargetNotFound, ViewsMiss
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.target import Chessboard
+from tests.correction.fit.benches import SIZE_PX as FULL_PX
+from tests.correction.fit.benches import SQUARE_MM as FULL_SQUARE_MM
 from tests.correction.fit.benches import bench, photograph
 from tests.correction.fit.rendered_labs import photographed
 from tracer.media import ConstantMedium
 
 SIZE_PX = 714
 MADE = ("two_spheres_500", 6, (), (), SIZE_PX)
-BOARD = bench(*MADE).board
-SQUARE_MM = BOARD.square_mm
+SQUARE_MM = FULL_SQUARE_MM * FULL_PX / SIZE_PX
+BOARD = Chessboard(SQUARE_MM, 0.4 * SQUARE_MM)
 
 
 def clear_and_glass():
