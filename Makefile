@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow test-without-posix slow slow-balance docs docs-check coverage dist labs lab-table fuzz lamps sheets starts benchmark bench lint style types fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
+.PHONY: demo test test-slow test-without-posix slow slow-balance docs docs-check coverage dist labs lab-table fuzz lamps sheets starts benchmark bench lint style types prepared-tests fast-tests digests mutants compiled-rays compiled-frames collected picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -30,9 +30,11 @@ demo: $(STAMP)
 	$(BIN)/rtpiv demo -o demo
 
 test: $(STAMP)
-	@$(MAKE) --no-print-directory -j4 compiled-rays compiled-frames style collected
-	@$(MAKE) --no-print-directory -j2 fast-tests types
+	@$(MAKE) --no-print-directory -j5 style prepared-tests types
 	@$(BIN)/python -m tests.slow_suite
+
+prepared-tests: compiled-rays compiled-frames collected
+	@$(MAKE) --no-print-directory fast-tests
 
 fast-tests: $(STAMP)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
@@ -164,7 +166,7 @@ style: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
-# A minute without its cache, beside tests that often wait; they come first where cores are few.
+# A minute without its cache, beside compilation and tests, which come first where cores are few.
 types: $(STAMP)
 	nice $(BIN)/mypy
 
