@@ -101,6 +101,7 @@ def test_light_is_the_paper_s():
 
 
 def test_a_pair_is_a_function_of_its_number(monkeypatch):
+    monkeypatch.setenv("RTPIV_THREADS", "3")
     scene = flow_scene(size=200)
     flow = Flow(Jet(), RandomModes(8.0))
     pairs = list(rendered_pairs(scene, flow, dt_s=DT_S, count=3))

@@ -203,6 +203,7 @@ def test_cells_half_as_large_change_nothing():
 
 
 def test_a_rod_blocks_and_bits_do_not_depend_on_threads(monkeypatch):
+    monkeypatch.setenv("RTPIV_THREADS", "3")
     scene = flow_scene(size=200).with_bodies([Rod("rod", (-60.0, 0.0, 40.0), (60.0, 0.0, 40.0), 5.0)])
     view = ParticleView(scene, (-1.0, 1.0), aperture=Aperture(60.0, 8.0, 500.0))
     rng = np.random.default_rng(5)
