@@ -31,7 +31,7 @@ def loop_over(names: str, cases: Iterable[Any]) -> Callable[[Callable[..., None]
             for row in rows:
                 try:
                     test(**fixtures, **row)
-                except (Exception, pytest.fail.Exception) as error:
+                except (Exception, BaseExceptionGroup, pytest.fail.Exception) as error:
                     error.add_note(
                         "in the case " + ", ".join(f"{name}={value!r:.200}" for name, value in row.items())
                     )
