@@ -1,5 +1,6 @@
 """The runner over byte protocols and a folder as camera: order, books, what comes between, and going on."""
 
+import errno
 import json
 import threading
 import time
@@ -13,6 +14,7 @@ from daq.pipeline import pipeline as pipeline_module
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, check_disk, reopen
+from daq.runs.journal import Journal
 from daq.runs.raw_frame import checksum, read_raw, write_raw
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
 from stages.errors import DeviceLost, MotionStopped
@@ -218,27 +220,55 @@ def test_no_frame_at_all_is_said(bench_and_plan, folder, tmp_path):
     assert counts["books"]["imbalance"] == 0
 
 
-def test_disk_full_ends_the_run_and_counts_what_it_did_not_take(bench_and_plan, folder, files, monkeypatch):
-    bench, plan = bench_and_plan
-    room = [5]
+class Disk:
+    """Has room for so many frames and lines of the journal."""
 
-    def full(path, pixels, about):
-        if room[0] == 0:
+    def __init__(self, monkeypatch, frames, lines):
+        self.frames, self.lines = frames, lines
+        write_line = Journal._write
+
+        def write(journal, line):
+            self.lines -= 1
+            if self.lines < 0:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            write_line(journal, line)
+
+        monkeypatch.setattr(pipeline_module, "write_raw", self.write_frame)
+        monkeypatch.setattr(Journal, "_write", write)
+
+    def write_frame(self, path, pixels, about):
+        self.frames -= 1
+        if self.frames < 0:
             raise DiskError(f"{path}: No space left on device; make room, then resume the run")
-        room[0] -= 1
         write_raw(path, pixels, about)
 
-    monkeypatch.setattr(pipeline_module, "write_raw", full)
+    def make_room(self):
+        self.frames = self.lines = 1000
+
+
+@pytest.mark.parametrize(("frames", "lines"), [
+    (5, 1000), (1000, 0), (1000, 4), (1000, 17), *(slow(frames, 1000) for frames in (0, 1, 3, 8, 12, 15)),
+    *(slow(1000, lines) for lines in range(1, 29)),
+])  # fmt: skip
+def test_a_full_disk_ends_the_run_at_rest_and_resume_does_the_rest(
+    bench_and_plan, folder, files, monkeypatch, frames, lines
+):
+    """Wherever it is full: of frames, or of the journal, whose lines are of the session, frames and steps."""
+    bench, plan = bench_and_plan
+    disk = Disk(monkeypatch, frames, lines)
     with files_bench(bench, files) as hardware:
         with pytest.raises(DiskError, match="No space left"):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
-        books = next(entry for entry in folder.entries() if entry["kind"] == "counts")["books"]
-        assert books["imbalance"] == 0
-        assert books["unwritten"] >= 1
-        room[0] = 1000
+        places_mm = hardware.simulation.true_mm()
+        hardware.clock.sleep_s(30.0)
+        assert hardware.simulation.true_mm() == places_mm
+        counts = [entry for entry in folder.entries() if entry["kind"] == "counts"]
+        disk.make_room()
         Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     done = assert_complete(folder, plan)
-    assert done["conservation"]["unwritten"] == books["unwritten"]
+    for entry in counts:  # where there was room for them
+        assert entry["books"]["imbalance"] == 0
+        assert entry["books"]["unwritten"] == done["conservation"]["unwritten"] >= 1
 
 
 def test_a_slow_disk_slows_the_run_and_loses_nothing(bench_and_plan, folder, files, monkeypatch):
