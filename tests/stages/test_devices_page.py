@@ -19,8 +19,8 @@ from stages.protocols import grbl, isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
 from stages.protocols.apt_words import Kind
 from tests.daq.timing import test_pivlab_synchroniser as sync
 from tests.daq.timing import test_srs_dg645 as dg645
+from tests.daq.timing.quantum_desk import PUMPED, LaserHead, desk
 from tests.daq.timing.test_pulse_box import counter
-from tests.daq.timing.test_quantum_composers import PUMPED, LaserHead, desk
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "devices.md"
 STATES = ("foreign client", "foreign firmware", "text", "unproven")

@@ -19,7 +19,7 @@ from sim.timing_boxes.pulse_box import PulseBoxEmulator
 from stages.errors import NoReply, StageError, WrongDevice
 from tests.daq.bench.test_timing_kind import GOOD, bench_with
 from tests.daq.runner.test_laser_trials import TIMING, WRONG, Hands
-from tests.daq.timing.test_quantum_composers import EXPOSURES, desk
+from tests.daq.timing.quantum_desk import EXPOSURES, desk
 from tests.loops import loop_over
 from tests.slow_cases import slow
 

@@ -1,71 +1,17 @@
 """The driver on firmware: what it believes, what it refuses, and what any one fault makes of it."""
 
 import itertools
-from contextlib import contextmanager
 
 import pytest
 
 from daq.errors import DaqError
-from daq.timing.conditions import Conditions, Rules
-from daq.timing.drivers.quantum_composers import QuantumComposersBox
+from daq.timing.conditions import Conditions
 from daq.timing.errors import LaserDoubt, LaserStopped, PulsesRefused, TimingUsageError, WrongBox
-from daq.timing.laser import Laser
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
-from sim.emulators.line import Line
-from sim.emulators.protocol_sim import LINES
-from sim.mechanics.clock import VirtualClock
-from sim.timing_boxes.quantum_composers import RESET, QuantumComposersEmulator, Variant
 from stages.errors import CommandRejected, StageError
-
-WIRING = {
-    Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH_2: "D", Role.CAMERA: "E",
-    Role.MARKER: "F",
-}  # fmt: skip
-PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.CAMERA_B: "D"}
-HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
-EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
-GOOD = Conditions(True, True, True, 5.0, 1000)
-
-
-class Desk:
-    """A box on a line in memory, and a laser."""
-
-    def __init__(self, wiring=WIRING, head=HEAD, faults=(), **firmware):
-        self.clock = VirtualClock()
-        self.emulator = QuantumComposersEmulator(self.clock, Variant(**firmware))
-        self.line = Line(self.emulator, self.clock, FaultSchedule(faults))
-        self.box = QuantumComposersBox("laser", wiring, self.clock)
-        self.laser = Laser("laser", self.box, head, Rules(warmup_s=1.0), self.clock)
-
-    def to_armed(self, dt_us=20.0, rate_hz=10.0, exposures=EXPOSURES):
-        self.laser.open("sim://desk")
-        if self.laser.state is LaserState.UNKNOWN:
-            self.laser.safe()
-        self.laser.warm(rate_hz)
-        self.clock.sleep_s(1.1)
-        self.laser.set(PulseTiming(dt_us, rate_hz), exposures)
-        self.laser.arm(GOOD, self.laser.challenge)
-
-    def burst(self, pairs=5):
-        self.to_armed()
-        self.laser.fire(pairs)
-        self.laser.wait()
-
-    def pulses(self, role):
-        self.emulator.advance()
-        return self.emulator.outputs.count[self.box.wiring[role]]
-
-
-@contextmanager
-def desk(**options):
-    made = Desk(**options)
-    LINES["desk"] = made.line
-    try:
-        yield made
-    finally:
-        LINES.pop("desk")
+from tests.daq.timing.quantum_desk import EXPOSURES, GOOD, HEAD, PUMPED, WIRING, desk
 
 
 @pytest.mark.parametrize(("step_s", "firmware"), [
@@ -364,31 +310,6 @@ def test_a_start_whose_first_answer_is_0_is_switched_off_at_once():
         assert d.pulses(Role.Q_SWITCH_1) <= 1
 
 
-@pytest.mark.parametrize("times", [3, 5, 10**6])
-def test_a_box_that_refuses_to_stop_t0_is_off_before_fire_returns(times):
-    """Its outputs come on in the string that begins the burst, while T0 runs on."""
-    with desk() as d:
-        d.to_armed()
-        d.emulator.refuses_off.update(dict.fromkeys(range(5), times))
-        begun_s = d.clock.now_s()
-        with pytest.raises(CommandRejected, match=r":PULSE0:STAT 0"):
-            d.laser.fire(50)
-        assert d.laser.state is LaserState.FAULT  # off, and a person has to look
-        given = d.pulses(Role.Q_SWITCH_1)
-        assert d.clock.now_s() - begun_s < (1.0 if times < 10 else 3.0)
-        d.clock.sleep_s(10.0)
-        assert d.pulses(Role.Q_SWITCH_1) == given < 30
-        d.emulator.refuses_off.clear()
-        d.laser.safe()
-        d.laser.warm(10.0)
-        d.clock.sleep_s(1.1)
-        d.laser.set(PulseTiming(20.0, 10.0), EXPOSURES)  # what the reset has taken is loaded again
-        d.laser.arm(GOOD, d.laser.challenge)
-        d.laser.fire(5)
-        d.laser.wait()
-        assert d.pulses(Role.Q_SWITCH_1) == given + 5
-
-
 def test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the_first_word():
     """Only the person at the keys can end it before that: no word of ours reaches the box."""
     with desk() as d:
@@ -417,135 +338,6 @@ def test_a_restart_while_it_fires_is_not_taken_for_the_end(off_s):
         with pytest.raises(LaserDoubt, match=r"stopped at its keys .* or its power failed"):
             d.laser.wait()
         assert d.laser.state is LaserState.UNKNOWN
-
-
-def test_a_refusal_while_it_begins_switches_off():
-    with desk() as d:
-        d.to_armed()
-        d.line.hooks.after(33, "write", lambda: setattr(d.emulator, "refuse", 1))
-        for _ in range(3):  # wherever the refusal falls
-            if d.laser.state is LaserState.ARMED:
-                with pytest.raises(CommandRejected, match="not in this state"):
-                    d.laser.fire(5)
-        d.clock.sleep_s(3.0)
-        assert d.laser.state is LaserState.FAULT
-        assert not d.emulator.is_on_at(0)
-
-
-def test_off_is_said_twice_to_a_box_that_refuses_it():
-    """Found by the fuzz: every line of off was answered by ?8, and the burst went on."""
-    with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=100.0), outputs=4) as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(0.5)
-        before = d.pulses(Role.Q_SWITCH_1)
-        d.emulator.refuse = 5
-        d.laser.stop("now")
-        d.clock.sleep_s(5.0)
-        assert d.pulses(Role.Q_SWITCH_1) == before > 0
-
-
-@pytest.mark.parametrize("refused", [1, 2, 5])
-def test_off_reaches_a_box_that_loses_lines_and_refuses_those_that_it_hears(refused):
-    """Found by the fuzz: off was said twice, then it was asked who answers, and pulses left for two seconds."""
-    with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=100.0), outputs=4, needs_s=0.04) as d:
-        d.to_armed()
-        d.laser.fire(90)
-        d.clock.sleep_s(0.5)
-        d.emulator.refuse = refused
-        told_s = d.clock.now_s()
-        d.laser.stop("now")
-        d.clock.sleep_s(5.0)
-        last_s = max(pulse.rises_s for pulse in d.emulator.outputs.recent)
-        assert told_s - 0.2 < last_s < told_s + 0.4
-        assert not d.emulator.is_on_at(0)
-
-
-@pytest.mark.parametrize("number", [0, 1, 2, 4, 5])
-def test_an_output_that_can_never_be_switched_off_is_named_and_nothing_is_armed(number):
-    """Whatever a box answers to "off", the state of an output is what reads back."""
-    with desk() as d:
-        d.emulator.set_inside(number, "STAT", "1")
-        d.emulator.refuses_off[number] = d.emulator.refuses_off[RESET] = 10**6
-        d.laser.open("sim://desk")
-        assert d.laser.state is LaserState.UNKNOWN
-        name = "T0" if number == 0 else f"output {'ABCDEFGH'[number - 1]}"
-        with pytest.raises(LaserDoubt, match=rf"{name} of the box cannot be switched off .*not in this state"):
-            d.laser.safe()
-        with pytest.raises(TimingUsageError, match="only safe"):
-            d.laser.warm(10.0)
-        assert [number] == [n for n in range(9) if d.emulator.is_on_at(n)]
-        d.box.may_be_on = True
-        with pytest.raises(LaserDoubt, match="may still give light"):
-            d.laser.close()
-
-
-@pytest.mark.parametrize("number", [0, 2, 4])
-@pytest.mark.parametrize("times", [1, 2, 3, 4])
-def test_a_refusal_of_off_does_not_let_light_go_on(number, times):
-    """T0 is refused: the Q-switches are off.  A Q-switch is refused: T0 is.  Said again it is all off."""
-    with desk() as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
-        before = d.pulses(Role.Q_SWITCH_1)
-        d.emulator.refuses_off[number] = times
-        d.laser.stop("now")
-        d.clock.sleep_s(1.0)
-        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == before > 0
-        assert d.laser.state is LaserState.UNKNOWN
-        assert d.laser.confirm_off()
-        assert d.laser.state is LaserState.FAULT
-        assert not any(d.emulator.is_on_at(n) for n in range(9))
-
-
-@pytest.mark.parametrize("number", [1, 2, 4])
-@pytest.mark.parametrize("needs_s", [0.0, 0.045])
-def test_what_refuses_off_again_and_again_is_off_after_one_reading_back(number, needs_s):
-    """Found by the fuzz: on a slow box each attempt takes two seconds, and who left the bench gave up before."""
-    with desk(needs_s=needs_s) as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
-        d.emulator.refuses_off[number] = 7 if needs_s else 11
-        d.laser.stop("now")
-        assert d.laser.confirm_off()
-        assert not any(d.emulator.is_on_at(n) for n in range(9))
-
-
-def test_a_box_that_refuses_every_off_ends_with_its_count_and_stays_in_doubt():
-    with desk() as d:
-        d.to_armed()
-        d.laser.fire(30)
-        d.clock.sleep_s(1.0)
-        for number in (RESET, *range(9)):
-            d.emulator.refuses_off[number] = 10**6
-        d.laser.stop("now")
-        assert not d.laser.confirm_off()
-        d.clock.sleep_s(10.0)
-        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 30
-        assert not d.laser.confirm_off()
-        assert d.laser.state is LaserState.UNKNOWN
-
-
-@pytest.mark.parametrize("answers", [range(40), range(0, 40, 2), (0,), (3, 4, 5)])
-def test_off_that_is_answered_late_is_dark_at_once_and_believed_when_it_reads_back(answers):
-    with desk() as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
-        before = d.pulses(Role.Q_SWITCH_1)
-        heard = d.line.faults._count
-        for number in answers:
-            d.line.faults._by_answer[heard + number] = Fault("late", heard + number, delay_s=1.5)
-        d.laser.stop("now")
-        tries = 0
-        while not d.laser.confirm_off():
-            tries += 1
-            assert d.laser.state is LaserState.UNKNOWN
-            assert tries < 20
-        assert d.pulses(Role.Q_SWITCH_1) == before > 0
-        assert d.laser.state is LaserState.FAULT
 
 
 def answers_of_a_burst():

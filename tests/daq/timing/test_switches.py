@@ -32,7 +32,7 @@ from stages.port import ModemLine
 from stages.watchdog import SHORT_LIFE_S
 from tests.daq.bench.test_timing_kind import bench_with
 from tests.daq.timing.armed_laser import GOOD, armed
-from tests.daq.timing.test_quantum_composers import PUMPED, desk
+from tests.daq.timing.quantum_desk import PUMPED, desk
 
 
 class Contact:

@@ -10,7 +10,7 @@ from daq.timing.errors import LaserDoubt, NotArmed
 from daq.timing.pulses import Role
 from rtpiv.verbs import laser_prove
 from tests.daq.runner.test_laser_trials import WRONG, AtPlug, Hands, wired
-from tests.daq.timing.test_quantum_composers import desk
+from tests.daq.timing.quantum_desk import desk
 
 SECTION = SimpleNamespace(
     pairs=PairsSection(shape="two_blocks", marker="spacing", dead_us=2.0, second_exposure_us=20_000.0)
