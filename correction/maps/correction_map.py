@@ -72,7 +72,13 @@ FIELDS: dict[str, tuple[str, tuple[int, ...], float]] = {  # kind, components, a
     "transmittance": ("<f4", (), 0.0),
 }
 STORED_BYTES = 3.0  # on the disk, a node and view: 1.6 to 1.9 of sensors of 1008 px
-WIDEST_PX = 32000  # sensors whose pixels a step of 2^-16 holds in 32 bits
+WIDEST_PX = 32000  # sensors whose pixels a step of 2^-16 holds in 32 bits; those of wider ones are coarser
+
+
+def stored_steps(sensor_px: Sequence[int]) -> dict[str, float]:
+    """Return the step of each stored field of a sensor."""
+    wider = 2.0 ** np.ceil(np.log2(max(max(sensor_px) / WIDEST_PX, 1.0)))
+    return STEPS | {"pixel": float(STEPS["pixel"] * wider)}
 
 
 def code_here() -> str:
@@ -85,7 +91,7 @@ class CorrectionHeader(RayHeader):
 
     origin_mm: Pair
     pitch_mm: Annotated[float, Field(gt=0.0)]
-    sensor_px: Annotated[list[Annotated[int, Field(ge=2, le=WIDEST_PX)]], Field(min_length=2, max_length=2)]
+    sensor_px: Annotated[list[Annotated[int, Field(ge=2)]], Field(min_length=2, max_length=2)]
     layers: Annotated[int, Field(ge=1, le=MAX_LAYERS)]
     branch_kind: Literal["<u2", "<u4"]
     made_by: str = ""
@@ -174,9 +180,9 @@ class CorrectionMap(SceneBound):
 
     def rounded(self) -> "CorrectionMap":
         """Return the map with the bits that it has once stored."""
-        seen = self.weight > 0.0
+        seen, steps = self.weight > 0.0, stored_steps(self.sensor_px)
         fields: dict[str, Any] = {
-            name: _last(rounded(_first(getattr(self, name)), _each(seen, trailing), STEPS[name], hidden), kind)
+            name: _last(rounded(_first(getattr(self, name)), _each(seen, trailing), steps[name], hidden), kind)
             for name, (kind, trailing, hidden) in FIELDS.items()
         }
         return replace(self, **fields)
@@ -193,15 +199,15 @@ class CorrectionMap(SceneBound):
             "branch_kind": self.branch.dtype.str,
             "made_by": code_here(),
         }
-        seen = self.weight > 0.0
+        seen, steps = self.weight > 0.0, stored_steps(self.sensor_px)
         arrays = {"status": self.status, "seen": deflated(np.packbits(seen)), "branch": deflated(self.branch)}
         for name, (_, trailing, _) in FIELDS.items():
-            arrays[name] = pack(_first(getattr(self, name)), _each(seen, trailing), STEPS[name])
+            arrays[name] = pack(_first(getattr(self, name)), _each(seen, trailing), steps[name])
         save_arrays(path, KIND, header, arrays)
 
     @classmethod
     def load(cls, path: Path | str) -> "CorrectionMap":
-        """Read a map, to half of `STEPS`.
+        """Read a map, to half of `stored_steps`.
 
         Raises
         ------
@@ -220,9 +226,10 @@ class CorrectionMap(SceneBound):
         try:
             bits = inflated(arrays["seen"], -(-count // 8))
             seen = np.unpackbits(bits, count=count).astype(bool).reshape(shape)
+            steps = stored_steps(said.sensor_px)
             branch = inflated(arrays["branch"], count * number.itemsize).view(number).reshape(shape)
             fields = {
-                name: _last(unpack(arrays[name], _each(seen, trailing), STEPS[name], hidden), kind)
+                name: _last(unpack(arrays[name], _each(seen, trailing), steps[name], hidden), kind)
                 for name, (kind, trailing, hidden) in FIELDS.items()
             }
         except (ValueError, zlib.error):

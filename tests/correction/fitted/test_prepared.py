@@ -107,6 +107,17 @@ def test_a_stored_map_is_small_and_has_the_bits_of_the_one_in_use_within_its_bou
     assert path.stat().st_size < 2.0 * STORED_BYTES * layers * built.status.size
 
 
+def test_a_map_of_a_sensor_beyond_32_000_pixels_keeps_its_pixels(tmp_path):
+    """A step of 2^-16 px in 32 bits ends at 32 768, and what lay beyond was put there."""
+    small = small_scene("one_sphere_250", 96)
+    built = build_correction_map(small, build_ray_map(small))
+    wide = replace(built, pixel=built.pixel * 700.0, sensor_px=(67200, 67200))
+    wide.save(tmp_path / "wide.map")
+    for kept in (CorrectionMap.load(tmp_path / "wide.map"), wide.rounded()):
+        np.testing.assert_allclose(kept.pixel, wide.pixel, atol=3.1e-5)
+        assert np.nanmax(kept.pixel) > 50000.0
+
+
 def test_maps_not_used_for_longest_are_removed(tmp_path, scene, monkeypatch):
     monkeypatch.setattr(prepared, "STORED", 3)
     scenes = [scene.with_camera(replace(scene.camera, focal_px=scene.camera.focal_px + k)) for k in range(4)]
