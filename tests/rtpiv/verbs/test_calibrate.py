@@ -1,6 +1,7 @@
 """`rtpiv calibrate` from a folder of frames to a fitted scene that `rtpiv correct` reads."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,6 +81,8 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
     )
     said = " ".join(out.split())
     assert "nearly one unknown" in said  # the scale of a print that was not measured, and what is as large as it
+    assert "measure its bars and give measured_mm in board.yaml" in said
+    assert not re.search(r"print\.stretch_[^|]*add bare target frames", said)
     assert any("nearly one unknown" in each for each in summary["weak"])
     assert "saddles" not in err
     assert "camera on target_clear" in err
