@@ -262,7 +262,8 @@ def by_ensemble(
             sums.add(a, b, valid, sweep.of_pair(*told, good, grid) if own else None)
         for side in (32, 16):
             field = ensemble_field(sums, side)
-            moments_found = field.mean_px, field.sigma_px, field.stress_px2, field.stress_sigma_px2
+            sigma = np.hypot(field.sigma_px, field.resolution_px[..., None])
+            moments_found = field.mean_px, sigma, field.stress_px2, field.stress_sigma_px2
             found[side] = Found(field.grid, *moments_found, field.correlation)
         if number == 1:
             sweep = next_sweep(ensemble_field(sums, 16), sweep)

@@ -12,13 +12,14 @@ they have no partner; what is dark shows neither.
 * A wall is large: cells count that make up squares of 2 x 2. A grain of dust is in one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
+from piv.correlation.cut_windows import cut_px
 from piv.correlation.outliers import outliers
 from piv.correlation.planes import filled
 from piv.correlation.resolution import second_differences
@@ -150,7 +151,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         kept(covariance - own_covariance + _of_fields(sums, window_px, back, covariance, fluid)),
         kept(sigma),
         kept(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
-        kept(_resolution(mean, valid, grid)),
+        kept(_resolution(mean, valid, grid, _seen(sums, fluid))),
         kept(volume),
         valid,
         sums.pairs,
@@ -158,17 +159,27 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     )
 
 
-def _resolution(mean: Floats, valid: NDArray[np.bool_], grid: WindowGrid) -> Floats:
+def _seen(sums: EnsembleSums, fluid: NDArray[np.bool_]) -> Singles:
+    """How far pixels (H, W) are seen in the mean of all pairs, outside solid cells."""
+    seen = np.minimum(sums.frames[4] / np.float32(sums.pairs), np.float32(1.0))
+    fluid_px = replace(sums.sweep, solid=sums.sweep.solid | ~fluid).fluid_px
+    return seen if fluid_px is None else np.where(fluid_px, seen, np.float32(0.0))
+
+
+def _resolution(mean: Floats, valid: NDArray[np.bool_], grid: WindowGrid, seen: Singles) -> Floats:
     """Standard deviation (ny, nx) of a component of the mean by what windows do not resolve.
 
-    A window of side w without weights shows the mean field less w^2/24 of its second derivative along each axis.
+    A window of side w without weights shows the mean field less w^2/24 of its second derivative along each axis;
+    beside a wall its light lies beside its middle (`piv.correlation.cut_windows`).
     """
     if not valid.any():
         return np.zeros(grid.shape)
     apart = max(1, round(0.5 * grid.size_px / grid.step_px))
-    bent = second_differences(filled(np.where(valid[..., None], mean, 0.0), valid)[0], apart)
+    whole = filled(np.where(valid[..., None], mean, 0.0), valid)[0]
+    bent = second_differences(whole, apart)
     share = MISSED * grid.size_px**2 / (24.0 * (apart * grid.step_px) ** 2)
-    return np.asarray(share * scipy.ndimage.maximum_filter(bent, 3))
+    cut = cut_px(whole, seen, grid, grid.size_px, 0.0)
+    return np.hypot(share * scipy.ndimage.maximum_filter(bent, 3), cut)
 
 
 def next_sweep(field: EnsembleField, sweep: Sweep) -> Sweep:

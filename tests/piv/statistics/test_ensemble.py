@@ -287,6 +287,13 @@ def test_a_wall_is_resolved_to_8_px():
     assert true[0] < 3.0  # within the steepest part
     assert np.abs(found - true)[1:].max() < 0.1, (found, true, sigma)
     assert abs(found[0] - true[0]) < 0.3  # half of the wall's first window is empty
+    for window_px in (8, 16, 32):  # what lies beside the middle of windows stands in sigma
+        field = ensemble_field(sums, window_px)
+        near = (field.grid.y_px > wall) & (field.grid.y_px < wall + window_px)
+        off = np.abs(field.mean_px[near, 1:-1, 0] - profile(field.grid.y_px[near])[:, None])
+        total = np.hypot(field.sigma_px[near, 1:-1, 0], field.resolution_px[near, 1:-1])
+        assert off.size, window_px
+        assert np.nanmean(off < 2.0 * total) > 0.9, window_px
 
 
 def test_fields_of_pairs_lead_to_the_same_stresses_with_less_noise():
