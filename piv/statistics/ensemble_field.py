@@ -179,7 +179,7 @@ def _resolution(mean: Floats, valid: NDArray[np.bool_], grid: WindowGrid, seen: 
     bent = second_differences(whole, apart)
     share = MISSED * grid.size_px**2 / (24.0 * (apart * grid.step_px) ** 2)
     cut = cut_px(whole, seen, grid, grid.size_px, 0.0)
-    return np.hypot(share * scipy.ndimage.maximum_filter(bent, 3), cut)
+    return np.asarray(np.hypot(share * scipy.ndimage.maximum_filter(bent, 3), cut))
 
 
 def next_sweep(field: EnsembleField, sweep: Sweep) -> Sweep:
