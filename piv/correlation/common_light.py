@@ -16,6 +16,14 @@ apart by; shorter ones mean nothing and are rejected.
 The size of images is that of the pair, or of what is left where this is far smaller: behind a coarse texture. It
 is smaller as well, the seams of images, where large ones hardly move; but then windows match as a whole at some
 place that is not rest, and the less so the more particles are lost, which leave all of their image (`SEAMS`).
+
+**Coarse light lags.** Flow moves light of any size alike. Between texture and particles vectors lie where their
+sum matches best: frames that are deformed by them and blurred, so that mostly the texture is left, match behind
+that place. So the median over windows of that lag, over the length of their vectors, is minus a part of the share
+that stands still: -0.2 to -0.6 behind textures of 1 to 2 times the light of the particles and a grain of 1.5 to
+5 px, -0.01 to 0.05 in flows before nothing. It says so where nothing can be taken off (`LAGS`). Where a slow flow
+has none (`MOVES_WHOLE`), and nearly all of it moves, nothing else is asked; where some windows show the texture
+and others the particles, neither lags.
 """
 
 from typing import NamedTuple
@@ -45,6 +53,10 @@ SEAMS, RESTS = (
     0.2,
     0.45,
 )  # variance of seams over that of images, more by what is lost; deviations, of windows at rest
+LAGS, MOVES_WHOLE = 0.1, 0.02  # of the length of vectors
+SLOWEST_PX, FEWEST_SLOW = 0.4, 12  # shortest vectors that tell a lag, and how many must
+NEARLY_ALL = 0.9  # of the vectors
+COARSE, LEVEL_PX = 1.25, 17  # deviations of an image, side of the surroundings: at half the resolution
 LEAST_LOST = 0.15  # with less, windows move as a whole
 WIDER = 1.2  # variance of images over that of what is left of them behind a texture
 APART = (  # length in deviations of an image, and how much of it comes of images that overlap (measured)
@@ -100,7 +112,46 @@ def is_suspect(still: Floats) -> bool:
     return bool(np.isfinite(still).any() and np.nanmedian(still) > SUSPECT)
 
 
-def without_common_light(pair: Pair, known: Known, min_valid: float, threads: int | None) -> CommonLight | None:
+def lag_of_coarse_light(pair: DeformedPair, known: Known, spread_px2: float, threads: int | None) -> float:
+    """How far coarse light moves beyond vectors, over their length: see "Coarse light lags"; NaN if none tells.
+
+    Parameters
+    ----------
+    pair : DeformedPair
+        Frames deformed by nearly these vectors.
+    known : Known
+        Vectors that are believed, and NaN.
+    spread_px2 : float
+        Variance of a particle image.
+    threads : int, optional
+        Threads to use.
+    """
+    import cv2
+
+    size = pair.a.shape[1] // 2, pair.a.shape[0] // 2
+    valid, *frames = (
+        cv2.resize(part[: 2 * size[1], : 2 * size[0]], size, interpolation=cv2.INTER_AREA)
+        for part in (pair.valid, pair.a, pair.b)
+    )
+    blur_px, level = COARSE * max(float(np.sqrt(spread_px2)), 0.8), (LEVEL_PX, LEVEL_PX)
+    coarse = [cv2.GaussianBlur(frame, (0, 0), blur_px) for frame in frames]
+    a, b = (np.asarray(frame - cv2.blur(frame, level), np.float32) for frame in coarse)
+    grid = known.grid
+    half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2)
+    beyond_px = 2.0 * refine(DeformedPair(a, b, np.asarray(valid), pair.floor), half, 0.0, threads).shift_px
+    length_px = np.linalg.norm(known.vectors_px, axis=-1)
+    told = np.isfinite(beyond_px).all(axis=-1) & (length_px > SLOWEST_PX)
+    if told.sum() < FEWEST_SLOW:
+        return float("nan")
+    along = (beyond_px[told] * known.vectors_px[told]).sum(axis=-1)
+    lag = float(np.median(along / np.square(length_px[told])))
+    moves = told.sum() >= NEARLY_ALL * np.isfinite(length_px).sum()
+    return lag if moves or lag < -LAGS else float("nan")
+
+
+def without_common_light(
+    pair: Pair, known: Known, min_valid: float, threads: int | None, lag: float = float("nan")
+) -> CommonLight | None:
     """Take off what both frames have in common; None if that is nothing, or cannot be told.
 
     Parameters
@@ -113,6 +164,8 @@ def without_common_light(pair: Pair, known: Known, min_valid: float, threads: in
         Share of valid pixels that a window needs.
     threads : int, optional
         Threads to use.
+    lag : float
+        From `lag_of_coarse_light`; NaN if it is not known.
     """
     shape = (pair.a.shape[0], pair.a.shape[1])
     seen = np.isfinite(known.correlation) & np.isfinite(known.vectors_px).all(axis=-1)
@@ -122,7 +175,7 @@ def without_common_light(pair: Pair, known: Known, min_valid: float, threads: in
     usual = float(np.median(known.correlation[seen]))
     usual_px = float(np.median(np.linalg.norm(known.vectors_px[seen], axis=-1)))
     is_slow = usual_px < FAR * np.sqrt(spread_px2)
-    if is_slow and usual > GOOD:
+    if is_slow and (usual > GOOD or abs(lag) < MOVES_WHOLE):
         return None
     try:
         rest = prepared(
@@ -144,7 +197,7 @@ def without_common_light(pair: Pair, known: Known, min_valid: float, threads: in
     if clear.any() and np.median(length_px[clear]) < FAR * np.sqrt(spread_px2):
         whole = correlate_windows(frames, grid, min_valid, threads)
         left_px2 = image_spread_px2(rest)
-        if _is_behind_texture(whole, spread_px2, left_px2, without_noise):
+        if lag < -LAGS or _is_behind_texture(whole, spread_px2, left_px2, without_noise):
             spread_px2 = WIDER * left_px2
     image_px = float(np.sqrt(spread_px2))
     at_rest = match_at_rest(frames, grid, 0.0, threads)

@@ -33,7 +33,15 @@ from numpy.typing import NDArray
 from ground.blas import one_blas_thread
 from ground.memory import require_memory
 from piv.correlation.agreement import LEAST_BLOCKS, agreed, resolution_of
-from piv.correlation.common_light import CommonLight, Known, is_suspect, match_at_rest, without_common_light
+from piv.correlation.common_light import (
+    LAGS,
+    CommonLight,
+    Known,
+    is_suspect,
+    lag_of_coarse_light,
+    match_at_rest,
+    without_common_light,
+)
 from piv.correlation.correlate import peak_ratios
 from piv.correlation.cut_windows import cut_px
 from piv.correlation.deform import DeformedPair, Frames
@@ -262,10 +270,14 @@ def _evaluated(
     still_share = static_share(still, filled(course.found.vectors_px, course.found.good)[0], spread_px2)
     if suspect is not None:
         known = Known(course.grid, course.found.vectors_px, course.found.correlation)
-        common = without_common_light(suspect, known, settings.min_valid, threads)
+        believed = np.where(course.found.good[..., None], course.found.vectors_px, np.nan)
+        lag = lag_of_coarse_light(course.deformed, known._replace(vectors_px=believed), spread_px2, threads)
+        common = without_common_light(suspect, known, settings.min_valid, threads, lag)
         if common is not None:
             field = _evaluated(replace(common.pair, told=suspect.told), sides, settings, threads, common)
             return replace(field, nan_pixels=nan_pixels)
+        if lag < -LAGS:
+            still_share = max(-lag, np.nan_to_num(still_share))
         del suspect
     every, halved = 1, None
     added = 0
