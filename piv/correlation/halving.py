@@ -37,10 +37,6 @@ measured in uniform flows), and where a frame shows no flow half of those differ
 of e - e_0 over a usual window, without places that take the finest ones, counts by t^2/(1 + t^2), t = (x/x_0)^2,
 x_0 the chance deviation at one place: two of such a mean.
 
-**What does not match and is flow** is seen by the correlation statistics as if it were noise. Passes repeat noise
-and enlarge it (`piv.correlation.response`), while of the flow each pass sees only what the one before has left. So
-the share x of the random variance, what halving explains, does not grow.
-
 Lepski, Theory Probab. Appl. 35, 454 (1991), on the principle: the largest window that smaller ones do not
 contradict.
 """
@@ -71,15 +67,10 @@ Floats = NDArray[np.float64]
 
 
 class Found(NamedTuple):
-    """Passes that were added, and what halving shows (ny, nx).
-
-    missed_px : what windows of usual size miss [px], 0 of others; flow_share : share of what did not match in them
-    that is flow.
-    """
+    """Passes that were added; and what windows of usual size miss as halving shows (ny, nx) [px], 0 of others."""
 
     added: int
     missed_px: Floats
-    flow_share: Floats
 
 
 def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2: float) -> Found:
@@ -100,7 +91,7 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2:
     before = matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
     if not _promises(course.predictor() - usual, before, spread_px2, grid, usual_px):
         course.read_again(usual, Sizes((grid.size_px, usual_px), np.ones(grid.shape, np.int64)))
-        return Found(0, np.zeros(grid.shape), np.zeros(grid.shape))
+        return Found(0, np.zeros(grid.shape))
     course.look(grid)
     after = matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
     explained = (after - before) / np.maximum(1.0 - before, 1e-3)
@@ -116,7 +107,7 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2:
     flow = _clear_share(explained, fine, spread_px2, usual_px / grid.step_px)
     gained = flow * (1.0 - before) / np.maximum(after, 1e-3)
     missed = np.sqrt(2.0 * sampled_px2 * np.clip(gained, 0.0, 1.0))
-    return Found(added, np.where(sizes.which == 1, missed, 0.0), np.clip(flow, 0.0, 1.0))
+    return Found(added, np.where(sizes.which == 1, missed, 0.0))
 
 
 def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, window_steps: float) -> Floats:

@@ -48,7 +48,7 @@ from piv.correlation.deform import DeformedPair, Frames
 from piv.correlation.denoise import Denoised, denoised
 from piv.correlation.evidence import by_chance, unproven
 from piv.correlation.finer_waves import Evaluated, finer_px
-from piv.correlation.halving import Found, find_sizes
+from piv.correlation.halving import find_sizes
 from piv.correlation.passes import Course, Measured, search
 from piv.correlation.planes import filled
 from piv.correlation.prepare import Pair, checked, prepared
@@ -279,20 +279,18 @@ def _evaluated(
         if lag < -LAGS:
             still_share = max(-lag, np.nan_to_num(still_share))
         del suspect
-    every, halved = 1, None
-    added = 0
+    every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
     while course.found.refined is not None and added < settings.extra_passes and _changes(course):
         course.look(course.grid)
         added += 1
     if settings.finds:
         own, every = settings.own_grid(shape)
-        halved = find_sizes(course, own, spread_px2, sampled_px2)
-        added = halved.added
+        added, missed_px = find_sizes(course, own, spread_px2, sampled_px2)
     if settings.peak_ratios:
         dense = course.found.valid_fraction >= settings.min_valid
         ratio = peak_ratios(course.deformed, course.grid, dense, settings.min_valid, threads)
         course.found = course.found._replace(peak_ratio=ratio)
-    field = _result(course, spread_px2, added, halved)
+    field = _result(course, spread_px2, added, missed_px)
     if common is not None:
         field = _without_seams(field, common)
         still_share = common.share
@@ -337,10 +335,10 @@ def _changes(course: Course) -> bool:
     return bool((far & dense).sum() > CHANGED_SHARE * dense.sum())
 
 
-def _result(course: Course, spread_px2: float, added: int, halved: Found | None) -> VectorField:
+def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) -> VectorField:
     """Judge the vectors of the last pass by their own uncertainty, and take noise off them.
 
-    `halved` is what smaller windows have shown of larger ones.
+    `missed_px` (ny, nx) is what smaller windows have shown that they miss.
     """
     found, grid, settings = course.found, course.grid, course.settings
     vectors, good = found.vectors_px, found.good
@@ -357,13 +355,9 @@ def _result(course: Course, spread_px2: float, added: int, halved: Found | None)
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
         one = np.where(good[..., None] & np.isnan(one), LARGEST_PX, one)
         vectors, sigma, taken = _denoised(course, sizes, good, one, added)
-        if halved is not None:
-            sigma = sigma * _of_flow(course, sizes, halved, added)[..., None]
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         final = filled(vectors, good)[0]
-        resolution = _unresolved(course, sizes, final, taken, pieces)
-        if halved is not None:
-            resolution = np.maximum(resolution, halved.missed_px)
+        resolution = np.maximum(_unresolved(course, sizes, final, taken, pieces), missed_px)
         beyond = np.clip(final - filled(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # blocks tell nothing there
@@ -464,18 +458,6 @@ def _denoised(course: Course, sizes: Sizes, good: NDArray[np.bool_], sigma: Floa
     if not levels:
         return Denoised(vectors, sigma * growths[0][..., None], np.zeros(good.shape))
     return denoised(vectors, good, sigma, growths, levels, settings.denoise)
-
-
-def _of_flow(course: Course, sizes: Sizes, halved: Found, added: int) -> Floats:
-    """Factor (ny, nx) of sigma: what does not match and is flow does not grow with passes."""
-    settings, step = course.settings, course.grid.step_px
-    growths = [
-        noise_growth(window_weights(side, settings.window_sigma), step, smoothings_of(settings, side, step, added))
-        for side in sizes.sides_px
-    ]
-    once = 1.0 / np.square(np.array(growths)[sizes.which])
-    factor: Floats = np.sqrt(1.0 - halved.flow_share * np.maximum(1.0 - once, 0.0))
-    return factor
 
 
 def _finer(course: Course, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:
