@@ -72,7 +72,7 @@ def place_by_count(
     corners = replace(patch, position_px=fit.position_px).take(fit.valid & crossing)
     if len(corners.index) < LEAST_LINE**2:
         misfits, whole = fit.counts().get("MISFIT", 0), len(corners.index)
-        if 2 * whole > min(np.count_nonzero(crossing), LEAST_LINE**2):
+        if 2 * whole > min(int(np.count_nonzero(crossing)), LEAST_LINE**2):
             raise TargetNotFound(
                 f"only {whole} corners between four squares are in view, {LEAST_LINE**2} are needed; bring"
                 " more of the board into view"

@@ -24,10 +24,12 @@ from numpy.typing import NDArray
 from correction.errors import TargetNotFound
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.lattice_growth import Patch
+from correction.target.scale_search import crossing_corners
 from tracer.board import CHIRAL, OLDER
 
 RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
 LEAST_SHARE = 0.5  # of the votes
+DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
         The discs are there, but of another size or with the shades exchanged, or they fit more than once.
     """
     cells, bright, diameter = (
-        _disc_squares(frame, patch) if board.dots is None else _large_dots(frame, patch, board)
+        _disc_squares(frame, patch, board) if board.dots is None else _large_dots(frame, patch, board)
     )
     wanted = np.array(board.discs)
     shades = board.is_bright(wanted) if board.dots is None else np.zeros(len(wanted), bool)
@@ -97,12 +99,13 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
 
 
 def discs_elsewhere(frame: NDArray[Any], patch: Patch, placing: Placing, board: Chessboard) -> int:
-    """Count squares of a patch that show a disc where a placed board has none; 0 if one is where it should be."""
-    cells, _, _ = _disc_squares(frame, patch)
+    """Count squares of a patch that show a disc where a placed board has none, or none where it has one."""
+    cells, _, share, _ = _squares(frame, patch, board)
     # A square turns about its middle, its index is that of its lower left corner.
-    squares = (cells + 0.5 - np.array(placing.shift)) @ np.array(placing.turn) - 0.5
-    seen = {(round(i), round(j)) for i, j in squares.tolist()}
-    return 0 if seen & set(board.discs) else len(seen)
+    squares = np.rint((cells + 0.5 - np.array(placing.shift)) @ np.array(placing.turn) - 0.5).astype(int)
+    described = np.array([tuple(square) in board.discs for square in squares.tolist()], bool)
+    right, missing = described & (share > DISC), described & (share < NO_DISC)
+    return int(np.count_nonzero(missing) or np.count_nonzero(~described & (share > DISC)) * (not right.any()))
 
 
 def place_by_prediction(
@@ -200,25 +203,32 @@ def _matches(
     return fits
 
 
-def _disc_squares(
-    frame: NDArray[Any], patch: Patch
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Squares (N, 2) of a patch with a disc, whether the square is bright (N,), disc diameter in squares (N,)."""
+def _squares(
+    frame: NDArray[Any], patch: Patch, board: Chessboard
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+    """Squares (N, 2) of a patch, whether they are bright (N,), contrast of a disc (N,), corners (N, 4, 2) [px]."""
+    # What covers a part of a square looks like a disc in it, but no corner of that square like a crossing.
+    patch = patch.take(crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign))
     place = {(int(i), int(j)): n for n, (i, j) in enumerate(patch.index)}
     cells = [c for c in place if all((c[0] + i, c[1] + j) in place for i, j in ((1, 0), (0, 1), (1, 1)))]
     if not cells:
-        return np.empty((0, 2), np.int64), np.empty(0, bool), np.empty(0)
+        return np.empty((0, 2), np.int64), np.empty(0, bool), np.empty(0), np.empty((0, 4, 2))
     corners = np.array([[place[i + a, j + b] for a, b in ((0, 0), (1, 0), (0, 1), (1, 1))] for i, j in cells])
-    bright = patch.sign[corners[:, 0]] > 0
-    a, b = np.moveaxis(0.5 + _AROUND, -1, 0)
-    weights = np.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), axis=-1)
-    places = patch.position_px[corners]
-    middle, rim = _ends(_rings(frame, np.einsum("rak,nkc->nrac", weights[_OUTER_AND_INNER], places)))
-    dark_level, bright_level = np.median(rim[~bright]), np.median(rim[bright])
-    inner = np.where(bright, rim - middle, middle - rim)
-    disc = inner > 0.5 * (bright_level - dark_level)
-    points = np.einsum("rak,nkc->nrac", weights, places[disc])  # few of many squares
-    return np.array(cells)[disc], bright[disc], _diameters(_rings(frame, points))
+    bright, places = patch.sign[corners[:, 0]] > 0, patch.position_px[corners]
+    middle, rim = _ends(_rings(frame, np.einsum("rak,nkc->nrac", _WEIGHTS[_OUTER_AND_INNER], places)))
+    both = 0 < np.count_nonzero(bright) < len(bright)
+    contrast = max(float(np.median(rim[bright]) - np.median(rim[~bright])), 1e-6) if both else np.inf
+    return np.array(cells), bright, np.where(bright, rim - middle, middle - rim) / contrast, places
+
+
+def _disc_squares(
+    frame: NDArray[Any], patch: Patch, board: Chessboard
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Squares (N, 2) of a patch with a disc, whether the square is bright (N,), disc diameter in squares (N,)."""
+    cells, bright, share, places = _squares(frame, patch, board)
+    disc = share > DISC
+    points = np.einsum("rak,nkc->nrac", _WEIGHTS, places[disc])  # few of many squares
+    return cells[disc], bright[disc], _diameters(_rings(frame, points))
 
 
 def _large_dots(
@@ -248,6 +258,10 @@ def _large_dots(
 _RADII = np.linspace(0.02, 0.42, 21)  # squares
 _ANGLES = np.arange(16) * (np.pi / 8.0) + 0.1
 _AROUND = _RADII[:, None, None] * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)
+_ACROSS, _UP = np.moveaxis(0.5 + _AROUND, -1, 0)
+_WEIGHTS = np.stack(  # of the corners of a square
+    ((1 - _ACROSS) * (1 - _UP), _ACROSS * (1 - _UP), (1 - _ACROSS) * _UP, _ACROSS * _UP), axis=-1
+)
 
 
 _MIDDLE, _RIM = 3, 2  # rings that say the level in the middle and at the border

@@ -150,9 +150,9 @@ def track_board(
         elsewhere = discs_elsewhere(frame, *marked, board) if board.discs else 0
         if elsewhere:
             raise TargetNotFound(
-                f"{elsewhere} discs are seen in other squares than those where the edges of the board put them:"
-                " the frame may be a mirror image or turned, or the discs described are not those of the print;"
-                " bring all discs into view"
+                f"{elsewhere} squares show a disc where the edges of the board put none, or none where they put"
+                " one: the frame may be a mirror image or turned, or the board described is not the print; bring"
+                " all discs into view"
             )
     if marked is not None:
         placed = [marked]

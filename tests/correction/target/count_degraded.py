@@ -9,6 +9,8 @@ from collections import Counter
 
 import numpy as np
 
+from correction.errors import TargetNotFound
+from correction.target.board_search import find_board
 from tests.correction.target.photographs import (
     BY_HAND,
     DEGRADED,
@@ -37,6 +39,7 @@ CAUSES = {  # words of a refusal -> what it takes to be true: one of these was d
     },
     r"but not the \d (discs|large dots)": {"noisy", "packed", "blurred", "glaring", "hidden", "cropped", "balls"},
     r"could be read": {"noisy", "packed", "blurred", "glaring", "dim", "hidden", "cropped", "shrunk", "balls"},
+    r"show a disc where": {"flipped"},
     r"between four squares": {"hidden", "cropped", "glaring", "balls"},
     r"too noisy|too blurred|could be fitted": {"noisy", "packed", "blurred", "glaring", "dim", "shrunk"},
     r"may be any of": {"hidden", "cropped", "glaring", "noisy", "plain"},
@@ -59,9 +62,21 @@ def judged(seed, usual):
     one, about = degraded(one, seed, ways)
     rng = np.random.default_rng((seed, 8))
     if not seed % 2 and not one.board.is_plain and rng.random() < UNKNOWN:
-        one, about = flipped(one, rng), f"{about}, flipped"
+        upright, one, about = one, flipped(one, rng), f"{about}, flipped"
+        said, more = verdict(one, reach, off, strays)
+        if said == "wrong" and not _shows_marks(upright):
+            said = "unshown"
+        return said, f"{about}{balls}", more
     said, more = verdict(one, reach, off, strays)
     return said, f"{about}{balls}", more
+
+
+def _shows_marks(one):
+    """Whether marks of the board are whole in view; edges alone do not show that a frame is flipped."""
+    try:
+        return len(find_board(one.image, one.board)) > 0
+    except TargetNotFound:
+        return False
 
 
 def count_degraded(seeds):
