@@ -23,7 +23,7 @@ from correction.errors import TargetNotFound
 from correction.target.board_ends import Ends, ends_of
 from correction.target.board_origin import Placing
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
-from correction.target.corners import WINDOW, CornerSearch, refine_corners
+from correction.target.corners import LARGEST_RESIDUAL, WINDOW, CornerSearch, refine_corners
 from correction.target.lattice_growth import Patch
 from correction.target.scale_search import crossing_corners
 
@@ -71,13 +71,14 @@ def place_by_count(
     crossing = crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign)
     corners = replace(patch, position_px=fit.position_px).take(fit.valid & crossing)
     if len(corners.index) < LEAST_LINE**2:
-        misfits, whole = fit.counts().get("MISFIT", 0), len(corners.index)
+        whole, residual = len(corners.index), fit.residual[np.isfinite(fit.residual)]
         if 2 * whole > min(int(np.count_nonzero(crossing)), LEAST_LINE**2):
             raise TargetNotFound(
                 f"only {whole} corners between four squares are in view, {LEAST_LINE**2} are needed; bring"
                 " more of the board into view"
             )
-        cause, cure = ("noisy", "bring more light") if 2 * misfits > len(fit.valid) else ("blurred", "check focus")
+        is_noisy = len(residual) and np.median(residual) > LARGEST_RESIDUAL
+        cause, cure = ("noisy", "bring more light") if is_noisy else ("blurred", "check focus")
         raise TargetNotFound(f"the corners of the board are too {cause} to be measured; {cure}")
     turn, expected = _as_expected(corners, *view)
     ends = ends_of(frame, corners)
