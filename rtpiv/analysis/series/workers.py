@@ -7,8 +7,10 @@ executor will do; what it runs are plain functions of plain data.
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -16,6 +18,7 @@ from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 from daq.errors import RunInterrupted
+from ground.errors import RtpivWarning
 from ground.rows import thread_count
 
 Job = TypeVar("Job")
@@ -114,8 +117,14 @@ def _await_end(workers: Collection[BaseProcess]) -> None:
 
 
 def _end_with_parent() -> None:
-    """Let this worker die of Ctrl-C in silence, and with its parent, which may have been killed."""
+    """Let this worker die of Ctrl-C in silence, and with its parent, which may have been killed.
+
+    Warnings of libraries are for developers, here as in the command itself: Python's option -W shows them.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("default", RtpivWarning)
     parent = multiprocessing.parent_process()
     if parent is None:
         return

@@ -5,10 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from ground.errors import RtpivWarning
 from rtpiv.analysis.series.workers import worker_processes
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -36,3 +39,16 @@ def test_a_worker_killed_with_the_lock_of_the_queue_holds_nobody_up(victim: int)
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=ROOT, timeout=60.0, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def warned(value):
+    warnings.warn("the bench has no watchdog", RtpivWarning, stacklevel=1)
+    return float(np.nanmedian([value, np.nan]))
+
+
+def test_warnings_of_libraries_do_not_leave_a_worker(capfd):
+    with worker_processes(1) as pool:
+        assert np.isnan(pool.submit(warned, np.nan).result())
+    said = capfd.readouterr().err
+    assert "All-NaN" not in said
+    assert "the bench has no watchdog" in said
