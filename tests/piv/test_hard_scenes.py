@@ -193,7 +193,7 @@ def test_hot_pixels_do_not_hold_sparse_particles(share, flow):
         scene = behind(seed, uniform(*flow), hard_scenes.hot_pixels(seed, share), density=0.012, peak=90.0)
         found = judge(scene, evaluate(scene))
         assert found.wrong <= 0.003 * found.valid, seed
-        assert found.silent <= 0.005 * found.valid, seed
+        assert found.silent <= 0.008 * found.valid, seed
         if np.hypot(*flow) > 3.5:  # shorter ones mean nothing
             assert found.covered > 0.9, seed
 

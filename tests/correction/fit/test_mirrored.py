@@ -45,13 +45,13 @@ def test_frames_from_right_to_left_give_the_same_scene_and_map():
     ],
 )
 def test_frames_with_glass_that_alone_are_turned_or_mirrored_are_named(turn, words):
-    made = bench(*MADE)
+    made = bench("one_sphere_500", 3)  # not alike along both axes, as two balls behind each other are
     frames = [
         replace(frame, image=np.ascontiguousarray(turn(frame.image))) for frame in made.frames if frame.glass
     ]
     bare = [frame for frame in made.frames if not frame.glass]
     with pytest.raises(GlassNotSeen, match=rf"glass_z\+0mm {words} against target_clear.*: turn the file back"):
-        fit_scene(made.nominal, [*bare, *frames], BOARD)
+        fit_scene(made.nominal, [*bare, *frames], made.board)
     for frame in frames:  # noise, and a lamp that shines from elsewhere
         dim = 0.3 * frame.image + np.random.default_rng(1).normal(0.0, 8.0, frame.image.shape)
         dim *= np.linspace(0.4, 1.6, len(dim))
