@@ -21,7 +21,8 @@ moves, nothing is said, for it may be a flow at rest.
 
 **Writing and bars** are thinner. They are lines of cells (`LINE`) that stand still and are far brighter than a
 flow; and plateaus, areas of 3 x 3 px whose darkest pixel is `PLATEAU` times brighter than those of moving
-particles in most areas of the frame, in either frame: digits of a clock change between both.
+particles in most areas of the frame, in either frame: digits of a clock change between both. And rows or columns
+that are bright over `LINE_PX` in all frames, as those of a graticule or of a sensor.
 
 The frames may be those of one pair, or A of one and B of another, which no slow flow makes alike: then r and E are
 means over all that are compared. A series finds its still light so, from frames whose background is not taken
@@ -63,6 +64,9 @@ RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle i
 CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
 QUICK, SPREADS = 0.3, 9.0  # r of a usual cell below which flow is quick; of floors, in median deviations
 GRAIN = 0.08  # of how much a floor is raised: change from frame to frame that is still that of a body
+LINE_PX = 48  # length of a line that is ruled
+RULED_HALO_PX = 3  # what its edges reach, beyond one pixel
+RULED, RULED_QUANTILE = 0.45, 0.85  # how bright it is: of the brightest; share of the pixels that are darker
 LINE = 2, 8  # cells of a line of writing
 SQUARE, GAP = 4, 7  # cells along each axis that must stand still together; that may lack a grain between them
 
@@ -114,6 +118,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         return None
     sums: list[Floats] = []
     plateaus: tuple[NDArray[Any], ...] | None = None
+    darkest = np.full(valid.shape, np.inf, np.float32)
     count, counts = 0, 0.0
     for a, b in frames:
         numbers = _numbers((a, b), valid)
@@ -139,6 +144,8 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
             picks = np.minimum, np.maximum, np.maximum
             flat = tuple(pick(*parts) for pick, *parts in zip(picks, plateaus, flat, strict=True))
         plateaus = flat
+        for frame in numbers:
+            np.minimum(darkest, frame, out=darkest)
         count += 1
     if plateaus is None or not sums[1].any():
         return None
@@ -172,7 +179,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
             for side, count in zip(valid.shape, found.shape, strict=True)
         )
     )
-    still = np.asarray(found[at])
+    still = np.asarray(found[at]) | _ruled(darkest, valid)
     if quick:
         ground = float(np.median(cells.floor[moves])) * counts / count
         still |= _written(plateaus, valid, ground, moves[at])
@@ -287,6 +294,30 @@ def _written(
     # The darkest of 3 x 3 px stands at their middle.
     reach = np.ones((3 + HALO_PX - 1, 3 + HALO_PX - 1), np.uint8)
     return np.asarray(cv2.dilate(bright * kept[parts], reach) > 0)
+
+
+def _ruled(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) in and beside bright lines along rows or columns, such as those of a graticule or a sensor.
+
+    No row of particles is so long and nowhere dark in all frames.
+    """
+    import cv2
+
+    some = darkest[::3, ::3][valid[::3, ::3]]
+    if not some.size:
+        return np.zeros(valid.shape, bool)
+    ground, high, top = (float(part) for part in np.quantile(some, (0.5, RULED_QUANTILE, 1.0)))
+    lit = ((darkest > max(high, ground + RULED * (top - ground))) & valid).view(np.uint8)
+    # Lines are thin; what is wide is a body, or glare on it.
+    lit &= 1 - cv2.morphologyEx(lit, cv2.MORPH_OPEN, np.ones((HALO_PX, HALO_PX), np.uint8))
+    found = np.zeros(valid.shape, np.uint8)
+    for along in ((1, LINE_PX), (LINE_PX, 1)):
+        wide = cv2.dilate(lit, np.ones((3, 1) if along[0] == 1 else (1, 3), np.uint8))
+        found |= cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones(along, np.uint8))
+    found = cv2.dilate(found, np.ones((RULED_HALO_PX, RULED_HALO_PX), np.uint8))
+    if found.mean() > HALF:  # a pattern, between whose lines there is nothing (`piv.correlation.common_light`)
+        found[:] = 0
+    return np.asarray(found > 0)
 
 
 def _brightest_of_areas(plateaus: NDArray[Any], moves: NDArray[np.bool_]) -> Floats:

@@ -198,6 +198,21 @@ def test_hot_pixels_do_not_hold_sparse_particles(share, flow):
             assert found.covered > 0.9, seed
 
 
+@pytest.mark.parametrize(
+    ("spacing", "width", "level"), [(37, 2, 255.0), (37, 2, 90.0), (61, 1, 160.0), (29, 2, 400.0)]
+)
+def test_the_lines_of_a_graticule_are_found(spacing, width, level):
+    """They were taken for a fluid at rest, with every vector zero, or drew vectors beside them."""
+    y, x = np.mgrid[:SIDE, :SIDE]
+    lines = level * ((x % spacing < width) | (y % spacing < width))
+    scene = behind(491, uniform(2.7, 3.5), lines)
+    field = evaluate(scene)
+    found = judge(scene, field)
+    assert (found.wrong, found.silent) == (0, 0)
+    assert field.counts["still"] > 100
+    assert found.covered > 0.6
+
+
 def test_a_slow_flow_with_sparse_particles_does_not_stand_still():
     """Cells without particles hold noise, which was taken for the usual light of a flow: 70 % stood still."""
     slow = lambda x, y: (0.6 * np.sin(y / 25.0), 0 * x)  # noqa: E731
