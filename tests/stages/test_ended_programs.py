@@ -2,25 +2,10 @@
 
 import pytest
 
+from tests.stages.killed import Killed, ToldWatchdog
+
 WATCHDOG_S = (0.02, 0.05, 0.1, 0.22)  # after a kill, when it writes what stops
 BRAKED_S = 1.0  # the last of these, and the ramp
-
-
-class Killed(BaseException):
-    """kill -9: nothing that the program writes from now on reaches the box."""
-
-
-class ToldWatchdog:
-    """Knows what the watchdog of the program was told."""
-
-    def __init__(self):
-        self.is_told = False
-
-    def moves(self, name):
-        self.is_told = True
-
-    def rests(self, name):
-        self.is_told = False
 
 
 class End:

@@ -32,6 +32,7 @@ from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator, Variant
 from sim.timing_boxes.srs_dg645 import Dg645Emulator
 from stages.errors import StageError
+from tests.stages.killed import Killed, ToldWatchdog
 
 LATE_S = 0.3
 T0_OFF = b":PULSE0:STAT 0\r\n"
@@ -57,23 +58,6 @@ ENDS = ("Ctrl-C", "kill")  # of the program
 HOWS = ("STOP", "foreign off", "door", *ENDS)
 WATCHDOG_S = (0.05, 0.08, 0.13, 0.25)  # after a kill, when it writes off
 SAYS_NOTHING = {("oltSync", "STOP"), ("xmSync", "STOP")}  # the key of a diode laser, which no line reports
-
-
-class Killed(BaseException):
-    """kill -9: nothing that the program writes from now on reaches the box."""
-
-
-class ToldWatchdog:
-    """Knows what the watchdog of the program was told."""
-
-    def __init__(self):
-        self.is_told = False
-
-    def moves(self, name):
-        self.is_told = True
-
-    def rests(self, name):
-        self.is_told = False
 
 
 class Door:
