@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.judge.prior_pulls import length_errors, prior_pulls, widened
+from correction.fit.judge.prior_pulls import LENGTHS, length_errors, prior_pulls, widened
 from correction.fit.judge.result import FitStep, FittedCorners, SceneFit
 from correction.fit.judge.verdict import Left, judge_model
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors, whitening
@@ -197,10 +197,13 @@ class Adjustment:
         slope, normal = slope * unit, normal * np.outer(unit, unit)
         alike = [replace(lattice, rate=lattice.rate * unit) for lattice in rest.lattices]
         alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
-        if verdict.cause is None:
+        if verdict.cause is None or not verdict.alarms:
             spread = with_correlation(alone, alike, rest.correlation)
             pulls = prior_pulls(unknowns, solution.x, normal[:free, :free], spread)
-            verdict = replace(verdict, pulls=pulls)
+            if verdict.cause is None:
+                verdict = replace(verdict, pulls=pulls)
+            elif pulls and pulls[0].kind == LENGTHS and pulls[0].sigmas ** 2 > verdict.cause.gain:  # one for all
+                verdict = replace(verdict, pulls=pulls, suspects=())
         prior, step = widened(unknowns, solution.x, verdict.pulls, len(at))
         alone = np.asarray(np.linalg.inv(normal + np.diag(prior)), dtype=np.float64)
         on_print = [weights.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)]

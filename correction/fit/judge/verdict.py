@@ -159,7 +159,7 @@ class Verdict:
         found = (*map(str, self.pulls), *bodies, *light)
         balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
         ways += [in_words(self.rims)] if self.rims else []
-        if self.alarms or self.strained:
+        if self.alarms or (self.strained and not self.pulls):
             return (*self._of_residuals(), *found, *balls, *ways)
         return (*found, *balls, *self._of_residuals(), *ways)
 

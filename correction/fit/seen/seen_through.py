@@ -39,6 +39,7 @@ OTHERWISE, AGREES = (
     0.78,
 )  # agreement up to which a ball is not as described, and from which a change explains it
 UNEXPLAINED = 0.65  # of the best change, up to which none explains it
+LEAD = 0.1  # of one kind of change over all others, from which it explains a view of small squares
 RIVAL = 0.03  # agreement by which changes are told apart
 
 
@@ -110,13 +111,16 @@ def _what_it_is(
         ((agreement_of(other), kind, value) for other, kind, value in _changes(scene, ball)), reverse=True
     )
     best = found[0][0]
-    if best < UNEXPLAINED and is_refused:
+    if best < UNEXPLAINED and not is_refused:
+        return ""
+    if best < UNEXPLAINED:
         return (
             f"no glass, core or radius explains what is seen through `{ball.name}` (as given"
             f" {100.0 * given:.0f} %, at best {100.0 * best:.0f} % of its pixels show the right squares): a ball"
             " that the scene does not list may stand before it; list it, or take it away"
         )
-    if best < AGREES:
+    others = max((share for share, kind, _ in found if kind != found[0][1]), default=0.0)
+    if best < AGREES and best < others + LEAD:
         return ""
     likely: dict[str, str] = {}
     for share, kind, value in found:

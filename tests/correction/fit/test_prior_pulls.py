@@ -9,6 +9,7 @@ from correction.errors import FitFailed
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.prior_pulls import prior_pulls
 from correction.fit.judge.result import check
+from correction.fit.judge.verdict import STRAINED
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
@@ -96,6 +97,21 @@ def linear_labs(heights_mm, shift, count, seed):
 def test_labs_drawn_from_their_priors_raise_no_alarm_more_often_than_stated():
     alarms = sum(map(bool, linear_labs([0.0, -10.0, 10.0], {}, 2000, 1)))
     assert alarms <= 7  # 1 in 1000 expected at most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["one_sphere_500", "two_spheres_500", "three_spheres_500"])
+def test_right_labs_drawn_from_the_linear_model_of_a_fit_raise_few_alarms(name):
+    """Single numbers beyond 4 sigmas and joint tests together: less than 1 % of labs."""
+    fit, _, _ = fitted(name, scale_sigma=0.005)
+    normal, rng = 0.5 * (fit.normal + fit.normal.T), np.random.default_rng(1)
+    free, (values, vectors) = len(normal), np.linalg.eigh(normal)
+    root, gain = vectors * np.sqrt(np.maximum(values, 0.0)), np.linalg.inv(normal + np.eye(free))
+    alarms = 0
+    for _ in range(3000):
+        x = gain @ (normal @ rng.normal(size=free) + root @ rng.normal(size=free))
+        alarms += np.abs(x).max() > STRAINED or bool(prior_pulls(fit.unknowns, x, normal, gain))
+    assert 0 < alarms < 12
 
 
 @pytest.mark.parametrize(
