@@ -55,6 +55,7 @@ SEAMS, RESTS = (
 )  # variance of seams over that of images, more by what is lost; deviations, of windows at rest
 LAGS, MOVES_WHOLE = 0.1, 0.02  # of the length of vectors
 SLOWEST_PX, FEWEST_SLOW = 0.4, 12  # shortest vectors that tell a lag, and how many must
+CLEAR = 3.0  # chance deviations that a lag must exceed
 NEARLY_ALL = 0.9  # of the vectors
 COARSE, LEVEL_PX = 1.25, 17  # deviations of an image, side of the surroundings: at half the resolution
 LEAST_LOST = 0.15  # with less, windows move as a whole
@@ -144,7 +145,12 @@ def lag_of_coarse_light(pair: DeformedPair, known: Known, spread_px2: float, thr
     if told.sum() < FEWEST_SLOW:
         return float("nan")
     along = (beyond_px[told] * known.vectors_px[told]).sum(axis=-1)
-    lag = float(np.median(along / np.square(length_px[told])))
+    shares = along / np.square(length_px[told])
+    lag = float(np.median(shares))
+    # Windows overlap by half, so a quarter of them is independent; 1.25 and 1.48 make deviations of medians.
+    chance = 1.25 * 1.48 * float(np.median(np.abs(shares - lag))) / np.sqrt(len(shares) / 4.0)
+    if lag < -LAGS and lag > -CLEAR * chance:
+        return float("nan")
     moves = told.sum() >= NEARLY_ALL * np.isfinite(length_px).sum()
     return lag if moves or lag < -LAGS else float("nan")
 
