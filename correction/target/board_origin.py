@@ -56,12 +56,14 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
     TargetNotFound
         The discs are there, but of another size or with the shades exchanged, or they fit more than once.
     """
-    cells, bright, diameter = (
-        _disc_squares(frame, patch, board) if board.dots is None else _large_dots(frame, patch, board)
-    )
+    find = _disc_squares if board.dots is None else _large_dots
+    cells, bright, diameter = find(frame, patch, board)
     wanted = np.array(board.discs)
     shades = board.is_bright(wanted) if board.dots is None else np.zeros(len(wanted), bool)
     fits = _matches(cells, bright, board, wanted, shades)
+    if len(fits) > 1 and board.dots is None:  # squares that something covers in part look like discs
+        cells, bright, diameter = find(frame, _crossings(frame, patch, board), board)
+        fits = _matches(cells, bright, board, wanted, shades)
     if len(fits) > 1:
         raise TargetNotFound(
             f"the pattern of {len(wanted)} {board.origin_marks} fits the frame {len(fits)} times; clean the board"
@@ -100,7 +102,7 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
 
 def discs_elsewhere(frame: NDArray[Any], patch: Patch, placing: Placing, board: Chessboard) -> int:
     """Count squares of a patch that show a disc where a placed board has none, or none where it has one."""
-    cells, _, share, _ = _squares(frame, patch, board)
+    cells, _, share, _ = _squares(frame, _crossings(frame, patch, board))
     # A square turns about its middle, its index is that of its lower left corner.
     squares = np.rint((cells + 0.5 - np.array(placing.shift)) @ np.array(placing.turn) - 0.5).astype(int)
     described = np.array([tuple(square) in board.discs for square in squares.tolist()], bool)
@@ -203,12 +205,15 @@ def _matches(
     return fits
 
 
+def _crossings(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Patch:
+    """Corners of a patch that lie between four squares: those of a square that is half covered do not."""
+    return patch.take(crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign))
+
+
 def _squares(
-    frame: NDArray[Any], patch: Patch, board: Chessboard
+    frame: NDArray[Any], patch: Patch
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
     """Squares (N, 2) of a patch, whether they are bright (N,), contrast of a disc (N,), corners (N, 4, 2) [px]."""
-    # What covers a part of a square looks like a disc in it, but no corner of that square like a crossing.
-    patch = patch.take(crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign))
     place = {(int(i), int(j)): n for n, (i, j) in enumerate(patch.index)}
     cells = [c for c in place if all((c[0] + i, c[1] + j) in place for i, j in ((1, 0), (0, 1), (1, 1)))]
     if not cells:
@@ -222,10 +227,10 @@ def _squares(
 
 
 def _disc_squares(
-    frame: NDArray[Any], patch: Patch, board: Chessboard
+    frame: NDArray[Any], patch: Patch, _: Chessboard
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
     """Squares (N, 2) of a patch with a disc, whether the square is bright (N,), disc diameter in squares (N,)."""
-    cells, bright, share, places = _squares(frame, patch, board)
+    cells, bright, share, places = _squares(frame, patch)
     disc = share > DISC
     points = np.einsum("rak,nkc->nrac", _WEIGHTS, places[disc])  # few of many squares
     return cells[disc], bright[disc], _diameters(_rings(frame, points))
