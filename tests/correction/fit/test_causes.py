@@ -86,6 +86,27 @@ def test_a_board_behind_much_water_is_as_large_as_its_window_shows_it(tank, boar
         fit_scene(nominal, [TargetFrame("clear", image, False)], wrong, priors)
 
 
+@pytest.mark.slow
+def test_a_board_within_a_tube_of_water_is_as_large_as_the_tube_shows_it(tmp_path):
+    """It looks a quarter wider, and no higher; advice for squares that are given wrong is what is printed."""
+    path, (before, after) = tmp_path / "tube.yaml", TANK.split("  - {name: pane")
+    path.write_text(
+        f"{before}  - {{name: tube, kind: tube, start_mm: [0.0, -150.0, 0.0], end_mm: [0.0, 150.0, 0.0],"
+        f" outer_radius_mm: 120.0, inner_radius_mm: 114.0, material: acrylic, filled: water}}\n"
+        f"fit:{after.split('fit:')[1]}"
+    )
+    nominal, priors = load_scene(path), load_priors(path)
+    true = replace(nominal.camera, position_mm=(2.1, -1.3, 703.0))
+    board = Chessboard(10.0, discs=(), squares=(9, 8))
+    real = Print(10.0, 4.0, discs=(), squares=(9, 8))
+    image = render(replace(nominal, camera=true), real, Sensor(), samples=3, seed=1)
+    frames = [TargetFrame("clear", image, False)]
+    found = fit_scene(nominal, frames, board, priors)
+    assert abs(found.scene.camera.position_mm[2] - true.position_mm[2]) < 0.5
+    with pytest.raises(CorrectionError, match=r"give the right square_mm \(about (9\.9|10)"):
+        fit_scene(nominal, frames, replace(board, square_mm=11.3), priors)
+
+
 def test_a_distance_far_from_what_was_known_is_reported(tank):
     nominal, priors = tank
     true = replace(nominal.camera, position_mm=(1.0, -1.3, 711.0))  # 3.7 sigmas
