@@ -165,7 +165,7 @@ class CorrectionRecipe:
 
 @dataclass(frozen=True)
 class Resampling:
-    """How a corrected frame is read from the acquired one.
+    """How a corrected frame is read from the acquired one, and stored.
 
     Parameters
     ----------
@@ -173,7 +173,10 @@ class Resampling:
         Interpolation.
     blend : int
         Views of a node that are joined, where several paths through the glass show it; 1 takes the best.
+    as_float : bool
+        Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
     """
 
     method: Method = "quintic"
     blend: Count = 1
+    as_float: bool = False

@@ -109,7 +109,6 @@ def correct(
     out: Named | None = None,
     recipe: CorrectionRecipe = CorrectionRecipe(),
     resampling: Resampling = Resampling(),
-    as_float: bool = False,
     check_target: bool = False,
     pictures: bool = True,
     overwrite: bool = False,
@@ -128,9 +127,7 @@ def correct(
     recipe : CorrectionRecipe
         Dewarp, and how sure the map must be.
     resampling : Resampling
-        Interpolation, and how many views are joined.
-    as_float : bool
-        Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
+        Interpolation, how many views are joined, and how pixels are stored.
     check_target : bool
         The frames show the target: measure its corners against the regular grid.  Frames that do not, and are not
         of a run that photographed a print, show particles in the scene's light sheet.
@@ -193,13 +190,13 @@ def correct(
                 "scene_hash": loaded.content_hash(),
                 "method": resampling.method,
                 "dewarp": None if dewarp is None else dewarp.to_dict(),
-                "offset": None if as_float else UINT16_OFFSET,
+                "offset": None if resampling.as_float else UINT16_OFFSET,
             }
             errors: list[TargetError] = []
             clipped, shown = list[int](), None
 
             def store(path: Path, corrected: NDArray[np.float32]) -> None:
-                stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
+                stored, cut = (corrected, 0) if resampling.as_float else to_uint16(corrected)
                 clipped.append(cut)
                 write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
 

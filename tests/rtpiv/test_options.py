@@ -73,7 +73,7 @@ def test_values_are_put_together():
     (frames,), named = call_of("correct", options)
     assert frames == [Path("a.tif"), Path("b.tif")]
     assert named["recipe"] == CorrectionRecipe(dewarp_order=3)
-    assert (named["scene"], named["as_float"], named["pictures"]) == (Path("scene.yaml"), True, True)
+    assert (named["scene"], named["resampling"].as_float, named["pictures"]) == (Path("scene.yaml"), True, True)
     words = ["mean", "run", "--overlap", "0.75"]
     _, named = call_of("mean", vars(parser(words).parse_args(words)))
     assert named["overlap"] == 0.75
