@@ -144,7 +144,7 @@ def test_a_browser_shows_frames(measures: Showing) -> None:
         # what a person at the ring reads is no row of the table
         assert tab.value("document.getElementById('focus').textContent").startswith("focus ")
         assert "focus" not in tab.value("document.getElementById('counters').textContent")
-        assert tab.value("document.getElementById('laser').textContent") == "laser firing"
+        assert tab.value("document.getElementById('laser')?.textContent") == "laser firing"
         assert tab.value("document.getElementById('laser').className") == "wrong"
         drawn = (
             "(() => { const c = document.getElementById('marks'), pen = c.getContext('2d'); let n = 0;"
@@ -166,8 +166,8 @@ def test_a_laser_is_unknown_once_its_run_has_ended() -> None:
     with ExitStack() as stack:
         with showing() as measures:
             tab = stack.enter_context(tab_at(measures.page.url))
-            tab.until("document.getElementById('laser').textContent === 'laser firing'")
-        tab.until("document.getElementById('laser').textContent === 'laser unknown: rtpiv laser off'")
+            tab.until("document.getElementById('laser')?.textContent === 'laser firing'")
+        tab.until("document.getElementById('laser')?.textContent === 'laser unknown: rtpiv laser off'")
         assert tab.value("document.getElementById('laser').className") == "wrong"
 
 
