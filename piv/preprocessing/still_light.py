@@ -309,15 +309,14 @@ def _ruled(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     ground, high, top = (float(part) for part in np.quantile(some, (0.5, RULED_QUANTILE, 1.0)))
     lit = ((darkest > max(high, ground + RULED * (top - ground))) & valid).view(np.uint8)
     # Lines are thin; what is wide is a body, or glare on it.
-    lit &= 1 - cv2.morphologyEx(lit, cv2.MORPH_OPEN, np.ones((HALO_PX, HALO_PX), np.uint8))
-    found = np.zeros(valid.shape, np.uint8)
+    lit[cv2.morphologyEx(lit, cv2.MORPH_OPEN, np.ones((HALO_PX, HALO_PX), np.uint8)) > 0] = 0
+    found = np.zeros(valid.shape, bool)
     for along in ((1, LINE_PX), (LINE_PX, 1)):
         wide = cv2.dilate(lit, np.ones((3, 1) if along[0] == 1 else (1, 3), np.uint8))
-        found |= cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones(along, np.uint8))
-    found = cv2.dilate(found, np.ones((RULED_HALO_PX, RULED_HALO_PX), np.uint8))
-    if found.mean() > HALF:  # a pattern, between whose lines there is nothing (`piv.correlation.common_light`)
-        found[:] = 0
-    return np.asarray(found > 0)
+        found |= np.asarray(cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones(along, np.uint8)) > 0)
+    found = np.asarray(cv2.dilate(found.view(np.uint8), np.ones((RULED_HALO_PX, RULED_HALO_PX), np.uint8)) > 0)
+    # More is a pattern, between whose lines there is nothing (`piv.correlation.common_light`).
+    return found if found.mean() <= HALF else np.zeros(valid.shape, bool)
 
 
 def _brightest_of_areas(plateaus: NDArray[Any], moves: NDArray[np.bool_]) -> Floats:
