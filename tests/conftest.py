@@ -25,6 +25,7 @@ TRUSTED = (
     "tests_own_axes:TimedAxis", "tests.system.test_mixed_bench:DemoBench",
 )  # fmt: skip
 os.environ["RTPIV_TRUST"] = ",".join(TRUSTED)
+os.environ.setdefault("RTPIV_THREADS", "1")  # all cores have tests
 
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
@@ -45,6 +46,7 @@ def pytest_xdist_auto_num_workers() -> int:
 LONG = (
     "test_correction_map.py", "tracer/test_walls.py", "test_bed_sheets.py", "test_external_light.py",
     "test_dependent_features.py", "fit/test_plates.py", "cameras/test_contract.py", "live/test_page.py",
+    "test_held.py", "test_culprits.py", "test_linear_change.py", "fit/test_mirrored.py", "test_ended_programs.py",
     "test_find_sheet.py", "test_laser_ends.py", "test_laser_trials.py", "test_environment.py",
     "test_names_of_files.py", "test_board_search.py", "test_report.py", "test_any_byte.py",
     "test_stop_signals.py", "test_run_series.py", "test_person_stops.py", "test_harvesters.py",
