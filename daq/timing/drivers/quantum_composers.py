@@ -210,10 +210,9 @@ class QuantumComposersBox(TimingBox):
         with self._lock:
             numbers = self._numbers(*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
             self._end_outputs(numbers)
-            ran_on = self._flag(T0, "STAT")
             if any(self._flag(number, "STAT") for number in numbers):
                 raise LaserDoubt(f"{self.name} does not end its burst")
-            if not ran_on:
+            if not self._flag(T0, "STAT"):  # last: after an alignment T0 is stopped next, and a STOP shows no more
                 raise LaserDoubt(f"{self.name} has not run to the end of its burst: it {STOPPED}")
 
     # ---- inside ------------------------------------------------------------------------------------

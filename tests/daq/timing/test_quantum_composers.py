@@ -5,8 +5,9 @@ import itertools
 import pytest
 
 from daq.errors import DaqError
-from daq.timing.conditions import Conditions
+from daq.timing.conditions import Conditions, Rules
 from daq.timing.errors import LaserDoubt, LaserStopped, PulsesRefused, TimingUsageError, WrongBox
+from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
@@ -291,6 +292,29 @@ def test_a_stop_between_two_words_of_a_beginning_burst_lets_none_of_the_others_s
                 assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 0
                 assert not d.emulator.is_on_at(0)
     assert begun < 5
+
+
+def test_a_stop_while_the_outputs_of_an_alignment_are_read_is_seen():
+    """T0 was asked before them, and is stopped next in any case: the laser was SAFE as if nothing had been."""
+    for output in range(2):
+        with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=100.0, pulse_us=50.0)) as d:
+            d.laser.rules = Rules(align=LowEnergyRules(pulse_us=5.0))
+            d.laser.open("sim://desk")
+            d.laser.safe()
+            d.laser.align(d.laser.challenge, 5.0, 1.0)
+            d.clock.sleep_s(1.5)
+            ask, asked = d.box._flag, itertools.count()
+
+            def press(number, keyword, d=d, ask=ask, asked=asked, output=output):
+                answer = ask(number, keyword)
+                if next(asked) == output:
+                    d.emulator.person_stops()
+                return answer
+
+            d.box._flag = press
+            with pytest.raises(LaserDoubt, match="was stopped at its keys"):
+                d.laser.wait()
+            assert d.laser.state is not LaserState.SAFE
 
 
 def test_a_start_whose_first_answer_is_0_is_switched_off_at_once():
