@@ -217,7 +217,7 @@ MUTANTS: tuple[tuple[str, str, str], ...] = (
      "test_what_a_person_did_not_do_is_not_observed_and_certifies_nothing"),
     ("for number in [*numbers[len(told) :], *told]:", "for number in []:",
      "test_a_burst_made_endless_at_the_keys_ends_with_its_time_though_no_answer_comes"),
-    ("            if not ran_on:\n", "            if ran_on and not self._has_lamps:\n",
+    ('if not self._flag(T0, "STAT"):\n', "if False:\n",
      "test_a_burst_that_somebody_ended_at_the_keys_is_not_taken_for_a_whole_one"),
     ("if said > COMMAND_SET:", "if said > 9.0:", "test_a_controller_of_gcs_3_is_refused_by_name"),
     ("if (blind_s := now_s - heard_s) > BLIND_S:", "if (blind_s := now_s - heard_s) > 1e9:",

@@ -212,7 +212,8 @@ class QuantumComposersBox(TimingBox):
             self._end_outputs(numbers)
             if any(self._flag(number, "STAT") for number in numbers):
                 raise LaserDoubt(f"{self.name} does not end its burst")
-            if not self._flag(T0, "STAT"):  # last: after an alignment T0 is stopped next, and a STOP shows no more
+            # At the end: T0 of an alignment is stopped next, and a STOP shows no more.
+            if not self._flag(T0, "STAT"):
                 raise LaserDoubt(f"{self.name} has not run to the end of its burst: it {STOPPED}")
 
     # ---- inside ------------------------------------------------------------------------------------
