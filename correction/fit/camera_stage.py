@@ -50,9 +50,7 @@ from tracer.scene.fit_section import FitCameraTable
 from tracer.scene.scene import Scene
 
 LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold short lenses
-DISTORTED = (
-    0.1  # of a corner's distance from the axis, by a term of any lens: terms of long ones are large numbers
-)
+DISTORTED = 0.1  # of a corner's distance from the axis, by a term: those of long lenses are large numbers
 HEIGHTS_FREED = 0.05  # share by which all heights of the target may be off
 FAR_OR_LARGE = ("camera.z", "camera.focal_px", "print.")  # numbers that are seen as one: how large the board is
 MORE = 1.05  # times as many corners that the bare target shows without glass

@@ -234,7 +234,7 @@ def why_mirrored(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marke
 
 
 def _least_other(markers: Sequence[Marker], patch: Patch) -> float:
-    """How many other markers there must be more than: small or soft cells are misread as a few of any kind."""
+    """Return the number that other markers must exceed: small or soft cells are misread as a few of any kind."""
     return max(AGREE, 2 * len(markers), LIKELY * 0.5 * len(patch.index))
 
 

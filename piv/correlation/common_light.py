@@ -41,7 +41,7 @@ from piv.errors import PairError
 
 Floats = NDArray[np.float64]
 SUSPECT = 0.04  # median match of windows at no displacement; particles that have moved give 0.00 to 0.03
-GOOD = 0.97  # median match at the vectors, noise aside, that leaves nothing to explain
+GOOD = 0.93  # median match at the vectors, noise aside, that leaves nothing to explain
 POOR = 0.85  # match at rest, noise aside, that is not that of a fluid at rest
 OVER, LEFT_OVER = 2.0, 0.02  # share of the light that moves, by that which slow vectors leave; and without any
 BETTER = 0.05  # match of what is left over that of windows as they are
@@ -49,10 +49,8 @@ NEAR_PX = 1.5  # between what a window shows as it is and what is left of it
 WINDOW_PX = 64  # side of the windows that are asked
 FAR = 3.75  # displacement in deviations of a particle image
 SEAMS_APART = 3.0  # the same of images at rest, which is no such displacement unless they leave too much
-SEAMS, RESTS = (
-    0.2,
-    0.45,
-)  # variance of seams over that of images, more by what is lost; deviations, of windows at rest
+SEAMS = 0.2  # variance of seams over that of images, more by what is lost
+RESTS = 0.45  # displacement in deviations of an image, of windows at rest
 LAGS, MOVES_WHOLE = 0.1, 0.02  # of the length of vectors
 SLOWEST_PX, FEWEST_SLOW = 0.4, 12  # shortest vectors that tell a lag, and how many must
 CLEAR = 3.0  # chance deviations that a lag must exceed
@@ -114,7 +112,7 @@ def is_suspect(still: Floats) -> bool:
 
 
 def lag_of_coarse_light(pair: DeformedPair, known: Known, spread_px2: float, threads: int | None) -> float:
-    """How far coarse light moves beyond vectors, over their length: see "Coarse light lags"; NaN if none tells.
+    """Measure how far coarse light moves beyond vectors, over their length ("Coarse light lags"); NaN if unclear.
 
     Parameters
     ----------
@@ -141,17 +139,17 @@ def lag_of_coarse_light(pair: DeformedPair, known: Known, spread_px2: float, thr
     half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2)
     beyond_px = 2.0 * refine(DeformedPair(a, b, np.asarray(valid), pair.floor), half, 0.0, threads).shift_px
     length_px = np.linalg.norm(known.vectors_px, axis=-1)
-    told = np.isfinite(beyond_px).all(axis=-1) & (length_px > SLOWEST_PX)
-    if told.sum() < FEWEST_SLOW:
+    measured = np.isfinite(beyond_px).all(axis=-1) & (length_px > SLOWEST_PX)
+    if measured.sum() < FEWEST_SLOW:
         return float("nan")
-    along = (beyond_px[told] * known.vectors_px[told]).sum(axis=-1)
-    shares = along / np.square(length_px[told])
+    along = (beyond_px[measured] * known.vectors_px[measured]).sum(axis=-1)
+    shares = along / np.square(length_px[measured])
     lag = float(np.median(shares))
     # Windows overlap by half, so a quarter of them is independent; 1.25 and 1.48 make deviations of medians.
     chance = 1.25 * 1.48 * float(np.median(np.abs(shares - lag))) / np.sqrt(len(shares) / 4.0)
     if lag < -LAGS and lag > -CLEAR * chance:
         return float("nan")
-    moves = told.sum() >= NEARLY_ALL * np.isfinite(length_px).sum()
+    moves = measured.sum() >= NEARLY_ALL * np.isfinite(length_px).sum()
     return lag if moves or lag < -LAGS else float("nan")
 
 

@@ -111,7 +111,7 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2:
 
 
 def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, window_steps: float) -> Floats:
-    """What halving explains (ny, nx) beyond chance, as far as that is clear; not negative. See the top."""
+    """Return the share (ny, nx) that halving explains clearly beyond chance; not negative. See the top."""
     usual, chance = (float(np.interp(spread_px2, CHANCE[0], values)) for values in CHANCE[1:])
     beyond = explained - usual
     sums, weights = (

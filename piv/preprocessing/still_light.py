@@ -46,17 +46,12 @@ BRIGHT, MOST_MOVING, ALIKE = 4.0, 0.25, 0.9  # of E_0, of E_0, of r
 FLOOR_PX = 12  # side of the opening: larger than particle images, smaller than bodies
 RAISED, SUNK = 0.25, 0.1  # change of the floor in sqrt(E_0), beyond nearly all floors where light moves
 EXTREME, BEYOND = 0.1, 0.5  # share of those that are more extreme; and of their range
-HARDLY, SHAKEN = (
-    0.02,
-    0.5,
-)  # of E_0: structure of a plain cell; r of one before a raised floor, if the camera shakes
+HARDLY = 0.02  # of E_0: structure of a plain cell
+SHAKEN = 0.5  # r of a plain cell before a raised floor, if the camera shakes
 PLATEAU, PLATEAU_QUANTILE = 1.3, 0.999  # over the plateaus of particles, and how many of these are darker
 AREAS, USUAL_AREA = 8, 0.8  # along each axis; share of areas that writing does not reach
-LETTER_PX2, LETTER_PX, HALO_PX = (
-    5,
-    15,
-    7,
-)  # least plateau within that square; side of gaps between letters, and of what an edge reaches
+LETTER_PX2 = 5  # side of a square, and pixels of a plateau that it must hold
+LETTER_PX, HALO_PX = 15, 7  # side of gaps between letters, and of what an edge reaches
 FLAT = 0.01  # of a pixel: by which plateaus differ that are resampled
 EQUAL = 0.1  # of a plateau's height: difference between both frames
 HALF = 0.5

@@ -160,7 +160,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
 
 
 def _seen(sums: EnsembleSums, fluid: NDArray[np.bool_]) -> Singles:
-    """How far pixels (H, W) are seen in the mean of all pairs, outside solid cells."""
+    """Return the share (H, W) of all pairs in which a pixel is seen, outside solid cells."""
     seen = np.minimum(sums.frames[4] / np.float32(sums.pairs), np.float32(1.0))
     fluid_px = replace(sums.sweep, solid=sums.sweep.solid | ~fluid).fluid_px
     return seen if fluid_px is None else np.where(fluid_px, seen, np.float32(0.0))

@@ -165,7 +165,7 @@ class CorrectionRecipe:
 
 @dataclass(frozen=True)
 class Resampling:
-    """How a corrected frame is read from the acquired one, and stored.
+    """Choice of how a corrected frame is read from the acquired one, and stored.
 
     Parameters
     ----------
