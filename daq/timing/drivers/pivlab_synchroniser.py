@@ -42,6 +42,7 @@ from stages.errors import CommandRejected, ProtocolViolation
 SPOILS = b"!\r\n"  # ends a line that somebody has left half written, and makes it one that nobody obeys
 PINS = ("1", "2", "3", "4")
 MARK = "oltSync:"
+START_REPLY_S = 0.2  # a start that is not answered by then is followed by off: light ends 0.3 s after any off
 
 
 class _Synchroniser(TimingBox):
@@ -154,7 +155,7 @@ class _Synchroniser(TimingBox):
 
         self._clear_line()  # first: answers that are drained are no longer due
         self._offs_due += not moves
-        return self._transact(line, accept, moves=moves)
+        return self._transact(line, accept, START_REPLY_S if moves else None, moves=moves)
 
     def _stream(self) -> AnswerStream:
         return _CountedAnswers(self._count)

@@ -155,6 +155,22 @@ def test_one_fault_at_any_answer(driver, kind):
                     assert laser.state is LaserState.SAFE
 
 
+@pytest.mark.parametrize("driver", FIRMWARE)
+@pytest.mark.parametrize("kind", ["late", "lost", "cut", "garbled"])
+def test_light_ends_soon_after_a_start_without_an_answer(driver, kind):
+    with desk(driver) as (laser, emulator, line, clock):
+        to_armed(laser)
+        begun_s = clock.now_s()
+        line.faults.strike(Fault(kind, 0, delay_s=2.0))
+        with pytest.raises(StageError):
+            laser.fire(300)
+        clock.sleep_s(5.0)
+        emulator.advance()
+        light = [pulse.rises_s for pulse in emulator.outputs.recent if pulse.output == "2"]
+        assert light
+        assert max(light) - begun_s < 0.3  # as after any off; the answer to a question may take 1.5 s
+
+
 def test_a_box_that_stays_on_is_doubted(mocker):
     with desk() as (laser, emulator, _, _):
         to_armed(laser)
