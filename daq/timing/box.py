@@ -124,11 +124,14 @@ class TimingBox(Link):
         DeviceLost
             There is no port to write to.
         """
+        self._write_off(self.off_bytes())
+
+    def _write_off(self, strings: Sequence[bytes]) -> None:
         port = self._port
         if port is None or port.lost:
             raise DeviceLost(f"{self.name} is not connected; nothing could be said to it")
         self._suspect = True
-        for data in self.off_bytes():
+        for data in strings:
             port.write(data)
         self._suspect = True  # again: another thread may have cleared it while the bytes were on their way
 

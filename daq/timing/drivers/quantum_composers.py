@@ -37,15 +37,7 @@ from typing import TypeVar
 
 from daq.timing.box import TimingBox
 from daq.timing.errors import LaserDoubt, PulsesRefused, WrongBox
-from daq.timing.protocols.quantum_composers import (
-    REASONS,
-    AnswerStream,
-    Command,
-    Done,
-    Echo,
-    Refused,
-    Value,
-)
+from daq.timing.protocols.quantum_composers import REASONS, AnswerStream, Command, Done, Echo, Refused, Value
 from daq.timing.pulses import LAMPS, Q_SWITCHES, Pulse, Role, Schedule
 from stages.errors import CommandRejected, NoReply, ProtocolViolation
 
@@ -85,21 +77,25 @@ class QuantumComposersBox(TimingBox):
 
         A line may be damaged on its way, be the rest of another one, or refused because the box is busy.
         """
+        return [self._off_string()]
+
+    def _off_string(self, first: int = 0) -> bytes:
+        """Off to everything twice, beginning with the `first` of T0 and the Q-switches."""
         order = [T0, *self._numbers(*Q_SWITCHES), *self._numbers(*LAMPS)]
         order += [number for number in self._numbers(*self.wiring) if number not in order]
-        return [2 * b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
+        return 2 * b"".join(Command(f":PULSE{n}:STAT", "0").to_bytes() for n in order[first:] + order[:first])
 
     def drop(self) -> None:
         """Write everything off now; again and again, pauses apart, to a box that is known to lose lines.
 
-        Of each write such a box hears one line, and may be too busy even for that one. Whoever switches off goes
-        on to ask who answers, and a box that refuses the question is silent for a second a time.
+        Of each write such a box hears its first line, and may be too busy even for that one: another output comes
+        first each time, for a box that refuses T0.  Asking who answers may take a second, so it comes later.
         """
         super().drop()
         if self._pause_s > 0.0:
-            for _ in range(INSISTS):
+            for again in range(1, INSISTS + 1):
                 self.clock.sleep_s(self._pause_s)
-                super().drop()
+                self._write_off([self._off_string(again % (1 + len(self._numbers(*Q_SWITCHES))))])
 
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts.

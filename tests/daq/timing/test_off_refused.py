@@ -3,7 +3,7 @@
 import pytest
 
 from daq.timing.errors import LaserDoubt, TimingUsageError
-from daq.timing.pulses import LaserHead, PulseTiming, Role
+from daq.timing.pulses import Q_SWITCHES, LaserHead, PulseTiming, Role
 from daq.timing.states import LaserState
 from sim.emulators.faults import Fault
 from sim.timing_boxes.quantum_composers import RESET
@@ -47,6 +47,24 @@ def test_a_refusal_while_it_begins_switches_off():
         d.clock.sleep_s(3.0)
         assert d.laser.state is LaserState.FAULT
         assert not d.emulator.is_on_at(0)
+
+
+def test_a_slow_box_that_refuses_t0_loses_its_q_switches_though_no_answer_comes():
+    """Found by the fuzz: of each write such a box hears the first line, which was always that of T0."""
+    with desk(needs_s=0.04, echo=True) as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(0.5)
+        d.emulator.refuses_off[0] = 99
+        stopped_s = d.clock.now_s()
+        d.line.faults.mute()
+        d.laser.stop("now")
+        d.clock.sleep_s(5.0)
+        d.emulator.advance()
+        plugs = [d.box.wiring[role] for role in Q_SWITCHES]
+        light_s = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output in plugs]
+        assert light_s
+        assert max(light_s) - stopped_s < 0.3
 
 
 def test_off_is_said_twice_to_a_box_that_refuses_it():
