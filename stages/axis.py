@@ -60,7 +60,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Where an axis was sent and where it says it is."""
+    """Target and reported position of an axis."""
 
     axis: str
     target_mm: float
@@ -76,7 +76,7 @@ class Arrival:
 
 @dataclass
 class Turn:
-    """What all axes of a bench share: the stop, whose turn it is, and who judges a way before it is driven.
+    """Shared state of all axes of a bench: the stop, the turn, and the guard that checks every path first.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class Axis:
 
     @property
     def state(self) -> AxisState:
-        """What may be asked of the axis now; a controller that rests is asked whether it still vouches."""
+        """Present state; a controller at rest is asked whether its reference still holds."""
         if self._settled_state() is AxisState.READY:
             try:
                 self._guarded(lambda: self.controller.vouch(self.settings.channel))
@@ -312,7 +312,7 @@ class Axis:
 
     @property
     def homed_by_hand(self) -> bool:
-        """Whether a person says where the axis stands, because its box cannot look for its reference."""
+        """True if a person says where the axis stands, because its box cannot look for its reference."""
         return self.controller.homed_by_hand(self.settings.channel)
 
     def confirm(self, position_mm: float) -> None:

@@ -1,4 +1,4 @@
-"""What is said about an axis, and what makes no sense to say."""
+"""Settings of an axis, and checks that they make sense."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ LONGEST_BY_HAND_UM = 500.0  # a ruler is read to a tenth of a millimetre or two
 
 @dataclass(frozen=True, slots=True)
 class AxisSettings:
-    """What the bench file says about an axis; see `stages.config` for the meaning of each."""
+    """Settings of an axis in the bench file; see `stages.config` for the meaning of each."""
 
     channel: str
     limits_mm: tuple[float, float]

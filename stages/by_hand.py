@@ -46,7 +46,7 @@ class ByHand(MotionController):
 
     @property
     def lost(self) -> bool:
-        """Whether it was not opened."""
+        """True if it was not opened."""
         return not self._is_open
 
     def _still_referenced(self, channel: str) -> bool:
@@ -109,7 +109,7 @@ class ByHand(MotionController):
         return self.latch.held or self.latch.count != self.token
 
     def position_mm(self, channel: str) -> float:
-        """What was read last."""
+        """Last reading."""
         with self._lock:
             if channel not in self._referenced:
                 raise NotReferenced(f"{self._channels[channel].axis} was not read yet; home it")

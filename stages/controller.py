@@ -178,7 +178,7 @@ class Controller(Link, MotionController):
             self.stop()
 
     def watchdog_bytes(self) -> Sequence[bytes]:
-        """What stops any motion whatever it is, for a watchdog that knows nothing of what was begun."""
+        """Bytes that stop any motion, for a watchdog that does not know what was begun."""
         return self._stop_bytes()
 
     def rests(self) -> None:
@@ -202,7 +202,7 @@ class Controller(Link, MotionController):
 
     @abstractmethod
     def _stop_bytes(self) -> Sequence[bytes]:
-        """What stops the motion, sent without waiting."""
+        """Bytes that stop the motion, sent without waiting."""
 
     @abstractmethod
     def _set_up(self) -> None:
@@ -222,7 +222,7 @@ class Controller(Link, MotionController):
         self._at_rest.clear()
 
     def _near(self, channel: str, counts_per_mm: float = 1.0) -> Callable[[float, float], bool]:
-        """Whether two readings of a channel differ by no more than noise."""
+        """Return whether two readings of a channel differ by no more than noise."""
         noise = self.noise_mm(channel) * counts_per_mm
         return lambda first, second: abs(first - second) <= noise
 

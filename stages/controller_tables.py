@@ -1,4 +1,4 @@
-"""What a bench file says of one controller: how it is reached. See `stages.config` for the whole.
+"""Section of a bench file for one controller: its connection. See `stages.config` for the whole.
 
 On a serial port:
 
@@ -53,7 +53,7 @@ class ControllerTable(Table):
 
     @property
     def place(self) -> str:
-        """Where it is, for messages."""
+        """Location, for messages."""
         return self.port
 
 
@@ -67,7 +67,7 @@ class ForeignTable(Table):
 
     @property
     def place(self) -> str:
-        """Where it is, for messages."""
+        """Location, for messages."""
         return "a library"
 
     def beside(self, folder: Path) -> "ForeignTable":
@@ -80,7 +80,7 @@ class ForeignTable(Table):
 
     @property
     def programs(self) -> tuple[str, ...]:
-        """What is called by the name in the file."""
+        """Programs that the file names."""
         return ()
 
     def lacks(self) -> str | None:
@@ -126,7 +126,7 @@ class MicroManagerTable(ForeignTable):
 
     @property
     def place(self) -> str:
-        """Where it is, for messages."""
+        """Location, for messages."""
         return self.config or " and ".join(dict.fromkeys(device.library for device in self.devices.values()))
 
     def beside(self, folder: Path) -> "MicroManagerTable":
@@ -174,7 +174,7 @@ class PositionersTable(ForeignTable):
 
     @property
     def place(self) -> str:
-        """Where it is, for messages."""
+        """Location, for messages."""
         return " and ".join(dict.fromkeys(one.object for one in self.objects.values()))
 
     def problem(self, channels: set[str]) -> str | None:
@@ -185,7 +185,7 @@ class PositionersTable(ForeignTable):
 
     @property
     def programs(self) -> tuple[str, ...]:
-        """What makes the objects."""
+        """Programs that make the objects."""
         return tuple(one.object for one in self.objects.values())
 
     def lacks(self) -> str | None:
@@ -206,7 +206,7 @@ class HandTable(Table):
 
 
 def _kind(said: Any) -> str:  # noqa: ANN401 - whatever a file holds
-    """Which of the tables a section is."""
+    """Return the kind of table that a section is."""
     driver = said.get("driver") if isinstance(said, dict) else getattr(said, "driver", None)
     return driver if driver in ("micromanager", "positioners", "by_hand") else "serial"
 

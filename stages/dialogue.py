@@ -1,4 +1,4 @@
-"""What is said on a serial port, as a text: written while it is said, read by whoever answers in its place.
+"""Dialogue on a serial port as text: written during a session, replayed in place of the device.
 
     # anything              for people
     @ 115200                the host has opened the port at this rate

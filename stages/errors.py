@@ -83,7 +83,7 @@ class ProtocolViolation(DeviceError):  # noqa: N818
 
 
 class WrongDevice(DeviceError):  # noqa: N818
-    """What answers is not what the bench file describes."""
+    """Another device answers than the bench file describes."""
 
 
 class CommandRejected(DeviceError):  # noqa: N818

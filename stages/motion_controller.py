@@ -1,4 +1,4 @@
-"""What axes ask of a box that moves, whatever way leads to it: the calls, and what is believed between them.
+"""Interface of motion controllers: the calls of axes, and the state kept between them.
 
 A controller is a box with one or more channels (motors). It knows mm of its own coordinate; offsets, directions,
 limits and backlash belong to `stages.axis`. Two ways lead to one: bytes on a port (`stages.controller`), and a
@@ -164,7 +164,7 @@ class MotionController(ABC):
             return position_mm
 
     def noise_mm(self, channel: str) -> float:
-        """How far two readings of a channel at rest may differ.
+        """Largest difference between two readings of a channel at rest.
 
         Of a controller that does not tell its counts, as far as two readings of an axis in its tolerance may.
         """
@@ -265,7 +265,7 @@ class MotionController(ABC):
         return frozenset({channel})
 
     def homed_by_hand(self, channel: str) -> bool:
-        """Whether a person says where the channel stands, because the box cannot look for it."""
+        """Return whether a person says where the channel stands, because the box cannot look for it."""
         return False
 
     def confirm(self, channel: str, position_mm: float) -> None:

@@ -178,7 +178,7 @@ class Port:
         return swallowed
 
     def heard(self) -> bytes:
-        """What has come, as far as it is kept; for messages."""
+        """Bytes that were received, as far as they are kept; for messages."""
         return b"".join(chunk.data for chunk in self.trace if not chunk.sent)
 
     def close(self) -> None:
@@ -218,7 +218,7 @@ class Port:
 
 
 class _Cable:
-    """What every look at a port stands in; a class, because a bench looks thousands of times a minute."""
+    """Context of every access to a port; a class, because a bench enters it thousands of times a minute."""
 
     def __init__(self, port: Port) -> None:
         self._port = port
@@ -266,7 +266,7 @@ class ModemLine:
             raise PortUnavailable(_why_not(url, error)) from error
 
     def is_closed(self) -> bool:
-        """Whether the line is high."""
+        """Return whether the line is high."""
         return bool(getattr(self._serial, self._line))
 
     def close(self) -> None:

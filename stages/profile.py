@@ -1,4 +1,4 @@
-"""How an axis gets from here to there: legs, approach side, durations.  Pure functions, used by axes and plans.
+"""Motion profiles of an axis: legs, approach side, durations.  Pure functions, used by axes and plans.
 
 A screw with play delivers its position only when its last motion had the same direction as the last motion of
 every other measurement. So an axis with an `Approach` always ARRIVES in one direction: if the way to the target
@@ -33,7 +33,7 @@ class Approach:
     speed_mm_s: float
 
     def before_mm(self, target_mm: float) -> float:
-        """Where the last leg to a target begins."""
+        """Start of the last leg to a target."""
         return target_mm - self.distance_mm if self.upwards else target_mm + self.distance_mm
 
 

@@ -1,4 +1,4 @@
-"""What a person is asked who turns a screw: where to, and what its scale reads then.
+"""Question to a person who turns a screw: the target, and the reading of its scale.
 
 Whoever asks (a terminal, a window, a simulated hand) shows `ScaleQuestion.words` and hands back what was typed, as
 text; what makes a number of it stands here, once.  Places are those of the scale, in mm, digits with a point: a
@@ -41,7 +41,7 @@ class ScaleQuestion:
 
     @property
     def words(self) -> str:
-        """What a person reads."""
+        """Text of the question."""
         return f"{self.wrong}\n{self._asked}" if self.wrong else self._asked
 
     @property

@@ -377,7 +377,7 @@ class Stage:
 
     @property
     def held(self) -> bool:
-        """Whether a stop holds the bench."""
+        """True if a stop holds the bench."""
         return self.latch.held
 
     def clear_stop(self) -> None:

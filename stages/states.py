@@ -1,4 +1,4 @@
-"""What an axis may do, and what is believed of it, as a table that the code obeys.
+"""States of an axis and their transitions, as a table that the code obeys.
 
     state          position        move  home  read  how it is left
     -------------  --------------  ----  ----  ----  ---------------------------------------------------------
@@ -20,7 +20,7 @@ from enum import Enum
 
 
 class AxisState(Enum):
-    """What may be asked of an axis now."""
+    """States of an axis."""
 
     UNREFERENCED = "unreferenced"  # home it
     READY = "ready"
@@ -30,7 +30,7 @@ class AxisState(Enum):
 
 
 class Event(Enum):
-    """What happens to an axis."""
+    """Events of an axis."""
 
     START = "a motion begins"
     REST = "a motion has ended, the reference still holds"

@@ -34,7 +34,7 @@ class StopLatch:
 
     @property
     def held(self) -> bool:
-        """Whether a stop holds the bench."""
+        """True if a stop holds the bench."""
         return self._held
 
     @property

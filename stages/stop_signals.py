@@ -157,7 +157,7 @@ class StopSignals:
             self._thread.press()
 
     def holds_back(self, number: int) -> bool:
-        """Whether a signal waits: for the end of a motion, if it is the first, or for that of the bench."""
+        """Return whether a signal waits: for the end of a motion, if it is the first, or for that of the bench."""
         waits = self._leaves or (self._turns > 0 and self._pending is None)
         if waits:
             self._pending = number
@@ -165,7 +165,7 @@ class StopSignals:
 
     @property
     def moves(self) -> bool:
-        """Whether the main thread moves something."""
+        """True if the main thread moves something."""
         return self._turns > 0
 
 

@@ -63,7 +63,7 @@ Word = dict[str, Any]
 
 
 def needs_watchdog(urls: Sequence[str]) -> bool:
-    """Whether any of these ports outlives the process that opens it."""
+    """Return whether any of these ports outlives the process that opens it."""
     return any(not url.startswith(WITHOUT_DEVICE) for url in urls)
 
 
@@ -275,7 +275,7 @@ def stop(about: Word) -> bool:
 
 
 def _file_of(url: str) -> list[int] | None:
-    """What is at a device file's name now; None of a port that has no file, or of none."""
+    """Identity of a device file; None for a port that has no file, or for none."""
     if "://" in url:
         return None
     try:
@@ -324,7 +324,7 @@ def _died(descriptor: int, death: int | None, parent: int) -> bool:
 
 
 def _read(descriptor: int) -> bytes | None:
-    """What has come; nothing at the end of the pipe, None if there is nothing now."""
+    """Read what was received; empty at the end of the pipe, None if there is nothing now."""
     try:
         return os.read(descriptor, 65536)
     except BlockingIOError:

@@ -1,4 +1,4 @@
-"""What answers where something else was meant: the hand of a box, read off whatever it has said.
+"""Recognise another device by its answer where a certain one was expected.
 
 A wrong rate, a wrong protocol and a swapped cable all begin with an answer that is none. Its first characters
 mostly tell which kind of box gave it; where they tell nothing, the rate is the likelier mistake.
@@ -28,7 +28,7 @@ def kind_of_box(said: bytes) -> str | None:
 
 
 def instead_of(said: bytes, sent: Iterable[bytes] = (), own: str = "") -> str:
-    """What came in place of an answer, and the cure, as the end of a sentence that begins with who was asked.
+    """Describe an unexpected reply and the cure, as the end of a sentence that begins with the device asked.
 
     Parameters
     ----------

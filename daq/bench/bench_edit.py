@@ -158,7 +158,7 @@ def _set(
 
 
 def _last(node: yaml.Node) -> int:
-    """Where a node really ends: a block ends before the next key, behind comments that are not its own."""
+    """End of a node's own text: YAML ends a block before the next key, behind comments that are not its own."""
     while isinstance(node, yaml.MappingNode | yaml.SequenceNode) and node.value and not node.flow_style:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last

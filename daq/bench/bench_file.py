@@ -132,7 +132,7 @@ def _sent(
 
 
 def _parted(table: BenchTable, scene: Scene) -> Iterator[str]:
-    """What an axis would drive through the wall of a tube, or out of it."""
+    """Yield a problem for each axis that would drive something through the wall of a tube."""
     walls = {body.name: body for body in scene.bodies if body.room is not None and body.room.surrounds}
     for wall in walls.values():
         room = wall.room

@@ -65,7 +65,7 @@ class BenchSession:
 
     @property
     def held(self) -> bool:
-        """Whether a stop holds the bench; see `clear`."""
+        """True if a stop holds the bench; see `clear`."""
         return self.stage.held
 
     def where(self) -> dict[str, float | None]:
@@ -236,7 +236,7 @@ class BenchSession:
         return self._devices[name]
 
     def camera_section(self, name: str = CAMERA) -> CameraSection:
-        """How a camera of this session is to be configured."""
+        """Section of the bench file for a camera of this session."""
         return cast("CameraSection", self._opened.sections[name])
 
     def close(self) -> None:

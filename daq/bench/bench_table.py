@@ -1,4 +1,4 @@
-"""What a bench file says, as checked data: see `bench_file` for how it is written.
+"""Contents of a bench file as checked data; `bench_file` describes the file.
 
 Ways of triggering a camera have names (`PRESETS`: what has to be set for each, in SFNC names).  A trigger that is
 half set up looks like a broken wire, so a bench file may name one of these instead of four to seven settings.
@@ -60,12 +60,12 @@ PRESETS: dict[str, dict[str, Setting]] = {
 
 
 def needs_line(preset: Preset) -> bool:
-    """Whether a preset hangs on an input line."""
+    """Return whether a preset hangs on an input line."""
     return LINE in PRESETS[preset].values()
 
 
 def settings_of(preset: Preset, line: str | None) -> dict[str, Setting]:
-    """What a preset sets.
+    """Return the settings of a preset.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ ChunkName = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*$", max_length=6
 
 
 class TriggerSection(Table):
-    """How frames are asked for, by the name of a preset."""
+    """Trigger of a camera, by the name of a preset."""
 
     preset: Preset
     line: Annotated[str, Field(min_length=1, max_length=64)] | None = None  # the input, such as Line1
@@ -96,7 +96,7 @@ class TriggerSection(Table):
 
 
 class CameraSection(Table):
-    """Which camera, and how it is set."""
+    """A camera and its settings."""
 
     backend: str
     options: dict[str, bool | int | float | str] = Field(default_factory=dict)
@@ -141,7 +141,7 @@ class NamedCameraSection(CameraSection):
 
 
 class GlassSection(Table):
-    """Where the glass goes when the plane is to be seen without it."""
+    """Parking position of the glass for views without it."""
 
     out_mm: dict[Name, float]
     retract_mm: dict[Name, float] = Field(default_factory=dict)
@@ -272,7 +272,7 @@ class Bench:
 
     @property
     def board(self) -> Chessboard:
-        """What hangs on the target's stage; BoardError if nobody can print it."""
+        """Board on the target's stage; BoardError if it cannot be printed."""
         target = self.table.target
         return Chessboard(target.square_mm, target.disc_mm) if self.printed is None else self.printed.board()
 
@@ -308,7 +308,7 @@ class Bench:
 
     @property
     def has_glass(self) -> bool:
-        """Whether bodies stand before the plane that can be driven out; a window that stands is none of them."""
+        """True if bodies stand before the plane that can be driven out; a window that stands is none of them."""
         return any(not body.stays for body in self.scene.bodies)
 
     def content_hash(self) -> str:
@@ -338,5 +338,5 @@ def digest(tree: Any) -> str:  # noqa: ANN401 - anything JSON can hold
 
 
 def trigger_is_software(settings: Mapping[str, Setting]) -> bool:
-    """Whether every frame is asked for by us; otherwise frames come by themselves while the camera is armed."""
+    """True if every frame is asked for by us; otherwise frames come by themselves while the camera is armed."""
     return settings.get("TriggerMode") == "On" and settings.get("TriggerSource") == "Software"

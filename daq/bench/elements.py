@@ -1,4 +1,4 @@
-"""What the axes of a bench carry, by name, and the directions that they move it along.
+"""Elements that axes of a bench carry, by name, and the directions of motion.
 
 Frames of a run are read by these words; who does that does not wait for the models of benches.
 """

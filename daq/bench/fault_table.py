@@ -1,4 +1,4 @@
-"""What may go wrong on a simulated bench, when, and to what: the words of a file of faults.
+"""Faults of a simulated bench: the keys of a faults file.
 
 faults:
   - {what: unplug, of: target, step: 7}                  # the cable comes out as step 7 of the run begins
@@ -80,7 +80,7 @@ class Fault(Table):
 
     @property
     def moment(self) -> str:
-        """When it is due, in words."""
+        """Moment at which it is due, in words."""
         if self.step is not None:
             return f"step {self.step}"
         if self.at_s is not None:
@@ -112,7 +112,7 @@ def things_of(bench: Bench) -> dict[str, str]:
 
 
 def not_recorded(name: str, bench: Bench) -> str:
-    """Why a thing of a bench cannot answer from a recording; "" if it can."""
+    """Return why a device of a bench cannot answer from a recording; "" if it can."""
     controller = bench.table.stages.controllers.get(name)
     if isinstance(controller, ControllerTable):
         return ""

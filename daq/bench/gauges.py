@@ -1,4 +1,4 @@
-"""Where readings come from: a file to which another program adds rows, or a box on a serial line.
+"""Sources of readings: a file to which another program adds rows, or a device on a serial line.
 
 **File**: time, value, and whatever else it likes.  The newest whole row counts.  Its first column is its time:
 seconds since 1970, or a date as 2026-11-27T14:03:05 (with a zone, or in that of this computer).  A row that has no

@@ -1,4 +1,4 @@
-"""What is judged by where things stand: every way before it is driven, and how free the light sheet is."""
+"""Checks by the positions of axes: every path before it is driven, and the clearance of the light sheet."""
 
 from collections.abc import Mapping, Sequence
 from typing import cast
@@ -13,7 +13,7 @@ from tracer.scene.scene import Scene
 
 
 def guard_of(bench: Bench) -> Guard | None:
-    """What judges every way before it is driven; None if the bench file asks for limits only.
+    """Return the guard that checks every path before it is driven; None if the bench file asks for limits only.
 
     Raises
     ------
@@ -39,7 +39,7 @@ class _Guards:
 
 
 def keep_out_of(bench: Bench, scene: Scene) -> KeepOut:
-    """What judges ways for a scene; the bench file has a section keep_out."""
+    """Return the guard for a scene; the bench file must have a section keep_out."""
     assert bench.table.keep_out is not None
     home = bench.home_mm
     carriers = {

@@ -64,7 +64,7 @@ class KeepOutTable(Table):
 
 @dataclass(frozen=True)
 class Carrier:
-    """What an axis moves, along which world direction, and where it stands when the scene file holds."""
+    """Element that an axis moves, its world direction, and the position at which the scene file holds."""
 
     element: Element
     along: Literal["x", "y", "z"]
@@ -209,7 +209,7 @@ class KeepOut:
 
 
 def _holds(room: Room, point_mm: Vector) -> bool:
-    """Whether a point is in a room that is closed around it: a camera looks out of its dome."""
+    """Return whether a point is in a room that is closed around it: a camera looks out of its dome."""
     return room.surrounds and room.gaps_mm(point_mm[None], 0.0)[1] >= 0.0
 
 

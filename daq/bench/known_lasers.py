@@ -75,7 +75,7 @@ def lasers_of(path: Path) -> list[KnownLaser]:
 
 
 def is_unreadable(path: Path) -> bool:
-    """Whether there is such a file, and nobody can tell which lasers it names."""
+    """Return whether there is such a file, and nobody can tell which lasers it names."""
     try:
         read_plain(path, MAX_BYTES)
     except FileNotFoundError:
@@ -117,7 +117,7 @@ def _yaml_files(folder: Path) -> list[Path]:
 
 
 def _tree_of(path: Path, text: str) -> Mapping[str, Any]:
-    """What stands in a file; as YAML has it where our own reader refuses it."""
+    """Contents of a file; as YAML has it where our own reader refuses it."""
     try:
         tree = open_document(path).tree
     except ConfigError:

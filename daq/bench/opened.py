@@ -33,7 +33,7 @@ from stages.stage import Stage
 
 
 class Simulation(Protocol):
-    """What stands in for the hardware."""
+    """Simulated hardware of a bench."""
 
     @property
     def sections(self) -> Mapping[str, Table]:
@@ -46,7 +46,7 @@ class Simulation(Protocol):
         ...
 
     def true_mm(self) -> dict[str, float]:
-        """Where every axis really is, in its own coordinate; nobody at a real bench knows."""
+        """True position of every axis in its own coordinate, which a real bench cannot know."""
         ...
 
     def secrets(self) -> dict[str, str]:
@@ -74,7 +74,7 @@ class Simulation(Protocol):
         ...
 
     def happened(self) -> Any:  # noqa: ANN401 - `sim.happened.Happened`, which stands above us
-        """What has happened in the simulated world, if that is kept; its `text()` is "" if it is not."""
+        """Events of the simulated world, if they are recorded; `text()` is "" if not."""
         ...
 
     def close(self) -> None:
@@ -122,7 +122,7 @@ class OpenBench:
 
     @property
     def camera_section(self) -> CameraSection:
-        """How the camera is to be configured."""
+        """Section of the bench file for the camera."""
         return cast("CameraSection", self.sections[CAMERA])
 
 
@@ -185,7 +185,7 @@ def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: 
 
 
 def check_simulation(bench: Bench) -> bool:
-    """Whether a bench has a simulation; what is wrong with its section is said, nothing is set up.
+    """Return whether a bench has a simulation; what is wrong with its section is said, nothing is set up.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def require_camera_libraries(bench: Bench, simulate: bool = False, only: Collect
 
 
 def simulation_class(bench: Bench) -> Callable[..., object]:
-    """What the bench file names as its simulation; ConfigError if there is none, or it is wrong."""
+    """Return the simulation that the bench file names; ConfigError if there is none, or it is wrong."""
     section = bench.table.simulation
     line = bench.document.line(("simulation", "bench"))
     dotted = str((section or {}).get("bench", ""))

@@ -1,4 +1,4 @@
-"""How a camera gives pairs, and what tells the two exposures of a pair apart: the key `pairs` of a camera.
+"""Double-frame cameras: arrival of pairs and the marker of exposure A (key `pairs` of a camera).
 
 =============  ==============================================================================================
 shape          how the exposures A and B of a pair arrive
@@ -37,7 +37,7 @@ FRAMES_OF_SHAPE = {"double_height": 1, "two_blocks": 2, "straddling": 2, "burst"
 
 
 class PairsSection(Table):
-    """How pairs come."""
+    """Arrival of pairs."""
 
     shape: Shape
     marker: Marker | None = None

@@ -33,7 +33,7 @@ ZABER_BINARY_ID = bytes((0, 50, 0, 0, 0, 0))  # "return device ID", to all; Bina
 
 @dataclass(frozen=True)
 class Found:
-    """What answers on a port.
+    """Device that answers on a port.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class Question:
-    """How one kind of box is asked for: at which rates, and what makes a `Found` of its answer."""
+    """Search for one kind of device: its baud rates, and the function that makes a `Found` of its answer."""
 
     bauds: Sequence[int]
     ask: Callable[[Probe, int], Found | None]

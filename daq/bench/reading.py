@@ -23,7 +23,7 @@ FOR_PORTS = {"baud", "ask", "find", "wait_s"}
 
 
 class ReadingSection(Table):
-    """What a bench file says of a reading, without `kind`."""
+    """Section of a bench file for a reading, without `kind`."""
 
     unit: Annotated[str, Field(max_length=20)]
     file: Annotated[str, Field(min_length=1)] | None = None
@@ -58,7 +58,7 @@ class ReadingSection(Table):
 
 @dataclass(frozen=True)
 class Reading:
-    """What a gauge showed.
+    """A reading of a gauge.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Reading:
 
 @runtime_checkable
 class Gauge(Protocol):
-    """What can be read."""
+    """Something that can be read."""
 
     def reading(self) -> Reading:
         """Return what it shows now; whatever goes wrong is a missing reading, never an error."""

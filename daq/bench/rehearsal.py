@@ -79,7 +79,7 @@ class Rehearsal:
         return with_rehearsal(bench, self.seed, found, files)
 
     def _said(self) -> tuple[Document, FaultFile]:
-        """What goes wrong and what is recorded, with where it stands."""
+        """Faults and recordings of a file, each with its line."""
         if self.faults is None:
             return Document(Path("recorded"), {}, {}), FaultFile.model_construct(faults=[], recorded={})
         if isinstance(self.faults, Path | str):
@@ -92,7 +92,7 @@ class Rehearsal:
 
 
 def _wrong_step(fault: Fault, steps: int | None) -> list[str]:
-    """Why a fault would never be due."""
+    """Return why a fault would never be due."""
     if fault.step is None:
         return []
     if steps is None:

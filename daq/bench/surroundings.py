@@ -1,4 +1,4 @@
-"""What of a bench could be opened from here, found without opening anything and without asking the network.
+"""Devices of a bench that could be opened from this computer, found without opening any or asking the network.
 
 Serial ports are listed by the system, with what their USB plug says of itself. Cameras with USB3 Vision are
 recognised by the class of their interface, as any driver does. Cameras on a network answer to discovery only, a
@@ -109,7 +109,7 @@ def producers(installed: Path = INSTALLED) -> list[Path]:
 
 
 def missing_for(backend: str) -> str | None:
-    """What a camera backend lacks on this computer, with the cure; None if nothing, or if nobody can know."""
+    """Return what a camera backend lacks on this computer, with the cure; None if nothing, or not known."""
     libraries, extra = NEEDS.get(backend, ((), ""))
     absent = [name for name in libraries if find_spec(name) is None]
     if absent:
@@ -120,7 +120,7 @@ def missing_for(backend: str) -> str | None:
 
 
 def why_not(path: Path) -> str | None:
-    """Why this user cannot open a device file, with the cure; None if nothing keeps him from it.
+    """Return why this user cannot open a device file, with the cure; None if it can be opened.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def _group(number: int) -> str | None:
 
 
 def _is_member(group: str) -> bool:
-    """Whether the list of groups names this user, whatever this session knows of it."""
+    """Return whether the list of groups names this user, whatever this session knows of it."""
     import grp
     import pwd
 

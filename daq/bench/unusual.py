@@ -1,4 +1,4 @@
-"""What a bench may be and hardly ever is: questions about it, each with its line; see `daq.bench.unusual_scene`.
+"""Plausibility questions about a bench: unusual values, each with its line; see `daq.bench.unusual_scene`.
 
 Speeds are compared with accelerations and ways, places with what the camera sees, the simulated stages with the
 axes that they stand for.

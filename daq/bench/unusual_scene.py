@@ -1,4 +1,4 @@
-"""What a scene may be and hardly ever is: questions about it, each with the line and what may have slipped.
+"""Plausibility questions about a scene: allowed but unusual values, each with its line and the likely slip.
 
 Nothing here refuses anything: a microscope, a vessel of two metres and a line camera are scenes like others.  A
 number in the wrong unit mostly passes every bound, but not what belongs together: the sensor's size, what the
@@ -192,7 +192,7 @@ def _distance_mm(camera: Camera) -> float:
 
 
 def _seen_mm(camera: Camera) -> float:
-    """How much of the plane the longer side of the picture shows, without glass."""
+    """Field of view along the longer side of the picture, without glass [mm]."""
     return max(camera.sensor_px) * _distance_mm(camera) / camera.focal_px
 
 
@@ -207,7 +207,7 @@ def _disc_px(camera: Camera, body: Body) -> NDArray[np.float64]:
 
 
 def _is_seen(camera: Camera, disc_px: NDArray[np.float64]) -> bool:
-    """Whether a disc reaches into the picture."""
+    """Return whether a disc reaches into the picture."""
     middle = 0.5 * (np.array(camera.sensor_px) - 1.0)
     beside = np.maximum(np.abs(disc_px[:2] - middle) - 0.5 * np.array(camera.sensor_px), 0.0)
     return bool(np.linalg.norm(beside) <= disc_px[2])

@@ -38,7 +38,7 @@ def require_libraries(backend: str) -> None:
 
 
 def backend_class(backend: str) -> Callable[..., Camera]:
-    """What makes a camera of the named backend.
+    """Return the constructor of the named backend.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What every camera can do, whatever library stands behind it.
+"""Interface of every camera backend.
 
 Life of a camera: ``open -> configure -> arm -> (trigger, next_frame)* -> disarm -> ... -> close``.  Settings have
 their SFNC names (PixelFormat, ExposureTime [us], Gain, Width, TriggerMode ...) and are always read back.
@@ -33,7 +33,7 @@ Setting = bool | int | float | str
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """What became of every frame since arming; see the table in the module's text."""
+    """Frames since arming, by what became of them; see the table in the module's text."""
 
     delivered: int = 0
     incomplete: int = 0
@@ -51,7 +51,7 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Who the camera is, for the run's record."""
+    """Identity of a camera, for the run's record."""
 
     backend: str
     vendor: str
@@ -201,7 +201,7 @@ PROBE_MIN_S = 0.5
 
 
 def probe_s(timeout_s: float) -> float:
-    """How long a camera may take to answer after a frame did not come; a wait lasts half as long again at most."""
+    """Time for a camera to answer after a frame did not come; a wait lasts half as long again at most."""
     return max(PROBE_MIN_S, timeout_s / 2)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 
 class FrameStatus(Enum):
-    """What a consumer may do with the pixels."""
+    """Permitted use of the pixels."""
 
     COMPLETE = "complete"
     INCOMPLETE = "incomplete"  # pixels are missing; for looking at, not for measuring

@@ -1,4 +1,4 @@
-"""What the genicam package tells: a GenApi node map as `cameras.sfnc.Nodes`, a GenTL buffer as facts of its frame.
+"""Adapters to the genicam package: a GenApi node map as `cameras.sfnc.Nodes`, facts of a GenTL buffer.
 
 Nearly every answer of a buffer is optional in the standard, so each has a default that does no harm, or a frame is
 refused with a reason.  Frames of several parts or with chunks before the image give no plain size here and are
@@ -39,7 +39,7 @@ class GenApiNodes:
         ]
 
     def has(self, name: str) -> bool:
-        """Whether the feature exists and can be read or written now."""
+        """Return whether the feature exists and can be read or written now."""
         if not self._map.has_node(name):
             return False
         return self._map.get_node(name).get_access_mode() in (genapi.EAccessMode.RO, genapi.EAccessMode.RW)
@@ -69,7 +69,7 @@ class GenApiNodes:
         return tuple(self._map.get_node(name).symbolics)
 
     def can_execute(self, name: str) -> bool:
-        """Whether the command exists and is available now."""
+        """Return whether the command exists and is available now."""
         if not self._map.has_node(name):
             return False
         return self._map.get_node(name).get_access_mode() in (genapi.EAccessMode.WO, genapi.EAccessMode.RW)

@@ -61,7 +61,7 @@ def read_register(address: str, register: int, timeout_s: float) -> int:
 
 
 def is_controlled(address: str, timeout_s: float) -> bool:
-    """Whether the camera believes that some application controls it."""
+    """Return whether the camera believes that some application controls it."""
     return bool(read_register(address, CONTROL_PRIVILEGE, timeout_s) & 3)
 
 

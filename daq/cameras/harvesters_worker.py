@@ -158,7 +158,7 @@ class Worker:
         send(self._pipe, answer)
 
     def _translate(self, error: Exception, call: str) -> CameraError:
-        """Whose fault is it: a camera that does not answer a probe is lost, whatever the error says."""
+        """Translate an error: a camera that does not answer a probe is lost, whatever the error says."""
         lost = self._find_loss() if call != "open" else None
         return lost or CameraError(f"{call}: {one_line(error)}")
 

@@ -1,4 +1,4 @@
-"""What tells frames apart: ids as a sequence without wraps, the count of what is missing, the camera's clock.
+"""Identity of frames: ids as a sequence without wraps, the count of missing ones, the camera's clock.
 
 GigE Vision 1.x ids have 16 bits, never take 0 and go 65535 -> 1; GigE Vision 2 and USB3 ids have 64 bits.  A
 producer of another type may pass either on, and CoaXPress tags go 65535 -> 0, so a wrap is seen by the ids alone.

@@ -59,7 +59,7 @@ class GSList(Structure):
 
 
 class AravisError(CameraError):
-    """What libaravis reported, with its error code."""
+    """An error reported by libaravis, with its code."""
 
     def __init__(self, code: int, text: str) -> None:
         self.code = code
@@ -214,7 +214,7 @@ class AravisNodes:
         return found
 
     def has(self, name: str) -> bool:
-        """Whether the feature exists and is available now."""
+        """Return whether the feature exists and is available now."""
         if self._kind(name) is None:
             return False
         try:
@@ -243,7 +243,7 @@ class AravisNodes:
         raise SettingRefused(f"{name} is a {kind} and has no value")
 
     def is_float(self, name: str) -> bool:
-        """Whether a feature is a number with a fraction."""
+        """Return whether a feature is a number with a fraction."""
         return self._kind(name) in FLOATS
 
     def set(self, name: str, value: Setting) -> None:
@@ -275,7 +275,7 @@ class AravisNodes:
         )
 
     def can_execute(self, name: str) -> bool:
-        """Whether the command exists and is available now."""
+        """Return whether the command exists and is available now."""
         return self._kind(name) == "Command" and self.has(name)
 
     def execute(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""What a camera's link carries in a second, by what the camera or the bench file tells of it.
+"""Bandwidth of a camera's link, from the camera's settings or the bench file.
 
     DeviceLinkThroughputLimit   [byte/s], unless DeviceLinkThroughputLimitMode is Off
     DeviceLinkSpeed             [byte/s]
@@ -54,7 +54,7 @@ def told_bytes_s(settings: Mapping[str, Setting]) -> float:
 
 
 def limit_bytes_s(settings: Mapping[str, Setting]) -> float:
-    """What the camera was told to send at most; 0 if nothing."""
+    """Throughput limit that is set in the camera; 0 if none."""
     if settings.get("DeviceLinkThroughputLimitMode", "On") != "On":
         return 0.0
     return first_of(settings, ("DeviceLinkThroughputLimit",))

@@ -72,7 +72,7 @@ class CoreNodes:
         self._values = values
 
     def has(self, name: str) -> bool:
-        """Whether the camera has the feature."""
+        """Return whether the camera has the feature."""
         known = name in (*REGION, "ExposureTime", "PixelFormat", *self._values)
         return known or bool(self._core.hasProperty(self._label, name))
 
@@ -264,7 +264,7 @@ class MicroManagerCamera:
             raise SettingsChanged(f"the camera lost its settings ({wrong}); configure it again")
 
     def settings(self) -> dict[str, Setting]:
-        """What the core knows by SFNC name, and every property of the adapter."""
+        """Return what the core has under SFNC names, and every property of the adapter."""
         self._require_open()
         return self._ask("for its settings", lambda: self._nodes.all())
 

@@ -53,7 +53,7 @@ class Nodes(Protocol):
     """A camera's features by name, as a backend's library gives them."""
 
     def has(self, name: str) -> bool:
-        """Whether the feature exists and is available now."""
+        """Return whether the feature exists and is available now."""
         ...
 
     def get(self, name: str) -> Setting:
@@ -69,7 +69,7 @@ class Nodes(Protocol):
         ...
 
     def can_execute(self, name: str) -> bool:
-        """Whether the command exists and is available now."""
+        """Return whether the command exists and is available now."""
         ...
 
     def execute(self, name: str) -> None:
@@ -313,7 +313,7 @@ def _new_name(name: str) -> str:
 
 
 def _is_selected(name: str, selector: str) -> bool:
-    """Whether a feature may mean another value under another entry of this selector."""
+    """Return whether a feature may mean another value under another entry of this selector."""
     if not selector.endswith("Selector") or name == selector:
         return False
     return name.startswith(SELECTED.get(selector, (selector.removesuffix("Selector"),)))

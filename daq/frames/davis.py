@@ -62,7 +62,7 @@ class DavisImages:
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether the name is that of a set, or of an image that is not one frame."""
+        """Return whether the name is that of a set, or of an image that is not one frame."""
         if path.suffix.lower() == SET:
             return True
         if path.suffix.lower() != IMAGE or not path.is_file():
@@ -88,7 +88,7 @@ class DavisImages:
 
 
 def is_image(place: Path) -> bool:
-    """Whether a name is that of one frame of DaVis, or of an image that may be one."""
+    """Return whether a name is that of one frame of DaVis, or of an image that may be one."""
     path, _ = frame_in(place) or (place, 1)
     return path.suffix.lower() in (IMAGE, SET)
 

@@ -60,7 +60,7 @@ class DoubleFrames(FoundFiles):
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether the name says that files hold both exposures."""
+        """Return whether the name says that files hold both exposures."""
         return _SAID.fullmatch(str(path)) is not None
 
     def file_of(self, place: Path) -> Path:
@@ -70,7 +70,7 @@ class DoubleFrames(FoundFiles):
 
 
 def is_image(place: Path) -> bool:
-    """Whether a name is that of one exposure of two in a file."""
+    """Return whether a name is that of one exposure of two in a file."""
     return _PART.fullmatch(str(place)) is not None
 
 

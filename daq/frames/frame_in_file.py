@@ -23,7 +23,7 @@ def require_size(place: Path, shape: tuple[int, ...], wanted: tuple[int, int] | 
 
 
 def as_it_is(path: Path) -> OpenFile:
-    """What a file that is kept open is known by: one that has changed, or another process's, is opened anew.
+    """Return the key of a file that is kept open: a changed file, or another process's, is opened anew.
 
     Raises
     ------

@@ -73,7 +73,7 @@ class Hdf5Stack:
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether the name is that of such a file, and of no single image in it."""
+        """Return whether the name is that of such a file, and of no single image in it."""
         return _STACK.fullmatch(str(path)) is not None and not is_image(path)
 
     def pairs(self) -> Sequence[FramePlaces]:
@@ -131,7 +131,7 @@ class _Images:
 
 
 def is_image(place: Path) -> bool:
-    """Whether a name is that of one image of a stack."""
+    """Return whether a name is that of one image of a stack."""
     return _IMAGE.fullmatch(str(place)) is not None
 
 
@@ -195,7 +195,7 @@ def _named(file: Any, given: str | None, path: Path) -> list[str]:  # noqa: ANN4
 
 
 def _default(file: Any) -> str | None:  # noqa: ANN401
-    """What NeXus calls the default plot of a file: `default` from group to group, then `signal`."""
+    """Name of the default plot of a NeXus file: `default` from group to group, then `signal`."""
     place = file
     for _ in range(10):
         name = place.attrs.get("default", place.attrs.get("signal"))

@@ -1,4 +1,4 @@
-"""Whether frames show the same particles: how a sequence is paired, and what a file holds.
+"""Similarity of frames: tells how a sequence is paired, and what a file holds.
 
 Two exposures of one flow are alike in most places but for a shift, frames of two pairs are not: correlations of
 small tiles are 0.4 to 0.9 for public pairs, vortices included, and 0.03 to 0.1 for unlike frames.

@@ -1,4 +1,4 @@
-"""Which frames of a folder are pairs, by their names alone.
+"""Pairs of the frames of a folder, by their names alone.
 
 First and second frames differ by one mark in their names: ``a``/``b`` (B00001_a, 0001A, a0001, LA),
 ``0``/``1`` or ``1``/``2`` (A001_1, img0001_frame0), or the words first and second.  A mark counts only where the
@@ -53,7 +53,7 @@ class Scheme:
 
     @property
     def mark_at(self) -> int:
-        """How far from the end of a name its mark stands: the last one is the most likely."""
+        """Distance of the mark from the end of a name: the last one is the most likely."""
         first, second = self.pairs[0]
         alike = next(k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b)
         return len(first) - alike

@@ -131,7 +131,7 @@ class NumberedFiles(FoundFiles):
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether the name has one place for a number, the ending of a frame, and is no file's own."""
+        """Return whether the name has one place for a number, the ending of a frame, and is no file's own."""
         return (
             len(list(_WILD.finditer(path.name))) == 1
             and path.suffix.lower() in FRAME_ENDINGS
@@ -177,7 +177,7 @@ class PatternPair(FoundFiles):
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether there are two patterns."""
+        """Return whether there are two patterns."""
         return str(path).count(WITH) == 1
 
 
@@ -214,7 +214,7 @@ class FrameFolder(FoundFiles):
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether it is a folder with numbered frames."""
+        """Return whether it is a folder with numbered frames."""
         return path.is_dir() and any(re.search(r"\d", Path(name).stem) for name in frames_in(path))
 
 
@@ -237,7 +237,7 @@ def frames_in(folder: Path) -> set[str]:
 
 
 def is_frame(file: Path) -> bool:
-    """Whether a name is that of a frame, and no hidden file's."""
+    """Return whether a name is that of a frame, and no hidden file's."""
     return file.suffix.lower() in FRAME_ENDINGS and not file.name.startswith(".")
 
 

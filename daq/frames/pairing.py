@@ -1,4 +1,4 @@
-"""Which frames of a sequence are a pair.
+"""Pairs of the frames of a sequence.
 
 Frames are counted from 1 as they were taken.  A pairing is said by its first pair and, where the next one does not
 just follow it, by the second one too; all others follow at the same distance:

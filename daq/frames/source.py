@@ -1,4 +1,4 @@
-"""Where other people's frames lie, behind one small door: how many pairs there are, and the name of each frame.
+"""External image pairs: the number of pairs, and the name of each frame.
 
 A name is a path that can be read by itself, in any process (`named_frame`):
 
@@ -37,7 +37,7 @@ class FrameSource(Protocol):
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether a name is one of this kind; what is wrong with it is said when it is opened."""
+        """Return whether a name is one of this kind; what is wrong with it is said when it is opened."""
         ...
 
     def __init__(self, path: Path, pairing: Pairing) -> None:
@@ -58,7 +58,7 @@ class FrameSource(Protocol):
 
 
 def is_source(path: Path) -> bool:
-    """Whether a name is that of frames that form pairs among themselves."""
+    """Return whether a name is that of frames that form pairs among themselves."""
     name, _ = pairing_of(path)
     return any(_kind(place).takes(name) for place in KINDS)
 

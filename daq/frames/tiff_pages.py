@@ -51,7 +51,7 @@ class TiffPages:
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether it is a TIFF as a whole, and not one frame."""
+        """Return whether it is a TIFF as a whole, and not one frame."""
         if path.suffix.lower() not in TIFF_ENDINGS or page_of(path)[1] is not None:
             return False
         try:

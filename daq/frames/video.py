@@ -71,7 +71,7 @@ class Video:
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Whether the name is that of a video as a whole."""
+        """Return whether the name is that of a video as a whole."""
         return path.suffix.lower() in FORMATS
 
     def pairs(self) -> Sequence[FramePlaces]:
@@ -88,7 +88,7 @@ class Video:
 
 
 def is_image(place: Path) -> bool:
-    """Whether a name is that of one frame of a video."""
+    """Return whether a name is that of one frame of a video."""
     found = frame_in(place)
     return found is not None and found[0].suffix.lower() in FORMATS
 
@@ -231,7 +231,7 @@ class _Decoder:
                 yield number, _grey(frame) if good else None
 
     def _packets(self, time: int) -> Iterator[Any]:
-        """What the file has from a time on, up to where it cannot be read any more."""
+        """Yield the packets from a time on, up to where the file cannot be read any more."""
         with suppress(self._library.error.FFmpegError):
             self._video.seek(time, stream=self._track)
             yield from self._video.demux(self._track)
@@ -288,7 +288,7 @@ def _turned_over(frame: Any) -> Any:  # noqa: ANN401
 
 
 def _is_coloured(frame: Any) -> bool:  # noqa: ANN401
-    """Whether the chroma of a frame is seen: grey that was packed as colours has next to none."""
+    """Return whether the chroma of a frame is seen: grey that was packed as colours has next to none."""
     return any(
         int(np.abs(np.median(np.abs(_plane(plane, np.uint8).astype(np.int16) - 128)))) > COLOURED
         for plane in frame.planes[1:3]

@@ -1,4 +1,4 @@
-"""What the last frame is worth, in numbers and as maps of tiles, and which way the focus goes.
+"""Quality of the last frame, in numbers and as maps of tiles, and the direction of the focus.
 
 Particles are Gaussian spots of diameter d = 4 s.  The autocorrelation of such an image falls by
 R(k) ~ exp(-k^2 / (4 s^2)) at a shift of k px, whatever their number and brightness; noise of the sensor adds to
@@ -67,7 +67,7 @@ class FocusTrend:
 
     @property
     def sentence(self) -> str:
-        """What to do, for whoever has a hand at the ring; "" while there is nothing to be said."""
+        """Advice for the person who turns the focus ring; "" while there is none."""
         if len(self._looks) < LOOKS:
             return ""
         times, widths = (np.array(column) for column in zip(*self._looks, strict=True))
@@ -115,7 +115,7 @@ def saturated_share(pixels: NDArray[Any], white: int) -> float:
 
 
 def brightness(pixels: NDArray[Any], white: int) -> float:
-    """What all but the brightest thousandth of the pixels stay below, as a share of white."""
+    """Grey level of the 99.9th percentile, as a share of white."""
     some = pixels[::4, ::4]
     some = some[np.isfinite(some)]
     return float(np.quantile(some, 0.999)) / white if some.size else 0.0
@@ -150,7 +150,7 @@ def middle_of(rows: Rows) -> float:
 
 
 def _tiles(pixels: NDArray[Any], of_tile: Callable[[NDArray[Any]], T]) -> list[list[T]]:
-    """What is found in the middle of each tile."""
+    """Yield the values found in the middle of each tile."""
     height, width = pixels.shape
     side = max(16, -(-max(height, width) // TILES))
     rows, columns = (_middles(length, side) for length in (height, width))
@@ -158,7 +158,7 @@ def _tiles(pixels: NDArray[Any], of_tile: Callable[[NDArray[Any]], T]) -> list[l
 
 
 def _middles(length: int, side: int) -> list[range]:
-    """What is looked at of each tile along one axis."""
+    """Ranges of each tile that are evaluated along one axis."""
     tiles = [(first, min(first + side, length)) for first in range(0, length - side // 2, side)]
     spare = [max(0, last - first - LOOKED_AT_PX) // 2 for first, last in tiles]
     return [range(first + less, last - less) for (first, last), less in zip(tiles, spare, strict=True)]

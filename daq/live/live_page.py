@@ -52,7 +52,7 @@ class RateLimiter:
         self._checked_s, self._done, self._left_out = -math.inf, 0, 0
 
     def is_due(self, now_s: float, is_watched: bool) -> bool:
-        """Whether a frame is to be shown now.
+        """Return whether a frame is to be shown now.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class RateLimiter:
 
     @property
     def sentence(self) -> str:
-        """What a viewer should know; "" if there is nothing to be known."""
+        """Notice for viewers; "" if there is none."""
         if self.most_hz == MOST_HZ:
             return ""
         return f"at most {self.most_hz:.0f} a second: this computer has too much to do"
@@ -172,7 +172,7 @@ class LivePage:
 
     @property
     def is_due(self) -> bool:
-        """Whether a snapshot would be shown now."""
+        """True if a snapshot would be shown now."""
         return self.rate_limiter.is_due(time.monotonic(), self._slot.is_watched)
 
     def show(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:

@@ -31,7 +31,7 @@ POLICY = 1008  # close code
 
 @dataclass(frozen=True)
 class LocalPage:
-    """What is served, and to whom.
+    """Contents and access rules of a local page.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class LocalPage:
         return _response(HTTPStatus.OK, content, kind, self.addresses)
 
     def let_in(self, connection: ServerConnection) -> dict[str, Any] | None:
-        """What a viewer says who knows the token; None, and the socket closed, for anybody else.
+        """Return the first message of a viewer who knows the token; None, and the socket closed, for all others.
 
         Raises
         ------
@@ -134,7 +134,7 @@ def listening(
 
 
 def understood(message: str | bytes) -> dict[str, Any]:
-    """What a browser has said; nothing if it makes no sense."""
+    """Parse a message of a browser; empty if it makes no sense."""
     try:
         said = json.loads(message)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""What the page's process finds out beside serving: in a thread of low priority, from the last frame shown.
+"""Evaluation in the page's process: a thread of low priority looks at the last frame shown.
 
 A frame is looked at now and then, whichever is there, while somebody looks at the page. Each watch works for
 `MOST_OF_THE_TIME` at most, so that a slow or busy computer looks less often.

@@ -1,4 +1,4 @@
-"""What is watched of a scene while a run goes on: where its glass stands, and whether a sphere has moved.
+"""Monitors of a scene during a run: the position of its glass, and motion of a sphere.
 
 Rims: where the glass stands by its rims, beside where the scene has it, looked for in the last frame.  It takes a
 second of a core.  Only frames in which the plane is seen through the glass are looked at (`words["rims"]`); with a

@@ -23,7 +23,7 @@ HEAD = struct.Struct("<4sIIIHHfHH16s")  # magic, number, left, top, width, heigh
 
 @dataclass(frozen=True)
 class Part:
-    """What a viewer looks at: a square of `size_px` pixels from (left, top); 0 is all of it."""
+    """Part of a picture that a viewer looks at: a square of `size_px` pixels from (left, top); 0 is all of it."""
 
     left_px: int = 0
     top_px: int = 0

@@ -1,4 +1,4 @@
-"""What the page says of a run: its progress in the words of the terminal, with what is wrong marked."""
+"""Progress of a run on the page, in the words of the terminal, with problems marked."""
 
 import math
 import shutil

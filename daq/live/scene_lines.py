@@ -1,4 +1,4 @@
-"""What a scene says of its frames, as lines for the page: a set for every view that a step of a plan can have.
+"""Overlay lines of a scene for the page: a set for every view that a step of a plan can have.
 
 **Outlines** of balls.  Where lines of sight touch a ball (``correction.alignment.rim``) is its outline in the raw
 frame; the same lines, going on to the plane, are the outline of what the ball hides in the corrected one.  Where a

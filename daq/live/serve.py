@@ -60,7 +60,7 @@ Key = tuple[int, str, Part, int, Columns]
 
 @dataclass
 class ViewRequest:
-    """What a viewer wants to see of the next snapshot."""
+    """Request of a viewer for the next snapshot."""
 
     wanted: tuple[str, ...] = NAMES
     part: Part = field(default_factory=Part)
@@ -81,7 +81,7 @@ class ViewRequest:
 
 @dataclass(frozen=True)
 class Update:
-    """What is sent of a snapshot: words, and pictures by the place where they are kept for others."""
+    """Message about a snapshot: words, and pictures by the place where they are kept for others."""
 
     number: int
     words: dict[str, Any]
@@ -90,7 +90,7 @@ class Update:
 
 @dataclass
 class Page:
-    """What all viewers share.
+    """State shared by all viewers.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Page:
 
     @property
     def access(self) -> LocalPage:
-        """Who may come in, and what is behind."""
+        """Access rules of the page."""
         return LocalPage(self.token, self.port, SOCKET, PAGES)
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -195,12 +195,12 @@ class Page:
         return None
 
     def _doing(self) -> dict[str, Any]:
-        """What is done now, and for how long."""
+        """Name of the current work, and its duration."""
         text, since_ns = self.doing
         return {"doing": text, "doing_s": (time.monotonic_ns() - since_ns) / 1e9}
 
     def _update_for(self, snapshot: Snapshot, request: ViewRequest) -> Update:
-        """What a viewer is sent of a snapshot, made where it lies."""
+        """Make a viewer's update of a snapshot, in the memory where it lies."""
         said, white = snapshot.words, white_of(snapshot.words)
         pictures = {}
         for name in snapshot.pictures:

@@ -1,4 +1,4 @@
-"""What waits for the live thread: recent, and never half of what belongs together.
+"""Queue of the live thread: recent frames, and never half of a group.
 
 A live thread that is too slow has to leave frames out.  Left out one by one, nearly every pair would lose one of
 its two frames: at half the needed speed half of the frames would be corrected, and no vectors measured at all.  So

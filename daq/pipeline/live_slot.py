@@ -50,7 +50,7 @@ class NoSlotError(DaqError):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What was seen at one time.
+    """Frame and views of one moment.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class SlotWriter:
 
     @property
     def is_watched(self) -> bool:
-        """Whether somebody looks."""
+        """True if somebody looks."""
         return _is_watched(self._memory)
 
     def put(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
@@ -172,7 +172,7 @@ class SlotReader:
 
     @property
     def is_over(self) -> bool:
-        """Whether the writer has taken the place down."""
+        """True if the writer has taken the place down."""
         return not self.path.exists()
 
     def ask(self) -> None:
@@ -181,7 +181,7 @@ class SlotReader:
 
     @property
     def is_watched(self) -> bool:
-        """Whether somebody looks."""
+        """True if somebody looks."""
         return _is_watched(self._memory)
 
     def latest(self) -> Snapshot | None:

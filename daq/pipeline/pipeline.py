@@ -103,7 +103,7 @@ class PreviewThread:
             warnings.warn(f"the live page shows nothing any more: {error!r}", RtpivWarning, stacklevel=1)
 
     def _taken(self) -> tuple[SharedJob, NDArray[np.float32] | None] | None:
-        """What lies in the tray, waited for; None when that was all."""
+        """Wait for the contents of the tray; None at the end."""
         with self._wake:
             while self._tray is None and not self._ends:
                 self._wake.wait()

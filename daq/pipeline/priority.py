@@ -1,4 +1,4 @@
-"""Which threads come first: what must not be late runs as it is, what may be late steps back."""
+"""Thread priorities: work that must not be late keeps its own, work that may be late gets a lower one."""
 
 import os
 import threading

@@ -1,4 +1,4 @@
-"""What the threads of a run have done: counts, rates, latencies."""
+"""Statistics of the threads of a run: counts, rates, latencies."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LiveVectors:
-    """What windows of 64 px say of one pair while the run goes on.
+    """Vectors of one pair from windows of 64 px, while the run goes on.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class LiveVectors:
 
 @dataclass
 class PipelineStats:
-    """What the threads have done so far; read by anybody, written by the threads."""
+    """Work done so far by the threads, which alone write it."""
 
     submitted: int = 0
     written: int = 0

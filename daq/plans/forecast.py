@@ -1,4 +1,4 @@
-"""What a plan will do, said before anything moves: moves, travel, time, disk, and what is not allowed.
+"""Forecast of a plan before anything moves: moves, travel, time, disk space, and what is not allowed.
 
 Limits and keep-out are judged by the same code that will judge the real moves (`Stage.check`), on the same
 route, so a plan that passes here is refused later only if the start is another one.
@@ -122,7 +122,7 @@ def forecast(
 
 
 def _sheet_blocked(bench: Bench, step: Step) -> str:
-    """Why the laser would refuse to fire where a step has everything; "" if it would not."""
+    """Return why the laser would refuse to fire at the positions of a step; "" if it would not."""
     if step.pulses is None:
         return ""
     laser = bench.more.get(step.pulses.laser or "")
@@ -190,7 +190,7 @@ def simulated_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
 
 
 def time_said(bench: Bench, steps: Sequence[Step], said: Forecast, simulate: bool = True) -> str:
-    """How long a plan takes, as a person says it: at hardware, and where its pictures have to be drawn."""
+    """Return the duration of a plan in words: at hardware, and where its pictures have to be drawn."""
     hardware = in_words(said.duration_s)
     if not simulate or bench.table.simulation is None or not (drawn_s := simulated_s(bench, steps)):
         return hardware
@@ -201,7 +201,7 @@ def time_said(bench: Bench, steps: Sequence[Step], said: Forecast, simulate: boo
 
 @dataclass(frozen=True)
 class RetractPath:
-    """What is known about the way out of the homed place.
+    """The path out of the homed positions.
 
     Parameters
     ----------

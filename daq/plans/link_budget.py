@@ -1,4 +1,4 @@
-"""Whether the frames of a step fit through the camera's link, said before the run.
+"""Bandwidth check before the run: the frames of a step must fit through the camera's link.
 
 A camera that is triggered faster than its cable carries drops triggers or frames, and a run would end after its
 first pairs with words about the link.  What a frame needs is known from the bench file, and from the camera when
@@ -26,7 +26,7 @@ ASKED_HZ = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
 
 @dataclass(frozen=True)
 class LinkNeed:
-    """What a step asks of the link.
+    """Bandwidth that a step needs.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ class LinkNeed:
 
     @property
     def bytes_s(self) -> float:
-        """What has to go over the link in a second."""
+        """Data rate of the link [byte/s]."""
         return self.frame_bytes * self.frames * self.rate_hz
 
     @property
     def sentence(self) -> str:
-        """What is needed, in words."""
+        """Needed bandwidth, in words."""
         what = "frames/s" if self.frames == 1 else f"x {self.frames} frames/s"
         return (
             f"{self.width} x {self.height} px in {self.pixel_format} are {self.frame_bytes / 1e6:.2f} MB a frame, "
@@ -65,7 +65,7 @@ class LinkNeed:
 
 
 def link_need(bench: Bench, step: Step, told: Mapping[str, Setting] | None = None) -> LinkNeed | None:
-    """What a step asks of the link; None if it has no rate, or the bench file does not say its format.
+    """Return the bandwidth that a step needs; None if it has no rate, or the bench file names no format.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def link_need(bench: Bench, step: Step, told: Mapping[str, Setting] | None = Non
 
 
 def link_excess(bench: Bench, step: Step, told: Mapping[str, Setting] | None = None) -> str:
-    """Why a step does not fit through the link, with the cure; "" if it does, or nobody knows.
+    """Return why a step does not fit through the link, with the cure; "" if it does, or if that is not known.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def link_excess(bench: Bench, step: Step, told: Mapping[str, Setting] | None = N
 
 
 def link_said(bench: Bench, steps: Iterable[Step]) -> str:
-    """What the most demanding step needs, and what carries it; "" if no step has a rate."""
+    """Describe the need of the most demanding step and the link; "" if no step has a rate."""
     needs = [need for step in steps if (need := link_need(bench, step)) is not None]
     if not needs:
         return ""

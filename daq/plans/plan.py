@@ -132,7 +132,7 @@ def expand(table: PlanTable, bench: Bench) -> tuple[Step, ...]:
 
 
 def _is_on_plane(pose: Pose) -> bool:
-    """Whether what is seen lies in the plane that the scene's camera looks at: a light sheet always does."""
+    """True if what is seen lies in the plane that the scene's camera looks at: a light sheet always does."""
     return (pose.pulses is not None or abs(pose.target_mm[2]) < ON_PLANE_MM) and not any(pose.camera_mm)
 
 

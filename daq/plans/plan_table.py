@@ -1,4 +1,4 @@
-"""What every experiment's plan file has, and what an experiment has to say."""
+"""Keys of every experiment's plan file, and the interface of an experiment."""
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
@@ -69,11 +69,11 @@ class PlanTable(Table):
     @property
     @abstractmethod
     def shows(self) -> str:
-        """What has to hang on the target's stage: ``chessboard`` or ``particles``."""
+        """Pattern that has to hang on the target's stage: ``chessboard`` or ``particles``."""
 
     @property
     def frames_together(self) -> int:
-        """How many frames belong together, such as the two of a pair."""
+        """Number of frames that belong together, such as the two of a pair."""
         return 1
 
     @property

@@ -1,4 +1,4 @@
-"""What a step asks of a pulsed laser, and whether laser and camera of a bench can do it; nothing is open."""
+"""Pulses that a step asks of a laser, and checks of laser and camera of the bench; nothing is open."""
 
 from dataclasses import dataclass
 from math import inf
@@ -51,7 +51,7 @@ class PulseOrder:
 
 
 def pairs_section(bench: Bench) -> PairsSection:
-    """How the camera of a bench gives pairs; PlanError if its file does not say it."""
+    """Return how the camera of a bench gives pairs; PlanError if its file does not say it."""
     section = bench.table.camera.pairs
     if section is None:
         raise PlanError(

@@ -63,17 +63,17 @@ class Step:
 
     @property
     def may_have_gaps(self) -> bool:
-        """Whether the step keeps what it has, and goes on behind what it lost."""
+        """True if the step keeps what it has, and goes on behind what it lost."""
         return self.gaps_at_most > 0.0 or self.pulses is not None
 
     @property
     def shows_light_sheet(self) -> bool:
-        """Whether its frames show particles in a light sheet, and no print on the target's stage."""
+        """True if its frames show particles in a light sheet, and no print on the target's stage."""
         return self.pulses is not None or self.group > 1
 
     @property
     def is_lit_from_outside(self) -> bool:
-        """Whether another program's synchroniser triggers laser and camera."""
+        """True if another program's synchroniser triggers laser and camera."""
         return self.pulses is not None and self.pulses.laser is None
 
     @property

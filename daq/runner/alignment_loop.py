@@ -125,7 +125,7 @@ class AlignmentLoop:
             self._say(f"with moves allowed: {move_in_words(planned, targets)}")
 
     def wanted(self) -> Wanted:
-        """Where the axes should go after the looks so far."""
+        """Return the positions of the axes that the looks so far ask for."""
         bench = self._hardware.bench
         axes = {
             element: "".join(sorted({axis.along for axis in bench.table.axes_of(element).values()}))
@@ -190,7 +190,7 @@ def next_targets(bench: Bench, planned_mm: Mapping[str, float], last: Look, want
 
 
 def free_before_target_mm(bench: Bench) -> float:
-    """How much nearer to the target than in the scene file keep-out lets the glass come; 0 without keep-out."""
+    """Distance by which keep-out lets the glass come nearer to the target than in the scene; 0 without it."""
     table = bench.table.keep_out
     if table is None:
         return 0.0

@@ -72,7 +72,7 @@ class FrameFormat:
         self._sides = [settings.get(side) for side in ("Width", "Height")]
 
     def contradiction(self, frame: Frame) -> str:
-        """How a frame differs from what was read back, as the rest of a sentence; "" if it does not."""
+        """Return how a frame differs from what was read back, as the rest of a sentence; "" if it does not."""
         height, width = frame.pixels.shape
         got = (frame.meta.pixel_format, width, height)
         told = (self._name, *self._sides)
@@ -170,7 +170,7 @@ class CameraSession:
         return settings
 
     def facts(self, frame: Frame) -> dict[str, Any]:
-        """What the record of a frame says of the chunk data that the bench file wants kept."""
+        """Return the chunk data of a frame that the bench file wants in its record."""
         chunks = {name: frame.meta.chunks[name] for name in self.section.chunks if name in frame.meta.chunks}
         return {"chunks": chunks} if chunks else {}
 
@@ -341,7 +341,7 @@ class CameraSession:
 
     @property
     def is_armed(self) -> bool:
-        """Whether the camera waits for triggers."""
+        """True if the camera waits for triggers."""
         return self._is_armed
 
     def begin(self) -> None:

@@ -30,14 +30,14 @@ class Shot:
     after_ns: int
 
     def could_have_made(self, stamp_ns: float, received_ns: int) -> bool:
-        """Whether a stamp lies between this trigger and the arrival of its frame, by the latched clock."""
+        """Return whether a stamp lies between this trigger and the arrival of its frame, by the latched clock."""
         if self.clock_ns is None:
             return False
         newest_ns = self.clock_ns + (received_ns - self.before_ns) * (1 + DRIFT) + COARSE_NS
         return not self.is_after(stamp_ns) and stamp_ns <= newest_ns
 
     def is_after(self, stamp_ns: float) -> bool:
-        """Whether the latched clock says that a stamp is older than this trigger."""
+        """Return whether the latched clock says that a stamp is older than this trigger."""
         rounded_ns = FINE_NS if stamp_ns % COARSE_NS else COARSE_NS
         return self.clock_ns is not None and stamp_ns < self.clock_ns - rounded_ns
 
@@ -53,7 +53,7 @@ Pairing = tuple[Shot, float, int]  # a trigger, the stamp of its frame [ns], whe
 
 @dataclass(frozen=True)
 class ClockCalibration:
-    """What a trial has shown.
+    """Result of a trial.
 
     Parameters
     ----------

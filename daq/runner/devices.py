@@ -45,12 +45,12 @@ class Work:
 
     @property
     def done(self) -> bool:
-        """Whether the work has ended, well or not."""
+        """True if the work has ended, well or not."""
         return self._done.is_set()
 
     @property
     def success(self) -> bool:
-        """Whether it has ended well."""
+        """True if it has ended well."""
         return self.done and self._error is None
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:
@@ -68,7 +68,7 @@ class Work:
         callback(self)
 
     def __repr__(self) -> str:
-        """What an engine shows of a status that has failed."""
+        """Text that an engine shows of a status that has failed."""
         if not self.done:
             return "under way"
         return "done" if self._error is None else f"{type(self._error).__name__}: {self._error}"
@@ -115,7 +115,7 @@ class AxisDevice:
 
     @property
     def hints(self) -> dict[str, list[str]]:
-        """What an engine shows of a reading."""
+        """Fields of a reading that an engine shows."""
         return {"fields": [self.name]}
 
     @property

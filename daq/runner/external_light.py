@@ -21,7 +21,7 @@ WAITING = "waiting for the triggers of the synchroniser; start it in its own pro
 
 
 class ExternalLight:
-    """What a flow step asks of its light, where that is not ours; see `LaserSession` for the other one.
+    """Light of a flow step from an external synchroniser; see `LaserSession` for a laser of the bench.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class ExternalLight:
 
     @property
     def is_firing(self) -> bool:
-        """Whether triggers are to be expected."""
+        """True if triggers are to be expected."""
         return not self._interrupts.wanted
 
     def prepare(self, order: PulseOrder, settings: Mapping[str, Setting], tell: Callable[[str], None]) -> Self:

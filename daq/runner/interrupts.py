@@ -45,17 +45,17 @@ class Interrupts:
 
     @property
     def wanted(self) -> bool:
-        """Whether the run shall end after this step, or has been stopped already."""
+        """True if the run shall end after this step, or has been stopped already."""
         return self._presses > 0
 
     @property
     def stopped(self) -> bool:
-        """Whether everything was to stop at once."""
+        """True if everything was to stop at once."""
         return self._presses >= STOPS_AT
 
     @property
     def paused(self) -> bool:
-        """Whether the run shall wait before the next step."""
+        """True if the run shall wait before the next step."""
         return self._paused
 
     def press(self) -> None:

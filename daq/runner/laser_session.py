@@ -140,12 +140,12 @@ class LaserSession:
 
     @property
     def state(self) -> LaserState | None:
-        """What is believed of the laser; None before it is asked for."""
+        """State of the laser; None before it is asked for."""
         return None if self._laser is None else self._laser.state
 
     @property
     def is_firing(self) -> bool:
-        """Whether triggers are to be expected."""
+        """True if triggers are to be expected."""
         return self.state in EMITS
 
     def account(self, chunk: Chunk) -> None:
@@ -232,7 +232,7 @@ class LaserSession:
             clock.sleep_s(POLL_S)
 
     def _conditions(self, armed: Callable[[], bool], is_empty: bool) -> Conditions:
-        """How things stand: every axis is asked before arming, one after the other while it fires."""
+        """Read the present conditions: every axis is asked before arming, one after the other while it fires."""
         stage = self._hardware.stage
         if is_empty:
             self._where_mm = stage.where_mm()

@@ -354,7 +354,7 @@ class BoxTrials:
 
     @property
     def _lit_s(self) -> float:
-        """How long pulses are given before off, and watched for behind it: half of a burst at most."""
+        """Time for which pulses are given before off, and watched for behind it: half of a burst at most."""
         rate_hz = self._timing.rate_hz
         return min(max(LIT_S, 3.0 / rate_hz), 0.5 * self._most(CABLE_S) / rate_hz)
 

@@ -125,7 +125,7 @@ class PairFinder(Generic[T]):
 
     @property
     def last(self) -> Exposure | None:
-        """What the marker says of the frame that was exposed last; None if nothing, or of `spacing`."""
+        """Exposure of the last frame by its marker; None if the marker does not say, or is `spacing`."""
         return None if self._last is None or self._section.told_by == "spacing" else self._exposure(self._last)
 
     def _measure_period(self, meta: FrameMeta) -> None:
@@ -136,7 +136,7 @@ class PairFinder(Generic[T]):
         self._before.append(meta)
 
     def _exposure(self, meta: FrameMeta) -> Exposure | None:
-        """What the marker says; of `spacing`, B is what comes soon after another frame."""
+        """Exposure by the marker; of `spacing`, B is a frame that comes soon after another."""
         section = self._section
         if section.told_by == "halves":
             return "B" if meta.sequence % 2 else "A"
@@ -181,7 +181,7 @@ class PairFinder(Generic[T]):
         return found
 
     def _is_copy(self, meta: FrameMeta, last: FrameMeta) -> bool:
-        """Whether a frame is the one before once more; the halves of a buffer have one stamp."""
+        """Return whether a frame is the one before once more; the halves of a buffer have one stamp."""
         is_second_half = (
             self._section.told_by == "halves" and meta.sequence == last.sequence + 1 and meta.sequence % 2
         )
@@ -194,7 +194,7 @@ class PairFinder(Generic[T]):
         return gap_ns <= self._longest_ns and abs(gap_ns - self._gap_ns) <= self._off_ns
 
     def _is_near(self, one: FrameMeta, other: FrameMeta) -> bool:
-        """Whether two exposures are nearer than two A of different pulses can be."""
+        """Return whether two exposures are nearer than two A of different pulses can be."""
         if other.timestamp_ns == 0:  # halves of a buffer are a pair without any clock
             return False
         return abs(other.timestamp_ns - one.timestamp_ns) < OTHER_PULSE * self._period_ns

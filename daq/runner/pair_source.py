@@ -42,7 +42,7 @@ class Chunk:
         return 2 * (self.fired - self.kept) - sum(self.dropped.values())
 
     def sentence(self) -> str:
-        """What became of the pairs that were fired."""
+        """Describe what became of the pairs that were fired."""
         reasons = ", ".join(f"{counted(number, 'frame')} {why}" for why, number in sorted(self.dropped.items()))
         never = f"{counted(self.never_came, 'frame')} never came" if self.never_came > 0 else ""
         told = "; ".join(filter(None, (reasons, never)))
@@ -131,7 +131,7 @@ class PairSource:
         self._clock = (found[0] + found[2]) // 2, found[1]
 
     def host_ns(self, pair: Pair) -> int:
-        """When exposure A of a pair began, on the computer's clock; FrameDoubt if that cannot be."""
+        """Start of exposure A of a pair on the computer's clock; FrameDoubt if it is impossible."""
         assert self._clock is not None
         meta = pair[0].meta
         at_ns = self._clock[0] + meta.timestamp_ns - self._clock[1]
@@ -189,7 +189,7 @@ class PairSource:
             chunk.periods_ns = finder.periods_ns
 
     def is_flipped(self, pair: Pair) -> bool:
-        """Whether the other exposure is the brighter one now."""
+        """Return whether the other exposure is the brighter one now."""
         return self._sign.is_flipped(*(mean_counts(frame.pixels) for frame in pair))
 
     def hand_over(self, chunk: Chunk, pair: Pair) -> Pair:

@@ -1,4 +1,4 @@
-"""What one camera of a flow leaves on the disk, in its own run folder: pairs under their numbers, and counts."""
+"""Files of one camera of a flow, in its own run folder: pairs under their numbers, and counts."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What a person wants to know while a run goes on, and sees: a panel that is drawn anew, or lines of a log."""
+"""Progress of a run for a person: a panel that is drawn anew, or lines of a log."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -125,7 +125,7 @@ RECENT = 50
 
 
 def books(progress: Progress) -> str:
-    """What became of the frames; those that a run with a laser does not want are dark, or surplus."""
+    """Return the account of the frames; those that a run with a laser does not want are dark, or surplus."""
     found = progress.accounting
     if progress.laser is not None and found.rejected and not found.written:
         return f"waiting for light, {counted(found.rejected, 'dark frame')} so far"

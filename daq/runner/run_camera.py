@@ -83,7 +83,7 @@ class RunCamera:
 
     @property
     def corrects(self) -> bool:
-        """Whether its frames are corrected."""
+        """True if its frames are corrected."""
         return self._corrections is not None
 
     @property
@@ -94,7 +94,7 @@ class RunCamera:
 
     @property
     def pipeline(self) -> Pipeline:
-        """What brings its frames to the disk, from `set_up` on."""
+        """Pipeline that brings its frames to the disk, from `set_up` on."""
         assert self._pipeline is not None
         return self._pipeline
 
@@ -159,7 +159,7 @@ class RunCamera:
         )
 
     def pair_writer(self) -> PairWriter:
-        """Who takes its pairs in steps that are lit by pulses."""
+        """Return the writer of its pairs in steps that are lit by pulses."""
         source = PairSource(self.name, self.session, pairs_section(self.hardware.bench))
         return PairWriter(self.folder, self.journal, self.pipeline, source)
 

@@ -131,7 +131,7 @@ HAPPENED = "world.jsonl"  # what was true of a rehearsal; read by `sim.happened`
 
 @dataclass(frozen=True)
 class Request:
-    """What somebody asked for; everything that run.json needs to ask again.
+    """Parameters of a run; all that run.json needs to repeat it.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Request:
 
 
 def hashes(request: Request, bench: Bench, plan: Plan) -> dict[str, str | None]:
-    """What must not change between the sessions of a run."""
+    """Hashes of what must not change between the sessions of a run."""
     corrected = load_scene(request.scene) if request.scene is not None else bench.scene
     sheet = corrected.sheet
     beside = [(name, bench.seen_by(name).scene.content_hash()) for name in plan.table.further_cameras]
@@ -224,7 +224,7 @@ def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder
 
 
 def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
-    """What run.json says of a camera's run."""
+    """Contents of run.json for a camera's run."""
     board = bench.board
     scene_file = getattr(bench.table.camera, "scene", None) or bench.table.scene
     return {
@@ -246,7 +246,7 @@ def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
 
 
 def _asked_of(name: str, request: Request) -> Request:
-    """What is asked of a camera: a further one has the scene of the bench file alone, and no dewarp."""
+    """Request for one camera: a further one has the scene of the bench file alone, and no dewarp."""
     return request if name == CAMERA else replace(request, scene=None, target_clear=None)
 
 
@@ -256,7 +256,7 @@ def _seen_by(name: str, bench: Bench) -> Bench:
 
 
 def _pulses_of(step: Step) -> dict[str, Any]:
-    """What those who work on finished runs need of a step's pulses."""
+    """Facts of a step's pulses that are needed to work on finished runs."""
     if step.pulses is None:
         return {}
     return {"dt_us": step.pulses.dt_us, **({"background": True} if step.pulses.is_background else {})}

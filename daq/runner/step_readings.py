@@ -1,4 +1,4 @@
-"""What is read at every step of a run beside its frames: gauges of the lab, and what a camera tells of itself.
+"""Readings at every step of a run beside its frames: gauges of the lab, and the state of the camera.
 
 Gauges are read, shown, and said once when one falls silent.
 
@@ -68,7 +68,7 @@ class Gauges:
 
 
 def camera_facts(camera: Camera) -> dict[str, Any]:
-    """What a line of the kind `camera` says; empty if there is nothing to say."""
+    """Contents of a line of the kind `camera`; empty if there is nothing to record."""
     try:
         clock, told = ask_clock(camera), camera.read(TEMPERATURES)
     except CameraError:

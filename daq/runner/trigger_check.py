@@ -1,4 +1,4 @@
-"""Whether a camera's trigger works as it was set up: settings kept, triggers arrive, exposures as long as set.
+"""Test of a camera's trigger: settings kept, triggers arrive, exposures as long as set.
 
     set up, read back -> arm -> a few frames, asked for or waited for -> what each says of itself
 

@@ -1,4 +1,4 @@
-"""Which trigger a frame belongs to: told by the camera's clock, never by the order of arrival.
+"""Assignment of frames to triggers by the camera's clock, never by the order of arrival.
 
 A frame that is later than our timeout arrives in somebody else's place.  Taken for the answer to the next trigger
 it would show the stop before, and so would every frame after it.  So a frame is taken only if it was exposed
@@ -56,13 +56,13 @@ class Offset:
         return Offset(self.low_ns - drift_ns, self.high_ns + drift_ns, now_ns)
 
     def together_with(self, other: "Offset") -> "Offset":
-        """What both say, at the time of the other; empty (low above high) if they contradict each other."""
+        """Intersection of both, at the time of the other; empty (low above high) if they contradict each other."""
         mine = self.until(other.at_ns)
         return Offset(max(mine.low_ns, other.low_ns), min(mine.high_ns, other.high_ns), other.at_ns)
 
 
 class Place(Enum):
-    """Where a frame belongs."""
+    """Assignment of a frame."""
 
     OURS = "exposed for this trigger"
     STALE = "exposed before this trigger"
@@ -103,35 +103,35 @@ class TriggerMatch:
 
     @property
     def by_time(self) -> bool:
-        """Whether frames are told apart by their time; what was left behind may then be waited past."""
+        """True if frames are told apart by their time; what was left behind may then be waited past."""
         return self._tells_time
 
     @property
     def has_taken(self) -> bool:
-        """Whether any frame of this session was taken."""
+        """True if any frame of this session was taken."""
         return self._first_taken is not None
 
     @property
     def owes_one_frame(self) -> bool:
-        """Whether what arrives now incomplete can only be the frame of the last trigger."""
+        """True if what arrives now incomplete can only be the frame of the last trigger."""
         return self._unanswered == 0
 
     @property
     def needs_trial(self) -> bool:
-        """Whether, after a wait in vain, stamps have to be settled before anything is triggered again."""
+        """True if, after a wait in vain, stamps have to be settled before anything is triggered again."""
         if not self._tells_time or self._latch_is_the_stamps:
             return False
         return self._only_stale > (1 if self._is_confirmed else 0) or (self.has_taken and not self._is_confirmed)
 
     @property
     def first_is_unconfirmed(self) -> bool:
-        """Whether something odd has come before enough frames could agree with the first one."""
+        """True if something odd has come before enough frames could agree with the first one."""
         is_sure = self._latch_is_the_stamps or self._is_confirmed or not self._tells_time
         return self.has_taken and self._is_odd and not is_sure
 
     @property
     def restarted(self) -> bool:
-        """Whether the camera's clock has not run on between the last two triggers: it lost power, or was set."""
+        """True if the camera's clock has not run on between the last two triggers: it lost power, or was set."""
         now, then = self._shot, self._before
         if not self._latch_is_the_stamps or now is None or then is None:
             return False
@@ -143,7 +143,7 @@ class TriggerMatch:
 
     @property
     def waits(self) -> bool:
-        """Whether the last trigger has had no answer yet, of whatever kind."""
+        """True if the last trigger has had no answer yet, of whatever kind."""
         return self._waits
 
     def begin(self) -> None:
@@ -171,11 +171,11 @@ class TriggerMatch:
         self._only_stale = self._only_stale + 1 if self._stale_here else 0
 
     def was_owed(self, meta: FrameMeta) -> bool:
-        """Whether a frame that is rejected may be owed to a trigger that was waited for; call it once a frame."""
+        """True if a frame that is rejected may be owed to a trigger that was waited for; call it once a frame."""
         return not self._is_foreign(meta) and self._owed(1) > 0
 
     def not_owed(self, frames: int) -> int:
-        """How many of some frames that nobody looked at are owed to no trigger of ours."""
+        """Number of frames, of those that were not examined, that answer no trigger of ours."""
         return frames - self._owed(frames)
 
     def reopened(self) -> None:
@@ -214,7 +214,7 @@ class TriggerMatch:
         return place
 
     def is_of_arm(self, meta: FrameMeta, arm: Shot) -> bool:
-        """Whether a frame of a stream was exposed after its arming; True where nothing tells.
+        """Return whether a frame of a stream was exposed after its arming; True where nothing tells.
 
         A clock that calls every frame stale for longer than we are patient is not the clock of the stamps.
         """
@@ -286,7 +286,7 @@ class TriggerMatch:
         return Place.OURS if both.low_ns <= both.high_ns else Place.UNKNOWN
 
     def _went_back(self, meta: FrameMeta) -> bool:
-        """Whether a clock that frames were told by says of a later frame that it was the earlier one."""
+        """Return whether a clock that frames were told by says of a later frame that it was the earlier one."""
         if self._last_taken is None or not meta.id_told:
             return False
         return meta.sequence > self._last_taken.sequence and meta.timestamp_ns < self._last_taken.timestamp_ns
@@ -314,7 +314,7 @@ class TriggerMatch:
         return owed
 
     def _is_foreign(self, meta: FrameMeta) -> bool:
-        """Whether a frame was exposed before the first trigger of this session."""
+        """Return whether a frame was exposed before the first trigger of this session."""
         first = self._first
         if first is None:
             return True
@@ -345,7 +345,7 @@ class TriggerMatch:
         return Offset(shot.before_ns - stamp_ns, meta.received_ns - stamp_ns, meta.received_ns)
 
     def _is_before(self, meta: FrameMeta, moment_ns: int) -> bool:
-        """Whether a stamp lies before a moment of the host, by what is known of the offset."""
+        """Return whether a stamp lies before a moment of the host, by what is known of the offset."""
         if self._offset is None or not self._has_time(meta):
             return False
         stamp_ns, offset = meta.timestamp_ns * self._ns_per_unit, self._offset.until(meta.received_ns)

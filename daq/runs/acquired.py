@@ -122,7 +122,7 @@ def _stamp(journal: Path) -> tuple[int, int]:
 
 
 class _Known(NamedTuple):
-    """What the journal says of a frame."""
+    """Facts that the journal has of a frame."""
 
     crc32: str
     bits: int

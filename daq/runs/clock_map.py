@@ -60,7 +60,7 @@ class ClockMap:
 
     @property
     def sentence(self) -> str:
-        """What it says, for a person."""
+        """Description for a person."""
         if self.questions < 2:
             return f"known to {self.sigma_ns / 1e3:.0f} us, drift unknown"
         return (
@@ -94,7 +94,7 @@ def clock_maps(entries: Iterable[Entry]) -> list[ClockMap]:
 
 
 def _goes_on(last: Reading, reading: Reading) -> bool:
-    """Whether as much time went by on both clocks, as far as the answers and two bad crystals leave it open."""
+    """True if as much time went by on both clocks, as far as the answers and two bad crystals leave it open."""
     ours_ns, its_ns = (reading[0] + reading[2] - last[0] - last[2]) / 2, reading[1] - last[1]
     open_ns = (reading[2] - reading[0] + last[2] - last[0]) / 2 + APART_PPM * 1e-6 * abs(ours_ns)
     return abs(ours_ns - its_ns) <= open_ns

@@ -1,4 +1,4 @@
-"""What a shift experiment really did: commanded, measured and (simulated bench only) true displacement, apart.
+"""Displacements of a shift experiment: commanded, measured and (simulated bench only) true.
 
 The displacement is that of the target between a step and its reference step, in world coordinates:
 
@@ -123,7 +123,7 @@ def _between(bench: "Bench", before_mm: Mapping[str, float], after_mm: Mapping[s
 
 
 def _sigma(bench: "Bench", before: Entry, after: Entry) -> Sigmas | None:
-    """What readings leave open of the way along x, y, z; None where no hand moves the target."""
+    """Uncertainty of the displacement along x, y, z by readings; None where no hand moves the target."""
     by_hand = bench.table.stages.by_hand
     carried = bench.table.axes_of(TARGET)
     if not by_hand.keys() & carried.keys():

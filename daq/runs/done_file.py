@@ -36,7 +36,7 @@ Signed = Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]
 
 @with_config(STRICT)
 class SessionEnd(TypedDict):
-    """How a session ended, and its account: below 0 where it discarded what an earlier one had written."""
+    """End of a session, and its account: below 0 where it discarded what an earlier one had written."""
 
     utc: Text
     ended: Text

@@ -1,4 +1,4 @@
-"""Whether the frames of a run are still what its journal acknowledged, and files that it does not have.
+"""Integrity check: frames of a run against its journal, and files that the journal does not have.
 
 A kill, or a power cut, may come between the moment in which a frame gets its name and that in which its line is on
 the disk.  The line of a step is brought to the disk before the next step begins, so what is left behind belongs to
@@ -109,7 +109,7 @@ class OrphanFiles:
 
     @property
     def sentence(self) -> str:
-        """What is strange, and what to do about it; "" if nothing is."""
+        """Description of unexplained files, and the cure; "" if there are none."""
         if not self.strange:
             return ""
         more = f" and {len(self.strange) - NAMED} more" if len(self.strange) > NAMED else ""

@@ -1,4 +1,4 @@
-"""Where the glass stood while the pairs of a run were taken, against its place in the scene file.
+"""Position of the glass while the pairs of a run were taken, relative to the scene file.
 
 A flow plan keeps the glass some millimetres off the light sheet (`glass_z_mm`), so what the camera looked through
 is the scene with its bodies moved by so much.  The plan's place counts, not the encoders' last digit: one map

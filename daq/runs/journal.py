@@ -80,7 +80,7 @@ def _entries(path: Path, has_seals: bool) -> Iterator[Entry]:
 
 
 def _is_torn(line: bytes) -> bool:
-    """Whether a last line without its end is what a kill leaves: the beginning of a line, and no more.
+    """Return whether a last line without its end is what a kill leaves: the beginning of a line, and no more.
 
     A power cut may leave zeros where the rest was to be.
     """

@@ -36,7 +36,7 @@ Microseconds = Annotated[float, Field(gt=0.0, le=1e9)]
 
 @with_config(STRICT)
 class PairRecord(TypedDict):
-    """Which exposure of which pair of light pulses a frame is, and by what that was told."""
+    """Exposure and pair of light pulses of a frame, and the marker that identified it."""
 
     exposure: Literal["A", "B"]
     chunk: Count  # of the step: pairs that were fired in one go
@@ -73,7 +73,7 @@ class FrameLine(TypedDict):
 
 @with_config(STRICT)
 class ReadingRecord(TypedDict):
-    """What a gauge of the lab showed, or why it showed nothing."""
+    """Reading of a gauge of the lab, or the reason why there is none."""
 
     utc: Text
     unit: str  # a number by itself has none
@@ -102,7 +102,7 @@ class StepLine(TypedDict):
 
 @with_config(STRICT)
 class CameraLine(TypedDict):
-    """What the camera told of itself when a session or a step had begun or ended; see runs.clock_map."""
+    """State of the camera when a session or a step had begun or ended; see runs.clock_map."""
 
     kind: Literal["camera"]
     utc: Text
@@ -143,7 +143,7 @@ class ChunkLine(TypedDict):
 
 @with_config(STRICT)
 class LookLine(TypedDict):
-    """What the frames of a step of an alignment show, off the places of the scene file."""
+    """Offsets from the scene file that the frames of a step of an alignment show."""
 
     kind: Literal["look"]
     step: Count
@@ -204,7 +204,7 @@ class Percentiles(TypedDict):
 
 @with_config(STRICT)
 class FlowFigures(TypedDict):
-    """What the threads of a session have done, see pipeline.stats."""
+    """Statistics of the threads of a session, see pipeline.stats."""
 
     corrected_live: Count
     skipped_live: Count
@@ -213,7 +213,7 @@ class FlowFigures(TypedDict):
 
 @with_config(STRICT)
 class CountsLine(TypedDict):
-    """What became of every triggered frame of a session."""
+    """Account of every triggered frame of a session."""
 
     kind: Literal["counts"]
     books: Books

@@ -1,4 +1,4 @@
-"""What gauges of the lab showed over some steps of a run: how many showed it, their mean, how it varied.
+"""Statistics of the readings of gauges over some steps of a run: number, mean, standard deviation.
 
 A result says it of the steps that its frames are of, each step once; see `daq.bench.reading`.
 """
@@ -21,7 +21,7 @@ ATTRIBUTE = "readings"  # of a file of vectors
 
 @with_config(STRICT)
 class Shown(TypedDict):
-    """What a gauge showed over some steps; `std` of two or more, `mean` of one or more."""
+    """Statistics of a gauge over some steps; `std` of two or more, `mean` of one or more."""
 
     unit: str
     steps: Count  # at which it showed a value
@@ -67,7 +67,7 @@ def said_in_files(shown: Mapping[str, Shown], about: str = "") -> dict[str, Any]
 
 
 def shown_together(runs: Iterable[Mapping[str, Shown]]) -> dict[str, Shown]:
-    """What gauges of several runs showed over all their steps, exactly as if the steps were those of one.
+    """Merge the statistics of several runs, exactly as if their steps were those of one.
 
     Gauges are the same if name and unit are; where one name has several units, the unit stands behind it.
     """

@@ -1,4 +1,4 @@
-"""What was seen when a laser's box was proven on a bench, kept beside the bench file with the identity of the box.
+"""Record of the trials of a laser's timing unit, kept beside the bench file with the identity of the unit.
 
     bench.yaml  ->  bench.laser.proof.json     box, wiring, who, when, and what each trial has shown; sealed
 
@@ -60,19 +60,19 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether every output was counted, and everything that was tried is right."""
+        """True if every output was counted, and everything that was tried is right."""
         return bool(self.trials) and not self.failures
 
     @property
     def failures(self) -> list[str]:
-        """What is not right, or was not observed, in words."""
+        """Descriptions of trials that failed or were not observed."""
         outputs = {output for role, output in self.channels.items() if role != ADDED}
         wrong = [f"{trial.what}: {trial.said}" for trial in self.trials if not trial.is_right]
         return wrong + [f"output {output} was not counted" for output in sorted(outputs - set(self.counted))]
 
 
 def proof_path(bench: Path, laser: str) -> Path:
-    """Where the proof of a laser of a bench is kept."""
+    """File of the proof of a laser of a bench."""
     return bench.with_name(f"{bench.stem}.{laser}.proof.json")
 
 

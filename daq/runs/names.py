@@ -9,5 +9,5 @@ MAPS = "maps"  # beside runs: maps by the hash of their scene
 
 
 def is_run(path: Path) -> bool:
-    """Whether a folder is a run, if only by the name of a record that can no longer be read."""
+    """Return whether a folder is a run, if only by the name of a record that can no longer be read."""
     return os.path.lexists(path / FILE)

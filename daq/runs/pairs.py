@@ -1,4 +1,4 @@
-"""Which frames of a run form pairs, as the run itself says: moved by a measured way, or a time apart.
+"""Pairs of a run, as its records define them: displaced by a measured distance, or a time apart.
 
 A shift run has steps that are displaced from a reference step: its pairs are the first frames of both, with the
 displacement that the stages measured.  A stream has groups, frames that belong together: its pairs are neighbours
@@ -280,14 +280,14 @@ class RunPairs:
     readings: Mapping[int, Mapping[str, ReadingRecord]] = field(default_factory=dict)
 
     def shown_during(self, pairs: Iterable[FramePair]) -> dict[str, Shown]:
-        """What gauges showed over the steps that these pairs are of; nothing where there are none."""
+        """Statistics of the gauges over the steps of these pairs; empty where there are none."""
         if not self.readings:
             return {}
         used = {step: records for pair in pairs for step, records in self.readings_during(pair).items()}
         return shown_over(used[step] for step in sorted(used))
 
     def readings_during(self, pair: FramePair) -> dict[int, Mapping[str, ReadingRecord]]:
-        """What gauges showed at each step that a pair is of."""
+        """Readings of the gauges at each step of a pair."""
         if not self.readings:
             return {}
         used = {self._step_of[path.name] for path in pair.frames}

@@ -32,7 +32,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class RunCheck:
-    """What came of checking a run.
+    """Result of checking a run.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class RunCheck:
 
     @property
     def is_sound(self) -> bool:
-        """Whether every part is."""
+        """True if every part is."""
         return all(finding.sound for finding in self.findings)
 
 
@@ -119,7 +119,7 @@ def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
 
 
 def _clock(entries: list[Entry]) -> Iterator[Finding]:
-    """What is known of the camera's clock and temperature, where it told them."""
+    """Finding on the camera's clock and temperature, where it reports them."""
     maps = clock_maps(entries)
     celsius = [entry["celsius"] for entry in entries if entry["kind"] == "camera" and "celsius" in entry]
     said = [f"clock {found.sentence}" for found in maps]
@@ -153,7 +153,7 @@ def _books(entries: list[Entry], frames: int) -> Finding:
 
 
 def _end(folder: RunFolder, about: RunFile, entries: list[Entry], faults: int) -> Iterator[Finding]:
-    """What only a finished run has."""
+    """Findings that only a finished run has."""
     if not folder.is_done:
         return
     done: DoneFile | None = None

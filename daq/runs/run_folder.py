@@ -162,7 +162,7 @@ class RunFolder:
 
     @property
     def is_done(self) -> bool:
-        """Whether the run was finished."""
+        """True if the run was finished."""
         return (self.path / "done.json").exists()
 
     def entries(self) -> list[Entry]:
@@ -253,7 +253,7 @@ def _renamed(hidden: Path, parent: Path, name: str) -> Path:
 
 
 def _against_plan(entry: Entry, steps: Sequence[PlannedStep]) -> str:
-    """What a line of a journal says that its plan cannot have led to; "" if nothing."""
+    """Return what contradicts the plan in a line of a journal; "" if nothing."""
     kind = entry["kind"]
     if kind == "discard":
         last = steps[-1] if steps else None

@@ -1,4 +1,4 @@
-"""What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view.
+"""Contents of a run folder for the verbs that work on finished runs: scene, target frames, a first view.
 
 Frames show a board (`board_of`: what their run says; of lone files, what the options say), and a plane: the light
 sheet, or a print on the target's stage (`shows_light_sheet`).  A camera's dewarp is fitted to a frame of the bare
@@ -185,14 +185,14 @@ def height_sigma_mm(path: Path) -> float:
 
 
 def notes_of(folder: RunFolder) -> dict[str, str]:
-    """What the plan of a run notes of what was going on, as it is read; raises as `load_kept`."""
+    """Return the operator's notes in the plan of a run; raises as `load_kept`."""
     tree = load_kept(folder, "plan", load_yaml).tree
     notes = tree.get("notes") if isinstance(tree, dict) else None
     return {str(key): str(value) for key, value in notes.items()} if isinstance(notes, dict) else {}
 
 
 def readings_of(folder: RunFolder) -> dict[str, list[tuple[str, ReadingRecord]]]:
-    """What gauges of the lab showed, by name: tag of each finished step, and the reading as the journal has it."""
+    """Readings of the gauges by name: tag of each finished step, and the reading as the journal has it."""
     found: dict[str, list[tuple[str, ReadingRecord]]] = {}
     last = {entry["step"]: entry for entry in folder.entries() if entry["kind"] == "step"}  # taken again: the last
     for _, entry in sorted(last.items()):
@@ -266,7 +266,7 @@ def _printed(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], sizes: Se
 
 
 def shows_light_sheet(frames: Iterable[Path]) -> bool:
-    """Whether frames show particles in the light sheet; a frame of no run does.
+    """Return whether frames show particles in the light sheet; a frame of no run does.
 
     Raises
     ------
@@ -285,12 +285,12 @@ def shows_light_sheet(frames: Iterable[Path]) -> bool:
 
 
 def in_light_sheet(step: PlannedStep) -> bool:
-    """Whether the frames of a step of a run do: those of a flow or a stream."""
+    """Return whether the frames of a step of a run do: those of a flow or a stream."""
     return "dt_us" in step or step.get("group", 1) > 1
 
 
 def tells_a_scale_alone(scene: Scene) -> bool:
-    """Whether a scene is that of frames of which only the size of a pixel is known: no slope of its rays is."""
+    """True if a scene is that of frames of which only the size of a pixel is known: no slope of its rays is."""
     return not scene.bodies and scene.camera.position_mm in ((0.0, 0.0, FAR_MM), (0.0, 0.0, FAR_PX))
 
 

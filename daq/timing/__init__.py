@@ -1,4 +1,4 @@
-"""When light falls and frames begin: timing units, the pulses they give, and the laser as a state machine.
+"""Timing of light and frames: timing units, the pulses they give, and the laser as a state machine.
 
     pulses       what is wired to which channel, and the one way of placing light in two exposures
     conditions   what must hold before and while light may leave, and what the laboratory asks for

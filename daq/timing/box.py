@@ -1,4 +1,4 @@
-"""What a timing unit can do, as the laser sees it; a driver is a box on `stages.link.Link`.
+"""Interface of a timing unit, as the laser uses it; a driver is a box on `stages.link.Link`.
 
 **Off has two ways.** `silence` is the thorough one: it converses, writes every output off, reads every one back,
 and raises if anything is not off. `drop` is the one that nothing postpones: it writes the same without waiting
@@ -101,7 +101,7 @@ class TimingBox(Link):
         self.connect(self._url, self._baud)
 
     def answers(self) -> bool:
-        """Whether the box says who it is when it is asked once; a port that is lost is not opened again."""
+        """Return whether the box says who it is when it is asked once; a port that is lost is not opened again."""
         with self._lock:
             if self.lost:
                 return False
@@ -137,7 +137,7 @@ class TimingBox(Link):
 
     @abstractmethod
     def off_bytes(self) -> Sequence[bytes]:
-        """What switches everything off, Q-switches first; each is written whole, and may be said at any time."""
+        """Return the bytes that switch everything off, Q-switches first; each is written whole, at any time."""
 
     @abstractmethod
     def silence(self) -> None:

@@ -1,4 +1,4 @@
-"""What must hold before and while light may leave, as a value that somebody states at one moment.
+"""Conditions that must hold before and while light may leave, as a value stated at one moment.
 
 A condition that nobody states is not met: every field is False, zero or None by default. The laser asks for a new
 statement all the time while it fires, and goes off when one of them no longer holds, or when no statement comes.
@@ -17,7 +17,7 @@ CLEAR_MM = 4.0  # of the sheet, where the bench file says nothing else
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """How things stand now.
+    """Present state of the bench.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def exposure_problem(schedule: Schedule, exposures: PairExposures, dark_us: floa
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """What the laboratory asks for beyond what the laser can do.
+    """Requirements of the laboratory beyond the limits of the laser.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How the light of a laser ends: off is said first and believed last.
+"""Shutdown of a laser: off is sent first and believed last.
 
 `say` writes off past every lock and answer, from any thread.  What was said is in doubt (UNKNOWN) until every
 output reads back as off (`confirm`), and a fault from then on until a person has looked at it (`make_safe`).

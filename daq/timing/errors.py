@@ -38,7 +38,7 @@ class LaserStopped(TimingError):  # noqa: N818
 
 
 class LaserDoubt(TimingError):  # noqa: N818
-    """What the box says is not what it was told; it was switched off, and `safe()` has to confirm that."""
+    """The unit's answer contradicts its settings; it was switched off, and `safe()` has to confirm that."""
 
 
 class WrongBox(LaserDoubt):

@@ -51,7 +51,7 @@ class OffRequest:
                 self._path.write_text("", encoding="ascii")
 
     def is_closed(self) -> bool:
-        """Whether off is not asked for."""
+        """Return whether off is not asked for."""
         return self._path is None or not self._path.exists()
 
     def confirm(self) -> None:
@@ -61,7 +61,7 @@ class OffRequest:
                 self._path.write_text(CONFIRMED, encoding="ascii")
 
     def is_confirmed(self) -> bool:
-        """Whether the process has written that everything reads back as off."""
+        """Return whether the process has written that everything reads back as off."""
         with suppress(OSError):
             return self._path is not None and self._path.read_text(encoding="ascii") == CONFIRMED
         return False
@@ -146,7 +146,7 @@ def _written(table: TimingTable) -> IO[str] | None:
 
 
 def _is_held(path: Path) -> bool:
-    """Whether the process that wrote it still lives; what nobody holds is taken away."""
+    """Return whether the process that wrote it still lives; what nobody holds is taken away."""
     with path.open("rb") as file:
         try:
             hold(file)

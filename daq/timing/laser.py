@@ -92,17 +92,17 @@ class Laser:
 
     @property
     def state(self) -> LaserState:
-        """What may be asked of it now; WARM becomes READY by the clock."""
+        """Present state; WARM becomes READY by the clock."""
         return self._states.state
 
     @property
     def emits(self) -> bool:
-        """Whether light is meant to leave now; asks no lock, so a signal handler may ask it."""
+        """True if light is meant to leave now; asks no lock, so a signal handler may ask it."""
         return self._states.emits
 
     @property
     def why(self) -> str:
-        """What happened the last time that it went into doubt."""
+        """Reason of the last change to UNKNOWN."""
         return self._states.why
 
     @property

@@ -41,7 +41,7 @@ class _Signals(StopSignals):
 
     @property
     def moves(self) -> bool:
-        """Whether it must not be suspended now."""
+        """True if it must not be suspended now."""
         return self._laser.emits
 
 

@@ -32,7 +32,7 @@ TRIGGER_US = 10.0  # width of what only has to be an edge
 
 @dataclass(frozen=True, slots=True)
 class LaserHead:
-    """What the laser is and can do; from the bench file.
+    """Properties and limits of a laser; from the bench file.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class LaserHead:
 
 
 class Role(StrEnum):
-    """What hangs on an output of the box."""
+    """Device connected to an output of the unit."""
 
     LAMP_1 = "lamp_1"
     LAMP_2 = "lamp_2"
@@ -89,7 +89,7 @@ Q_SWITCHES = (Role.Q_SWITCH_1, Role.Q_SWITCH_2)  # a modulated diode laser has o
 
 @dataclass(frozen=True, slots=True)
 class PulseTiming:
-    """What an experiment asks for.
+    """Timing that an experiment asks for.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class PulseTiming:
 
 @dataclass(frozen=True, slots=True)
 class PairExposures:
-    """How the camera takes two frames at one trigger, or at two.
+    """Exposures of a camera that takes two frames at one trigger, or at two.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class Pulse:
 
     @property
     def end_us(self) -> float:
-        """When it ends after T0."""
+        """Time of its end after T0."""
         return self.delay_us + self.width_us
 
 
@@ -295,7 +295,7 @@ def _require_limits(timing: PulseTiming, head: LaserHead, exposures: PairExposur
 
 
 def _first_light_us(dt_us: float, exposures: PairExposures) -> float:
-    """When light 1 falls after the camera's trigger: as symmetric about the gap as both exposures allow."""
+    """Time of light 1 after the camera's trigger: as symmetric about the gap as both exposures allow."""
     margin_us = exposures.margin_us
     begin_a_us = exposures.start_delay_us
     end_a_us = begin_a_us + exposures.exposure_a_us

@@ -1,4 +1,4 @@
-"""What a laser may do, and what is believed of it, as a table that the code obeys.
+"""States of a laser and their transitions, as a table that the code obeys.
 
     state     light           how it is left
     --------  --------------  -----------------------------------------------------------------------------------
@@ -35,7 +35,7 @@ from stages.stop_latch import StopLatch
 
 
 class LaserState(Enum):
-    """What may be asked of a laser now."""
+    """States of a laser."""
 
     UNKNOWN = "unknown"
     SAFE = "safe"
@@ -48,7 +48,7 @@ class LaserState(Enum):
 
 
 class Event(Enum):
-    """What happens to a laser."""
+    """Events of a laser."""
 
     OFF = "everything is off and reads back as off"
     WARM_UP = "lamps begin to run"
@@ -104,7 +104,7 @@ _WAYS = {
 
 
 class Movers(Protocol):
-    """What can move on the bench; `stages.stage.Stage` is one."""
+    """Something that moves on the bench; `stages.stage.Stage` is one."""
 
     def bar_motion(self, why: Callable[[], str | None]) -> None:
         """Ask before anything moves; a sentence as the answer refuses the motion."""
@@ -116,7 +116,7 @@ class Movers(Protocol):
 
 
 class LaserStateMachine:
-    """How a laser stands; safe for several threads.
+    """State machine of a laser; safe for several threads.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class LaserStateMachine:
 
     @property
     def state(self) -> LaserState:
-        """What may be asked now; WARM becomes READY by the clock."""
+        """Present state; WARM becomes READY by the clock."""
         with self._lock:
             if self._state is LaserState.WARM and self._clock.now_s() >= self.heated_s:
                 self._state = after(self._state, Event.HEATED)
@@ -149,7 +149,7 @@ class LaserStateMachine:
 
     @property
     def emits(self) -> bool:
-        """Whether light is meant to leave now; asks no lock, so a signal handler may ask it."""
+        """True if light is meant to leave now; asks no lock, so a signal handler may ask it."""
         return self._state in EMITS
 
     # ---- verbs ---------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ POLL_S = 0.05
 
 @dataclass(frozen=True)
 class SwitchedOff:
-    """What became of it.
+    """Result of an attempt to switch off.
 
     Parameters
     ----------

@@ -29,10 +29,10 @@ NOBODY = "no switch of door, shutter or key is read by this program: nobody but 
 
 
 class Switch(Protocol):
-    """What can be read."""
+    """Something that can be read."""
 
     def is_closed(self) -> bool:
-        """Whether the circuit is closed, so that light is allowed; any error counts as open."""
+        """Return whether the circuit is closed, so that light is allowed; any error counts as open."""
         ...
 
     def close(self) -> None:
@@ -59,7 +59,7 @@ class SwitchTable(Table):
 
     @property
     def place(self) -> str:
-        """Where it is, in words."""
+        """Location, in words."""
         return f"{self.line} of {self.port}" if self.by is None else self.by
 
     def open(self) -> Switch:
@@ -145,7 +145,7 @@ class Switches:
         return None
 
     def sentence(self) -> str:
-        """Who watches what, for the person who is asked for the code."""
+        """Description of what the switches watch, for the person who is asked for the code."""
         names = ", ".join(name for name in self._switches if name != OFF)
         if not names:
             return NOBODY

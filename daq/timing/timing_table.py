@@ -1,4 +1,4 @@
-"""What a bench file says of a timing unit and the laser behind it; docs/laser.md shows what is wired where."""
+"""Section of a bench file for a timing unit and its laser; docs/laser.md shows the wiring."""
 
 from typing import Annotated, Literal
 
@@ -18,7 +18,7 @@ OFF_BEST = 0.2  # share by which a Q-switch must be off its best delay to be cal
 
 
 class HeadTable(Table):
-    """What the laser can do; see `LaserHead`."""
+    """Limits of the laser; see `LaserHead`."""
 
     max_rate_hz: Annotated[Positive, Usual(0.5, 1e4)]
     min_dt_us: Annotated[NotNegative, Usual(0.0, 1e3)] = 0.0
@@ -46,7 +46,7 @@ class HeadTable(Table):
 
 
 class ExposuresTable(Table):
-    """How the camera takes a pair; see `PairExposures`."""
+    """Exposures of a pair; see `PairExposures`."""
 
     exposure_a_us: Positive
     exposure_b_us: Positive
@@ -118,7 +118,7 @@ class TimingTable(Table):
         return {Role(name): output for name, output in self.channels.items()}
 
     def rules(self) -> Rules:
-        """What the laboratory asks for."""
+        """Requirements of the laboratory."""
         return Rules(
             warmup_s=self.head.warmup_s if self.head.lamp_to_q_switch_us is not None else 0.0,
             chunk_s=self.chunk_s,

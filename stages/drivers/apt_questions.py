@@ -92,7 +92,7 @@ class AptQuestions(Controller):
                 self.port.write(apt.Order(Kind.MOT_ACK_DCSTATUSUPDATE, to=to).to_bytes())
 
     def _identify(self) -> str:
-        """What the box says of itself; everything older stands before it and is skipped."""
+        """Read the identity of the box; everything older stands before it and is skipped."""
         to = words.RACK if self._is_rack else words.UNIT
 
         def accept(answer: object) -> apt.Info | None:
@@ -107,7 +107,7 @@ class AptQuestions(Controller):
         return apt.AnswerStream()
 
     def _unsolicited(self, data: bytes) -> None:
-        """What boxes say unasked is nobody's answer; only whole messages of that kind leave the link in order."""
+        """Take unsolicited messages, which answer no question; only whole ones leave the link in order."""
         stream = apt.AnswerStream()
         self._surplus(stream.feed(data), stream.rest)
 
@@ -172,7 +172,7 @@ class AptQuestions(Controller):
 
 
 def _tells_of(answer: apt.Unasked, channel: str) -> bool:
-    """Whether a short message is about a channel; some boxes do not say who they are."""
+    """Return whether a short message is about a channel; some boxes do not say who they are."""
     return answer.data[0] == ident_of(channel) and answer.sender in (place_of(channel), apt.NOBODY)
 
 

@@ -157,7 +157,7 @@ class GrblController(Controller):
         return place_mm
 
     def _is_short(self, channel: str, status: grbl.Status) -> bool:
-        """Whether a channel that was sent somewhere is not there."""
+        """Return whether a channel that was sent somewhere is not there."""
         if channel not in self._sent_to_mm:
             return False
         here_mm = status.position_mm[AXES.index(channel)]
@@ -295,7 +295,7 @@ class GrblController(Controller):
         self._suspect = self._suspect or bool(rest)
 
     def _overhear(self, answer: object) -> None:
-        """What may come at any time and takes the reference away, whatever was asked."""
+        """Note messages that may come at any time and take the reference away."""
         if isinstance(answer, grbl.Alarm):
             self._note_alarm(answer.code)
         elif isinstance(answer, grbl.Banner):
@@ -457,5 +457,5 @@ def _banner(answer: object) -> bool | None:
 
 
 def _drives(status: grbl.Status) -> bool:
-    """Whether the board moves now; held, it brakes still under substate 1."""
+    """Return whether the board moves now; held, it brakes still under substate 1."""
     return status.state in ("Run", "Jog", "Home") or (status.state == "Hold" and status.substate == 1)

@@ -239,7 +239,7 @@ class IselController(Controller):
         return steps
 
     def _agree(self, first: tuple[int, ...] | None, second: tuple[int, ...] | None) -> bool:
-        """Whether two readings are of one place, whatever else is wrong; two refusals agree as well."""
+        """Return whether two readings are of one place, whatever else is wrong; two refusals agree as well."""
         if first is None or second is None:
             return first is second
         return all(

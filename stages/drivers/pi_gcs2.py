@@ -308,7 +308,7 @@ def _address_of(channel: str) -> int | None:
 
 
 def _axis_of(channel: str) -> str:
-    """What the controller itself calls the axis."""
+    """Name of the axis in the controller."""
     return channel.rpartition("/")[2]
 
 

@@ -328,7 +328,7 @@ class AptController(AptQuestions):
         )
 
     def _was_driven_back(self, channel: str, bits: int) -> bool:
-        """Whether the target lies away from the switch: then something else than our motion went there."""
+        """Return whether the target lies away from the switch: then something else than our motion went there."""
         if channel not in self._sent_to:
             return False
         count = self._agreed(lambda: self._count(channel), self._near(channel, self._scale(channel)))

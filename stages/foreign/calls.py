@@ -80,12 +80,12 @@ class Calls:
 
     @property
     def stuck(self) -> str:
-        """What the library was asked and has not answered in time; "" if nothing of that kind."""
+        """Call that the library has not answered in time; "" if there is none."""
         return self._stuck
 
     @property
     def alive(self) -> bool:
-        """Whether the thread is still in the library, or may enter it."""
+        """True if the thread is still in the library, or may enter it."""
         return self._thread.is_alive()
 
     def ask(self, words: str, function: Callable[[], T]) -> T:
@@ -135,7 +135,7 @@ class Calls:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing is asked any more."""
+        """True if nothing is asked any more."""
         return self._ended
 
     def end(self) -> None:

@@ -1,4 +1,4 @@
-"""What is believed of a stage that somebody else's library moves, and when.
+"""State of a stage that is moved by a third-party library.
 
 Such a library says little: no flag for a lost reference, "done" before the stage has begun or has arrived, no
 reason why it rests. So nothing is taken from one answer:
@@ -46,7 +46,7 @@ GRACE_S = 1.0  # a stage that is "done" elsewhere may still begin, or go on
 
 @dataclass(slots=True)
 class Motion:
-    """What was begun last and has not been heard to end."""
+    """Last motion that was begun and is not known to have ended."""
 
     channel: str
     start_mm: float
@@ -89,7 +89,7 @@ class ForeignController(ForeignLibrary):
         self._rests_mm.clear()
 
     def homed_by_hand(self, channel: str) -> bool:
-        """Whether a person says where the stage stands."""
+        """Return whether a person says where the stage stands."""
         return self._homed_by_hand
 
     def confirm(self, channel: str, position_mm: float) -> None:
@@ -217,7 +217,7 @@ class ForeignController(ForeignLibrary):
         raise MotionStopped(f"{self.name} channel {motion.channel} was stopped")
 
     def _waited(self, motion: Motion) -> bool:
-        """Whether the stage has rested long enough that it will not begin any more."""
+        """Return whether the stage has rested long enough that it will not begin any more."""
         now_s = self.clock.now_s()
         if motion.rests_since_s is None:
             motion.rests_since_s = now_s

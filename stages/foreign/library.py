@@ -141,7 +141,7 @@ class ForeignLibrary(MotionController):
             raise CommandRejected(f"{self.name}, {words}: {_sentence(error)}", type(error).__name__) from error
 
     def _look(self, channel: str) -> tuple[bool, float]:
-        """Whether the stage is busy, and what it reads [mm of the library]."""
+        """Return whether the stage is busy, and what it reads [mm of the library]."""
         try:
             busy, here_mm = self._ask("for a position", lambda: (self._busy(channel), self._read_mm(channel)))
         except CommandRejected as failed:
@@ -157,7 +157,7 @@ class ForeignLibrary(MotionController):
         return busy, here_mm
 
     def _at_rest(self, channel: str) -> float | None:
-        """What a stage at rest reads; None if it moves."""
+        """Reading of a stage at rest; None if it moves."""
         reads_mm: list[float] = []
         while len(reads_mm) < READINGS:
             if reads_mm:
@@ -193,11 +193,11 @@ class ForeignLibrary(MotionController):
 
     @abstractmethod
     def _busy(self, channel: str) -> bool:
-        """Whether the library says that the channel moves."""
+        """Return whether the library says that the channel moves."""
 
     @abstractmethod
     def _read_mm(self, channel: str) -> float:
-        """What it reads."""
+        """Position that it reads."""
 
     @abstractmethod
     def _send(self, channel: str, target_mm: float) -> None:

@@ -79,7 +79,7 @@ class Positioners(ForeignController):
 
 
 def _failure(status: Any) -> BaseException | None:  # noqa: ANN401 - somebody else's
-    """Why a status has failed; None if it has not."""
+    """Return why a status has failed; None if it has not."""
     error = status.exception()
     if error is None and not getattr(status, "success", True):
         return DeviceError("it has not arrived, and says no more")

@@ -1,4 +1,4 @@
-"""What Thorlabs boxes say, asked or not; each message with examples that others have published."""
+"""Messages of Thorlabs controllers; each with examples that others have published."""
 
 from dataclasses import dataclass
 
@@ -121,7 +121,7 @@ class Speeds:
 
 @dataclass(frozen=True, slots=True)
 class Homing:
-    """How a channel looks for its reference: direction (1 up, 2 down), switch (1 lower, 4 upper)."""
+    """Homing settings of a channel: direction (1 up, 2 down), switch (1 lower, 4 upper)."""
 
     channel: int
     direction: int
@@ -146,7 +146,7 @@ class Homing:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What a channel does: see the masks of this module."""
+    """State of a channel: see the masks of this module."""
 
     channel: int
     bits: int
@@ -166,7 +166,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """What a box says of itself."""
+    """Identity of a controller."""
 
     serial: int
     model: str
@@ -207,7 +207,7 @@ class Info:
 
 @dataclass(frozen=True, slots=True)
 class Unasked:
-    """What a box says without having been asked; `data` are the two bytes of a short message, or what follows."""
+    """Unsolicited message; `data` are the two bytes of a short message, or what follows."""
 
     kind: int
     data: bytes

@@ -1,4 +1,4 @@
-"""How messages of Thorlabs boxes lie in bytes: header, numbers, text. Numbers are little-endian."""
+"""Byte layout of messages of Thorlabs controllers: header, numbers, text. Numbers are little-endian."""
 
 from stages.errors import ProtocolViolation
 from stages.protocols.apt_words import SHORT, WITH_DATA

@@ -1,4 +1,4 @@
-"""What a host says to Thorlabs boxes; each message with examples that others have published."""
+"""Commands to Thorlabs controllers; each with examples that others have published."""
 
 from dataclasses import dataclass
 

@@ -33,7 +33,7 @@ ENABLED = 0x8000_0000
 
 
 class Kind(IntEnum):
-    """What a message is about; the vendor's names without MGMSG."""
+    """Message types; the vendor's names without MGMSG."""
 
     HW_DISCONNECT = 0x0002
     HW_REQ_INFO = 0x0005

@@ -1,4 +1,4 @@
-"""What line-based grammars share: from a stream of bytes to lines to messages, and the shape of an example."""
+"""Common part of line-based protocols: bytes to lines to messages, and the shape of an example."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -154,12 +154,12 @@ def text_of(raw: bytes) -> str:
 
 @cache
 def _ends_of(ends: bytes) -> re.Pattern[bytes]:
-    """Where a chunk is cut into lines; each answer has a decoder of its own, all of them the same patterns."""
+    """Pattern that cuts a chunk into lines; each answer has a decoder of its own, all share the same patterns."""
     return re.compile(b"[" + re.escape(ends) + b"]")
 
 
 @cache
 def _parts_of(ends: bytes, singles: bytes) -> re.Pattern[bytes]:
-    """What a chunk is made of: bytes that are messages of their own, ends of lines, and what is between them."""
+    """Pattern of the parts of a chunk: bytes that are whole messages, ends of lines, and text between them."""
     single = b"[" + re.escape(singles) + b"]|" if singles else b""
     return re.compile(single + b"[" + re.escape(ends) + b"]+|[^" + re.escape(ends + singles) + b"]+")

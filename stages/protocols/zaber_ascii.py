@@ -39,7 +39,7 @@ def checksum(body: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a host sends; an empty text only asks for the state."""
+    """Command of a host; an empty text only asks for the state."""
 
     text: str
     device: int = 0
@@ -136,7 +136,7 @@ class Info:
 
 @dataclass(frozen=True, slots=True)
 class Alert:
-    """What a device says of its own accord, such as the end of a motion."""
+    """Unsolicited message of a device, such as the end of a motion."""
 
     device: int
     axis: int

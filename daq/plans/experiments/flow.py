@@ -100,7 +100,7 @@ class FlowPlan(PlanTable):
 
     @property
     def order(self) -> PulseOrder:
-        """What is asked of the laser."""
+        """Pulses that are asked of the laser."""
         chunk = max(1, min(self.pairs, int(LONGEST_CHUNK_S * self.rate_hz))) if self.chunk is None else self.chunk
         return PulseOrder(
             self.laser, self.dt_us, self.rate_hz, chunk, self.warm_up_s, self.lost_at_most, False,

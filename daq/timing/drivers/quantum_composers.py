@@ -298,7 +298,7 @@ class QuantumComposersBox(TimingBox):
         return Pulse(delay_us, width_us)
 
     def _settings(self, role: Role) -> list[tuple[str, str]]:
-        """What a channel must be besides its numbers; each of these could make light where none is asked for."""
+        """Required settings of a channel besides its numbers; each could make light where none is asked for."""
         number = self._number(role)
         mux = 1 << (number - 1)
         if role is Role.CAMERA and Role.CAMERA_B in self.wiring:

@@ -53,7 +53,7 @@ class Question(TextLine):
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """What an oltSync is to do in every cycle."""
+    """Pulses of an oltSync in every cycle."""
 
     device: str
     cycle_us: int
@@ -147,7 +147,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether an oltSync has taken a sequence."""
+    """Verdict of an oltSync on a sequence."""
 
     accepted: bool
 
@@ -163,7 +163,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class LaserIs:
-    """Whether an oltSync has the laser on."""
+    """Laser state of an oltSync."""
 
     on: bool
 
@@ -179,13 +179,13 @@ class LaserIs:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What an xmSync says after every line; 8 fields, or 12."""
+    """Answer of an xmSync to every line; 8 fields, or 12."""
 
     fields: tuple[str, ...]
 
     @property
     def on(self) -> bool:
-        """Whether the laser is on."""
+        """True if the laser is on."""
         return self.fields[LASER_FIELD] == "1"
 
     def to_bytes(self) -> bytes:
@@ -208,7 +208,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Identity(TextLine):
-    """What a box says of itself, or of its firmware."""
+    """Identity of a box, or of its firmware."""
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:

@@ -64,7 +64,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What the board says to either."""
+    """Answer of the board to either."""
 
     code: int
     number: int

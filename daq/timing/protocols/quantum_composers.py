@@ -119,7 +119,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Value(TextLine):
-    """What was asked for."""
+    """The value that was asked for."""
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:

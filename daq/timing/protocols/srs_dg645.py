@@ -56,7 +56,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Value(TextLine):
-    """What was asked for."""
+    """The value that was asked for."""
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
