@@ -1,4 +1,4 @@
-"""Texts and copies that are whole or not there, on the disk before anybody is told, name included."""
+"""Texts and copies that are whole or not there, on the disk before they are reported, name included."""
 
 import json
 import os

@@ -23,7 +23,7 @@
         +-- FramesLost         frames were exposed and are gone; the message says where; the run can be resumed
         +-- BadBalance         the counts of a run contradict each other: a bug, or a camera that cannot count
         +-- FrameDoubt         a frame cannot be given to its trigger; what the run holds may be misfiled
-        +-- RunInterrupted     somebody asked for it; the run can be resumed
+        +-- RunInterrupted     ended on request; the run can be resumed
         +-- Unfinished         chunks of a campaign are not there; the same command goes on
 
 The command line prints these as one sentence and exits with code 3 (RunUsageError: 2, RunInterrupted: 4).

@@ -1,12 +1,12 @@
-"""Every verb ends orderly when it is told to: by SIGTERM, or by SIGHUP when the window it runs in is closed.
+"""Every verb ends orderly on request: by SIGTERM, or by SIGHUP when the window it runs in is closed.
 
 Both would end a program where it stands, with temporary files and locks left behind.  Here each is raised in the
 main thread as SystemExit(128 + number), so that everything is put away as after an error.  Benches that are open
 stop what moves first (`stages.stop_signals`), and a run finishes its step (`runner.interrupts`); both put their
 own handlers in place of these for as long as they need them.
 
-A second signal is ignored: those who close a session send several in a row.  One that comes later than PATIENCE_S
-ends the program as it always did.  Under nohup a SIGHUP stays ignored.
+A second signal is ignored: those who close a session send several in a row.  One that comes later than
+END_PATIENCE_S ends the program as it always did.  Under nohup a SIGHUP stays ignored.
 """
 
 import os
@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALLED = 128  # exit code of a program that a signal has ended, plus its number
-PATIENCE_S = 5.0
+END_PATIENCE_S = 5.0
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def handle_signals() -> Iterator[None]:
         if not first_s:
             first_s.append(time.monotonic())
             raise SystemExit(SIGNALLED + number)
-        if time.monotonic() - first_s[0] > PATIENCE_S:
+        if time.monotonic() - first_s[0] > END_PATIENCE_S:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
 

@@ -50,9 +50,9 @@ from stages.states import MAY_HOME, MAY_MOVE, MAY_READ, AxisState, Event, after
 from stages.stop_latch import StopLatch
 from stages.stop_signals import StopSignals
 
-POLL_S = 0.03
-CALM_S = 3.0  # time given to a motion to end after a stop
-CALM_LOOKS = 3  # looks in a row that must find rest after a stop: a command that was under way may still begin
+MOTION_POLL_S = 0.03
+STOP_SETTLE_S = 3.0  # time given to a motion to end after a stop
+SETTLE_READINGS = 3  # in a row that must find rest after a stop: a command under way may still begin
 NAP_S = 0.1  # a settling axis looks at the latch this often
 
 T = TypeVar("T")
@@ -110,7 +110,7 @@ class Turn:
             Another device must not see motion now.
         """
         with self.signals.turn() if self.signals is not None else nullcontext(), self.lock:
-            self.holds += 1  # before anybody is asked: who bars motion looks at this afterwards
+            self.holds += 1  # before others are asked: those that bar motion look at this afterwards
             try:
                 for bar in self.bars:
                     if why := bar():
@@ -161,8 +161,8 @@ class Axis:
         """Present state; a controller at rest is asked whether its reference still holds."""
         if self._settled_state() is AxisState.READY:
             try:
-                self._guarded(lambda: self.controller.vouch(self.settings.channel))
-            except (PortError, DeviceError):  # silence and nonsense vouch for nothing
+                self._guarded(lambda: self.controller.confirm_reference(self.settings.channel))
+            except (PortError, DeviceError):  # silence and nonsense confirm nothing
                 return AxisState.LOST if self.controller.lost else AxisState.UNREFERENCED
             except StageUsageError:  # not referenced any more, or mute because another of its axes moves
                 return self._settled_state()
@@ -234,7 +234,7 @@ class Axis:
         return self.move_to(self.position_mm + distance_mm)
 
     def carry_out(self, target_mm: float, token: int) -> Arrival:
-        """Do what `move_to` says for whoever holds the turn and has a token; for `stages.stage`.
+        """Do what `move_to` says, for a caller that holds the turn and has a token; for `stages.stage`.
 
         Raises
         ------
@@ -256,9 +256,9 @@ class Axis:
                 measured_mm = self._attempt(target_mm, token)
             except (NoReply, ProtocolViolation) as error:
                 failure = error
-                self._guarded(self._calm, token)
+                self._guarded(self._settle_after_stop, token)
                 self._latch.check(token)
-                self._guarded(lambda: self.controller.judge_unheard(self.settings.channel), token)
+                self._guarded(lambda: self.controller.resolve_missing_reply(self.settings.channel), token)
                 continue
             if abs(measured_mm - target_mm) * 1000.0 <= self.settings.in_position_um + ROUNDING_UM:
                 self._rests_at_mm = target_mm
@@ -273,7 +273,7 @@ class Axis:
 
     def stop(self) -> None:
         """Stop the whole bench now and hold it until the stop is cleared; from any thread, harmless at rest."""
-        self._latch.stop(f"{self.name} was told to stop")
+        self._latch.stop(f"{self.name} was stopped")
         self.controller.stop()
 
     def home(self) -> None:
@@ -302,11 +302,11 @@ class Axis:
             except BaseException as error:
                 try:
                     if isinstance(error, NoReply | ProtocolViolation):
-                        self._guarded(self._calm, token)
-                        self._guarded(lambda: self.controller.judge_unheard(self.settings.channel), token)
+                        self._guarded(self._settle_after_stop, token)
+                        self._guarded(lambda: self.controller.resolve_missing_reply(self.settings.channel), token)
                 finally:  # also if an alarm, or anything else, comes while it is brought to rest
                     if self._state is AxisState.HOMING:
-                        self._happens(Event.DOUBT)
+                        self._happens(Event.FORGET)
                 raise
             self._happens(Event.FOUND)
 
@@ -343,7 +343,7 @@ class Axis:
     # ---- states --------------------------------------------------------------------------------
 
     def connected(self) -> None:
-        """Note that the port is open (again): what the controller does not vouch for is unknown."""
+        """Note that the port is open (again): what the controller does not confirm is unknown."""
         self._happens(Event.CUT)
         self._happens(Event.CONNECT)
         if self.controller.referenced(self.settings.channel):
@@ -361,7 +361,7 @@ class Axis:
         elif self._state in (AxisState.READY, AxisState.MOVING) and not self.controller.referenced(
             self.settings.channel
         ):
-            self._happens(Event.DOUBT)
+            self._happens(Event.FORGET)
         return self._state
 
     def _require(self, states: frozenset[AxisState]) -> None:
@@ -375,14 +375,14 @@ class Axis:
         raise StageUsageError(f"{self.name} is {state.value}; wait for the end of it")
 
     def _guarded(self, action: Callable[[], T], token: int | None = None) -> T:
-        """Run, and forget the position if what happens makes it doubtful.
+        """Run, and forget the position if what happens makes it unreliable.
 
-        A motion that was ended by nobody here was ended by a person at the box: that is a stop of the whole bench.
+        A motion that was not ended from here was ended by a person at the box: that is a stop of the whole bench.
         """
         try:
             return action()
         except (DeviceLost, LimitHit, AxisStalled, NotReferenced):
-            self._happens(Event.CUT if self.controller.lost else Event.DOUBT)
+            self._happens(Event.CUT if self.controller.lost else Event.FORGET)
             raise
         except MotionStopped as stopped:
             self._rests_at_mm = None
@@ -419,7 +419,7 @@ class Axis:
     def _drive_leg(self, leg: Leg, token: int) -> None:
         end_mm = (leg.end_mm - self.settings.offset_mm) * self.settings.sign
         channel, controller = self.settings.channel, self.controller
-        controller.vouch(channel)  # a controller that restarted since would drive to another place
+        controller.confirm_reference(channel)  # a controller that restarted since would drive to another place
         controller.start_move(channel, end_mm, leg.speed_mm_s, self.settings.acceleration_mm_s2)
         self._wait(2.0 + 1.5 * self._leg_s(leg), token)
 
@@ -444,11 +444,11 @@ class Axis:
             if stopped:
                 self.controller.stop()
             looks = 0 if self._moves(stopped) else looks + 1
-            if looks >= (CALM_LOOKS if stopped else 1):
+            if looks >= (SETTLE_READINGS if stopped else 1):
                 break
             if self._clock.now_s() >= end_s:
                 raise NoReply(f"{self.name} has not ended its motion within {limit_s:.1f} s; stopped")
-            self._clock.sleep_s(POLL_S)
+            self._clock.sleep_s(MOTION_POLL_S)
         self.controller.rests()
         self._latch.check(token)
 
@@ -463,7 +463,7 @@ class Axis:
                 raise
             return False
 
-    def _calm(self) -> None:
+    def _settle_after_stop(self) -> None:
         """Bring a motion of unknown state to rest, and the link into a known one.
 
         It is looked at once before our own stop, which would hide that a person has stopped it.
@@ -471,7 +471,7 @@ class Axis:
         if self._latch.count == self.controller.token:
             with suppress(NoReply, ProtocolViolation):
                 self.controller.moving(self.settings.channel)
-        end_s = self._clock.now_s() + CALM_S
+        end_s = self._clock.now_s() + STOP_SETTLE_S
         while self._clock.now_s() < end_s:
             self.controller.stop()
             try:
@@ -479,5 +479,5 @@ class Axis:
                     break
             except (NoReply, ProtocolViolation):
                 pass
-            self._clock.sleep_s(POLL_S)
+            self._clock.sleep_s(MOTION_POLL_S)
         self.controller.abandon()

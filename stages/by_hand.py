@@ -5,11 +5,12 @@ when it is answered, and the position is what was read last.  Homing is the firs
 before the question, by limits and keep-out, as if a motor were to drive it.
 
 What is typed is asked for again until it is a reading near enough to the target (`stages.scale_question`).
-Ctrl-C, a stop of the bench and a terminal that has gone end the question: then nobody knows where the screw
-stands, so its axis has no position until somebody has read it anew.
+Ctrl-C, a stop of the bench and a terminal that has gone end the question: then the position of the screw
+is unknown, so its axis has none until it is read anew.
 
-What nobody can tell: a screw that is turned between two questions, and a reading that is wrong and near.  How well
-a scale is read is `reading_um` of its axis in the bench file; it is in the error of whatever is measured with it.
+What cannot be detected: a screw that is turned between two questions, and a reading that is wrong and near.  How
+well a scale is read is `reading_um` of its axis in the bench file; it is in the error of whatever is measured with
+it.
 """
 
 import math
@@ -32,7 +33,7 @@ class ByHand(MotionController):
         self._ask = person
 
     def open(self, table: AnyControllerTable) -> str:
-        """Nothing is to be opened; nobody knows where the screws stand."""
+        """Nothing is to be opened; the positions of the screws are unknown."""
         self._reading_mm: dict[str, float] = {}
         self._wanted: tuple[str, float | None] | None = None
         self._forget_references()
@@ -40,7 +41,7 @@ class ByHand(MotionController):
         return self.identity
 
     def close(self) -> None:
-        """Nobody is asked any more."""
+        """Ask no more."""
         self._is_open = False
         self._forget_references()
 
@@ -50,7 +51,7 @@ class ByHand(MotionController):
         return not self._is_open
 
     def _still_referenced(self, channel: str) -> bool:
-        """Nobody tells: a screw stands where it was read."""
+        """Not known: a screw stands where it was read."""
         return True
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
@@ -93,14 +94,14 @@ class ByHand(MotionController):
         question = ScaleQuestion(about.axis, target_mm, about.limits_mm, about.tolerance_mm)
         if self._ask is None:
             raise StageUsageError(
-                f"{about.axis} is moved by hand, and nobody is there to be asked; use a terminal, "
+                f"{about.axis} is moved by hand, and there is no operator to ask; use a terminal, "
                 "or say who turns it (Stage.turned_by)"
             )
         while True:
             text = None if self._given_up() else self._ask(question, self._given_up)
             if text is None:
-                raise MotionStopped(f"nobody has read where {about.axis} stands; home it, then it is asked for")
-            wrong = question.wrong_with(text)
+                raise MotionStopped(f"the position of {about.axis} was not read; home it to be asked for it")
+            wrong = question.reading_error(text)
             if wrong is None and (reading_mm := place_mm(text)) is not None:
                 return reading_mm
             question = replace(question, wrong=wrong or "")
@@ -119,7 +120,7 @@ class ByHand(MotionController):
         """A hand has no speed; that of the bench file only says how long a plan will take."""
 
     def stop(self) -> None:
-        """A hand is stopped by nobody here; the question ends with the stop of the bench."""
+        """A hand is not stopped from here; the question ends with the stop of the bench."""
 
     def abandon(self) -> None:
         """Forget a question that was not put yet."""

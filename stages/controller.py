@@ -1,7 +1,7 @@
 """A box that speaks bytes: what all serial drivers share; how it is talked to is said in `stages.link`.
 
 The calls that axes use are those of `stages.motion_controller`; here they are made of questions and answers on
-one port. What a box is asked for to vouch for its reference (a flag, an error, a mark that a restart wipes out) is
+one port. How a box confirms its reference (a flag, an error, a mark that a restart wipes out) is
 each driver's `_still_referenced`.
 
 Bytes that move go through the gate of the bench's stop latch (`moves=True`); `stop` may be called from any thread
@@ -101,7 +101,7 @@ class Controller(Link, MotionController):
         Raises
         ------
         PortUnavailable, NoReply
-            The port cannot be opened, or nobody answers on it.
+            The port cannot be opened, or there is no answer.
         WrongDevice
             Another device answers than the first time, or its set-up does not fit the bench file.
         """
@@ -147,11 +147,11 @@ class Controller(Link, MotionController):
             raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
         self.identity = identity
         self._set_up()
-        if first_time:  # after a loss nobody vouches for the position, whatever the controller says
+        if first_time:  # after a loss the position is not confirmed, whatever the controller says
             self._referenced |= {name for name in self._channels if self._remembers_reference(name)}
 
     def _woken(self) -> str:
-        """Ask who answers until somebody does, or the time is over in which the controller may still wake up."""
+        """Ask for the identity until there is an answer, or the controller should have woken up."""
         end_s = self.clock.now_s() + self.wakes_within_s
         while True:
             try:
@@ -230,7 +230,7 @@ class Controller(Link, MotionController):
         """Return a reading at rest that two answers agree on: of one damaged answer nothing is ever believed.
 
         The first of the two may be an earlier one, as long as nothing was sent that moves and the link was never
-        in doubt since: a controller that rests says the same again.
+        suspect since: a controller at rest answers the same again.
         """
         if key in self._at_rest:
             now = self._repeated(ask)

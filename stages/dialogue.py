@@ -27,9 +27,9 @@ from stages.clock import Clock
 from stages.errors import PortUnavailable
 
 VARIABLE = "RTPIV_RECORD"
-LONGEST = 50_000_000  # bytes of a recording that is read
+MAX_RECORDING_BYTES = 50_000_000  # bytes of a recording that is read
 MOST_WAITING = 100_000  # lines that a slow disk may be behind
-PATIENCE_S = 2.0  # for a disk, when a port is closed
+DISK_PATIENCE_S = 2.0  # for a disk, when a port is closed
 WORD = re.compile(r"([<>])((?: [0-9a-fA-F]{2})+)(?: \+(\d{1,6}(?:\.\d{1,9})?))?", re.ASCII)
 RATE = re.compile(r"@ \d{1,8}", re.ASCII)
 
@@ -89,7 +89,7 @@ class RecordedFile:
         """End it, and wait for the disk a while."""
         with suppress(Full):
             self._lines.put_nowait(None)
-        self._writer.join(PATIENCE_S)
+        self._writer.join(DISK_PATIENCE_S)
 
     def _write(self, file: TextIO) -> None:
         with suppress(OSError), file:  # a disk that takes no more ends the recording
@@ -99,7 +99,7 @@ class RecordedFile:
 
 
 def recorded_file(url: str) -> RecordedFile | None:
-    """The file that keeps what is said on a port from now on; None if nobody wants that.
+    """The file that keeps what is said on a port from now on; None if that is not wanted.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def read_dialogue(path: Path) -> tuple[Word, ...]:
         It cannot be read, or a line is none of a recording; with the line.
     """
     try:
-        text = read_plain(path, LONGEST).decode("utf-8")
+        text = read_plain(path, MAX_RECORDING_BYTES).decode("utf-8")
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is no text"
         raise ConfigError(path, [Problem(0, f"the recording cannot be read: {why}")]) from error

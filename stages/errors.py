@@ -16,7 +16,7 @@
         +-- CommandRejected      the controller understood and refused; `code` is its own
         +-- LimitHit             a limit switch ended the motion; home the axis
         +-- AxisStalled          the motor did not follow; home the axis
-        +-- MotionStopped        somebody stopped the motion; the position is the controller's
+        +-- MotionStopped        the motion was stopped; the position is the controller's
         +-- NotInPosition        the axis came to rest outside its tolerance, retries included
 
 The command line prints these as one sentence and exits with code 3 (usage errors: 2).

@@ -5,7 +5,7 @@ kind on swapped cables answer every question as expected, and then the glass mov
 bench file may say words that only the right box says of itself (its serial number, a name in its user string), and
 every connect asks for them before anything moves.
 
-A box that tells nothing of its own (isel and C142 know their model only, a Grbl board what somebody wrote with
+A box that tells nothing of its own (isel and C142 know their model only, a Grbl board what was written with
 ``$I=name``) is tied by the converter it hangs on: ``/dev/serial/by-id/...`` carries the converter's serial number.
 """
 
@@ -43,7 +43,7 @@ def require_identity(name: str, wanted: str | None, said: str, port: str) -> Non
 def confusable(config: StagesTable) -> list[str]:
     """Name the controllers that would be taken for each other on swapped cables, a sentence for each kind.
 
-    Two boxes of one kind are told apart if each has a port by its converter's serial number, or if each has an
+    Two boxes of one kind are distinguished if each has a port by its converter's serial number, or if each has an
     identity that the other one does not say.
     """
     found = []

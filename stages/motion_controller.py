@@ -2,7 +2,7 @@
 
 A controller is a box with one or more channels (motors). It knows mm of its own coordinate; offsets, directions,
 limits and backlash belong to `stages.axis`. Two ways lead to one: bytes on a port (`stages.controller`), and a
-library of somebody else (`stages.foreign`).
+third-party library (`stages.foreign`).
 
 Life of a motion: ``start_move`` or ``start_home`` returns once the controller has taken the command, ``moving``
 is asked until it says False or raises what ended the motion, then ``known_mm`` is read.
@@ -12,7 +12,7 @@ position that is believed is read FIRST and vouched for AFTERWARDS: a box that s
 it when the position was read. What vouches is each controller's `_still_referenced`.
 
 Whatever moves passes the gate of the bench's stop latch; ``stop`` may be called from any thread at any time and
-waits for nobody.
+does not wait.
 """
 
 import math
@@ -102,7 +102,7 @@ class MotionController(ABC):
         Raises
         ------
         PortUnavailable, NoReply, DeviceLost
-            It cannot be opened, or nobody answers.
+            It cannot be opened, or there is no answer.
         WrongDevice
             Another device answers than the first time, or its set-up does not fit the bench file.
         """
@@ -136,7 +136,7 @@ class MotionController(ABC):
         """True if the position of a channel meant something when the controller was last asked; asks nothing."""
         return not self.lost and channel in self._referenced
 
-    def vouch(self, channel: str) -> None:
+    def confirm_reference(self, channel: str) -> None:
         """Ask whether the reference of a channel still holds now.
 
         Raises
@@ -156,11 +156,11 @@ class MotionController(ABC):
         Raises
         ------
         NotReferenced
-            It does not vouch for it.
+            It does not confirm it.
         """
         with self._lock:
             position_mm = self.position_mm(channel)
-            self.vouch(channel)
+            self.confirm_reference(channel)
             return position_mm
 
     def noise_mm(self, channel: str) -> float:
@@ -286,7 +286,7 @@ class MotionController(ABC):
     def abandon(self) -> None:
         """Forget a motion whose end was never heard of."""
 
-    def judge_unheard(self, channel: str) -> None:  # noqa: B027
+    def resolve_missing_reply(self, channel: str) -> None:  # noqa: B027
         """Look how a motion of `channel` has ended whose end was not heard of, before it is tried again.
 
         Nothing to do for boxes that can be asked why they rest.

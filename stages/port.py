@@ -12,7 +12,7 @@ Three things go wrong with serial ports in ways that hurt a long run, and all th
 
 `write` may be called from any thread and is atomic, so a stop gets through while another thread waits in
 `read`. The last `TRACE_LENGTH` chunks in both directions are kept for the error report; all of them go to a file
-if somebody records (`stages.dialogue`).
+if that is recorded (`stages.dialogue`).
 
 URLs are pyserial's: a device name, ``socket://``, ``loop://``; ``sim://`` is the simulated bench, found by the
 name of its package only when such a port is opened.
@@ -35,7 +35,7 @@ try:
 except ImportError:  # not a POSIX machine: pyserial raises nothing of the kind there
     TermiosError = OSError  # type: ignore[assignment,misc]
 
-POLL_S = 0.02  # how long one read blocks; the deadline is checked in between
+PORT_POLL_S = 0.02  # how long one read blocks; the deadline is checked in between
 WRITE_TIMEOUT_S = 1.0
 DWELL_S = 0.05  # before and behind the emptying of buffers (APT protocol, issue 26, p. 30)
 TRACE_LENGTH = 2000
@@ -97,7 +97,7 @@ class Port:
             self._serial = serial.serial_for_url(
                 url,
                 baud,
-                timeout=POLL_S,
+                timeout=PORT_POLL_S,
                 write_timeout=WRITE_TIMEOUT_S,
                 exclusive=True,
                 do_not_open=True,
@@ -191,7 +191,7 @@ class Port:
             self._file.close()
 
     def _record(self) -> None:
-        """Keep what is said from now on, if somebody wants that."""
+        """Keep what is said from now on, if that is wanted."""
         try:
             self._file = recorded_file(self.url)
         except PortUnavailable:

@@ -1,7 +1,7 @@
 """Question to a person who turns a screw: the target, and the reading of its scale.
 
-Whoever asks (a terminal, a window, a simulated hand) shows `ScaleQuestion.words` and hands back what was typed, as
-text; what makes a number of it stands here, once.  Places are those of the scale, in mm, digits with a point: a
+The interface (a terminal, a window, a simulated hand) shows `ScaleQuestion.words` and hands back what was typed,
+as text; what makes a number of it stands here, once.  Places are those of the scale, in mm, digits with a point: a
 comma may part thousands, and a letter O is no zero.
 """
 
@@ -53,7 +53,7 @@ class ScaleQuestion:
             "Type that in mm, then Enter:"
         )
 
-    def wrong_with(self, text: str) -> str | None:
+    def reading_error(self, text: str) -> str | None:
         """Say in a sentence why a text is no answer; None if it is one."""
         if not text.strip():
             return f"nothing was typed; type what the scale of {self.axis} reads, or end the run with Ctrl-C"
@@ -70,8 +70,8 @@ class ScaleQuestion:
         return None
 
 
-# Puts a question and returns what was typed, "" for an empty line; None if nobody can answer any more.  The second
-# argument says, often asked, whether the question is to be given up; then None is returned as well.
+# Puts a question and returns what was typed, "" for an empty line; None if there can be no answer any more.  The
+# second argument says, often asked, whether the question is to be given up; then None is returned as well.
 Person = Callable[[ScaleQuestion, Callable[[], bool]], str | None]
 
 

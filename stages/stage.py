@@ -114,11 +114,11 @@ class Stage:
 
     @property
     def latch(self) -> StopLatch:
-        """The one stop of the bench; whoever exposes frames asks it too."""
+        """The one stop of the bench; exposures obey it too."""
         return self._turn.latch
 
     def bar_motion(self, why: Callable[[], str | None]) -> None:
-        """Ask somebody before anything moves; a sentence as the answer refuses the motion, with `MotionBarred`."""
+        """Ask a function before anything moves; a sentence as its answer refuses the motion (`MotionBarred`)."""
         self._turn.bars.append(why)
 
     def turned_by(self, person: Person) -> None:
@@ -133,14 +133,14 @@ class Stage:
         def asked(question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
             for why_not in self._hand_bars:
                 if why := why_not():
-                    raise MotionBarred(f"{question.axis} is moved by hand, and nobody reaches in now: {why}")
+                    raise MotionBarred(f"{question.axis} is moved by hand, and must not be reached now: {why}")
             return person(question, given_up)
 
         for box in self._controllers.values():
             box.turned_by(asked)
 
     def bar_hands(self, why: Callable[[], str | None]) -> None:
-        """Ask somebody before a person reaches in; a sentence as the answer refuses it, with `MotionBarred`."""
+        """Ask a function before a person reaches in; a sentence as the answer refuses it, with `MotionBarred`."""
         self._hand_bars.append(why)
 
     def what_moves(self) -> str | None:
@@ -293,7 +293,7 @@ class Stage:
         Raises
         ------
         StageUsageError
-            An axis is homed by hand and nobody is there to be asked, or a controller homes several axes with one
+            An axis is homed by hand and there is no operator to ask, or a controller homes several axes with one
             command and not all of them were named; nothing has moved.
         Obstructed
             All axes are homed, and a move of `after_home` must not be made.
@@ -349,17 +349,17 @@ class Stage:
     def stop(self, why: str = "the bench was stopped on request") -> None:
         """Stop everything now, from any thread, and hold the bench until `clear_stop`.
 
-        Every controller is told even if one fails.
+        Every controller is stopped even if one fails.
 
         Parameters
         ----------
         why : str
-            What those are told who want to move meanwhile.
+            Reason given to callers that want to move meanwhile.
 
         Raises
         ------
         StageError
-            A controller could not be told; it is the first such error.
+            A controller could not be reached; it is the first such error.
         """
         self.latch.stop(why)
         self._tell_all_to_stop()
@@ -370,7 +370,7 @@ class Stage:
         Raises
         ------
         StageError
-            A controller could not be told; it is the first such error.
+            A controller could not be reached; it is the first such error.
         """
         self.latch.halt()
         self._tell_all_to_stop()
@@ -400,7 +400,7 @@ class Stage:
             self.stop()
 
     def _refuse_beside_lost_motion(self) -> None:
-        """DeviceLost where something may move that nobody hears of: a reference run is judged by nobody."""
+        """DeviceLost where something may move unnoticed: a reference run is not checked."""
         for name, box in self._controllers.items():
             if box.lost and box.under_way:
                 raise DeviceLost(f"{name} was lost while it moved and may move still; open it again first")

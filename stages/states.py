@@ -3,12 +3,12 @@
     state          position        move  home  read  how it is left
     -------------  --------------  ----  ----  ----  ---------------------------------------------------------
     UNREFERENCED   unknown         no    yes   no    HOME -> HOMING
-    READY          known, at rest  yes   yes   yes   START -> MOVING, HOME -> HOMING, DOUBT -> UNREFERENCED
-    MOVING         not asked for   no    no    no    REST -> READY, DOUBT -> UNREFERENCED
-    HOMING         unknown         no    no    no    FOUND -> READY, DOUBT -> UNREFERENCED
-    LOST           unknown         no    no    no    CONNECT -> UNREFERENCED, or READY if the box can vouch
+    READY          known, at rest  yes   yes   yes   START -> MOVING, HOME -> HOMING, FORGET -> UNREFERENCED
+    MOVING         not asked for   no    no    no    REST -> READY, FORGET -> UNREFERENCED
+    HOMING         unknown         no    no    no    FOUND -> READY, FORGET -> UNREFERENCED
+    LOST           unknown         no    no    no    CONNECT -> UNREFERENCED, or READY if the box still has it
 
-CUT (the port is gone) leads from every state to LOST. DOUBT is whatever takes the reference away: the controller
+CUT (the port is gone) leads from every state to LOST. FORGET is whatever takes the reference away: the controller
 has restarted, a limit switch, a stall, an interrupted reference run. READY is never remembered, it is asked for:
 each reading of a position is followed by the question whether the box still vouches for it.
 
@@ -36,7 +36,7 @@ class Event(Enum):
     REST = "a motion has ended, the reference still holds"
     HOME = "a reference run begins"
     FOUND = "the reference has been found"
-    DOUBT = "the reference is gone"
+    FORGET = "the reference is gone"
     CUT = "the port is gone"
     CONNECT = "the port is open again"
 
@@ -44,10 +44,10 @@ class Event(Enum):
 _S, _E = AxisState, Event
 
 NEXT: dict[AxisState, dict[Event, AxisState]] = {
-    _S.UNREFERENCED: {_E.HOME: _S.HOMING, _E.DOUBT: _S.UNREFERENCED, _E.FOUND: _S.READY},
-    _S.READY: {_E.START: _S.MOVING, _E.HOME: _S.HOMING, _E.DOUBT: _S.UNREFERENCED, _E.FOUND: _S.READY},
-    _S.MOVING: {_E.REST: _S.READY, _E.DOUBT: _S.UNREFERENCED},
-    _S.HOMING: {_E.FOUND: _S.READY, _E.DOUBT: _S.UNREFERENCED},
+    _S.UNREFERENCED: {_E.HOME: _S.HOMING, _E.FORGET: _S.UNREFERENCED, _E.FOUND: _S.READY},
+    _S.READY: {_E.START: _S.MOVING, _E.HOME: _S.HOMING, _E.FORGET: _S.UNREFERENCED, _E.FOUND: _S.READY},
+    _S.MOVING: {_E.REST: _S.READY, _E.FORGET: _S.UNREFERENCED},
+    _S.HOMING: {_E.FOUND: _S.READY, _E.FORGET: _S.UNREFERENCED},
     _S.LOST: {_E.CONNECT: _S.UNREFERENCED},
 }
 

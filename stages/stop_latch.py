@@ -1,10 +1,10 @@
-"""The one stop of a bench: pressed by anybody at any moment, it holds until a person clears it.
+"""The one stop of a bench: pressed from anywhere at any moment, it holds until a person clears it.
 
 Two things may end what moves. A **halt** ends every motion that has begun, and no more: it is what the bench does
 to itself when one axis fails, or what a scan engine asks for between two runs. A **stop** is a person's: it ends
 every motion AND nothing moves, homes or is exposed any more until `clear`.
 
-Whoever moves something takes a token before its first byte (`begin`) and shows it before every further one
+A caller that moves something takes a token before its first byte (`begin`) and shows it before every further one
 (`check`): every leg, settling, retry, approach, homing and exposure. A token from before the last halt or stop is
 no longer good, so a motion of several parts ends as a whole.
 

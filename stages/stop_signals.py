@@ -5,7 +5,7 @@
     end of the block, exception, SystemExit  `Stage.__exit__`
     SIGINT, SIGTERM, SIGHUP, SIGQUIT         this file, at once; then the program unwinds through `Stage.__exit__`
     kill -9, segfault, os._exit, no memory   `stages.watchdog`, a process of its own
-    SIGSTOP, power failure                   nobody: what has begun goes to its target, which was judged before
+    SIGSTOP, power failure                   none: what has begun goes to its target, which was judged before
 
 A handler runs between two instructions of the main thread, perhaps inside the very call that holds a port's lock,
 so it never writes to a port. It puts a word into a queue (`SimpleQueue.put` may interrupt itself), and a thread of
@@ -20,7 +20,7 @@ stop ends the motion, the call waits until the axis rests and the line is clear,
 (SIGINT) or SystemExit(128 + number) is raised in place of MotionStopped. A second signal is not that patient: it
 is raised where the thread stands. So positions survive one Ctrl-C wherever the controller keeps them.
 
-SIGTSTP (Ctrl-Z) while the main thread moves something counts as Ctrl-C: a program that sleeps could not be told to
+SIGTSTP (Ctrl-Z) while the main thread moves something counts as Ctrl-C: a sleeping program could not be made to
 stop. At rest it suspends the program as usual. A SIGHUP that was ignored before (nohup) stays ignored. Handlers
 belong to the main thread; a bench that is opened in another one has the watchdog alone.
 """

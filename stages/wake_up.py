@@ -5,7 +5,7 @@ event loop of a window, a long compiled function, a prompt that waits for a key)
 takes. The system's own handler runs at once all the same, and writes the signal's number to a descriptor if it was
 given one (`signal.set_wakeup_fd`). A thread of ours reads it there.
 
-Whoever had such a descriptor before (asyncio has) still gets its bytes. A forked child must not: a signal that
+A previous owner of such a descriptor (asyncio) still gets its bytes. A forked child must not: a signal that
 ends the child would be heard here as one that stops the parent's bench.
 """
 
@@ -16,7 +16,7 @@ import socket
 import threading
 from collections.abc import Callable
 
-NOBODY = -1
+NO_DESCRIPTOR = -1
 
 
 class WakeUp:
@@ -31,7 +31,7 @@ class WakeUp:
     def __init__(self, hear: Callable[[int], None]) -> None:
         self._hear = hear
         self._near: socket.socket | None = None
-        self._before = NOBODY
+        self._before = NO_DESCRIPTOR
 
     def open(self) -> None:
         """Listen from now on."""
@@ -41,7 +41,7 @@ class WakeUp:
         threading.Thread(target=self._listen, args=(far, self._before), name="signals", daemon=True).start()
 
     def close(self) -> None:
-        """Listen no more; somebody else's descriptor, given since, stays."""
+        """Listen no more; a descriptor set since by others stays."""
         if self._near is None:
             return
         ours, now = self._near.fileno(), signal.set_wakeup_fd(self._before)
@@ -53,7 +53,7 @@ class WakeUp:
     def _listen(self, far: socket.socket, before: int) -> None:
         with far:
             while data := far.recv(64):
-                if before != NOBODY:
+                if before != NO_DESCRIPTOR:
                     with contextlib.suppress(OSError):  # gone meanwhile, or full: signals are hints
                         os.write(before, data)
                 for number in data:
@@ -62,7 +62,7 @@ class WakeUp:
 
 def _forget() -> None:
     if threading.current_thread() is threading.main_thread():
-        signal.set_wakeup_fd(NOBODY)
+        signal.set_wakeup_fd(NO_DESCRIPTOR)
 
 
 if hasattr(os, "register_at_fork"):

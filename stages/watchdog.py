@@ -1,8 +1,8 @@
 """A small process that stops what moves when this one has died without a word.
 
 Signals and exceptions are met where they happen (`stages.stop_signals`). What no handler meets (kill -9, a
-segfault, out of memory, `os._exit`) leaves controllers that drive on to their targets with nobody there. So
-whoever opens real ports starts a process that holds nothing but one end of a pipe, and tells it
+segfault, out of memory, `os._exit`) leaves controllers that drive on to their targets unattended. So
+a program that opens real ports starts a process that holds nothing but one end of a pipe, and tells it
 
     {"know": "rail", "url": "/dev/ttyUSB0", "baud": 19200, "hold_dtr": false, "stop": ["fd"],
      "file": [48128, 512, 0]}
@@ -17,17 +17,17 @@ needed, and a program that forgets one leaves nothing that drives on.
 The process imports nothing but pyserial and the standard library, so it is up in a fraction of a second and shares
 no fate with numba, a camera library or a full memory. It has a session of its own, so that Ctrl-C and the end of
 the terminal pass it by, and it ignores SIGTERM: at a shutdown the parent must end first. It is started, never
-waited for; what it is told before it is up waits in the pipe.
+waited for; messages sent before it is up wait in the pipe.
 
-The port's lock is asked for only while the rate is set. If somebody else holds it (a child that inherited the
+The port's lock is asked for only while the rate is set. If another process holds it (a child that inherited the
 port, or a program that opened it since), the rate is set already, and the bytes are written without it: a stop is
 whole in one write, and harmless at rest.
 
 A name is not a box: what was pulled out may be followed by another box under the same name, and that one is not
-ours to stop. So what the device file was when it was opened (device number and inode) is told as "file", and a
-port that has become another one is left alone. Pseudo-terminals alone are told by the time of their making too:
-they get used inodes, and udev, which touches the time stamps of real ports at will, knows nothing of them. The
-stamp is as fine as the kernel's tick (1 to 10 ms): nobody can pull a plug and make another terminal within one.
+ours to stop. So what the device file was when it was opened (device number and inode) is sent as "file", and a
+port that has become another one is left alone. Pseudo-terminals alone are identified by the time of their making
+too: they get used inodes, and udev, which touches the time stamps of real ports at will, knows nothing of them.
+The stamp is as fine as the kernel's tick (1 to 10 ms): no plug can be pulled and another terminal made within one.
 
 Out of reach: a process that is stopped (SIGSTOP, a debugger) has not died. There is no heartbeat that would take
 it for dead, because a computer that swaps or compiles is silent for seconds too, and a stop in vain ends a run.
@@ -51,10 +51,10 @@ from typing import Any
 import serial
 
 AGAIN_S = (0.0, 0.03, 0.08, 0.2, 0.5)  # after the death, or after the port could be opened
-PATIENCE_S = 10.0  # with a port that cannot be opened
+OPEN_PATIENCE_S = 10.0  # with a port that cannot be opened
 RETRY_S = 0.05
 SHORT_LIFE_S = 1.0  # one that dies sooner is replaced with the next word only, or it might go on for ever
-LOOK_S = 0.1  # how often the parent is looked for where the system does not tell
+PARENT_POLL_S = 0.1  # how often the parent is looked for where the system does not tell
 SELECTS_PIPES = os.name == "posix"  # elsewhere a read waits for a word, and only the end of the pipe tells a death
 PSEUDO_TERMINALS = range(136, 144)  # major numbers of Unix98 slaves on Linux
 WITHOUT_DEVICE = ("sim://", "loop://")  # these die with their process
@@ -189,7 +189,7 @@ class Watchdog:
         self._replace(self._process)  # it was killed
 
     def _write(self, words: Sequence[Word]) -> bool:
-        """Write words, each whole or not at all; False if nobody reads any more."""
+        """Write words, each whole or not at all; False if the reader is gone."""
         if self._process is None or self._process.stdin is None:
             return False
         for word in words:
@@ -254,7 +254,7 @@ def stop(about: Word) -> bool:
     about : dict
         Its word, as `word_of` makes it.
     """
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + OPEN_PATIENCE_S
     said, port = 0, None
     while said < len(AGAIN_S) and time.monotonic() < end_s:
         if _file_of(about["url"]) != about["file"]:
@@ -299,7 +299,7 @@ def _opened(about: Word) -> Any:  # noqa: ANN401 - pyserial's object, or a bare 
     except (OSError, ValueError):
         if "://" in about["url"]:
             raise
-        # held by somebody else, so the rate is set
+        # held by another process, so the rate is set
         return os.fdopen(os.open(about["url"], os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK), "wb", buffering=0)
     with contextlib.suppress(OSError, ValueError, AttributeError):  # sockets have no lock
         port.exclusive = False
@@ -319,7 +319,7 @@ def _died(descriptor: int, death: int | None, parent: int) -> bool:
     if not SELECTS_PIPES:
         return False
     wanted = [descriptor] if death is None else [descriptor, death]
-    ready, _, _ = select.select(wanted, [], [], LOOK_S if death is None else None)
+    ready, _, _ = select.select(wanted, [], [], PARENT_POLL_S if death is None else None)
     return death in ready if death is not None else os.getppid() != parent
 
 

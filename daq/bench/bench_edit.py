@@ -81,7 +81,7 @@ def changed(path: Path, values: Mapping[Place, Value], after: Mapping[str, str])
     RunUsageError
         It is laid out in a way that cannot be edited.
     """
-    load_yaml(path)  # somebody may have edited it since; what is wrong there is said with its line
+    load_yaml(path)  # it may have been edited since; errors are reported with their line
     before = path.read_bytes().decode("utf-8")
     text = with_values(before, values, after)
     wanted = json.loads(json.dumps(yaml.safe_load(before)))  # what two aliases share must not change twice

@@ -11,7 +11,7 @@ faults:
 of      what                 meaning
 ======  ===================  ==============================================================================
 a box   unplug               its cable is out until the bench is opened again
-        mute                 it goes on doing what it is told, and says nothing any more
+        mute                 it obeys commands, and does not answer any more
         restart              its power fails, and is back `off_s` later: it has forgotten where it is
         late, split          its next answer comes `delay_s` later; or the second half of it does
         lost, cut, doubled,  its next answer does not come, or half of it, or twice, or with a wrong byte
@@ -23,7 +23,7 @@ camera  unplug               it is gone until the bench is opened again
         late                 the next frame leaves it `delay_s` later
         lost, cut, doubled   the next frame does not come, or with a part of its pixels missing, or twice
 axis    knock                its carriage slips by `by_mm`, which no controller can know
-        stall                its motor is stuck from then on, whatever it is told
+        stall                its motor is stuck from then on, whatever is commanded
 lamp    dim                  the target has this `share` of its light from then on
 ======  ===================  ==============================================================================
 
@@ -123,10 +123,10 @@ def not_recorded(name: str, bench: Bench) -> str:
         return "a timing unit is asked by the wall's clock, so its words have no order; leave it out"
     if name not in things_of(bench):
         return f"there is no {name!r} on this bench; there are {', '.join(things_of(bench))}"
-    return "only what is told words by a serial port can be recorded: a controller or a reading; leave it out"
+    return "only devices on a serial port can be recorded: a controller or a reading; leave it out"
 
 
-def wrong_with(fault: Fault, bench: Bench) -> Iterator[str]:
+def validation_errors(fault: Fault, bench: Bench) -> Iterator[str]:
     """Say what of a fault cannot be on a bench, a sentence each."""
     things = things_of(bench)
     thing = things.get(fault.of)
@@ -139,7 +139,7 @@ def wrong_with(fault: Fault, bench: Bench) -> Iterator[str]:
     if sum(getattr(fault, name) is not None for name in MOMENTS) != 1:
         yield f"{fault.what} of {fault.of}: say when, by one of {', '.join(MOMENTS)}"
     if fault.word is not None and thing not in ("box", "timing unit", "axis"):
-        yield f"word: a {thing} is not told words; say step or at_s"
+        yield f"word: a {thing} gets no commands on a port; give step or at_s"
     if fault.nth > 1 and fault.word is None:
         yield "nth: it counts how often a word is said; say word, or leave nth out"
     wanted = TAKES.get(fault.what)

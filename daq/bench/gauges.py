@@ -6,7 +6,7 @@ end yet is still being written.
 
 **Port**: a box that is asked, or one that streams lines.  What lies in the buffers is thrown away first, so that
 what is read was said now: behind a question the next line, of a stream the first line that begins behind it.
-Nothing believes the box a length: LONGEST bytes without the end of a line are no line.
+Nothing believes the box a length: MAX_LINE_BYTES bytes without the end of a line are no line.
 """
 
 import re
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 COLUMN = 2  # of a file; the first is the time
 TAIL_BYTES = 65_536
 SEPARATORS = (";", "\t", ",")
-LONGEST = 1000  # bytes of a line
-MOST = 65_536  # bytes that are thrown away first, should a line be faster than they are read
+MAX_LINE_BYTES = 1000  # bytes of a line
+MAX_DISCARDED_BYTES = 65_536  # bytes that are thrown away first, should a line be faster than they are read
 FIELDS = re.compile(r"[;,\s]+")
 
 
@@ -145,7 +145,7 @@ class PortGauge:
                 self.close()
             return missing(section, str(error)[:200])
         if line is None:
-            return missing(section, f"{section.port} sends {LONGEST} bytes without the end of a line")
+            return missing(section, f"{section.port} sends {MAX_LINE_BYTES} bytes without the end of a line")
         when = datetime.now(UTC)
         if section.column is not None:
             fields = [field for field in FIELDS.split(line) if field]
@@ -166,18 +166,18 @@ class PortGauge:
     def _line(self, port: Port) -> str | None:
         """Next whole line, without its end; None if there is no end to it.  NoReply if none comes in time."""
         thrown = 0
-        while thrown < MOST and (old := port.pending()):
+        while thrown < MAX_DISCARDED_BYTES and (old := port.pending()):
             thrown += len(old)
         deadline_s = self._clock.now_s() + self._section.wait_s
         if self._section.ask:
             port.write(self._section.ask.encode("utf-8"))
         heard, skip = b"", not self._section.ask  # a stream is met in the middle of a line
-        while len(heard) < LONGEST:
+        while len(heard) < MAX_LINE_BYTES:
             heard += port.read(deadline_s)
             *lines, heard = heard.replace(b"\r", b"\n").split(b"\n")
             for line in lines:
                 if skip:
                     skip = False
                 elif line.strip():
-                    return line[:LONGEST].decode("utf-8", "replace")
+                    return line[:MAX_LINE_BYTES].decode("utf-8", "replace")
         return None

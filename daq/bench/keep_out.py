@@ -19,7 +19,7 @@ the whole piece and not of samples of it.
 
 A piece is refused if it comes closer than the clearance; if it begins closer, if it comes closer still. Bodies
 named in `contact` may touch the target: for them CONTACT_MM of overlap is allowed, which is what two axes may
-be off. Homing is not judged, because nobody knows yet where anything is.
+be off. Homing is not judged, because no position is known yet.
 """
 
 from collections.abc import Iterator, Mapping, Sequence, Set

@@ -1,4 +1,4 @@
-"""Every laser that somebody in a lab's folder may mean: those of the bench files there, and those that are open.
+"""Lasers that `laser off` may mean in a lab's folder: those of the bench files there, and those that are open.
 
 A bench file is read as far as its devices of kind `timing`: a scene that is missing, or a mistake in another part
 of it, must not keep a laser from being switched off.
@@ -75,7 +75,7 @@ def lasers_of(path: Path) -> list[KnownLaser]:
 
 
 def is_unreadable(path: Path) -> bool:
-    """Return whether there is such a file, and nobody can tell which lasers it names."""
+    """Return whether there is such a file, and it cannot be read which lasers it names."""
     try:
         read_plain(path, MAX_BYTES)
     except FileNotFoundError:

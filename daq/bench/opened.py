@@ -172,7 +172,7 @@ def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: 
     bench : Bench
         With a `simulation` section.
     shows : str
-        What somebody has hung on the target's stage: ``chessboard`` or ``particles``.
+        Pattern on the target's stage: ``chessboard`` or ``particles``.
     exposures_before : int
         Frames that were taken in this world before, so that a resumed run goes on with the noise.
 

@@ -9,8 +9,8 @@ straddling     a camera without a double shutter: A and B are frames of their ow
 burst          one trigger starts a burst of two frames
 =============  ==============================================================================================
 
-Frames that come evenly spaced cannot be told apart by their times, and one frame that is skipped (first ones often
-are) would swap A and B for the rest of the run.  So A is known by a marker, or the run is refused:
+Frames that come evenly spaced cannot be distinguished by their times, and one frame that is skipped (first ones
+often are) would swap A and B for the rest of the run.  So A is known by a marker, or the run is refused:
 
 =============  ==============================================================================================
 marker         A is the frame ...
@@ -32,7 +32,7 @@ from stages.config import Positive
 
 Shape = Literal["double_height", "two_blocks", "straddling", "burst"]
 Marker = Literal["halves", "line_status", "counter", "spacing"]
-UNEVEN = 1.1  # times A to B that B to A has to last, or their spacing tells nothing
+SPACING_RATIO = 1.1  # times A to B that B to A has to last, or their spacing tells nothing
 FRAMES_OF_SHAPE = {"double_height": 1, "two_blocks": 2, "straddling": 2, "burst": 2}
 
 

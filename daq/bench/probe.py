@@ -46,7 +46,7 @@ class Found:
     facts : tuple of str
         What else it has said: firmware, dialect, outputs, what runs now.
     unknown : tuple of str
-        What it cannot be asked for, and somebody has to know.
+        What it does not report, and a person has to know.
     lines : str
         Of a bench file.
     """
@@ -66,7 +66,7 @@ class Probe:
     url: str
     clock: Clock = SYSTEM_CLOCK
     dialogue: list[str] = field(default_factory=list)
-    heard: bytes = b""  # everything, for what can be said of a box that nobody knows
+    heard: bytes = b""  # everything, for the description of an unknown box
     port: Port | None = None
 
     def __post_init__(self) -> None:
@@ -138,7 +138,7 @@ def probe(url: str, clock: Clock = SYSTEM_CLOCK) -> tuple[Found | None, Probe]:
     return asked.look(), asked
 
 
-def why_nobody(asked: Probe) -> str:
+def no_reply_reason(asked: Probe) -> str:
     """Say, as a sentence, what came from a port on which nothing answers as it should."""
     rates = ", ".join(str(baud) for baud in RATES)
     kind = None if re.search(OLD_GRBL, asked.heard) else kind_of_box(asked.heard)
@@ -235,11 +235,11 @@ def _pi(asked: Probe, baud: int) -> Found | None:
 def _grbl(asked: Probe, baud: int) -> Found | None:
     said = grbl.AnswerStream().feed(asked.ask(b"\n" + grbl.Line("$I").to_bytes()))
     status = grbl.AnswerStream().feed(asked.ask(grbl.RealTime(grbl.STATUS).to_bytes()))
-    told = {each.kind: each.text for each in said if isinstance(each, grbl.Feedback)}
+    feedback = {each.kind: each.text for each in said if isinstance(each, grbl.Feedback)}
     state = next((each for each in status if isinstance(each, grbl.Status)), None)
-    if "VER" not in told and state is None:
+    if "VER" not in feedback and state is None:
         return None
-    facts = [f"{kind} {text}" for kind, text in told.items()]
+    facts = [f"{kind} {text}" for kind, text in feedback.items()]
     if state is not None:
         where = "" if state.machine else "; it reports work positions: set $10=1"
         facts.append(f"state {state.state}{where}")
@@ -247,10 +247,10 @@ def _grbl(asked: Probe, baud: int) -> Found | None:
             facts.append("it is held at the board and obeys nothing; release it there")
     family = next((name for name in ("GrblHAL", "FluidNC") if name.lower() in repr(facts).lower()), "Grbl")
     unknown = (MOTION, "whether it restarted when the port was opened: home it")
-    name = told.get("VER", "").rpartition(":")[2]
+    name = feedback.get("VER", "").rpartition(":")[2]
     lines = _stage_lines("grbl", asked.url, baud, 115_200, name, ("X", "Y", "Z"))
     return Found(
-        f"{family} board", f"Grbl {told.get('VER', 'without a version')}", baud, tuple(facts), unknown, lines
+        f"{family} board", f"Grbl {feedback.get('VER', 'without a version')}", baud, tuple(facts), unknown, lines
     )
 
 

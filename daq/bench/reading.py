@@ -79,8 +79,8 @@ class Reading:
 
     def to_dict(self) -> dict[str, Any]:
         """As a line of the journal holds it: a missing value is absent."""
-        told: dict[str, Any] = {"utc": self.utc, "unit": self.unit}
-        return told | ({"missing": self.missing} if self.missing else {"value": self.value})
+        record: dict[str, Any] = {"utc": self.utc, "unit": self.unit}
+        return record | ({"missing": self.missing} if self.missing else {"value": self.value})
 
 
 @runtime_checkable

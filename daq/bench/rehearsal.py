@@ -1,7 +1,7 @@
 """A rehearsal: the simulated bench as a test wants it, with a seed, with faults, and repeatable.
 
 Everything of it lives in one process, stages and cameras, so that no time passes but by waiting, and everything
-that happens is kept: what each box was told, what went wrong, where everything truly stood at each exposure
+that happens is kept: commands of each box, what went wrong, where everything truly stood at each exposure
 (`sim.happened`).  What a run is resumed with is its seed; its faults are over.
 """
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.bench.bench_table import Bench
-from daq.bench.fault_table import Fault, FaultFile, not_recorded, wrong_with
+from daq.bench.fault_table import Fault, FaultFile, not_recorded, validation_errors
 from daq.bench.opened import simulation_class
 from daq.errors import RunUsageError
 from ground.config import Document, open_document, validate
@@ -62,7 +62,7 @@ class Rehearsal:
         problems = [
             Problem(document.line(("faults", index)) if document.lines else 0, f"faults[{index}]: {text}")
             for index, fault in enumerate(found)
-            for text in (*wrong_with(fault, bench), *_wrong_step(fault, steps))
+            for text in (*validation_errors(fault, bench), *_wrong_step(fault, steps))
         ]
         beside = document.path.parent
         files = {name: Path(path) for name, path in (recorded or {}).items()}

@@ -18,7 +18,7 @@ from daq.cameras import LIBRARIES
 BY_ID = Path("/dev/serial/by-id")
 USB = Path("/sys/bus/usb/devices")
 GENTL_PATH = "GENICAM_GENTL64_PATH"
-INSTALLED = Path("/opt")  # where vendors' packages put theirs, whether or not this shell was told
+INSTALLED = Path("/opt")  # where vendors' packages put theirs, whether or not this shell knows it
 DEEPEST = 5  # folders below it
 USB3_VISION = ("ef", "05", "00")  # class, subclass and protocol of the control interface (USB3 Vision 1.0, 2.1)
 NEEDS = {"harvesters": (LIBRARIES["harvesters"], "camera"), "micromanager": (("pymmcore",), "micromanager")}

@@ -1,7 +1,7 @@
 """Camera backends: one file each, one line here.
 
 A bench file names a backend (`harvesters`, `aravis`, `micromanager`, `files`) or, for a camera outside this
-project, a dotted "package.module:Class".  A backend is imported only when it is asked for, so nobody needs
+project, a dotted "package.module:Class".  A backend is imported only when it is asked for, so there is no need of
 libraries for cameras that stand elsewhere.
 """
 
@@ -23,7 +23,7 @@ LIBRARIES = {"harvesters": ("harvesters", "genicam")}  # of the extra rtpiv[came
 
 
 def require_libraries(backend: str) -> None:
-    """Look whether a backend's libraries are installed, before anybody waits for anything.
+    """Look whether a backend's libraries are installed, before anything is waited for.
 
     Raises
     ------

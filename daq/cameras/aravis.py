@@ -4,7 +4,7 @@ libaravis receives packets, asks for lost ones again and fills our buffers from 
 Python.  Frames are unpacked into shared memory in the caller's thread when it asks for the next one.
 
 libaravis counts underruns by packets: every packet of a frame that found no buffer is one.  How many frames they
-were is told by the ids that are skipped, or where none is (before the first frame, behind the last one) by the
+were follows from the ids that are skipped, or where none is (before the first frame, behind the last one) by the
 number of packets that a frame has.
 
 Discovery would broadcast on all interfaces of the machine, so a network's device is made from the two addresses
@@ -61,7 +61,7 @@ from daq.errors import (
 
 FAKE = "Fake"
 OPEN_PROBE_S = 1.0
-POLL_S = 0.1
+STREAM_POLL_S = 0.1
 DRAIN_US = 1000
 MAX_PAYLOAD_BYTES = 1 << 29
 PACKET_SIZE, SMALLEST_PACKET_BYTES = "GevSCPSPacketSize", 576
@@ -275,7 +275,9 @@ class AravisCamera:
         while True:
             left_s = max(0.0, deadline - time.monotonic())
             if self._free:
-                buffer = call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * min(left_s, POLL_S)))
+                buffer = call(
+                    "arv_stream_timeout_pop_buffer", self._stream, round(1e6 * min(left_s, STREAM_POLL_S))
+                )
                 if buffer:
                     return self._take(buffer)
             elif left_s:
@@ -298,7 +300,7 @@ class AravisCamera:
         return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
-        """Stop the acquisition; complete frames that nobody fetched count as unused."""
+        """Stop the acquisition; complete frames not fetched count as unused."""
         if not self._stream:
             return self._last
         nodes = AravisNodes(self._device)
@@ -365,7 +367,7 @@ class AravisCamera:
             call("arv_stream_push_buffer", self._stream, buffer)
 
     def _drain(self) -> None:
-        """Count the frames that nobody will fetch any more."""
+        """Count the frames that will not be fetched any more."""
         while buffer := call("arv_stream_timeout_pop_buffer", self._stream, DRAIN_US):
             if call("arv_buffer_get_status", buffer) == STATUS_SUCCESS:
                 self._unused += 1

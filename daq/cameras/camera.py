@@ -45,7 +45,7 @@ class Counters:
 
     @property
     def lost(self) -> int:
-        """Frames that the camera exposed and nobody will see complete."""
+        """Frames that the camera exposed and that will never be complete."""
         return self.incomplete + self.underrun + self.missing
 
 

@@ -96,7 +96,7 @@ class DoubleHeightCamera:
         return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
-        """Stop the acquisition; halves that nobody fetched count as unused."""
+        """Stop the acquisition; halves not fetched count as unused."""
         left = len(self._halves)
         while self._halves:
             self._halves.popleft().release()

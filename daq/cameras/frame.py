@@ -74,7 +74,7 @@ class Frame:
 
     The pixels may lie in a slot of shared memory that the camera needs back: call `release`, or use the frame
     as a context manager, or take `copy` to keep them.  A slot that is never given back is counted by the camera
-    as an underrun sooner or later; it never overwrites pixels that somebody still holds.
+    as an underrun sooner or later; it never overwrites pixels that are still held.
 
     Parameters
     ----------

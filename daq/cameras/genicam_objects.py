@@ -148,7 +148,7 @@ def frame_id(buffer: Any) -> int | None:  # noqa: ANN401
 
 
 def timestamp_ns(buffer: Any) -> int:  # noqa: ANN401
-    """Camera clock; 0 if it has none, or one whose ticks nobody knows."""
+    """Camera clock; 0 if it has none, or one of unknown ticks."""
     found = _told(buffer, "timestamp_ns")
     if found is not None:
         return found

@@ -2,7 +2,7 @@
 
 libaravis repeats a request for seconds before it reports a loss.  Any GigE Vision device lets other applications
 read while one is in control, so a single read tells quickly whether the camera answers, and its control register
-whether it still knows that somebody is in control: a camera that was restarted does not.
+whether it still knows that it is controlled: a camera that was restarted does not.
 
 Source: AIA, GigE Vision specification 1.2, READREG and the control channel privilege register.
 """
@@ -17,7 +17,7 @@ from daq.errors import CameraLost
 PORT = 3956
 CONTROL_PRIVILEGE = 0x0A00
 READ_REGISTER, READ_REGISTER_ANSWER = 0x0080, 0x0081
-TRIES = 3
+REQUEST_ATTEMPTS = 3
 
 
 def read_register(address: str, register: int, timeout_s: float) -> int:
@@ -42,10 +42,10 @@ def read_register(address: str, register: int, timeout_s: float) -> int:
     end = time.monotonic() + timeout_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as channel:
         channel.connect((address, PORT))
-        for attempt in range(TRIES):
+        for attempt in range(REQUEST_ATTEMPTS):
             try:
                 channel.send(request)
-                deadline = end - timeout_s * (TRIES - 1 - attempt) / TRIES
+                deadline = end - timeout_s * (REQUEST_ATTEMPTS - 1 - attempt) / REQUEST_ATTEMPTS
                 while (left_s := deadline - time.monotonic()) > 0:
                     channel.settimeout(left_s)
                     value = _value(channel.recv(64), number)

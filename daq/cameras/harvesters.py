@@ -26,7 +26,7 @@ from daq.cameras.ring import FrameRing
 from daq.errors import BadFrame, CameraError, CameraLost, CameraSetupError, CameraUsageError, FrameIncomplete
 
 OPEN_S = 30.0  # a new Python process, numba, a producer that looks for cameras
-CALL_S = 5.0
+CALL_TIMEOUT_S = 5.0
 WATCHDOG = 1.5
 
 
@@ -87,7 +87,9 @@ class HarvestersCamera:
                 f"there is no GenTL producer {self._cti}; install the camera vendor's, or fix the path"
             )
         self._process, self._pipe = harvesters_process.start(str(self._cti), self._serial)
-        self._end_process = weakref.finalize(self, _end, self._process, os.getpid())  # also where nobody closes it
+        self._end_process = weakref.finalize(
+            self, _end, self._process, os.getpid()
+        )  # also where it is never closed
         try:
             found = self._call("open", OPEN_S)
         except CameraError:
@@ -172,7 +174,7 @@ class HarvestersCamera:
         return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
-        """Stop the acquisition; frames that nobody fetched count as unused."""
+        """Stop the acquisition; frames not fetched count as unused."""
         if self._ring is None:
             return self._count()
         try:
@@ -194,7 +196,7 @@ class HarvestersCamera:
                 self._pipe.close()
         if self._process is not None:
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(CALL_S)
+                self._process.wait(CALL_TIMEOUT_S)
             self._kill()
         self._pipe = None
 
@@ -248,7 +250,7 @@ class HarvestersCamera:
                 except OSError:
                     return  # the process is gone; the next call says so
 
-    def _call(self, call: str, timeout_s: float = CALL_S, **arguments: object) -> Any:  # noqa: ANN401
+    def _call(self, call: str, timeout_s: float = CALL_TIMEOUT_S, **arguments: object) -> Any:  # noqa: ANN401
         if self._pipe is None:
             raise CameraUsageError("the camera is closed; open it first")
         self._number += 1
@@ -302,7 +304,7 @@ class HarvestersCamera:
             ring.close()
 
     def _require_armed(self) -> None:
-        if self._pipe is not None and self._process is None:  # whoever found out need not be the one who waits
+        if self._pipe is not None and self._process is None:  # another call may have found out
             raise self._lost("its process has ended")
         if self._ring is None:
             raise CameraUsageError("the camera is not armed; call arm first")

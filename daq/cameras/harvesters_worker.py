@@ -65,7 +65,7 @@ def without_complaints() -> Iterator[None]:
 
 
 FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
-POLL_S = 0.001  # the same where no frame is expected
+NO_FRAME_POLL_S = 0.001  # the same where no frame is expected
 MIN_PRODUCER_BUFFERS = 3
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 
@@ -127,7 +127,7 @@ class Worker:
                     is_armed = self._ring is not None
                 if is_armed and self._free and self._triggers and not self._unanswered:
                     if not self._pipe.poll(FETCH_S):
-                        self._grab(POLL_S)
+                        self._grab(NO_FRAME_POLL_S)
                 elif is_armed and self._free:
                     self._grab(FETCH_S)
                 elif is_armed:
@@ -286,10 +286,10 @@ class Worker:
             self._free.append(slot)
             message = {"bad_frame": str(error)}
         underrun = self._underrun()
-        told = frame_id(buffer)
+        given_id = frame_id(buffer)
         # A producer that tells no ids hides what was lost on the link; what it counts itself still makes gaps.
-        message["id"] = self._grabbed + self._incomplete.count + underrun if told is None else told
-        message["id_told"] = told is not None
+        message["id"] = self._grabbed + self._incomplete.count + underrun if given_id is None else given_id
+        message["id_told"] = given_id is not None
         message["chunks"] = chunks_of(buffer, self._nodes, self._chunks)
         self._grabbed += 1
         message |= {"timestamp_ns": timestamp_ns(buffer), "received_ns": received_ns}
@@ -342,7 +342,7 @@ class Worker:
             self._ring = None
 
     def _close(self) -> None:
-        """Let go of what there is; a camera that does not answer any more cannot be stopped, and nobody asks."""
+        """Let go of what there is; a camera that does not answer any more cannot be stopped, and is not asked."""
         if self._acquirer is not None:
             with suppress(*GENICAM_ERRORS):
                 self._acquirer.destroy()

@@ -4,7 +4,7 @@ ctypes needs no compiler, no GObject introspection and works on every Python; it
 during each call.  The library is LGPL and is loaded as the system installed it
 (Debian, Ubuntu: ``apt-get install libaravis-0.8-0``).
 
-A stream has to be one that has heard nobody but its own camera.  Where it may (capability CAP_NET_RAW), libaravis
+A stream has to be one that has heard only its own camera.  Where it may (capability CAP_NET_RAW), libaravis
 reads packets from a raw socket with a ring of 32 MB, which loses far less than a plain one.  It binds that socket
 first and attaches the filter for its camera's address after, so whatever crosses the interface in between is taken
 for the camera's: the foreign packet's block id becomes the last id seen, and the camera's own frames are dropped

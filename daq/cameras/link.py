@@ -7,7 +7,7 @@
 
 On an Ethernet cable every packet takes 38 bytes more: preamble, frame header, checksum and the gap behind it.  So
 one gigabit carries 119 MB/s of pixels in packets of 1500 bytes and 124 MB/s in packets of 9000.  A link that is
-told slower than `SLOWEST_BYTES_S` is taken for another unit: some cameras tell megabits under these names.
+slower than `SLOWEST_BYTES_S` is taken for another unit: some cameras report megabits under these names.
 """
 
 import math
@@ -26,7 +26,7 @@ PACKET_SIZE = "GevSCPSPacketSize"
 
 
 def carried_bytes_s(settings: Mapping[str, Setting], link: LinkName | None = None) -> float:
-    """Pixels that fit through the link in a second [byte/s]; 0 if nobody tells.
+    """Pixels that fit through the link in a second [byte/s]; 0 if not known.
 
     Parameters
     ----------
@@ -38,19 +38,19 @@ def carried_bytes_s(settings: Mapping[str, Setting], link: LinkName | None = Non
     mbits = [each for each in (MBITS.get(link or "", 0.0), first_of(settings, ("GevLinkSpeed",))) if each]
     packets = _share_of_packets(settings)
     speed_bytes_s = first_of(settings, ("DeviceLinkSpeed",))
-    told = [min(mbits, default=0.0) * 1e6 / 8 * packets * USABLE]
-    told.append(USB3_BYTES_S * USABLE if link == "USB3" else 0.0)
-    told.append(speed_bytes_s * (packets if PACKET_SIZE in settings else 1.0) * USABLE)
-    told.append(limit_bytes_s(settings))
-    return min((each for each in told if each >= SLOWEST_BYTES_S), default=0.0)
+    limits = [min(mbits, default=0.0) * 1e6 / 8 * packets * USABLE]
+    limits.append(USB3_BYTES_S * USABLE if link == "USB3" else 0.0)
+    limits.append(speed_bytes_s * (packets if PACKET_SIZE in settings else 1.0) * USABLE)
+    limits.append(limit_bytes_s(settings))
+    return min((each for each in limits if each >= SLOWEST_BYTES_S), default=0.0)
 
 
 def told_bytes_s(settings: Mapping[str, Setting]) -> float:
     """The link's speed as the camera tells it, without any loss; 0 if it does not tell."""
-    told = limit_bytes_s(settings) or first_of(settings, ("DeviceLinkSpeed",))
-    if told < SLOWEST_BYTES_S:
-        told = first_of(settings, ("GevLinkSpeed",)) * 1e6 / 8
-    return told if told >= SLOWEST_BYTES_S else 0.0
+    rate = limit_bytes_s(settings) or first_of(settings, ("DeviceLinkSpeed",))
+    if rate < SLOWEST_BYTES_S:
+        rate = first_of(settings, ("GevLinkSpeed",)) * 1e6 / 8
+    return rate if rate >= SLOWEST_BYTES_S else 0.0
 
 
 def limit_bytes_s(settings: Mapping[str, Setting]) -> float:

@@ -13,7 +13,7 @@ Settings have SFNC names where the core knows them (below), or are properties of
 
 The core tells no time of an exposure, and of single images no number: nothing says which light pulse an image
 shows, so flow runs are refused (bench_table).  A frame of a software trigger has the number of its trigger.  A
-buffer of the core that overflows ends the run: what it threw away is not told.
+buffer of the core that overflows ends the run: what it threw away is not reported.
 
 Every call is made by one thread with a deadline of ours (stages.foreign.calls): adapters may never return.
 `CoreNodes` are its settings as `sfnc.Nodes`, for use in that thread.  A property is text: it is read back as a
@@ -66,7 +66,7 @@ class CoreNodes:
         What the core does not hold: how triggers come.
     """
 
-    def __init__(self, core: Any, label: str, values: dict[str, Setting]) -> None:  # noqa: ANN401 - somebody else's
+    def __init__(self, core: Any, label: str, values: dict[str, Setting]) -> None:  # noqa: ANN401 - third-party
         self._core = core
         self._label = label
         self._values = values
@@ -160,10 +160,10 @@ class CoreNodes:
 
 
 LABEL = "Camera"
-POLL_S = 0.002
-CALL_S = 30.0  # an adapter may look for its camera for a while
+CORE_POLL_S = 0.002
+CORE_TIMEOUT_S = 30.0  # an adapter may look for its camera for a while
 ENDLESS = 2_000_000_000  # images of a sequence that ends when it is disarmed
-MOST_BYTES = 1 << 29
+MAX_IMAGE_BYTES = 1 << 29
 
 T = TypeVar("T")
 
@@ -191,7 +191,7 @@ class MicroManagerCamera:
         device: str,
         adapters: str | None = None,
         core: str = "pymmcore:CMMCore",
-        call_s: float = CALL_S,
+        call_s: float = CORE_TIMEOUT_S,
         **properties: Setting,
     ) -> None:
         self._device, self._library, self._adapters = device, library, adapters
@@ -283,7 +283,7 @@ class MicroManagerCamera:
         def prepare() -> None:
             width, height = int(self._core.getImageWidth()), int(self._core.getImageHeight())
             size = width * height * int(self._core.getBytesPerPixel())
-            if not 0 < size <= MOST_BYTES:
+            if not 0 < size <= MAX_IMAGE_BYTES:
                 raise BadFrame(f"the camera announces images of {width} x {height} px and {size} bytes")
             self._core.setCircularBufferMemoryFootprint(max(2, -(-buffers * size // (1 << 20)) + 1))  # in MB
             if not self._is_triggered:
@@ -293,7 +293,7 @@ class MicroManagerCamera:
         self._is_armed = True
 
     def clock_ns(self) -> int | None:
-        """Nobody tells it."""
+        """Not known."""
         self._require_open()
         return None
 
@@ -323,7 +323,7 @@ class MicroManagerCamera:
                 return self._frame(*found)
             if time.monotonic() >= deadline_s:
                 return None
-            time.sleep(POLL_S)
+            time.sleep(CORE_POLL_S)
 
     def probe(self, timeout_s: float) -> None:
         """CameraLost unless the adapter answers."""
@@ -335,7 +335,7 @@ class MicroManagerCamera:
         return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
-        """End the sequence; images that nobody fetched count as unused."""
+        """End the sequence; images not fetched count as unused."""
         if not self._is_armed:
             return self._counters
         self._is_armed = False
@@ -441,7 +441,7 @@ class MicroManagerCamera:
             raise CameraUsageError("the camera is not armed; call arm first")
 
 
-def _class_of(dotted: str) -> Any:  # noqa: ANN401 - somebody else's
+def _class_of(dotted: str) -> Any:  # noqa: ANN401 - third-party
     try:
         return named_program(dotted)
     except (ImportError, AttributeError) as error:

@@ -1,7 +1,7 @@
-"""Frames in shared memory: one process writes slots, others read them, nobody copies.
+"""Frames in shared memory: one process writes slots, others read them, without copies.
 
 The owner creates the memory and removes it.  Which slot is free is said by messages, not by flags in the memory,
-so a slot is never written while somebody holds it.
+so a slot is never written while it is held.
 """
 
 import os
@@ -63,7 +63,7 @@ class FrameRing:
 
 
 def _let_go(memory: SharedMemory, owner: int) -> None:
-    """Also called where nobody closed it, at the end of the process; a fork of the owner removes nothing."""
+    """Also called at the end of the process; a fork of the owner removes nothing."""
     if owner == os.getpid():
         memory.unlink()
     try:

@@ -35,7 +35,7 @@ from piv.files.colours import SAID, grey_of
 FORMATS = {".avi": "avi", ".mp4": "mov", ".mov": "mov", ".mkv": "matroska", ".cine": "cine"}
 MOST_FRAMES = 10_000_000
 KEPT = 4  # frames behind the newest that are not decoded again: those of pairs that overlap
-UNEVEN = 0.25  # of the time between two frames; by more no camera's clock is off
+MAX_TIME_JITTER = 0.25  # of the time between two frames; by more no camera's clock is off
 COLOURED = 3  # how far chroma may be off its middle in a grey frame that was packed with a loss
 logging.getLogger("libav").addHandler(logging.NullHandler())  # what it finds is in our one sentence
 _DAMAGED = "is damaged, or made from a frame that is; leave it out, or copy the video from the camera again"
@@ -248,7 +248,7 @@ def _numbered(packed: list[_Packed]) -> dict[int, _Packed]:
         return {1: in_order[0]}
     apart = steps / np.median(steps) if np.median(steps) > 0 else np.zeros_like(steps)
     whole = np.rint(apart)
-    if (np.abs(apart - whole) > UNEVEN).any() or (whole < 1).any():
+    if (np.abs(apart - whole) > MAX_TIME_JITTER).any() or (whole < 1).any():
         raise FrameError(
             "its frames are not at equal distances in time, as those of a phone often are not; record at one rate"
         )

@@ -1,1 +1,1 @@
-"""A page in the browser that shows frames as they come; nobody who measures waits for it."""
+"""A page in the browser that shows frames as they come; no measurement waits for it."""

@@ -15,16 +15,16 @@ A chessboard has edges instead. An edge between dark and bright, A apart, that i
 is at its steepest A / (sqrt(2 pi) s); differences over two pixels add 1/3 px^2 to its variance. Squares have to be
 some eight times as wide as the blur, or bright and dark do not reach what they are.
 
-Which way to turn the ring of a lens is told by following how sharp the view is while somebody turns it.  One frame
+Which way to turn the ring of a lens follows from how sharp the view is while it is turned.  One frame
 does not say on which side of the focus it was taken: the same spot is as wide before it as behind it.
 What says it is a turn. Widths v(t) of the last looks are kept; the last two are compared with the two before, by
 their scatter, which is taken from second differences, because those do not see a steady turn:
 
     sigma^2 = median((v(t-1) - 2 v(t) + v(t+1))^2) / (6 * 0.455)
 
-(0.455: median of chi squared with one degree of freedom.) Further than `SURE` sigmas apart the view becomes
-sharper or softer. The sharpest of `MEMORY_S` is the wider one of two looks after each other, so that a bad look is
-none.
+(0.455: median of chi squared with one degree of freedom.) Further than `FOCUS_SIGMAS` sigmas apart the view
+becomes sharper or softer. The sharpest of `MEMORY_S` is the wider one of two looks after each other, so that a bad
+look is none.
 """
 
 import math
@@ -42,7 +42,7 @@ from daq.pipeline.live_slot import SlotReader, Snapshot
 
 MEMORY_S = 60.0
 LOOKS = 8  # before anything is said: of fewer the scatter is not known
-SURE = 4.0
+FOCUS_SIGMAS = 4.0
 LEAST = 0.004  # of a width: scatter that no frame is better than
 SIXTH, CHI = 6.0, 0.455
 SPAN = 24  # looks whose scatter is taken
@@ -76,15 +76,15 @@ class FocusTrend:
         wider = np.maximum(widths[1:], widths[:-1])
         sharpest = int(wider.argmin())
         best, ago_s = float(wider[sharpest]), float(times[-1] - times[sharpest + 1])
-        at_best = now - best <= SURE * sigma
+        at_best = now - best <= FOCUS_SIGMAS * sigma
         was = f"it was {best:.2f} px {ago_s:.0f} s ago"
-        if abs(now - before) > SURE * sigma:
+        if abs(now - before) > FOCUS_SIGMAS * sigma:
             if now < before:
                 return f"{now:.2f} px, becoming sharper: go on"
             return f"{now:.2f} px, becoming softer: turn back" + ("" if at_best else f"; {was}")
         if not at_best:
             return f"{now:.2f} px: turn back the way you came; {was}"
-        if float(widths.max()) - best > 2.0 * SURE * sigma:
+        if float(widths.max()) - best > 2.0 * FOCUS_SIGMAS * sigma:
             return f"{now:.2f} px, as sharp as it was in the last minute"
         return f"{now:.2f} px: turn the ring a little, to see which way is sharper"
 
@@ -102,9 +102,9 @@ TILES = 12  # along the longer side
 LOOKED_AT_PX = 96  # side of what is looked at in the middle of a tile
 NOISE_OF_MAD = 1.4826  # sigma of a normal distribution / median absolute deviation
 STANDS_OUT = 5.0  # noise above the median, from which a maximum is a particle
-FAR_PX = 12  # a shift that no particle reaches over
+BEYOND_PARTICLES_PX = 12  # a shift that no particle reaches over
 STEEPEST, OF_AN_EDGE, LEAST_EDGE_PX = 99.0, 20.0, 0.3  # percentile, noise in bright less dark, pixels themselves
-FEWEST = 6  # maxima in a tile, below which nothing is said of it
+MIN_TILE_PARTICLES = 6  # maxima in a tile, below which nothing is said of it
 BINS = 64
 
 
@@ -122,7 +122,7 @@ def brightness(pixels: NDArray[Any], white: int) -> float:
 
 
 def histogram(pixels: NDArray[Any], white: int) -> list[int]:
-    """Counts in BINS equal bins up to white, of every sixteenth pixel; one saturated one anywhere is told."""
+    """Counts in BINS equal bins up to white, of every sixteenth pixel; a single saturated one is noticed."""
     some = pixels[::4, ::4]
     counts, _ = np.histogram(some[np.isfinite(some)], BINS, (0.0, white + 1.0))
     counts[-1] = max(counts[-1], np.any(pixels >= white))
@@ -130,7 +130,7 @@ def histogram(pixels: NDArray[Any], white: int) -> list[int]:
 
 
 def particle_maps(pixels: NDArray[Any]) -> dict[str, Rows]:
-    """Diameter [px], density [1/px] and contrast of particles in tiles, row by row; None where nobody can tell."""
+    """Diameter [px], density [1/px] and contrast of particles in tiles, row by row; None where unknown."""
     tiles = _tiles(pixels, _of_tile)
     return {
         name: [[tile[place] for tile in row] for row in tiles]
@@ -181,9 +181,9 @@ def _of_tile(tile: NDArray[Any]) -> tuple[float | None, float | None, float | No
                 top &= inner >= image[down : down + inner.shape[0], right : right + inner.shape[1]]
     count = int(top.sum())
     density = count / inner.size
-    if count < FEWEST:
+    if count < MIN_TILE_PARTICLES:
         return None, density, None
-    beyond = _alike(image, FAR_PX)
+    beyond = _alike(image, BEYOND_PARTICLES_PX)
     falls = [_alike(image, k) - beyond for k in (1, 2)]
     contrast = float(np.median(inner[top])) / noise
     if not falls[0] > falls[1] > 0.0:

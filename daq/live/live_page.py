@@ -1,4 +1,4 @@
-"""Start the page, and show it snapshots: for whoever measures, who is told nothing of viewers and waits for none.
+"""Start the page, and show it snapshots: the side of the measurement, which never waits for viewers.
 
 A server that dies is started again under the same address, and pages that are open find it by themselves. What is
 done while no frame comes, and how it ended, goes to the server as lines on its input; a line for which there is no
@@ -8,7 +8,7 @@ A run is shown as often as eyes like while it keeps up, less when the computer h
 A frame that is not corrected while the run goes on is the first thing that a full computer leaves out, and a page,
 whose browser may draw on the same cores, is the first thing that can do with less.  So once a second the rate goes
 down by a third if more than `BEHIND` of the frames were left out, to `LEAST_HZ`, and up by one if not.  While
-nobody looks, one frame a second is shown, so that whoever comes has a picture at once.
+there is no viewer, one frame a second is shown, so that a new viewer has a picture at once.
 
 Frames come when they come: one that comes late is made up for by the next, so that of 20 frames a second 12 are
 shown, and not every other one.
@@ -59,7 +59,7 @@ class RateLimiter:
         now_s : float
             On any clock that only goes forward.
         is_watched : bool
-            Whether somebody looks.
+            Whether there is a viewer.
         """
         return now_s - self._from_s >= self._period_s(is_watched)
 
@@ -176,7 +176,7 @@ class LivePage:
         return self.rate_limiter.is_due(time.monotonic(), self._slot.is_watched)
 
     def show(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
-        """Show a snapshot, unless the last one is too young for anybody to have seen it."""
+        """Show a snapshot, unless the last one is too young to have been seen."""
         if self.is_due:
             self.rate_limiter.shown(time.monotonic(), self._slot.is_watched)
             self._slot.put(words, pictures)
@@ -189,7 +189,7 @@ class LivePage:
             self._tell({"doing": self._orders["doing"]})
 
     def close(self, why: str = "ended") -> None:
-        """Take the page down: viewers are told why."""
+        """Take the page down: viewers learn why."""
         self._tell({"over": why})
         with self._starts:  # from here on none is started
             self._over.set()

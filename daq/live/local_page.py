@@ -3,7 +3,7 @@
 Only this computer is listened to.  A page of another site can make a browser here ask for anything, under any name
 that leads here (DNS rebinding), so that what is asked must carry our own address as its Host, and a socket must
 come from our own page by its Origin.  Who wants more than the empty page must know a token that stands in the
-page's address behind the #, which browsers tell nobody; it is compared in constant time.
+page's address behind the #, which browsers never send; it is compared in constant time.
 """
 
 import hmac

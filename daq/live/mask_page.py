@@ -3,8 +3,8 @@
     browser: token                       -> page: words (name, outlines so far), then the frame, one byte a pixel
     browser: {"outlines": [[[u, v] ...]]} -> page: {"saved": ..., "share": ...} or {"refused": one sentence}
 
-The picture is written whole or not at all.  The page can write this one file and do nothing else; whoever is let
-in is decided as for the live page (`daq.live.local_page`).
+The picture is written whole or not at all.  The page can write this one file and do nothing else; a viewer who is
+let in is decided as for the live page (`daq.live.local_page`).
 """
 
 import json
@@ -32,9 +32,9 @@ PAGES = {
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/mask.js": ("mask.js", "text/javascript; charset=utf-8"),
 }
-MOST_BYTES = 4_000_000  # of a message
+MAX_MESSAGE_BYTES = 4_000_000  # of a message
 MOST_OUTLINES, MOST_POINTS = 1000, 100_000
-FAR_PX = 1e6  # no outline needs to go so far beside the frame
+MAX_OUTLINE_PX = 1e6  # no outline needs to go so far beside the frame
 DARK, BRIGHT = 1.0, 99.7  # percentiles of what is shown from black to white
 
 
@@ -67,7 +67,7 @@ class MaskPage:
         self._shown = _bytes_of(frame)
         self._outlines = [part.outline_px for part in begun]
         self._token = secrets.token_urlsafe(24)
-        self._server = listening(self._show, self._answer, port, MOST_BYTES)
+        self._server = listening(self._show, self._answer, port, MAX_MESSAGE_BYTES)
         self.access = LocalPage(self._token, self._server.socket.getsockname()[1], SOCKET, PAGES)
 
     def serve(self) -> None:
@@ -135,7 +135,9 @@ def _point(pair: object) -> Point | None:
     if not isinstance(pair, list) or len(pair) != 2 or any(type(number) not in (int, float) for number in pair):
         return None
     u, v = pair
-    inside = -FAR_PX <= u <= FAR_PX and -FAR_PX <= v <= FAR_PX  # no number that is none, and none without end
+    inside = (
+        -MAX_OUTLINE_PX <= u <= MAX_OUTLINE_PX and -MAX_OUTLINE_PX <= v <= MAX_OUTLINE_PX
+    )  # no number that is none, and none without end
     return (float(u), float(v)) if inside else None
 
 

@@ -1,7 +1,7 @@
 """Evaluation in the page's process: a thread of low priority looks at the last frame shown.
 
-A frame is looked at now and then, whichever is there, while somebody looks at the page. Each watch works for
-`MOST_OF_THE_TIME` at most, so that a slow or busy computer looks less often.
+A frame is looked at now and then, whichever is there, while the page has viewers. Each watch works for
+`MONITOR_DUTY` at most, so that a slow or busy computer looks less often.
 """
 
 import threading
@@ -13,8 +13,8 @@ from typing import Any
 from daq.pipeline.live_slot import SlotReader, Snapshot
 from daq.pipeline.priority import lower_priority
 
-MOST_OF_THE_TIME = 0.05
-POLL_S = 0.1
+MONITOR_DUTY = 0.05
+SLOT_POLL_S = 0.1
 
 
 class Monitor(ABC):
@@ -55,8 +55,8 @@ class Monitor(ABC):
                 begun_s = time.monotonic()
                 self.look()
                 took_s = time.monotonic() - begun_s  # longer than it needed, where others need the processor
-                next_s = time.monotonic() + max(self._every_s, took_s / MOST_OF_THE_TIME)
-            time.sleep(POLL_S)
+                next_s = time.monotonic() + max(self._every_s, took_s / MONITOR_DUTY)
+            time.sleep(SLOT_POLL_S)
 
 
 def _raw_of(snapshot: Snapshot) -> Snapshot:

@@ -4,7 +4,7 @@ Rims: where the glass stands by its rims, beside where the scene has it, looked 
 second of a core.  Only frames in which the plane is seen through the glass are looked at (`words["rims"]`); with a
 board in them the camera's place is found as well (``correction.alignment``).
 
-Spheres: whether one has moved since it was calibrated, told by particles of the flow that are seen twice.  Frames
+Spheres: whether one has moved since it was calibrated, from particles of the flow that are seen twice.  Frames
 of one pulse are looked at, so that what stands still in them is alike; the last ones count together
 (``correction.self_check``).
 """
@@ -127,14 +127,14 @@ def scene_told(text: str) -> Scene | None:
         return None
 
 
-def board_told(told: dict[str, Any]) -> Chessboard:
+def board_told(tree: dict[str, Any]) -> Chessboard:
     """Board of what JSON makes of its `asdict`: tuples come as lists."""
 
     def of_tuples(value: Any) -> Any:  # noqa: ANN401 - whatever a board holds
         return tuple(map(of_tuples, value)) if isinstance(value, list) else value
 
-    words = {name: of_tuples(value) for name, value in told.items()}
-    parts = {name: told[name] and kind(**told[name]) for name, kind in (("codes", Codes), ("dots", Dots))}
+    words = {name: of_tuples(value) for name, value in tree.items()}
+    parts = {name: tree[name] and kind(**tree[name]) for name, kind in (("codes", Codes), ("dots", Dots))}
     return Chessboard(**words | parts)
 
 

@@ -17,7 +17,7 @@ from daq.runs.run_folder import RunFolder
 from daq.timing.states import LaserState
 
 RECENT = 50
-SLOW_MS = 500.0  # from frame to corrected, beyond which nobody adjusts by looking
+SLOW_MS = 500.0  # from frame to corrected, beyond which it is too slow to adjust by looking
 MANY_WAIT = 6  # raw frames, of the eight that may
 DISK_S = 2.0  # between two looks at the disk
 LITTLE_S = 600.0  # of frames at this rate, for which it has room

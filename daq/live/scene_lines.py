@@ -107,7 +107,7 @@ def _scaled(points: NDArray[Any], times: int, closed: bool) -> Line:
 
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-MOST = 24  # balls; what is said of a snapshot has little room, and more lines hide the picture
+MAX_BALLS = 24  # balls; what is said of a snapshot has little room, and more lines hide the picture
 
 
 def outlines(scene: Scene) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def outlines(scene: Scene) -> dict[str, Any]:
 
     The cross is the origin of the plane.
     """
-    grid, largest = grid_of(scene.camera), sorted(scene.spheres, key=lambda ball: -ball.radius_mm)[:MOST]
+    grid, largest = grid_of(scene.camera), sorted(scene.spheres, key=lambda ball: -ball.radius_mm)[:MAX_BALLS]
     origin = np.zeros((1, 3))
     said: dict[str, Any] = {"raw": {"lines": []}, "corrected": {"lines": []}}
     pinhole = np.array(scene.camera.position_mm)
@@ -166,6 +166,6 @@ def _add_folds(lines: dict[str, Any], scene: Scene) -> None:
     try:
         found = folds_and_masks(scene)
     except (TracerError, CorrectionError, PivError, GroundError):
-        return  # nothing is corrected there either, and whoever corrects has said why
+        return  # nothing is corrected there either, and the correction has said why
     for name, kinds in found.items():
         lines[name] |= kinds

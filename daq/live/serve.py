@@ -6,9 +6,9 @@ One thread a viewer: it sends the last snapshot, waits until the browser says th
 last one again; what came meanwhile is counted and never queued. Pictures are made where the frames lie, as large
 as the viewer has room for; what seldom changes is sent when it has. While nothing new comes, twice a second a word
 says that the server lives, what the run does and for how long. All of it is of lower priority than the run,
-and none of it happens while nobody looks.
+and none of it happens while there is no viewer.
 
-Who is let in: `daq.live.local_page`.  Nothing can be told to the bench through here: there are frames in one
+Who is let in: `daq.live.local_page`.  The bench takes no commands through here: there are frames in one
 direction and acknowledgements in the other.
 """
 
@@ -45,10 +45,10 @@ PAGES = {
 MOST_VIEWERS = 64
 MOST_KEPT = 16  # pictures, of up to 2 MB
 MOST_WORDS = 4096  # bytes of a message from a browser
-POLL_S = 0.005  # between two looks into the slot
+SNAPSHOT_POLL_S = 0.005  # between two looks into the slot
 OVER_S = 0.2  # between two looks whether the run is over
 ALIVE_S = 0.5  # between two signs of life
-FAREWELL_S = 1.5  # for those who look, on a busy computer; whoever measures waits 2 s for our end
+FAREWELL_S = 1.5  # for those who look, on a busy computer; the run waits 2 s for our end
 KILLED = "killed: its program is gone"
 NAMES = "raw", "corrected"  # of pictures
 SELDOM = "lines", "figures", "arrows"  # words that are sent when they have changed
@@ -135,7 +135,7 @@ class Page:
             said = self.access.let_in(connection)
             if said is None:
                 return
-            with self._lock:  # who knows no token keeps nobody out
+            with self._lock:  # a viewer without the token keeps no other out
                 self.viewers += 1
                 busy = self.viewers > MOST_VIEWERS
             try:
@@ -155,7 +155,7 @@ class Page:
             seen = last
             update = self.slot.taken(lambda snapshot: self._update_for(snapshot, request))
             if update is None or update.number <= seen:
-                time.sleep(POLL_S)
+                time.sleep(SNAPSHOT_POLL_S)
                 continue
             self._keep(update)
             missed += update.number - seen - 1 if seen else 0
@@ -190,7 +190,7 @@ class Page:
                 connection.send(json.dumps(self._doing()))
                 alive_s = time.monotonic() + ALIVE_S
             with suppress(TimeoutError):
-                request.heard(understood(connection.recv(timeout=POLL_S)))
+                request.heard(understood(connection.recv(timeout=SNAPSHOT_POLL_S)))
                 return max(seen - 1, 0)
         return None
 
@@ -258,9 +258,9 @@ def _look_at_scene(page: Page, text: str, board: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    """Serve until whoever started us is gone: its words come by our input, which ends with it."""
+    """Serve until the parent process is gone: its words come by our input, which ends with it."""
     lower_process()
-    slot = Path(sys.argv[1])  # known before any order: whoever is killed first cannot take it down
+    slot = Path(sys.argv[1])  # known before any order: the parent may be killed before it can remove it
     orders = _next_words()
     if orders:
         try:
@@ -285,26 +285,26 @@ def _serve(server: Server, page: Page, orders: dict[str, Any]) -> None:
     threading.Thread(target=accept, name="page", daemon=True).start()
     _say({"port": page.port})
     if orders.get("scene"):
-        told = page, orders["scene"], orders["board"]
-        threading.Thread(target=_look_at_scene, args=told, name="scene", daemon=True).start()
+        arguments = page, orders["scene"], orders["board"]
+        threading.Thread(target=_look_at_scene, args=arguments, name="scene", daemon=True).start()
     while not page.over:
         words = _next_words() or {"over": KILLED}
         page.doing = tuple(words.get("doing", page.doing))
         page.over = words.get("over", "")
     until_s = time.monotonic() + FAREWELL_S
-    while page.viewers and time.monotonic() < until_s:  # those who can hear it are told that it is over
-        time.sleep(POLL_S)
+    while page.viewers and time.monotonic() < until_s:  # tell viewers that it is over
+        time.sleep(SNAPSHOT_POLL_S)
     server.shutdown()
 
 
 def _next_words() -> dict[str, Any]:
-    """Wait for a line from whoever started us; nothing where the line is cut off, for then it was killed."""
+    """Wait for a line from the parent process; nothing where the line is cut off, for then it was killed."""
     line = sys.stdin.readline()
     return dict(json.loads(line)) if line.endswith("\n") else {}
 
 
 def _say(words: dict[str, Any]) -> None:
-    """Say it to whoever started us, if somebody is there to hear it."""
+    """Say it to the parent process, if it is still there."""
     with suppress(OSError):
         print(json.dumps(words), flush=True)
     flush_or_leave()

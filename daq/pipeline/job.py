@@ -54,7 +54,7 @@ class SharedJob:
         self._lock = threading.Lock()
 
     def hold(self) -> None:
-        """Hold it as well; only for whoever holds it already."""
+        """Hold it once more; only where it is held already."""
         with self._lock:
             self._holders += 1
 

@@ -4,10 +4,10 @@ A live thread that is too slow has to leave frames out.  Left out one by one, ne
 its two frames: at half the needed speed half of the frames would be corrected, and no vectors measured at all.  So
 a group (`Step.group`; a pair of a flow has two frames) is left out whole or not at all:
 
-* when too much waits, the OLDEST group that nobody has begun goes, so that what is shown is recent;
+* when too much waits, the OLDEST group that is not begun goes, so that what is shown is recent;
 * a frame whose group was left out follows it, and a group that has been begun is brought to its end.
 
-What waits is bounded: by the limit in groups that nobody has begun, or by one group if that is larger, and by the
+What waits is bounded: by the limit in groups that are not begun, or by one group if that is larger, and by the
 rest of the one that was begun.
 """
 
@@ -54,7 +54,7 @@ class LiveQueue(Generic[Item]):
         size : int
             Frames of that group.
         room : bool
-            False if nobody has time for another group now; one that waits already may still grow.
+            False if there is no time for another group now; one that waits already may still grow.
 
         Returns
         -------

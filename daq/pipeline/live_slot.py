@@ -1,14 +1,14 @@
 """The last snapshot of a run, where another process can look at it: one place in memory that both have mapped.
 
     writer (preview thread)  --snapshot-->  file of fixed size, two halves  --snapshot-->  readers, as many as like
-                        <--asked---  when somebody has last looked
+                        <--asked---  when a viewer has last looked
 
-Whoever measures waits for nobody.  The writer fills the half that was not shown last and then says which one is
+The measurement never waits.  The writer fills the half that was not shown last and then says which one is
 newer; each half has a count that is odd while it is written.  A reader makes of a half what it needs, where it
 lies, and keeps that only if the count was even and the same before and after: else the writer has overtaken it,
-and it looks again.  What nobody looked at is gone; the number of the snapshot says how many that were.
+and it looks again.  A snapshot not looked at is gone; the number of the snapshot says how many that were.
 
-Readers leave the time at which they look, so that a writer whom nobody watches need not copy. It is all that the
+Readers leave the time at which they look, so that a writer without viewers need not copy. It is all that the
 writer ever reads here: whatever a reader does to the file, the writer copies too often or too rarely.
 """
 
@@ -30,15 +30,15 @@ from daq.errors import DaqError
 
 MAGIC = b"rtpivlv1"
 HEAD = struct.Struct("<8sQQQ")  # magic, bytes of a half, snapshots so far, which half is newest
-ASKED = struct.Struct("<q")  # monotonic clock of whoever looked last [ns]
+ASKED = struct.Struct("<q")  # monotonic clock of the last look [ns]
 HALVES = 64  # bytes before the first half: HEAD, ASKED, nothing
 HALF = struct.Struct("<QIIq")  # count, bytes of words, number of pictures, monotonic clock [ns]
 PICTURE = struct.Struct("<16sIIcxxx")  # name, height, width, type
 WORDS_BYTES = 65_536
 MOST_PICTURES = 4
-MOST_BYTES = 1 << 31
-TRIES = 50
-WATCHED_S = 2.0  # after a look somebody is taken to look still
+MAX_SLOT_BYTES = 1 << 31
+READ_ATTEMPTS = 50
+WATCHED_S = 2.0  # after a look a viewer is assumed to be there still
 T = TypeVar("T")
 TYPES: dict[bytes, np.dtype[Any]] = {b"H": np.dtype("<u2"), b"f": np.dtype("<f4")}
 CODES = {dtype: code for code, dtype in TYPES.items()}
@@ -55,7 +55,7 @@ class Snapshot:
     Parameters
     ----------
     number : int
-        Counted from 1; gaps are snapshots that nobody looked at.
+        Counted from 1; gaps are snapshots not looked at.
     words : dict
         What is known beside the pictures.
     pictures : dict
@@ -71,7 +71,7 @@ class Snapshot:
 
 
 class SlotWriter:
-    """The side of whoever measures.
+    """The side of the measurement.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class SlotWriter:
 
     def __init__(self, most_bytes: int) -> None:
         half = HALF.size + WORDS_BYTES + MOST_PICTURES * PICTURE.size + most_bytes
-        if HALVES + 2 * half > MOST_BYTES:
+        if HALVES + 2 * half > MAX_SLOT_BYTES:
             raise NoSlotError(
                 f"frames of {most_bytes / 1e6:.0f} MB are too large to be shown live; leave out --live"
             )
@@ -98,11 +98,11 @@ class SlotWriter:
 
     @property
     def is_watched(self) -> bool:
-        """True if somebody looks."""
+        """True if a viewer has looked lately."""
         return _is_watched(self._memory)
 
     def put(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
-        """Show a snapshot; takes the time of a copy, and waits for nobody.
+        """Show a snapshot; takes the time of a copy, and never waits.
 
         Pictures that do not fit are left out, and words that are too many: the run goes on.
         """
@@ -141,7 +141,7 @@ class SlotWriter:
 
 
 class SlotReader:
-    """The side of whoever looks.
+    """The side of the viewer.
 
     Parameters
     ----------
@@ -176,12 +176,12 @@ class SlotReader:
         return not self.path.exists()
 
     def ask(self) -> None:
-        """Say that somebody looks."""
+        """Note a look."""
         ASKED.pack_into(self._memory, HEAD.size, time.monotonic_ns())
 
     @property
     def is_watched(self) -> bool:
-        """True if somebody looks."""
+        """True if a viewer has looked lately."""
         return _is_watched(self._memory)
 
     def latest(self) -> Snapshot | None:
@@ -197,7 +197,7 @@ class SlotReader:
             Gets the snapshot with pictures that may change while it looks, and must keep nothing of them; what it
             makes of a snapshot that changes is thrown away. It may be called again.
         """
-        for _ in range(TRIES):
+        for _ in range(READ_ATTEMPTS):
             _, _, number, which = self._head()
             if number == 0:
                 return None

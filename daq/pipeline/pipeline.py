@@ -3,9 +3,9 @@
     next_frame -> submit --> raw thread:  checksum, TIFF, fsync, rename, journal
                         `-> live thread: correct  -> store thread: corrected TIFF
                                                `-> vectors of the last pair (`preview_vectors`)
-                               `-> whoever looks (`PreviewThread`)
+                               `-> viewers (`PreviewThread`)
 
-A frame stays in the camera's shared memory until both threads are through with it; nobody copies it.
+A frame stays in the camera's shared memory until both threads are through with it; it is never copied.
 
 * The raw thread comes first: it has two writers, so that one computes while the other waits for the disk; the
   others run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
@@ -18,7 +18,7 @@ A frame stays in the camera's shared memory until both threads are through with 
 
 Latency is taken from the moment the frame was complete (`received_ns`) to the moment its corrected pixels exist.
 
-The last frame is shown to whoever looks by a thread of low priority, for which no other thread waits.  One frame
+The last frame is shown to viewers by a thread of low priority, for which no other thread waits.  One frame
 lies in a tray until the thread takes it; a newer one takes its place. So at most two buffers of the camera are
 held for it, the one in the tray and the one that is being shown. What goes wrong in showing is said once and ends
 the showing: the run goes on.
@@ -68,7 +68,7 @@ class PreviewThread:
         self._thread.start()
 
     def offer(self, shared: SharedJob, corrected: NDArray[np.float32] | None) -> None:
-        """Lay a frame into the tray; nobody may write into its correction any more."""
+        """Lay a frame into the tray; its correction must not be written to any more."""
         with self._wake:
             if self._ends:
                 return
@@ -265,7 +265,7 @@ class Pipeline:
             self._bug = self._bug or error
 
     def _let_all_go(self) -> None:
-        """Give the memory of frames back that nobody will write."""
+        """Give the memory of frames back that will not be written."""
         while True:
             try:
                 shared = self._raw.get_nowait()

@@ -2,9 +2,9 @@
 
 Corrected frames of the live thread are looked at as they come. When both frames of a pair have come, they lie in a
 tray for one pair, from which a thread of low priority takes them; a newer pair takes the place of one that still
-lies there. So nobody waits for vectors: neither the raw thread nor the live one loses a frame to them, and what is
-shown is recent. Windows are 64 px (`piv.correlation.live`). At most `MOST_PER_S` pairs a second are measured, for
-`MOST_OF_THE_TIME` at most: on a small or busy computer frames to be corrected come first.
+lies there. So no thread waits for vectors: neither the raw thread nor the live one loses a frame to them, and what
+is shown is recent. Windows are 64 px (`piv.correlation.live`). At most `MOST_PER_S` pairs a second are measured,
+for `PREVIEW_DUTY` at most: on a small or busy computer frames to be corrected come first.
 """
 
 import math
@@ -25,9 +25,9 @@ from piv.correlation.vector_field import STATIC_SHARE, VectorField
 from piv.errors import PivError
 
 MOST_PER_S = 4.0
-MOST_OF_THE_TIME = 0.25
+PREVIEW_DUTY = 0.25
 WARM_PX = 320
-PATIENCE_S = 10.0
+COMPILE_PATIENCE_S = 10.0
 MOST_ARROWS = 400
 Frame = NDArray[np.float32]
 
@@ -66,7 +66,7 @@ class PreviewVectors:
         self._thread.start()
 
     def see(self, step: Step, number: int, corrected: Frame, received_ns: int) -> None:
-        """Look at a corrected frame (H, W), NaN where nothing is recovered; nobody may write into it any more."""
+        """Look at a corrected frame (H, W), NaN where nothing is recovered; it must not be written to any more."""
         if step.group != 2 or (step.pulses is not None and step.pulses.is_background):
             return  # a background is taken without particles
         if (number - step.first_frame) % 2 == 0:
@@ -84,7 +84,7 @@ class PreviewVectors:
         with self._wake:
             self._ends, self._tray = True, None
             self._wake.notify()
-        self._thread.join(PATIENCE_S)
+        self._thread.join(COMPILE_PATIENCE_S)
 
     def _work(self) -> None:
         lower_priority(2)
@@ -102,7 +102,7 @@ class PreviewVectors:
             del pair
             took_s = time.monotonic() - begun_s  # longer than it needed, where others need the processor
             with self._wake:
-                left_s = max(1.0 / MOST_PER_S, took_s / MOST_OF_THE_TIME) - took_s
+                left_s = max(1.0 / MOST_PER_S, took_s / PREVIEW_DUTY) - took_s
                 self._wake.wait_for(lambda: self._ends, max(left_s, 0.0))
 
 

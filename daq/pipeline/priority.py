@@ -14,7 +14,7 @@ def lower_priority(steps: int = 1) -> None:
     Parameters
     ----------
     steps : int
-        1 for what a frame waits for, 2 for what somebody merely looks at.
+        1 for what a frame waits for, 2 for what is only displayed.
     """
     if hasattr(os, "setpriority") and os.path.exists("/proc/self/task"):  # noqa: PTH110 - not a file to open
         try:

@@ -3,7 +3,7 @@
 Limits and keep-out are judged by the same code that will judge the real moves (`Stage.check`), on the same
 route, so a plan that passes here is refused later only if the start is another one.
 
-**The way out of the homed place.**  Homing itself cannot be judged, because nobody knows yet where anything is.
+**The way out of the homed place.**  Homing itself cannot be judged, because no position is known yet.
 Where it ends is known only if the bench file says so (`homed_at_mm` of each axis); then the moves of `after_home`
 are judged here as they will be when they are driven, and the plan is forecast from where they end. An axis that
 `after_home` moves is known from then on.
@@ -27,7 +27,7 @@ from stages.stage import Stage
 
 FRAME_OVERHEAD_S = 0.05  # trigger, readout, hand-over
 STEP_OVERHEAD_S = 0.1  # reading the positions back, fsync of the journal
-CHUNK_OVERHEAD_S = 1.5  # arming of camera and laser, dark frames at either end, books
+CHUNK_OVERHEAD_S = 1.5  # arming of camera and laser, dark frames at either end, accounting
 SIMULATED_START_S, MAP_S = 0.5, 0.7  # opening and homing a simulated bench; a map of a million pixels
 FILE_OVERHEAD_BYTES = 4096
 DEFAULT_RATE_HZ = 10.0
@@ -63,7 +63,7 @@ class Forecast:
     steps_s : tuple of float
         Estimate of each step.
     is_from_scene : bool
-        Whether it begins at the scene's place because nobody has stated where homing leaves the axes.
+        Whether it begins at the scene's place because it is not stated where homing leaves the axes.
     """
 
     frames: int

@@ -7,7 +7,7 @@ it is set up:
     bytes of a frame  x  frames a second  <=  what the link carries (cameras.link)
 
 Frames that are asked for one at a time (software triggers) wait for the link and need no rate.  A link of which
-nobody tells anything is believed; its need is only said.
+is of unknown speed is believed; its need is only reported.
 """
 
 from collections.abc import Iterable, Mapping
@@ -64,7 +64,7 @@ class LinkNeed:
         )
 
 
-def link_need(bench: Bench, step: Step, told: Mapping[str, Setting] | None = None) -> LinkNeed | None:
+def link_need(bench: Bench, step: Step, camera_settings: Mapping[str, Setting] | None = None) -> LinkNeed | None:
     """Return the bandwidth that a step needs; None if it has no rate, or the bench file names no format.
 
     Parameters
@@ -73,11 +73,11 @@ def link_need(bench: Bench, step: Step, told: Mapping[str, Setting] | None = Non
         The bench.
     step : Step
         The step.
-    told : mapping, optional
+    camera_settings : mapping, optional
         What the camera read back; without it the bench file's word counts.
     """
     section = bench.table.camera
-    settings = dict(section.settings) | dict(told or {})
+    settings = dict(section.settings) | dict(camera_settings or {})
     rate_hz, frames = _rate_hz(section, step, settings)
     form = FORMATS.get(str(settings.get("PixelFormat")))
     if not rate_hz or form is None:
@@ -90,16 +90,16 @@ def link_need(bench: Bench, step: Step, told: Mapping[str, Setting] | None = Non
     return LinkNeed(width, height, form.name, frame_bytes, rate_hz, frames)
 
 
-def link_excess(bench: Bench, step: Step, told: Mapping[str, Setting] | None = None) -> str:
+def link_excess(bench: Bench, step: Step, camera_settings: Mapping[str, Setting] | None = None) -> str:
     """Return why a step does not fit through the link, with the cure; "" if it does, or if that is not known.
 
     Parameters
     ----------
-    bench, step, told
+    bench, step, camera_settings
         As for `link_need`.
     """
-    need, section = link_need(bench, step, told), bench.table.camera
-    carried = carried_bytes_s(dict(section.settings) | dict(told or {}), section.link)
+    need, section = link_need(bench, step, camera_settings), bench.table.camera
+    carried = carried_bytes_s(dict(section.settings) | dict(camera_settings or {}), section.link)
     if need is None or not carried or need.bytes_s <= carried:
         return ""
     by = f"{section.link} carries" if section.link else "the camera's link carries"
@@ -119,7 +119,7 @@ def link_said(bench: Bench, steps: Iterable[Step]) -> str:
     return f"link: {most.sentence}; Ethernet that carries it: {fits[0] if fits else 'none'} (say camera.link)"
 
 
-def require_link(bench: Bench, steps: Iterable[Step], told: Mapping[str, Setting]) -> None:
+def require_link(bench: Bench, steps: Iterable[Step], camera_settings: Mapping[str, Setting]) -> None:
     """Refuse, before anything moves, what the camera's link does not carry by what the camera tells of it.
 
     Raises
@@ -128,7 +128,7 @@ def require_link(bench: Bench, steps: Iterable[Step], told: Mapping[str, Setting
         With the cure.
     """
     for step in steps:
-        if said := link_excess(bench, step, told):
+        if said := link_excess(bench, step, camera_settings):
             raise RunUsageError(f"step {step.index + 1} ({step.tag}): {said}")
 
 

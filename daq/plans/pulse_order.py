@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from math import inf
 
 from daq.bench.bench_table import Bench, trigger_is_software
-from daq.bench.pairs_section import UNEVEN, PairsSection
+from daq.bench.pairs_section import SPACING_RATIO, PairsSection
 from daq.errors import PlanError
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role, schedule_of
 from daq.timing.timing_table import TimingTable
@@ -19,7 +19,7 @@ class PulseOrder:
     Parameters
     ----------
     laser : str or None
-        Device of the bench; None where somebody else's synchroniser triggers laser and camera.
+        Device of the bench; None where an external synchroniser triggers laser and camera.
     dt_us, rate_hz : float
         Between the pulses of a pair, and pairs a second.
     chunk : int
@@ -31,7 +31,7 @@ class PulseOrder:
     is_background : bool
         Before the seeding is opened.
     dt_measured_us, dt_sigma_us : float, optional
-        What somebody has measured, such as with a photodiode, and its standard deviation.
+        Measured value, such as with a photodiode, and its standard deviation.
     """
 
     laser: str | None
@@ -140,7 +140,7 @@ def check_same_trigger(bench: Bench, name: str, order: PulseOrder) -> None:
     check_pulses(beside, order)
     first, second = pairs_section(bench), pairs_section(beside)
     settings, others = bench.table.camera.settings, beside.table.camera.settings
-    exposures = [told.get("ExposureTime", told.get("ExposureTimeAbs")) for told in (settings, others)]
+    exposures = [each.get("ExposureTime", each.get("ExposureTimeAbs")) for each in (settings, others)]
     apart = [key for key in SHARED if getattr(first, key) != getattr(second, key)]
     apart += ["ExposureTime"] if exposures[0] != exposures[1] else []
     if apart:
@@ -153,7 +153,7 @@ def check_same_trigger(bench: Bench, name: str, order: PulseOrder) -> None:
 def check_marker(section: PairsSection, exposure_us: float, rate_hz: float) -> None:
     """Refuse a marker that would tell nothing at this rate; PlanError."""
     gap_us, period_us = exposure_us + section.dead_us, 1e6 / rate_hz
-    if section.told_by == "spacing" and period_us - gap_us < UNEVEN * gap_us:
+    if section.told_by == "spacing" and period_us - gap_us < SPACING_RATIO * gap_us:
         raise PlanError(
             f"A to B takes {gap_us:g} us and B to A {period_us - gap_us:g} us at {rate_hz:g} Hz: their spacing "
             "does not tell A from B; use another marker, or A to B shorter by more than 10 %"

@@ -89,12 +89,12 @@ class Step:
 
 def steps_hash(steps: Sequence[Step]) -> str:
     """Hex digest (16 characters) of a list of steps; what a step does not say leaves no trace in it."""
-    told = [asdict(step) for step in steps]
-    for tree in told:
+    trees = [asdict(step) for step in steps]
+    for tree in trees:
         for name in ("group", "gaps_at_most", "pulses"):  # an older version did not know them
             if tree[name] == Step.__dataclass_fields__[name].default:
                 del tree[name]
-    return digest(told)
+    return digest(trees)
 
 
 def frame_count(steps: Sequence[Step]) -> int:

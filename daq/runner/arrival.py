@@ -95,5 +95,5 @@ def require_arrived(
         Some are not; the message names them and how far off they are.
     """
     if away := off_by_mm(hardware, planned_mm, measured_mm):
-        told = ", ".join(f"{name} is {mm:+.3f} mm off its plan" for name, mm in away.items())
-        raise NotInPosition(f"{told}; has it slipped, or did somebody move it? Home it, then resume the run")
+        offsets = ", ".join(f"{name} is {mm:+.3f} mm off its plan" for name, mm in away.items())
+        raise NotInPosition(f"{offsets}; has it slipped, or was it moved by hand? Home it, then resume the run")

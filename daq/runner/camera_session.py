@@ -1,4 +1,4 @@
-"""The camera of a run, whoever takes its frames: arming, disarming, waiting, rejecting, and the account of that.
+"""The camera of a run: arming, disarming, waiting, rejecting, and the account of that.
 
 Every wait is cut into slices, and before each slice and each trigger the bench's stop is asked.  How frames are
 taken is in exposures.
@@ -75,10 +75,10 @@ class FrameFormat:
         """Return how a frame differs from what was read back, as the rest of a sentence; "" if it does not."""
         height, width = frame.pixels.shape
         got = (frame.meta.pixel_format, width, height)
-        told = (self._name, *self._sides)
-        if all(mine is None or mine == its for mine, its in zip(told, got, strict=True)):
+        announced = (self._name, *self._sides)
+        if all(mine is None or mine == its for mine, its in zip(announced, got, strict=True)):
             return ""
-        said = [str(mine if mine is not None else its) for mine, its in zip(told, got, strict=True)]
+        said = [str(mine if mine is not None else its) for mine, its in zip(announced, got, strict=True)]
         return (
             f"sends {got[0]} of {width} x {height} px and reads {said[0]} of {said[1]} x {said[2]} px back; "
             "set PixelFormat, Width and Height to what it really sends"
@@ -99,8 +99,8 @@ class CameraSession:
         Settings, timeout, retakes.
     latch : StopLatch, optional
         The bench's stop, which ends exposures too; None where nothing can be stopped.
-    tell_doubt : callable, optional
-        Called at once with everything that makes frames doubtful; it is also kept in `doubts`.
+    report_ambiguity : callable, optional
+        Called at once with every reason to distrust frames; it is also kept in `ambiguities`.
     drawn_s : callable, optional
         Seconds in which a simulation drew pictures, up to now.
     """
@@ -110,7 +110,7 @@ class CameraSession:
         camera: Camera,
         section: CameraSection,
         latch: StopLatch | None = None,
-        tell_doubt: Callable[[str], None] = lambda text: None,
+        report_ambiguity: Callable[[str], None] = lambda text: None,
         drawn_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self.camera = camera
@@ -120,10 +120,10 @@ class CameraSession:
         self.counts = FrameCounters(self.software)
         self.why_rejected: Counter[str] = Counter()  # frames that came whole, by reason
         self.discarded = 0  # frames that were written and are not wanted after all
-        self.doubts: list[str] = []
+        self.ambiguities: list[str] = []
         self.settings: dict[str, Setting] = {}  # as the camera read them back
         self._latch = latch
-        self._tell_doubt = tell_doubt
+        self._report_ambiguity = report_ambiguity
         self._drawn_s = drawn_s
         self._token = 0
         self._heard_s = self.now_s()  # a frame, or an answer to a probe
@@ -184,7 +184,7 @@ class CameraSession:
         Raises
         ------
         SettingsChanged, CameraLost
-            It has not, or does not answer; frames since the last check are in doubt.
+            It has not, or does not answer; frames since the last check are unreliable.
         """
         try:
             self.camera.verify()
@@ -209,7 +209,7 @@ class CameraSession:
         self._handed_before, self._rejected_before = self.counts.handed, self.counts.rejected
 
     def conclude(self, written: int) -> FrameAccounting:
-        """End the session: close the account, and find what is in doubt now that nothing can clear it any more.
+        """End the session: close the account, and note what stays ambiguous now.
 
         Parameters
         ----------
@@ -219,9 +219,9 @@ class CameraSession:
         self.end()
         accounting = self.accounting(written)
         if accounting.imbalance:
-            self.doubts.append(f"the books do not balance ({accounting.sentence()})")
+            self.ambiguities.append(f"the account does not balance ({accounting.sentence()})")
         if self.match.first_is_unconfirmed:
-            self.doubts.append(UNCONFIRMED)
+            self.ambiguities.append(UNCONFIRMED)
         return accounting
 
     def frames(self, count: int, begin: int = 0, may_lose: int = 0) -> Generator[tuple[int, Frame], None, None]:
@@ -349,7 +349,7 @@ class CameraSession:
         self._token = self._latch.begin() if self._latch is not None else 0
 
     def hand_over(self, frame: Frame) -> Frame:
-        """Count a frame as given to whoever asked for it.
+        """Count a frame as handed over.
 
         Raises
         ------
@@ -385,12 +385,12 @@ class CameraSession:
             if frame is None:
                 return found
             found.append(frame.meta)
-            was_owed = self.match.was_owed(frame.meta)
-            self.reject(frame, was_owed)
-            if not was_owed and (said := self.match.came_unasked(frame.meta)):
-                self.doubt(said)
+            answers_pending_trigger = self.match.answers_pending_trigger(frame.meta)
+            self.reject(frame, answers_pending_trigger)
+            if not answers_pending_trigger and (said := self.match.came_unasked(frame.meta)):
+                self.raise_ambiguity(said)
 
-    def doubt(self, said: str) -> NoReturn:
+    def raise_ambiguity(self, said: str) -> NoReturn:
         """End everything: some frame may not show what it is filed under.
 
         Raises
@@ -398,8 +398,8 @@ class CameraSession:
         FrameDoubt
             Always.
         """
-        self.doubts.append(said)
-        self._tell_doubt(said)
+        self.ambiguities.append(said)
+        self._report_ambiguity(said)
         raise FrameDoubt(f"{said}; look at link and trigger, raise timeout_s, and begin a new run")
 
 
@@ -443,9 +443,9 @@ def check_frame_timeout(timeout_s: float, settings: Mapping[str, Setting]) -> No
             parts["time between frames"] = between_s
     needed_s = sum(parts.values())
     if timeout_s < needed_s:
-        told = " + ".join(f"{what} {part_s:.3g} s" for what, part_s in parts.items())
+        terms = " + ".join(f"{what} {part_s:.3g} s" for what, part_s in parts.items())
         raise RunUsageError(
-            f"timeout_s = {timeout_s:g} is shorter than a frame takes ({told}); set timeout_s of the camera to "
+            f"timeout_s = {timeout_s:g} is shorter than a frame takes ({terms}); set timeout_s of the camera to "
             f"more than {math.ceil(1e3 * needed_s) / 1e3:g}"
         )
 

@@ -76,7 +76,7 @@ class Work:
     def _run(self, function: Callable[[], object]) -> None:
         try:
             function()
-        except BaseException as error:  # it belongs to whoever waits for the status
+        except BaseException as error:  # raised where the status is waited for
             self._error = error
         with self._lock:
             self._done.set()

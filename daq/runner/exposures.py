@@ -1,4 +1,4 @@
-"""The two ways of taking the frames of a run, told apart by the camera's settings.
+"""Acquisition of frames by software triggers or as a stream, chosen by the camera's settings.
 
 **Software triggers** (`single_frames`): one trigger, one frame, nothing in between.
 
@@ -34,7 +34,7 @@ from daq.runs.frame_accounting import SURPLUS, FrameAccounting
 if TYPE_CHECKING:
     from daq.runner.camera_session import CameraSession
 
-TRIALS = 2
+CLOCK_TRIALS = 2
 
 
 class StampsUnclear(CameraError):  # noqa: N818 - stays within this file
@@ -133,18 +133,18 @@ def _await(taken_by: "CameraSession") -> Frame:
         if place is Place.OURS:
             return taken_by.hand_over(frame)
         if place is Place.STALE:
-            taken_by.reject(frame, match.was_owed(frame.meta))
+            taken_by.reject(frame, match.answers_pending_trigger(frame.meta))
             continue
         taken_by.reject(frame, True, "had a time stamp that fits no trigger")
         if not match.by_time:
-            taken_by.doubt("after a wait in vain a frame came that tells neither its time nor its id")
+            taken_by.raise_ambiguity("after a wait in vain a frame came that tells neither its time nor its id")
         raise StampsUnclear("the time stamp of its frame fits no trigger")
 
 
 def _settle(taken_by: "CameraSession") -> bool:
     """Learn from a trial what the stamps mean, once more if it was disturbed; False if no frame came at all."""
     each_had_one = True
-    for _ in range(TRIALS):
+    for _ in range(CLOCK_TRIALS):
         shots, metas = _try(taken_by)
         each_had_one &= len(shots) == len(metas)
         trial = explain(shots, metas)
@@ -157,7 +157,7 @@ def _settle(taken_by: "CameraSession") -> bool:
         raise FramesLost("so many frames are lost or late that their time stamps cannot be matched to triggers")
     said = taken_by.match.learn(trial)
     if said:
-        taken_by.doubt(said)
+        taken_by.raise_ambiguity(said)
     return True
 
 

@@ -38,8 +38,8 @@ from daq.runs.frame_accounting import ELSEWHERE, EXTERNAL, LEFT, SURPLUS
 from daq.runs.journal import utc_now
 
 SPARE = 2  # pairs fired beyond those that are still wanted: the first ones are lost most easily
-BARREN, MANY = 2, 10  # chunks in a row without a pair; one is enough if so many were fired
-LOST_ANYHOW = 2  # pairs that may be lost, however few were fired
+MAX_EMPTY_BURSTS, MANY = 2, 10  # chunks in a row without a pair; one is enough if so many were fired
+FREE_LOSSES = 2  # pairs that may be lost, however few were fired
 
 
 class FlowStep:
@@ -56,7 +56,7 @@ class FlowStep:
     tell : callable
         Called with what is being done, after every pair.
     light : LaserSession or ExternalLight
-        The laser of the session, or somebody else's.
+        The laser of the session, or an external one.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class FlowStep:
             exposures = side.source.exposures
             require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
         # As many pairs more are fired as the worst chunk so far has lost.
-        spare, barren, fired, lost = 0, 0, 0, 0
+        spare, empty_bursts, fired, lost = 0, 0, 0, 0
         while place < step.frames:
             if self._interrupts.wanted:
                 return False
@@ -131,9 +131,9 @@ class FlowStep:
                 side.source.trust_marker(is_final=False)
             number, chunk = number + 1, chunks[0]
             fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
-            barren = 0 if chunk.kept else barren + 1
-            too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired)
-            if barren == BARREN or (barren and pairs >= MANY) or too_many:
+            empty_bursts = 0 if chunk.kept else empty_bursts + 1
+            too_many = lost > max(FREE_LOSSES, order.lost_at_most * fired)
+            if empty_bursts == MAX_EMPTY_BURSTS or (empty_bursts and pairs >= MANY) or too_many:
                 raise FramesLost(
                     f"{lost} of {fired} pairs are lost, in the last chunk {self._sentence(chunks)}; look at the "
                     "marker, the camera's trigger and the rate, then resume the run"
@@ -147,8 +147,8 @@ class FlowStep:
     def _sentence(self, chunks: Sequence[Chunk]) -> str:
         if len(chunks) == 1:
             return chunks[0].sentence()
-        told = zip(self._sides, chunks, strict=True)
-        return "; ".join(f"of {side.source.name} {chunk.sentence()}" for side, chunk in told)
+        by_camera = zip(self._sides, chunks, strict=True)
+        return "; ".join(f"of {side.source.name} {chunk.sentence()}" for side, chunk in by_camera)
 
     def _chunk(
         self,
@@ -186,7 +186,7 @@ class FlowStep:
                     flipped = [source.is_flipped(pair) for source, pair in zip(sources, pairs, strict=True)]
                     if any(flipped):
                         self._drop(chunks, LEFT, pairs)
-                        sources[flipped.index(True)].exposures.doubt(
+                        sources[flipped.index(True)].exposures.raise_ambiguity(
                             "exposures A and B have changed places: the other one is brighter now"
                         )
                     each = zip(sources, chunks, pairs, strict=True)
@@ -277,7 +277,7 @@ def _first_of_all(
     unclear = [source.name for source, share in zip(sources, apart, strict=True) if SAME < share < OTHER]
     if unclear:
         beside_ms = 1e-6 * period_ns * max(apart)
-        sources[0].exposures.doubt(
+        sources[0].exposures.raise_ambiguity(
             f"frames of {unclear[0]} lie {beside_ms:.1f} ms beside those of another camera, which "
             "is neither the same trigger nor another one: a clock is not what it says, or a trigger line is loose"
         )

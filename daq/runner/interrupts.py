@@ -22,7 +22,7 @@ from typing import Any, Self
 from daq.signal_handling import leave_terminals, terminals_of
 from stages.stop_signals import StopThread
 
-POLL_S = 0.05
+PAUSE_POLL_S = 0.05
 STOPS_AT = 2  # presses
 
 
@@ -81,7 +81,7 @@ class Interrupts:
     def wait(self) -> None:
         """Return when there is no pause."""
         while self._paused:  # no Event: its lock is not made for signal handlers
-            time.sleep(POLL_S)
+            time.sleep(PAUSE_POLL_S)
 
     def __enter__(self) -> Self:
         self._thread = StopThread(lambda: self._stop_now())

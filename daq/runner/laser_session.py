@@ -28,7 +28,7 @@ from stages.clock import SYSTEM_CLOCK
 from stages.errors import StageError
 from stages.scale_question import ScaleQuestion
 
-POLL_S = 0.05
+WARM_UP_POLL_S = 0.05
 CAMERA_RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
 
 
@@ -53,7 +53,7 @@ class Operator(Protocol):
 
 
 def no_hands(axes: Sequence[str]) -> str:
-    """Say that nobody is there to move some axes."""
+    """Say that there is no operator to move some axes."""
     return (
         f"{', '.join(axes)} {'are' if len(axes) > 1 else 'is'} moved by hand, and what a person reads is typed at "
         "the terminal: run this at one, with nothing piped into it (or --simulate, where a simulated hand turns)"
@@ -61,17 +61,17 @@ def no_hands(axes: Sequence[str]) -> str:
 
 
 def what_is_proven(hardware: OpenBench, name: str, laser: Laser) -> str:
-    """Return what whoever lets light leave is told of the laser's box, as part of a sentence."""
+    """Return what is proven of the laser's timing unit, as part of a sentence for the operator."""
     channels = {role.value: output for role, output in laser.box.wiring.items()}
     simulated = hardware.simulation is not None
     return proof_sentence(hardware.bench.path, name, laser.box.identity, channels, simulated)
 
 
 class NoOperator:
-    """Nobody is there."""
+    """Stand-in for an operator who is absent."""
 
     def confirmation_code(self, challenge: str, watched: str) -> str:
-        """Nobody can say it.
+        """Refuse: there is no terminal.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class NoOperator:
         """Go on."""
 
     def stands_mm(self, axis: str) -> float:
-        """Nobody can read it.
+        """Refuse: there is no terminal.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class NoOperator:
         )
 
     def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
-        """Nobody turns it.
+        """Refuse: there is no terminal.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class LaserSession:
         Raises
         ------
         RunUsageError
-            Camera and pulses do not go together, or nobody confirms.
+            Camera and pulses do not go together, or the code is not confirmed.
         TimingError, StageError
             The laser cannot.
         RunInterrupted
@@ -215,7 +215,7 @@ class LaserSession:
         return LaserSupervisor(laser, lambda: self._conditions(armed, False), self._hardware.clock, SYSTEM_CLOCK)
 
     def off(self) -> None:
-        """Switch everything off; what is in doubt stays said in the laser's own words."""
+        """Switch everything off; what is not confirmed stays in the laser's state."""
         if self._laser is not None and self._laser.state is not LaserState.SAFE:
             with suppress(DaqError, StageError):
                 self._laser.safe()
@@ -229,7 +229,7 @@ class LaserSession:
             if laser.state not in (LaserState.WARM, LaserState.READY):
                 break  # set() says what is wrong
             tell(f"the laser warms up, {max(0.0, left_s):.0f} s left")
-            clock.sleep_s(POLL_S)
+            clock.sleep_s(WARM_UP_POLL_S)
 
     def _conditions(self, armed: Callable[[], bool], is_empty: bool) -> Conditions:
         """Read the present conditions: every axis is asked before arming, one after the other while it fires."""

@@ -38,14 +38,14 @@ CONFIRMED_S = 5.0  # until a box reads back as off
 LIT_S = 1.0  # of a burst before it is switched off; of lamps
 CABLE_S = 10.0  # longest burst in which a person can pull a cable
 FINDING = "the counter's cable"
-POLL_S = 0.01
+TRIAL_POLL_S = 0.01
 LEAST_S = 5.0  # of the longest burst that a bench allows
 LEAST_PAIRS = 4  # of the longest burst
 BEFORE_END_S = 0.5  # of that burst, the latest at which the link may be lost
 PUT_BACK_S = 60.0  # for a cable to be put back
-TRIES = 3  # for a person to find a plug or a cable, and for a busy computer
+TRIAL_ATTEMPTS = 3  # for a person to find a plug or a cable, and for a busy computer
 BETWEEN_S = 0.2  # from what one stretch has to hold to the mark that ends it
-UNEVEN = 0.05  # share of the period by which two pulses may be off
+PERIOD_TOLERANCE = 0.05  # share of the period by which two pulses may be off
 STATED = Conditions(True, True, True, inf, 10**9)  # nothing is behind the plugs
 Judge = Callable[[Stretch], Trial | None]  # of a stretch; None: nothing to report
 
@@ -155,7 +155,7 @@ class BoxTrials:
     def _locate(self, output: str, roles: Sequence[Role]) -> Trial:
         """Find out whether the counter hangs on an output: what it sees of this one alone, and of all others."""
         trial = Trial("", None, "")
-        for _ in range(TRIES):
+        for _ in range(TRIAL_ATTEMPTS):
             self._helper.move_counter(output, ", ".join(roles))
             trials = self._counted(roles, lambda: self._give_apart(roles))
             trial = next((trial for trial in trials if trial.is_right is False), trials[-1])
@@ -190,7 +190,7 @@ class BoxTrials:
                 return Trial(what, False, _of(seen, pairs))
             period_s = 1.0 / self._timing.rate_hz * self._counter_s()
             gaps_s = [late - soon for soon, late in pairwise(seen.times_s)]
-            if wrong := [gap_s for gap_s in gaps_s if abs(gap_s / period_s - 1.0) > UNEVEN]:
+            if wrong := [gap_s for gap_s in gaps_s if abs(gap_s / period_s - 1.0) > PERIOD_TOLERANCE]:
                 return Trial(
                     what, False, f"{_of(seen, pairs)}, but {wrong[0]:.4g} s apart instead of {period_s:.4g} s"
                 )
@@ -279,7 +279,7 @@ class BoxTrials:
             nonlocal given
             given = seen
 
-        for _ in range(TRIES):
+        for _ in range(TRIAL_ATTEMPTS):
             self._next(keep)
             give()
             self._clock.sleep_s(self._lit_s)
@@ -310,7 +310,7 @@ class BoxTrials:
     def _pull_cable(self, pairs: int) -> None:
         """Fire a burst whose cable a person pulls; once more where the link was not seen to be lost in time."""
         what = "the cable pulled in a burst"
-        for _ in range(TRIES):
+        for _ in range(TRIAL_ATTEMPTS):
             self._next(_at_most(what, pairs, None))
             self._fire(pairs)
             end_s = self._clock.now_s() + pairs / self._timing.rate_hz
@@ -334,7 +334,7 @@ class BoxTrials:
             # twice: one answer may be lost on a cable that is in
             if not box.answers() and not box.answers() and self._clock.now_s() < until_s:
                 return ""
-            self._clock.sleep_s(POLL_S)
+            self._clock.sleep_s(TRIAL_POLL_S)
         return "the box went on answering, so the cable was not out in time; prove again, and pull it sooner"
 
     def _reach_again(self) -> None:
@@ -348,7 +348,7 @@ class BoxTrials:
             except (StageError, LaserDoubt):
                 if self._clock.now_s() > end_s:
                     raise
-            self._clock.sleep_s(POLL_S)
+            self._clock.sleep_s(TRIAL_POLL_S)
 
     # ---- the laser -------------------------------------------------------------------------------
 
@@ -375,7 +375,7 @@ class BoxTrials:
     def _reads_back(self) -> bool:
         end_s = self._clock.now_s() + CONFIRMED_S
         while not self._laser.confirm_off() and self._clock.now_s() < end_s:
-            self._clock.sleep_s(POLL_S)
+            self._clock.sleep_s(TRIAL_POLL_S)
         return self._laser.state is LaserState.FAULT
 
 

@@ -9,9 +9,9 @@ once more.  Two frames are a pair only if everything that is known says so:
   be: B of the next pulse comes a whole period later;
 * no other frame was exposed within their period, so the frame behind them is waited for.
 
-What is doubtful is dropped with all that it touches.  A frame is told by its own marker and time, so nothing has
-to be learnt by counting, and no fault can swap the pairs behind it.  What no stream of frames can show is a marker
-that is wired to exposure B of evenly spaced frames.
+What is ambiguous is dropped with all that it touches.  A frame is identified by its own marker and time, so
+nothing has to be learnt by counting, and no fault can swap the pairs behind it.  What no stream of frames can show
+is a marker that is wired to exposure B of evenly spaced frames.
 
 **A marker that is wired wrongly** (`MarkerPolarity`).  Frames that come evenly spaced look the same whichever way
 they are paired.  A marker that is high during exposure B, because it hangs on the second trigger or its input is
@@ -20,8 +20,8 @@ and brightness and spacing say nothing against it.
 
 What gives it away is that a chunk ends: the timing unit triggers A, B, A, B ... A, B and no more, so the last
 frame of all is a B.  A marker that calls it an A is wired wrongly, or the very last frame was lost.  Frames are
-lost one by one and chunks are many, so a majority decides; where there is none in the end, nobody knows, and the
-run is in doubt.  First frames tell less: cameras skip them.
+lost one by one and chunks are many, so a majority decides; where there is none in the end, the order is unknown,
+and the run ends with an error.  First frames say less: cameras skip them.
 
 **A marker that changes its mind half way** (`BrightnessSign`).  A and B differ a little in their mean brightness,
 by the other cavity or a longer exposure.  The sign of that difference is decided over `BLOCK` pairs and must never
@@ -37,7 +37,7 @@ from typing import Generic, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.pairs_section import UNEVEN, PairsSection
+from daq.bench.pairs_section import SPACING_RATIO, PairsSection
 from daq.cameras.frame import FrameMeta
 
 T = TypeVar("T")
@@ -47,7 +47,7 @@ STRADDLING = 0.6  # evenly spaced frames are half a period apart
 GAP_OFF_NS, GAP_OFF = 100_000, 0.01  # by which the gap of a pair may differ from the settings, and a share of it
 ENOUGH = 3  # chunks that end with an A, more than those that end with a B, before a run is ended because of it
 BLOCK = 20  # pairs
-SURE = 8.0  # standard errors from which on a difference has a sign
+SIGN_STANDARD_ERRORS = 8.0  # standard errors from which on a difference has a sign
 EVERY = 8  # row and column of a frame that its mean is taken of
 QUIET_COUNTS = 0.03  # by which means of dark frames differ
 
@@ -59,7 +59,7 @@ ALONE, UNSURE, NO_CLOCK = "without its partner", "in doubt", "without a time sta
 class _Held(Generic[T]):
     meta: FrameMeta
     item: T
-    is_doubtful: bool = False
+    is_ambiguous: bool = False
 
 
 class PairFinder(Generic[T]):
@@ -112,7 +112,7 @@ class PairFinder(Generic[T]):
             return self._begin(held)
         if exposure == "B":
             return self._complete(held, last)
-        self._doubt(meta)
+        self._distrust(meta)
         self._reject(held, UNMARKED)
         return None
 
@@ -152,19 +152,19 @@ class PairFinder(Generic[T]):
 
     def _begin(self, held: _Held[T]) -> tuple[T, T] | None:
         if self._is_of_last_pulse(held.meta):
-            self._doubt(held.meta)
-            held.is_doubtful = True
+            self._distrust(held.meta)
+            held.is_ambiguous = True
         if self._first is not None:
             # by its spacing alone a B without its A looks like another A
             is_spaced = self._section.told_by == "spacing"
-            held.is_doubtful |= not is_spaced and self._is_near(self._first.meta, held.meta)
-            self._reject(self._first, UNSURE if self._first.is_doubtful else ALONE)
+            held.is_ambiguous |= not is_spaced and self._is_near(self._first.meta, held.meta)
+            self._reject(self._first, UNSURE if self._first.is_ambiguous else ALONE)
         self._first = held
         return self._release()
 
     def _complete(self, held: _Held[T], last: FrameMeta | None) -> tuple[T, T] | None:
         if self._is_of_last_pulse(held.meta):
-            self._doubt(held.meta)
+            self._distrust(held.meta)
             self._reject(held, UNSURE)
             return None
         found, first = self._release(), self._first
@@ -173,7 +173,7 @@ class PairFinder(Generic[T]):
             self._reject(held, ALONE)
             return found
         follows = last is not None and last.sequence + 1 == held.meta.sequence
-        if first.is_doubtful or not follows or not self._is_the_gap(first.meta, held.meta):
+        if first.is_ambiguous or not follows or not self._is_the_gap(first.meta, held.meta):
             for each in (first, held):
                 self._reject(each, UNSURE)
             return found
@@ -202,14 +202,14 @@ class PairFinder(Generic[T]):
     def _is_of_last_pulse(self, meta: FrameMeta) -> bool:
         return self._pair is not None and self._is_near(self._pair[0].meta, meta)
 
-    def _doubt(self, meta: FrameMeta) -> None:
-        """Drop the pair that waits if `meta` was exposed within its period; doubt the A that waits."""
+    def _distrust(self, meta: FrameMeta) -> None:
+        """Drop the pair that waits if `meta` was exposed within its period; distrust the A that waits."""
         if self._is_of_last_pulse(meta) and self._pair is not None:
             for each in self._pair:
                 self._reject(each, UNSURE)
             self._pair = None
         if self._first is not None and self._is_near(self._first.meta, meta):
-            self._first.is_doubtful = True
+            self._first.is_ambiguous = True
 
     def _release(self) -> tuple[T, T] | None:
         pair, self._pair = self._pair, None
@@ -226,10 +226,13 @@ class PairFinder(Generic[T]):
 def longest_gap(section: PairsSection) -> float:
     """Longest time from A to B, as a share of the period.
 
-    A to B shorter than B to A by the factor `UNEVEN` is at most 1 / (1 + UNEVEN) of the period.  Where another
-    marker tells them apart the frames may be evenly spaced; two of different pulses are 3/2 of a period apart.
+    A to B shorter than B to A by the factor `SPACING_RATIO` is at most 1 / (1 + SPACING_RATIO) of the period.
+    Where another marker tells them apart the frames may be evenly spaced; two of different pulses are 3/2 of a
+    period apart.
     """
-    return STRADDLING if section.shape == "straddling" and section.told_by != "spacing" else 1 / (1 + UNEVEN)
+    return (
+        STRADDLING if section.shape == "straddling" and section.told_by != "spacing" else 1 / (1 + SPACING_RATIO)
+    )
 
 
 class MarkerPolarity:
@@ -250,7 +253,7 @@ class MarkerPolarity:
         self._first += last == "A"
         self._second += last == "B"
 
-    def doubt(self, is_final: bool) -> str | None:
+    def objection(self, is_final: bool) -> str | None:
         """Say why the marker cannot be trusted, as a sentence; None if it can, or can still.
 
         Parameters
@@ -289,7 +292,7 @@ class BrightnessSign:
             return False
         differences, self._differences = np.array(self._differences), []
         mean, error = float(differences.mean()), float(differences.std(ddof=1)) / math.sqrt(BLOCK)
-        if abs(mean) <= SURE * max(error, QUIET_COUNTS / math.sqrt(BLOCK)):
+        if abs(mean) <= SIGN_STANDARD_ERRORS * max(error, QUIET_COUNTS / math.sqrt(BLOCK)):
             return False
         sign, before = (1 if mean > 0 else -1), self.sign
         self.sign = sign

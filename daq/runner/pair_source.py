@@ -45,8 +45,8 @@ class Chunk:
         """Describe what became of the pairs that were fired."""
         reasons = ", ".join(f"{counted(number, 'frame')} {why}" for why, number in sorted(self.dropped.items()))
         never = f"{counted(self.never_came, 'frame')} never came" if self.never_came > 0 else ""
-        told = "; ".join(filter(None, (reasons, never)))
-        return f"{self.kept} of {self.fired} pairs that were fired are sure ({told or 'nothing else came'})"
+        losses = "; ".join(filter(None, (reasons, never)))
+        return f"{self.kept} of {self.fired} pairs that were fired are sure ({losses or 'nothing else came'})"
 
 
 ENOUGH_PERIODS, MANY_PERIODS = 4, 24  # to tell a rate at the end of a chunk; and while one goes on
@@ -136,7 +136,9 @@ class PairSource:
         meta = pair[0].meta
         at_ns = self._clock[0] + meta.timestamp_ns - self._clock[1]
         if not self._arm.before_ns - ROUNDED_NS <= at_ns <= meta.received_ns + ROUNDED_NS:
-            self.exposures.doubt(f"the time stamps of {self.name} are not those of the clock that it lets us read")
+            self.exposures.raise_ambiguity(
+                f"the time stamps of {self.name} are not those of the clock that it lets us read"
+            )
         return at_ns
 
     def pairs(
@@ -211,6 +213,6 @@ class PairSource:
             self.exposures.reject(frame, True, PAIRLESS)
 
     def trust_marker(self, is_final: bool) -> None:
-        """End the run in doubt where the marker calls exposure B an A."""
-        if said := self._sense.doubt(is_final):
-            self.exposures.doubt(said)
+        """End the run where the marker calls exposure B an A."""
+        if said := self._sense.objection(is_final):
+            self.exposures.raise_ambiguity(said)

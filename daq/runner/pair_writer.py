@@ -53,13 +53,13 @@ class PairWriter:
     def chunks_so_far(self, step: Step) -> int:
         """Number of the next chunk."""
         entries = self.folder.entries()
-        told = [entry["chunk"] for entry in entries if entry["kind"] == "chunk" and entry["step"] == step.index]
-        told += [
+        numbers = [entry["chunk"] for entry in entries if entry["kind"] == "chunk" and entry["step"] == step.index]
+        numbers += [
             entry["pair"]["chunk"]
             for entry in entries
             if entry["kind"] == "frame" and entry["step"] == step.index and "pair" in entry
         ]
-        return max(told, default=-1) + 1
+        return max(numbers, default=-1) + 1
 
     def require_same_exposure(self) -> None:
         """Refuse to go on, before anything is fired, if the camera exposes otherwise than so far."""

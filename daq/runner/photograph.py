@@ -35,7 +35,7 @@ def photograph(bench: BenchSession, camera: str = CAMERA) -> NDArray[np.uint16]:
     Raises
     ------
     RunUsageError
-        There is no such camera, or it waits for a signal that nobody gives.
+        There is no such camera, or it waits for a signal that does not come.
     CameraError
         It is not there, or gives no frame.
     MotionStopped

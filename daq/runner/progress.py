@@ -24,7 +24,7 @@ LEAP = 4.0  # times what it should take is the most that a single frame may slow
 
 @dataclass
 class Progress:
-    """State of a session; changed by the runner, read by whoever shows it.
+    """State of a session; changed by the runner, read by the display.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ LOG_S = 15.0
 RECENT = 50
 
 
-def books(progress: Progress) -> str:
+def account_sentence(progress: Progress) -> str:
     """Return the account of the frames; those that a run with a laser does not want are dark, or surplus."""
     found = progress.accounting
     if progress.laser is not None and found.rejected and not found.written:
@@ -146,7 +146,7 @@ def panel(progress: Progress) -> Table:
         ("skipped", f"{len(progress.stats.skipped)} not corrected live (done after the run)"),
         ("vectors", progress.stats.vectors.sentence() if progress.stats.vectors else "-"),
         ("positions", "  ".join(f"{name} {mm:.3f}" for name, mm in progress.positions_mm.items()) or "-"),
-        ("books", books(progress)),
+        ("books", account_sentence(progress)),
     ]
     if progress.readings:
         rows.append(("readings", "  ".join(f"{name} {shown}" for name, shown in progress.readings.items())))
@@ -161,7 +161,7 @@ def line(progress: Progress) -> str:
     words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}".rstrip(), progress.doing, progress.left()]
     if progress.stats.vectors is not None:
         words.append(f"vectors {progress.stats.vectors.sentence()}")
-    return "; ".join([*filter(None, words), books(progress)])
+    return "; ".join([*filter(None, words), account_sentence(progress)])
 
 
 @contextmanager

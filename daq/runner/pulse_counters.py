@@ -21,8 +21,8 @@ from daq.timing.drivers.pulse_box import PulseBox
 from daq.timing.pulses import Pulse, Role
 
 TAIL_S = 3.0  # without a frame, after which no more are waited for
-PATIENCE_S = 60.0  # until the first frame of the last stretch has come
-POLL_S = 0.02
+FIRST_FRAME_S = 60.0  # until the first frame of the last stretch has come
+COUNTER_POLL_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class CameraCounter:
         Raises
         ------
         RunUsageError
-            The camera's clock cannot be read, so late frames could not be told from those of the next burst.
+            The camera's clock cannot be read, so late frames could not be separated from those of the next burst.
         """
         self.close()
         one_a_pulse = self._has_two_triggers and Role.CAMERA not in roles
@@ -131,7 +131,7 @@ class CameraCounter:
         """Wait for the frames of the last stretch, disarm, and assign every frame by its time stamp."""
         begun_s = time.monotonic()
         while not self._has_all(begun_s) and not self._seen.trouble:
-            time.sleep(POLL_S)
+            time.sleep(COUNTER_POLL_S)
         self.close()
         seen = self._seen
         stretches: list[list[float]] = [[] for _ in range(len(seen.marks_ns) + 1)]
@@ -158,14 +158,14 @@ class CameraCounter:
         seen, now_s = self._seen, time.monotonic()
         has_last = bool(seen.marks_ns and seen.stamps_ns) and seen.stamps_ns[-1] >= seen.marks_ns[-1]
         quiet_s = now_s - max(seen.last_s, begun_s)
-        return quiet_s > TAIL_S and (has_last or now_s - begun_s > PATIENCE_S)
+        return quiet_s > TAIL_S and (has_last or now_s - begun_s > FIRST_FRAME_S)
 
     def _fetch(self) -> None:
         seen = self._seen
         while not self._ended.is_set():
             try:
                 with self._lock:
-                    frame = self._camera.poll(POLL_S)
+                    frame = self._camera.poll(COUNTER_POLL_S)
             except BadFrame as error:
                 seen.trouble = seen.trouble or str(error)
                 continue

@@ -33,7 +33,7 @@ from daq.runner.pair_writer import PairWriter
 from daq.runner.step_readings import camera_facts
 from daq.runs.displacement import displacements, write_displacements
 from daq.runs.done_file import run_hash
-from daq.runs.frame_accounting import FrameAccounting, doubts, total_accounting
+from daq.runs.frame_accounting import FrameAccounting, ambiguities, total_accounting
 from daq.runs.gaps import numbers_in, recorded_gaps
 from daq.runs.journal import Journal, utc_now
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, versions
@@ -78,7 +78,7 @@ class RunCamera:
         self._finished: frozenset[int] = frozenset()  # steps that were, when the session began
         latch = self.hardware.stage.latch
         self.session = CameraSession(
-            self.hardware.camera, self.hardware.camera_section, latch, self._write_doubt, hardware.drawn_s
+            self.hardware.camera, self.hardware.camera_section, latch, self._write_ambiguity, hardware.drawn_s
         )
 
     @property
@@ -108,10 +108,10 @@ class RunCamera:
         RunUnsuitable
             Another process works on this run.
         ResumeRefused
-            A frame of an earlier session is in doubt.
+            A frame of an earlier session is ambiguous.
         """
         self._journal = Journal(self.folder.journal_path)
-        if said := doubts(self.folder.entries()):
+        if said := ambiguities(self.folder.entries()):
             raise ResumeRefused(f"{self.folder.path}: {said[0]}; begin a new run")
 
     def open(self, left: Sequence[Step], again: Collection[int] = ()) -> None:
@@ -192,7 +192,7 @@ class RunCamera:
         FrameAccounting or None
             What became of its frames; None if the camera was never set up.
         str
-            What is in doubt.
+            Ambiguities of the session; "" if there are none.
         """
         self.session.end()
         if self._pipeline is None:
@@ -200,15 +200,15 @@ class RunCamera:
         self._pipeline.close()
         flow = self._pipeline.stats
         accounting = self.session.conclude(flow.written)
-        doubt = "; ".join(self.session.doubts)
-        about: dict[str, Any] = {"doubt": doubt} if doubt else {}
+        problem = "; ".join(self.session.ambiguities)
+        about: dict[str, Any] = {"doubt": problem} if problem else {}
         rejected = dict(self.session.why_rejected)
         reasons: dict[str, Any] = {"why_rejected": rejected} if rejected else {}
-        if doubt and why == "finished":
-            why, error = BadBalance.__name__, doubt
+        if problem and why == "finished":
+            why, error = BadBalance.__name__, problem
         self.journal.append("counts", books=accounting.to_dict(), flow=flow.summary(), **reasons, **about)
         self.journal.append("end", sync=True, utc=utc_now(), why=why, error=error, **about)
-        return accounting, doubt
+        return accounting, problem
 
     def complete(self, steps: Sequence[Step], tell: Callable[[str], None]) -> dict[str, Any]:
         """Correct what was left, and write done.json; return its contents.
@@ -223,7 +223,7 @@ class RunCamera:
         Raises
         ------
         BadBalance
-            Frames are missing, or in doubt; the run is not done.
+            Frames are missing or ambiguous; the run is not done.
         """
         caught_up = self._catch_up(steps, tell)
         if moved := displacements(self.hardware.bench, steps, self.folder.entries()):
@@ -263,8 +263,8 @@ class RunCamera:
         }
         write_json(self.folder.path / f"camera_{count}.json", {"info": about, "settings": settings})
 
-    def _write_doubt(self, said: str) -> None:
-        """Have a doubt on the disk before anything else happens; a kill may follow."""
+    def _write_ambiguity(self, said: str) -> None:
+        """Write an ambiguity to the disk before anything else happens; a kill may follow."""
         if self._journal is not None:
             self._journal.append("doubt", sync=True, doubt=said)
 
@@ -310,13 +310,13 @@ def discard_unfinished(
         for number in step.numbers
         if number in present
     }
-    doubtful = [number for step in left for number in step.numbers if number not in kept]
-    known = [number for number in doubtful if number in present]
+    unfinished = [number for step in left for number in step.numbers if number not in kept]
+    known = [number for number in unfinished if number in present]
     if known:
         retaken = [step.index for step in left if step.index in again]
         why = f"steps {retaken} are taken again for a damaged frame" if retaken else "the step was cut off"
         journal.append("discard", sync=True, frames=known, why=why)
-    for number in doubtful:  # a frame may have been renamed just before the kill, without its line
+    for number in unfinished:  # a frame may have been renamed just before the kill, without its line
         for path in (folder.frame_path(number), folder.corrected_path(number)):
             path.unlink(missing_ok=True)
     for name in ("frames", "corrected"):
@@ -331,7 +331,7 @@ def done_record(folder: RunFolder, steps: Sequence[Step], caught_up: int) -> dic
     Raises
     ------
     BadBalance
-        Frames are missing, or in doubt; the run is not done.
+        Frames are missing or ambiguous; the run is not done.
     """
     entries = folder.entries()
     total, sessions = total_accounting(entries)
@@ -341,7 +341,7 @@ def done_record(folder: RunFolder, steps: Sequence[Step], caught_up: int) -> dic
     never_came = {number for found in gaps.values() for number in numbers_in(found)}
     if absent or {number for step in steps for number in step.numbers} - never_came != set(present):
         raise BadBalance(f"{len(present)} frames in the journal, {len(absent)} of them without a file")
-    if said := doubts(entries):
+    if said := ambiguities(entries):
         raise BadBalance(f"{said[0]}; begin a new run")
     about = [{"step": i, "tag": steps[i].tag, "gaps": found} for i, found in sorted(gaps.items())]
     flows = [entry["flow"] for entry in entries if entry["kind"] == "counts"]

@@ -108,7 +108,7 @@ class Runner:
         StageError, CameraError, DiskError, FramesLost
             What came between; the run can be resumed.
         ResumeRefused, FrameDoubt, BadBalance
-            A frame of an earlier session, or of this one, is in doubt; the run cannot be resumed.
+            A frame of an earlier session, or of this one, is ambiguous; the run cannot be resumed.
         """
         with ExitStack() as stack:
             for camera in self._cameras:
@@ -126,7 +126,7 @@ class Runner:
                 warm_up()
             with self.interrupts:
                 self._session(used, left)
-            for camera in self._first_last:
+            for camera in self._closing_order:
                 done = camera.complete(self._steps, self._tell)
             return done
 
@@ -138,7 +138,7 @@ class Runner:
         return forecast(bench, self._hardware.stage, left).steps_s
 
     @property
-    def _first_last(self) -> list[RunCamera]:
+    def _closing_order(self) -> list[RunCamera]:
         """The cameras in the order of their last words: what the first one says is true of all."""
         return [*self._cameras[1:], self._first]
 
@@ -177,11 +177,11 @@ class Runner:
                 self._laser_session.off()
                 self._first.session.end()
             finally:
-                ended = [camera.end(why, error_text) for camera in self._first_last]
-                doubt = "; ".join(said for _, said in (ended[-1], *ended[:-1]) if said)
+                ended = [camera.end(why, error_text) for camera in self._closing_order]
+                problem = "; ".join(said for _, said in (ended[-1], *ended[:-1]) if said)
                 self._tell("closing", ended[-1][0])
-        if doubt:
-            raise BadBalance(f"{doubt}; look at {self._first.folder.journal_path}, and begin a new run")
+        if problem:
+            raise BadBalance(f"{problem}; look at {self._first.folder.journal_path}, and begin a new run")
 
     def _note_cameras(self, used: Sequence[RunCamera]) -> None:
         for camera in used:
@@ -227,7 +227,7 @@ class Runner:
         record |= {"readings": readings} if readings else {}
         by_hand = self._hardware.bench.table.stages.by_hand
         record |= {"reading_um": by_hand} if by_hand else {}
-        for camera in self._first_last:
+        for camera in self._closing_order:
             camera.finish_step(step, record)
 
     def _see_to_seeding(self, step: Step, pulses: PulseOrder) -> None:
@@ -276,7 +276,7 @@ class Runner:
             raise
 
     def _turned(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
-        """Have the operator turn an axis; whoever asks for the end of the run is not asked for a reading first."""
+        """Have the operator turn an axis; a request for the end of the run ends the question."""
         self._tell(f"waiting for {question.axis}, which is moved by hand")
         with self.progress.aside():
             return self._operator.reads(question, lambda: given_up() or self.interrupts.wanted)

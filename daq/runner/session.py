@@ -42,7 +42,7 @@ from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.done_file import FILE as DONE
-from daq.runs.frame_accounting import doubts
+from daq.runs.frame_accounting import ambiguities
 from daq.runs.frame_check import Track, frame_faults, named, orphan_files, untracked
 from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
@@ -300,7 +300,7 @@ def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
     Raises
     ------
     ResumeRefused
-        The run is finished or in doubt, or a file means something else than when the run began.
+        The run is finished or ambiguous, or a file means something else than when the run began.
     RunDamaged
         A record is not what was written; or, without `retake`, a frame that would count as done.
     """
@@ -309,7 +309,7 @@ def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
     if folder.is_done and not retake:
         raise ResumeRefused(f"{path} is finished; there is nothing to resume")
     entries = folder.entries()
-    if said := doubts(entries):
+    if said := ambiguities(entries):
         raise ResumeRefused(f"{path}: {said[0]}, so frames may show another stop than they say; begin a new run")
     request = Request.from_dict(about["request"])
     bench = load_bench(request.bench)
@@ -407,7 +407,7 @@ def run_session(
         each.prepare(step.view for step in left if step.on_plane)
     tell("opening the devices")
     with ExitStack() as stack:
-        behind = stack.enter_context(ExitStack())  # left when the devices have been told their last words
+        behind = stack.enter_context(ExitStack())  # left when the devices have got their last commands
         hardware = stack.enter_context(
             open_bench(bench, request.simulate, plan.table.shows, _exposures_before(run, left))
         )

@@ -1,6 +1,6 @@
 """The frames of a step, on the disk, whatever the camera does meanwhile.
 
-Two kinds of steps, told apart by the experiment (`Step.gaps_at_most`):
+Two kinds of steps, chosen by the experiment (`Step.gaps_at_most`):
 
 * **whole**: every frame, or none.  What the camera spoils is discarded and taken again, a few times.
 * **keeps what it has**: a flow cannot be had again.  Frames stay where they are; what is lost is a gap; after a
@@ -150,7 +150,7 @@ class StepFrames:
         """Try to get a lost camera back for a while."""
         hardware = self._camera.hardware
         within_s = hardware.camera_section.back_within_s
-        if hardware.simulation is not None:  # nobody goes to see to the cable
+        if hardware.simulation is not None:  # there is no cable to check
             within_s = min(within_s, REHEARSED_BACK_S)
         end_s = time.monotonic() + within_s
         while True:

@@ -4,7 +4,7 @@ Gauges are read, shown, and said once when one falls silent.
 
 A camera tells its clock beside ours, and its temperature.  The clock is asked a few times, and the question that
 was answered soonest is kept: the latch of the clock lies between the moments right before and behind it.  What a
-camera does not tell is left out, and one that does not answer is found by whoever waits for its frames.
+camera does not tell is left out, and one that does not answer is found where its frames are waited for.
 """
 
 import math
@@ -70,14 +70,14 @@ class Gauges:
 def camera_facts(camera: Camera) -> dict[str, Any]:
     """Contents of a line of the kind `camera`; empty if there is nothing to record."""
     try:
-        clock, told = ask_clock(camera), camera.read(TEMPERATURES)
+        clock, values = ask_clock(camera), camera.read(TEMPERATURES)
     except CameraError:
         return {}
     facts: dict[str, Any] = {}
     if clock is not None:
         facts = {"monotonic_ns": [clock[0], clock[2]], "camera_ns": clock[1]}
     for name in TEMPERATURES:
-        value = told.get(name)
+        value = values.get(name)
         if isinstance(value, int | float) and math.isfinite(value):
             now_ns = time.monotonic_ns()
             facts = {"monotonic_ns": [now_ns, now_ns], **facts, "celsius": float(value)}

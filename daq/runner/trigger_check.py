@@ -2,9 +2,9 @@
 
     set up, read back -> arm -> a few frames, asked for or waited for -> what each says of itself
 
-Frames of a software trigger are asked for; any others somebody's timing unit has to ask for meanwhile, with the
+Frames of a software trigger are asked for; any others have to be triggered by the timing unit meanwhile, with the
 laser off.  The exposure is judged by what the camera sends with its frames (chunk ExposureTime), for what reads
-back is only what it was told; a camera that sends no such chunk leaves it open, which is said.
+back is only what was set; a camera that sends no such chunk leaves it open, which is reported.
 """
 
 import math
@@ -27,7 +27,7 @@ ROUNDED_US = 2.0
 
 @dataclass(frozen=True, slots=True)
 class TriggerCheck:
-    """One thing that was tried: whether it is right (None: nobody tells), and what there is to say."""
+    """One thing that was tried: whether it is right (None: not known), and what there is to say."""
 
     what: str
     is_right: bool | None
@@ -115,20 +115,20 @@ def _rate(metas: list[FrameMeta]) -> str:
 
 def _exposures(metas: list[FrameMeta], asked: object, second_us: float | None) -> Iterator[TriggerCheck]:
     """Judge what came with the frames; exposure B of a double frame may be another."""
-    told = [meta.chunks[CHUNK] for meta in metas if CHUNK in meta.chunks]
-    if len(told) < len(metas):
+    exposures_us = [meta.chunks[CHUNK] for meta in metas if CHUNK in meta.chunks]
+    if len(exposures_us) < len(metas):
         yield TriggerCheck(
             "exposure", None, "the camera sends none with its frames, so only what reads back is known"
         )
         return
-    shortest, longest = min(told), max(told)
+    shortest, longest = min(exposures_us), max(exposures_us)
     is_one = math.isclose(shortest, longest, rel_tol=1e-6)
     said = f"{shortest:g} us" if is_one else f"{shortest:g} to {longest:g} us"
     if not isinstance(asked, int | float):
         yield TriggerCheck("exposure", None, f"{said}; what it was set to reads not back")
         return
     wanted = [asked] if second_us is None else [asked, second_us]
-    is_right = all(any(_is_near(each, one) for one in wanted) for each in told)
+    is_right = all(any(_is_near(each, one) for one in wanted) for each in exposures_us)
     yield TriggerCheck("exposure", is_right, f"{said}, set to {' and '.join(f'{one:g}' for one in wanted)} us")
 
 

@@ -1,6 +1,6 @@
 """Assignment of frames to triggers by the camera's clock, never by the order of arrival.
 
-A frame that is later than our timeout arrives in somebody else's place.  Taken for the answer to the next trigger
+A frame that is later than our timeout arrives in the place of another.  Taken for the answer to the next trigger
 it would show the stop before, and so would every frame after it.  So a frame is taken only if it was exposed
 between its trigger and its arrival, and everything else is rejected, counted, and waited past.
 
@@ -18,7 +18,7 @@ behind by a timeout, however slow frames are, for such a one is older than the w
 **ClockCalibration.**  What is left to be settled: a first frame whose stamp contradicts the latch (another clock,
 other units, or really stale), a first frame after a timeout, a stamp that contradicts those before it.  A few
 triggers with unequal pauses tell (see clock_calibration).  It costs nothing while nothing is odd.  If it shows
-that the first frame was exposed before its trigger, that is a doubt; but of frames that have agreed with each
+that the first frame was exposed before its trigger, the run ends; but of frames that have agreed with each
 other for a few times our timeout it is believed that the camera's clock was set anew.  What no offset can show is
 a session whose every frame is late by the same time, the first one's trigger having been an earlier process's; a
 latch shows it.
@@ -26,7 +26,7 @@ latch shows it.
 **Ids.**  A camera without time stamps, or whose stamps follow no clock (one that has to be settled again and again
 is none): without a timeout, one trigger is one frame.  After one, a frame is ours if its id has moved as often as
 triggers were sent, and ids were seen to count by ones.  A camera that tells neither has nothing to go by after a
-timeout: the frame is in doubt.
+timeout: the frame is ambiguous.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ from daq.cameras.frame import FrameMeta
 from daq.runner.clock_calibration import DRIFT, ClockCalibration, Shot
 
 CONFIRMED = 3.0  # times our timeout; over that even stamps in another unit would have contradicted each other
-TRIALS = 3  # after which a clock is none that has not agreed with us for a while
+MAX_CLOCK_TRIALS = 3  # after which a clock is none that has not agreed with us for a while
 AGREED_NS = 60_000_000_000
 UNCONFIRMED = "nothing has confirmed that the first frame was exposed for its trigger"
 RESTART_NS = 50_000_000  # by which a camera's clock has to go wrong to be called restarted
@@ -89,7 +89,7 @@ class TriggerMatch:
         self._is_confirmed = False  # frames taken over a while agree with each other
         self._unanswered = 0  # triggers that were waited for in vain, and whose frames have not come since
         self._waits = False  # for the frame of the last trigger
-        self._is_odd = self._was_odd = False  # something came, or did not, that leaves a first frame open to doubt
+        self._is_odd = self._was_odd = False  # something came, or did not, that leaves a first frame unconfirmed
         self._stale_here = 0  # since the last trigger
         self._only_stale = 0  # windows in a row that brought nothing else
         self._shots = 0
@@ -103,7 +103,7 @@ class TriggerMatch:
 
     @property
     def by_time(self) -> bool:
-        """True if frames are told apart by their time; what was left behind may then be waited past."""
+        """True if frames are identified by their time; what was left behind may then be waited past."""
         return self._tells_time
 
     @property
@@ -170,7 +170,7 @@ class TriggerMatch:
         self._note_odd()
         self._only_stale = self._only_stale + 1 if self._stale_here else 0
 
-    def was_owed(self, meta: FrameMeta) -> bool:
+    def answers_pending_trigger(self, meta: FrameMeta) -> bool:
         """True if a frame that is rejected may be owed to a trigger that was waited for; call it once a frame."""
         return not self._is_foreign(meta) and self._owed(1) > 0
 
@@ -184,7 +184,7 @@ class TriggerMatch:
             self._unanswered = 0
 
     def came_unasked(self, meta: FrameMeta) -> str:
-        """Note a frame too many, between two triggers; return what is in doubt by that, or ""."""
+        """Note a frame too many, between two triggers; return what is ambiguous by that, or ""."""
         self._note_odd()  # two frames for one trigger: was the first one its own?
         if self._has_time(meta) or not self.has_taken:
             return ""
@@ -234,11 +234,11 @@ class TriggerMatch:
         return True
 
     def learned_nothing(self) -> None:
-        """Note that a trial was disturbed: what was open to doubt before it stays so."""
+        """Note that a trial was disturbed: what was unconfirmed before it stays so."""
         self._note_odd()
 
     def learn(self, trial: ClockCalibration | None) -> str:
-        """Take over what a trial has shown; return what is in doubt now, or "".
+        """Take over what a trial has shown; return what is ambiguous now, or "".
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class TriggerMatch:
         self._only_stale = 0
         self._is_odd = False
         self._trials += 1
-        if trial is None or self._trials > TRIALS:
+        if trial is None or self._trials > MAX_CLOCK_TRIALS:
             self._is_clock = self._tells_time = False
             self._unanswered = 0
             return UNCONFIRMED if self._was_odd and self.has_taken else ""
@@ -286,7 +286,7 @@ class TriggerMatch:
         return Place.OURS if both.low_ns <= both.high_ns else Place.UNKNOWN
 
     def _went_back(self, meta: FrameMeta) -> bool:
-        """Return whether a clock that frames were told by says of a later frame that it was the earlier one."""
+        """Return whether the clock that identifies frames has gone back between two of them."""
         if self._last_taken is None or not meta.id_told:
             return False
         return meta.sequence > self._last_taken.sequence and meta.timestamp_ns < self._last_taken.timestamp_ns

@@ -97,7 +97,7 @@ def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any
         It is not what was promised, or missing.
     """
     if run_of(path) is None:
-        if not crc32:  # nobody could read it when its series was planned: now it is said why
+        if not crc32:  # it could not be read when its series was planned: report why
             read_named(path, shape)
             raise FrameError(f"{path}: could not be read when its series was planned; give the same command again")
         return read_named(path, shape, crc32)

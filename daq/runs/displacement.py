@@ -32,7 +32,7 @@ from daq.atomic_write import write_text
 from daq.bench.elements import DIRECTIONS, TARGET, Vector
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.journal import Entry
-from daq.runs.records import CURE, MOST_BYTES, STRICT, Count, Tag, Way, parsed, read_record
+from daq.runs.records import CURE, MAX_RECORD_BYTES, STRICT, Count, Tag, Way, parsed, read_record
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
 from daq.runs.seal import sealed
@@ -174,7 +174,7 @@ def read_displacements(folder: RunFolder) -> list[Moved]:
 
 def _sealed_entries(path: Path) -> list[Moved]:
     try:
-        lines = read_plain(path, MOST_BYTES).split(b"\n")
+        lines = read_plain(path, MAX_RECORD_BYTES).split(b"\n")
     except OSError as error:
         raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
     if lines[0] != b"[" or lines[-2:] != [b"]", b""]:

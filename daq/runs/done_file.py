@@ -24,7 +24,7 @@ from pydantic import Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from daq.errors import RunDamaged
-from daq.runs.journal_lines import Books, FlowFigures, Gap
+from daq.runs.journal_lines import AccountRecord, FlowFigures, Gap
 from daq.runs.records import CURE, STRICT, Count, Sha, Tag, Text, read_record
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
@@ -60,7 +60,7 @@ class DoneFile(TypedDict):
     utc: Text
     steps: Count
     frames: Count
-    conservation: Books
+    conservation: AccountRecord
     sessions: list[SessionEnd]
     corrected_after_the_run: Count
     gaps: NotRequired[list[StepGaps]]

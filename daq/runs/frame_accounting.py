@@ -6,7 +6,7 @@
 triggered     software triggers we sent, or exposures the camera numbered when it runs by itself
 written       on the disk, in the journal
 incomplete    arrived with pixels missing; never used
-rejected      arrived whole and not wanted: later than its timeout, exposed for somebody else, surplus of a
+rejected      arrived whole and not wanted: later than its timeout, exposed for another trigger, surplus of a
               stream, contradicting its announcement
 lost          never arrived: no free buffer, id missing, trigger ignored, silent; or the disk did not take it
 ============  ===================================================================================
@@ -17,13 +17,13 @@ is `silent`: a trigger that was answered by nothing at all.  It is believed only
 never hide more frames than there were timeouts; and it is a number of the whole session, for a frame that comes
 after its timeout is no longer silent but rejected.
 
-Frames that nobody asked for count as triggered where they are known to be just that: exposed before our first
+Unasked frames count as triggered where they are known to be just that: exposed before our first
 trigger (an earlier process left them behind), unasked by a camera that has forgotten its settings or was gone
-before they could be checked, or any where every frame handed over was told by its time.  Elsewhere they make an
-imbalance: with one frame too many and nothing to tell them apart, all are in doubt.
+before they could be checked, or any where every frame handed over was identified by its time.  Elsewhere they make
+an imbalance: with one frame too many and nothing to distinguish them, all are ambiguous.
 
-The account of a whole run is those of its sessions in the journal, added up (`total_accounting`).  A doubt is a
-reason why some frame of the run may not show what its record says: accounts that do not balance, or a frame that
+The account of a whole run is those of its sessions in the journal, added up (`total_accounting`).  An ambiguity is
+a reason why some frame of the run may not show what its record says: accounts that do not balance, or a frame that
 could not be given to its trigger.  It never goes away by taking more frames, so a run with one is never done and
 is not resumed; its frames stay where they are.
 
@@ -169,29 +169,28 @@ def total_accounting(entries: Sequence[Entry]) -> tuple[FrameAccounting, list[di
     total, sessions = FrameAccounting(), []
     for first, last in pairwise([*starts, len(entries)]):
         lines = [line for line in entries[first + 1 : last] if line["kind"] != "camera"]  # these count nothing
-        books = next(
+        account = next(
             (FrameAccounting.from_dict(line["books"]) for line in lines if line["kind"] == "counts"), None
         )
         end = next((line for line in lines if line["kind"] == "end"), None)
-        was_killed = books is None
-        if books is None:
+        was_killed = account is None
+        if account is None:
             written = sum(line["kind"] == "frame" for line in lines)
-            books = FrameAccounting(triggered=written, written=written)
+            account = FrameAccounting(triggered=written, written=written)
         for number, line in enumerate(lines):
             if line["kind"] == "discard" and (number == 0 or was_killed):
-                books += FrameAccounting(written=-len(line["frames"]), rejected=len(line["frames"]))
-        total += books
+                account += FrameAccounting(written=-len(line["frames"]), rejected=len(line["frames"]))
+        total += account
         why = {"ended": "killed", "error": ""} if end is None else {"ended": end["why"], "error": end["error"]}
-        sessions.append({"utc": entries[first]["utc"], **why, "conservation": books.to_dict()})
+        sessions.append({"utc": entries[first]["utc"], **why, "conservation": account.to_dict()})
     return total, sessions
 
 
-def doubts(entries: Sequence[Entry]) -> list[str]:
-    """Return what is in doubt about a run, one sentence each, without full stop; [] if nothing is.
+def ambiguities(entries: Sequence[Entry]) -> list[str]:
+    """Return the ambiguities of a run, one sentence each, without full stop; [] if there are none.
 
     Sessions say so themselves (key `doubt` of their lines, lines of the kind `doubt`); accounts that do not
-    balance
-    are a doubt whether they were called one or not.
+    balance are one in any case.
     """
     found: list[str] = []
     for entry in entries:
@@ -199,9 +198,9 @@ def doubts(entries: Sequence[Entry]) -> list[str]:
         if said is not None:
             found.append(str(said))
         elif entry["kind"] == "counts":
-            books = FrameAccounting.from_dict(entry["books"])
-            if books.imbalance:
-                found.append(f"the books of a session do not balance ({books.sentence()})")
+            account = FrameAccounting.from_dict(entry["books"])
+            if account.imbalance:
+                found.append(f"the account of a session does not balance ({account.sentence()})")
     return list(dict.fromkeys(found))
 
 
@@ -224,8 +223,8 @@ def rejected_sentence(entries: Sequence[Entry]) -> str:
         if entry["kind"] == "discard":
             why["are of steps that were taken again"] += len(entry["frames"])
     why["were left when the camera was stopped"] += max(0, rejected - why.total())
-    told = ", ".join(f"{number} {reason}" for reason, number in why.items() if number)
-    return f"frames rejected: {told}; nothing of the run shows them"
+    reasons = ", ".join(f"{number} {reason}" for reason, number in why.items() if number)
+    return f"frames rejected: {reasons}; nothing of the run shows them"
 
 
 ELSEWHERE = "of pairs that another camera has not"

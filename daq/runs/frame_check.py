@@ -121,7 +121,7 @@ class OrphanFiles:
 
 
 def orphan_files(folder: RunFolder, steps: Sequence[PlannedStep], entries: Sequence[Entry]) -> OrphanFiles:
-    """Look for files that nobody vouches for.
+    """Look for files that the journal does not have.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def glass_off_scene_mm(table: "BenchTable", positions_mm: Mapping[str, float]) -
 def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
     """The scene with its glass moved by `place_mm` from where its file has it; walls that stand, stand.
 
-    Of what is masked nobody knows whether it is on the glass or stands before it: it is masked here and there.
+    A masked part may be on the glass or stand before it: it is masked in both places.
     """
     if not any(place_mm):
         return scene

@@ -5,7 +5,7 @@ Kinds of lines:
     session   a process began to work on the run (the first, or one that resumes)
     frame     a frame is on the disk under its final name: positions, checksum, both clocks
     step      all frames of a step are on the disk, and the gaps of one that may have some
-    camera    what the camera told of its clock and temperature between steps
+    camera    clock and temperature of the camera between steps
     arm       a step that keeps what it has goes on behind its last frame, and why
     look      what the frames of a step of an alignment show
     discard   frames of a step that was cut off; the step is taken again and their files are gone

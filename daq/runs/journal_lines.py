@@ -178,7 +178,7 @@ class DiscardLine(TypedDict):
 
 
 @with_config(STRICT)
-class Books(TypedDict):
+class AccountRecord(TypedDict):
     """An account, see runs.frame_accounting; the sides may differ, so only the imbalance may be below 0."""
 
     triggered: Count
@@ -216,7 +216,7 @@ class CountsLine(TypedDict):
     """Account of every triggered frame of a session."""
 
     kind: Literal["counts"]
-    books: Books
+    books: AccountRecord
     flow: FlowFigures
     why_rejected: NotRequired[dict[Text, Count]]
     doubt: NotRequired[Text]
@@ -234,7 +234,7 @@ class EndLine(TypedDict):
 
 
 @with_config(STRICT)
-class DoubtLine(TypedDict):
+class AmbiguityLine(TypedDict):
     """A frame of this session may not show what its line says; see runs.frame_accounting."""
 
     kind: Literal["doubt"]
@@ -253,7 +253,7 @@ Line = (
     | DiscardLine
     | CountsLine
     | EndLine
-    | DoubtLine
+    | AmbiguityLine
 )
 LINE: TypeAdapter[Any] = TypeAdapter(
     Annotated[Line, Field(discriminator="kind")], config=ConfigDict(defer_build=True)

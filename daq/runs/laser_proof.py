@@ -3,7 +3,7 @@
     bench.yaml  ->  bench.laser.proof.json     box, wiring, who, when, and what each trial has shown; sealed
 
 The seal finds damage, not a person who edits it.  A proof of another box, of other wiring, or of a simulated box
-proves nothing here; whoever arms is told so (`proof_sentence`).
+proves nothing here; the operator is warned (`proof_sentence`).
 """
 
 import json

@@ -11,8 +11,8 @@ place within the group; a frame whose partner is missing is in no pair, and is c
 camera was armed between the two exposures of a pair; time stamps can.
 
 **Pairs of light pulses.**  Nothing is concluded from the order of frames.  While the run was recorded a marker
-told which exposure each frame is (runner.pair_finder), and the frame's line says it: exposure A or B, the time
-between the pulses as commanded and, if somebody measured it, as measured with its standard deviation.  Here the
+identified the exposure of each frame (runner.pair_finder), and the frame's line says it: exposure A or B, the time
+between the pulses as commanded and, if it was measured, as measured with its standard deviation.  Here the
 lines of a pair are held against each other; two that contradict one another are named with file and line: nothing
 tells which one is right.
 
@@ -117,10 +117,10 @@ class FramePair:
         Standard deviation of `measured_mm` in each direction where hands moved it, None for a motor; see
         `runs.displacement`.
     dt_s : float, optional
-        From the first exposure, or light pulse, to the second: measured if somebody did, else commanded; None if
-        nobody knows.
+        From the first exposure, or light pulse, to the second: measured if it was, else commanded; None if
+        not known.
     dt_sigma_s : float, optional
-        Standard deviation of `dt_s`; None if nobody measured it.
+        Standard deviation of `dt_s`; None if it was not measured.
     time_s : float, optional
         From the first exposure of the first pair of the run to that of this one, on the camera's clock; across a
         restart of the camera or of the run, on the computer's. None if the camera has no clock.
@@ -141,7 +141,7 @@ class FramePair:
 
 
 SAME = 1e-9  # relative; two lines write the same number
-READ_BACK = 1e-6  # relative; of an exposure that nobody has changed
+READ_BACK = 1e-6  # relative; of an unchanged exposure
 
 
 def flow_pairs(folder: RunFolder, entries: Sequence[Entry]) -> tuple[list[FramePair], list[int]]:
@@ -270,7 +270,7 @@ SWAPPED = 2.0  # times the gap to the next pair, and a pair is none; frames in r
 class RunPairs:
     """Pairs of a run in the order of the plan, the numbers of frames that lost their partner, and all their lines.
 
-    A journal of a million frames is read once: whoever has the pairs has the lines of their frames, by number, and
+    A journal of a million frames is read once: with the pairs come the lines of their frames, by number, and
     what gauges of the lab showed, by step.
     """
 

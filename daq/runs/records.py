@@ -2,7 +2,7 @@
 
 What a run wrote may come back with a flipped bit, cut short, or edited.  Every record is checked once, where it is
 read, against its seal (runs.seal) and against types: whole numbers within bounds, finite positions, names that
-cannot lead out of a folder.  What comes out of here can be computed with; nothing behind has to doubt it again.
+cannot lead out of a folder.  What comes out of here can be computed with; nothing behind has to check it again.
 Keys that this version does not know are kept: a newer one may have written them.
 """
 
@@ -22,7 +22,7 @@ T = TypeVar("T")
 CURE = "restore the file from a copy, or begin a new run"
 STRICT = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
 _PLACE = re.compile(r" at line (\d+) column \d+")
-MOST_BYTES = 500_000_000  # of a record; a plan of a million steps has 300 MB
+MAX_RECORD_BYTES = 500_000_000  # of a record; a plan of a million steps has 300 MB
 LONGEST_SHOWN = 40  # characters of a wrong value
 
 Count = Annotated[int, Field(ge=0, le=1_000_000_000)]
@@ -72,7 +72,7 @@ def read_record(adapter: TypeAdapter[T], path: Path, sealed: bool) -> T:
         It cannot be read, or is not what was written; with the line where that is known.
     """
     try:
-        data = read_plain(path, MOST_BYTES)
+        data = read_plain(path, MAX_RECORD_BYTES)
     except OSError as error:
         raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
     try:

@@ -12,7 +12,7 @@ from daq.errors import DaqError, RunDamaged
 from daq.runs.clock_map import clock_maps
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import DoneFile, read_done, run_hash
-from daq.runs.frame_accounting import doubts, total_accounting
+from daq.runs.frame_accounting import ambiguities, total_accounting
 from daq.runs.frame_check import NAMED, FrameFault, Track, frame_faults, named, orphan_files, untracked
 from daq.runs.gaps import numbers_in, recorded_gaps
 from daq.runs.journal import Entry
@@ -145,11 +145,11 @@ def _unknown(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Finding
 
 def _books(entries: list[Entry], frames: int) -> Finding:
     total, _ = total_accounting(entries)
-    if said := doubts(entries):
-        return Finding("books", False, "; ".join(said))
+    if said := ambiguities(entries):
+        return Finding("account", False, "; ".join(said))
     if total.imbalance or total.written != frames:
-        return Finding("books", False, f"{total.sentence()}, with {frames} frames in the journal")
-    return Finding("books", True, total.sentence())
+        return Finding("account", False, f"{total.sentence()}, with {frames} frames in the journal")
+    return Finding("account", True, total.sentence())
 
 
 def _end(folder: RunFolder, about: RunFile, entries: list[Entry], faults: int) -> Iterator[Finding]:

@@ -79,9 +79,9 @@ class RunFolder:
     ) -> "RunFolder":
         """Make a new folder with its run.json, and in it those of further cameras; a taken name gets a number.
 
-        It is made under a hidden name and gets its own when all of it is on the disk: whoever finds a run folder,
-        whatever became of the program that made it, can open it. What such a program left there under a hidden
-        name is removed after a day.
+        It is made under a hidden name and gets its own when all of it is on the disk: a reader that finds a run
+        folder whatever became of the program that made it, can open it. What such a program left there under a
+        hidden name is removed after a day.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class RunFolder:
         Raises
         ------
         RunUnsuitable
-            It is a link that leads out of the run folder: whoever made that writes there himself, by -o.
+            It is a link that leads out of the run folder: write there by -o instead.
         """
         self.inside(name)
         return self.path / name
@@ -231,7 +231,7 @@ def _make(folder: Path, about: Mapping[str, Any]) -> None:
 
 def _sweep(parent: Path) -> None:
     """Remove what programs killed while they made or removed a run left there a day ago: no frame is in it."""
-    with suppress(OSError):  # a folder that another program sweeps, or that cannot be looked at, is nobody's error
+    with suppress(OSError):  # a folder that another program sweeps, or that cannot be looked at, is no error
         for left in parent.iterdir():
             old = LEFT.fullmatch(left.name) and left.lstat().st_mtime < time.time() - DAY_S
             if old and not left.is_symlink() and not any(left.rglob("*.tif*")):

@@ -38,8 +38,8 @@ from tracer.scene.scene_file import load_scene
 if TYPE_CHECKING:  # most commands have no run, and do not wait for the models of benches
     from daq.bench.bench_table import BenchTable
 
-FAR_PX = 2e4  # the same without any scale: lengths are pixels of the frame
-FAR_MM = 1e4  # where a camera is taken to stand of which a scale alone is told: at the edge of a view of 100 mm
+UNSCALED_DISTANCE_PX = 2e4  # the same without any scale: lengths are pixels of the frame
+FAR_MM = 1e4  # where a camera is taken to stand of which only a scale is given: at the edge of a view of 100 mm
 # motion along the view is 0.5 % of itself across it
 T = TypeVar("T")
 
@@ -214,7 +214,7 @@ def board_of(
     paths : iterable of Path
         Run folders and frames.
     square_mm, disc_mm : float, optional
-        What somebody says of the board; otherwise squares are those of `Chessboard`, and discs as wide in them.
+        Given data of the board; otherwise squares are those of `Chessboard`, and discs as wide in them.
         Such a print, or that of a run, is as unsure as that of a board file without measured bars.
     board : Path, optional
         Or a board file that says it.
@@ -224,7 +224,7 @@ def board_of(
     ConfigError
         The board file is wrong.
     BoardError
-        Somebody says another thing than a run, or two runs differ.
+        The given data contradict a run, or two runs differ.
     RunUnsuitable, RunDamaged
         A run cannot be read.
     """
@@ -291,12 +291,12 @@ def in_light_sheet(step: PlannedStep) -> bool:
 
 def tells_a_scale_alone(scene: Scene) -> bool:
     """True if a scene is that of frames of which only the size of a pixel is known: no slope of its rays is."""
-    return not scene.bodies and scene.camera.position_mm in ((0.0, 0.0, FAR_MM), (0.0, 0.0, FAR_PX))
+    return not scene.bodies and scene.camera.position_mm in ((0.0, 0.0, FAR_MM), (0.0, 0.0, UNSCALED_DISTANCE_PX))
 
 
 def length_unit(scene: Scene) -> str:
     """Return the unit of lengths on the plane: "mm", or "px" where no scale is given."""
-    return "px" if not scene.bodies and scene.camera.position_mm == (0.0, 0.0, FAR_PX) else "mm"
+    return "px" if not scene.bodies and scene.camera.position_mm == (0.0, 0.0, UNSCALED_DISTANCE_PX) else "mm"
 
 
 def where_lit(scene: Scene) -> str:

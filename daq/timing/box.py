@@ -50,7 +50,7 @@ class TimingBox(Link):
         self.latch = latch or StopLatch()
         self.token = self.latch.count  # of what may be switched on now; set by the laser
         self.may_be_on = False  # something was switched on, and nothing has read back as off since
-        self.watchdog: Watchdog | None = None  # set by whoever opens a port that outlives the process
+        self.watchdog: Watchdog | None = None  # set where a port is opened that outlives the process
         self.gate: Literal["high", "low"] | None = (
             None  # level of the gate input that lets pulses out; None: not used
         )
@@ -70,7 +70,7 @@ class TimingBox(Link):
         Raises
         ------
         PortUnavailable, NoReply
-            The port cannot be opened, or nobody answers on it.
+            The port cannot be opened, or there is no answer.
         WrongBox
             Another box answers, it lacks an output that the wiring names, or it is set up to act by itself.
         """
@@ -117,7 +117,7 @@ class TimingBox(Link):
     # ---- off -----------------------------------------------------------------------------------
 
     def drop(self) -> None:
-        """Write everything off now, Q-switches first; from any thread, waiting for nobody.
+        """Write everything off now, Q-switches first; from any thread, without waiting.
 
         Raises
         ------
@@ -179,7 +179,7 @@ class TimingBox(Link):
         Raises
         ------
         LaserDoubt
-            It does not: a restart, or somebody at its keys.
+            It does not: a restart, or a person at its keys.
         """
 
     def require_lamps(self, on: bool) -> None:

@@ -1,6 +1,6 @@
 """Conditions that must hold before and while light may leave, as a value stated at one moment.
 
-A condition that nobody states is not met: every field is False, zero or None by default. The laser asks for a new
+A condition that is not stated is not met: every field is False, zero or None by default. The laser asks for a new
 statement all the time while it fires, and goes off when one of them no longer holds, or when no statement comes.
 Switches of door, shutter and key are not among them: the laser reads those itself (`switches`).
 
@@ -76,7 +76,7 @@ def exposure_problem(schedule: Schedule, exposures: PairExposures, dark_us: floa
     exposures : PairExposures
         Of the camera.
     dark_us : float or None
-        Longest exposure B for which the room is dark enough; None if nobody has said.
+        Longest exposure B for which the room is dark enough; None if not given.
     """
     if exposures.length_us >= schedule.period_us:
         return f"two exposures of {exposures.length_us:g} us do not fit into {schedule.period_us:g} us"

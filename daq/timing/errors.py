@@ -6,7 +6,7 @@ TimingError
 |   +-- NotNow             the state of the laser does not allow it; the message says what does
 |   +-- NotArmed           a condition is not met, or the code that was typed is not the one shown
 +-- LaserStopped       switched off: on request, or because a condition was lost; `safe()` goes on from there
-+-- LaserDoubt         what the box says is not what it was told; it was switched off
++-- LaserDoubt         an answer contradicts the settings; it was switched off
     +-- WrongBox           another box, or a set-up of it that must not be used
 """
 
@@ -30,7 +30,7 @@ class NotNow(TimingUsageError):  # noqa: N818
 
 
 class NotArmed(TimingUsageError):  # noqa: N818
-    """A condition for light is not met, or nobody has confirmed it; the message names it."""
+    """A condition for light is not met, or not confirmed; the message names it."""
 
 
 class LaserStopped(TimingError):  # noqa: N818

@@ -23,7 +23,7 @@ from ground.file_lock import hold
 from ground.plain_file import read_plain
 from stages.watchdog import needs_watchdog
 
-MOST_BYTES = 100_000
+MAX_NOTE_BYTES = 100_000
 CONFIRMED = "off"  # content of a request once everything reads back as off
 
 
@@ -117,12 +117,12 @@ def _in_use() -> list[tuple[Path, TimingTable]]:
         for path in sorted(_folder().glob("*.json")):
             with suppress(OSError, ValueError, ValidationError):
                 if _is_held(path):
-                    found.append((path, TimingTable.model_validate_json(read_plain(path, MOST_BYTES))))
+                    found.append((path, TimingTable.model_validate_json(read_plain(path, MAX_NOTE_BYTES))))
     return found
 
 
 def _folder() -> Path:
-    """Folder of this user alone; OSError if it is somebody else's, who could name any port in it."""
+    """Folder of this user alone; OSError if it is another user's, who could name any port in it."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(runtime) / "rtpiv-lasers" if runtime else Path(tempfile.gettempdir()) / f"rtpiv-lasers-{user}"
@@ -146,7 +146,7 @@ def _written(table: TimingTable) -> IO[str] | None:
 
 
 def _is_held(path: Path) -> bool:
-    """Return whether the process that wrote it still lives; what nobody holds is taken away."""
+    """Return whether the process that wrote it still lives; a file that is not held is removed."""
     with path.open("rb") as file:
         try:
             hold(file)

@@ -12,8 +12,8 @@
 The states are in `states`, what must hold in `conditions`. Every verb asks the box what it has, not its own
 memory: a box that was restarted, or used by its keys, is found out before it is armed.
 
-Light ends in many ways: somebody says so, a condition is lost, the burst ends, the bench is left (`darkness`).
-After a stop the laser is in doubt (UNKNOWN) until it reads back as off, and a fault from then on until `safe`.
+Light ends in many ways: on request, a condition is lost, the burst ends, the bench is left (`shutdown`).
+After a stop the laser is UNKNOWN until it reads back as off, and a fault from then on until `safe`.
 
 A chunk is at most `Rules.chunk_s` long. Where the box counts (`box.counts`), so many pulses leave at most after
 whatever becomes of this program. Where it cannot, we end the burst by the clock, and the watchdog after our death;
@@ -26,7 +26,6 @@ from contextlib import suppress
 
 from daq.timing.box import UNREADABLE, TimingBox
 from daq.timing.conditions import Conditions, Rules, exposure_problem
-from daq.timing.darkness import Darkness
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
 from daq.timing.in_use import OffRequest
 from daq.timing.low_energy import low_energy_burst
@@ -40,13 +39,14 @@ from daq.timing.pulses import (
     Schedule,
     schedule_of,
 )
+from daq.timing.shutdown import LaserShutdown
 from daq.timing.states import EMITS, Event, LaserState, LaserStateMachine, Movers
 from daq.timing.switches import OFF, Switches
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
 SPARE_S = 0.05  # by which the first tick of a box that counts may come after the answer to the word that starts it
-POLL_S = 0.01  # between two looks of `wait`
+BURST_POLL_S = 0.01  # between two looks of `wait`
 ARMED_S = 10.0  # how long conditions that were stated at arming may be believed
 
 
@@ -79,11 +79,11 @@ class Laser:
         self._clock = clock
         self._lock = threading.RLock()  # one verb at a time
         self._states = LaserStateMachine(name, box.latch, clock)
-        self._dark = Darkness(box, self._states, self._lock, clock)
+        self._shutdown = LaserShutdown(box, self._states, self._lock, clock)
         self._exposures: PairExposures | None = None
         self._rate_hz: float | None = None  # of lamps that run
         self._ends_s = math.inf  # of the burst that goes on
-        self.switches = Switches({})  # of door, shutter, key; set by whoever opens them
+        self.switches = Switches({})  # of door, shutter, key; set where they are opened
         self.off_request = OffRequest(None)  # by another process; set with the switches
         self._conditions = Conditions()  # as they stood at arming
         self._armed_s = -math.inf
@@ -142,7 +142,7 @@ class Laser:
         with self._lock:
             self.box.connect(url, baud)
             with suppress(*UNREADABLE):
-                self._dark.read_back()
+                self._shutdown.read_back()
                 self._states.enter(Event.OFF)
                 self._ask_anew()
 
@@ -159,7 +159,7 @@ class Laser:
         NotNow, PulsesRefused, LaserDoubt, StageError
             It is not SAFE, cannot run at this rate, or the box does not do it.
         """
-        with self._lock, self._dark.doubting():
+        with self._lock, self._shutdown.off_on_error():
             self._states.require(LaserState.SAFE)
             if why := self.switches.objection():
                 raise NotArmed(f"{self.name} does not warm up: {why}")
@@ -189,7 +189,7 @@ class Laser:
             The box does not take them.
         """
         schedule = schedule_of(timing, self.head, exposures)
-        with self._lock, self._dark.doubting():
+        with self._lock, self._shutdown.off_on_error():
             self._states.require(LaserState.READY)
             if self._rate_hz is not None and not math.isclose(timing.rate_hz, self._rate_hz, rel_tol=1e-6):
                 raise PulsesRefused(
@@ -221,7 +221,7 @@ class Laser:
         LaserDoubt, StageError
             The box does not hold what it was loaded with.
         """
-        with self._lock, self._dark.doubting():
+        with self._lock, self._shutdown.off_on_error():
             self._states.require(LaserState.READY)
             schedule, exposures = self.schedule, self._exposures
             if schedule is None or exposures is None:
@@ -267,7 +267,7 @@ class Laser:
     def fire(self, pairs: int) -> None:
         """Give that many pairs of pulses; returns when they have begun.
 
-        Somebody must call `watch` with the conditions as they stand until they have ended:
+        The caller must call `watch` with the conditions as they stand until they have ended:
         `supervisor.LaserSupervisor` does.
 
         Raises
@@ -279,7 +279,7 @@ class Laser:
         LaserDoubt, StageError
             The box did not take it; it was switched off.
         """
-        with self._lock, self._dark.doubting():
+        with self._lock, self._shutdown.off_on_error():
             self._states.require(LaserState.ARMED)
             assert self.schedule is not None
             most = self.most_pairs
@@ -316,7 +316,7 @@ class Laser:
         NotNow, NotArmed, PulsesRefused
             It is not SAFE, the bench has no such mode, or a limit is broken; nothing was sent.
         """
-        with self._lock, self._dark.doubting():
+        with self._lock, self._shutdown.off_on_error():
             self._states.require(LaserState.SAFE)
             schedule, pulses = self.low_energy_burst(rate_hz, for_s)
             self._states.require_code(code)
@@ -356,7 +356,7 @@ class Laser:
     # ---- light ends ------------------------------------------------------------------------------------
 
     def safe(self) -> None:
-        """Switch everything off and read it back; allowed in every state, and the way out of every doubt.
+        """Switch everything off and read it back; allowed in every state, and the way out of UNKNOWN and FAULT.
 
         Raises
         ------
@@ -368,7 +368,7 @@ class Laser:
         with suppress(StageError):
             self.box.drop()  # first, and without the lock that another verb may hold
         with self._lock:
-            self._dark.make_safe()
+            self._shutdown.make_safe()
             self.off_request.close()
             self.switches.look(OFF)
             self._ask_anew()
@@ -379,16 +379,16 @@ class Laser:
         Raises
         ------
         DeviceLost
-            The box could not be told.
+            The box could not be reached.
         """
-        self._dark.say(why)
+        self._shutdown.send_off(why)
 
     def confirm_off(self) -> bool:
-        """After a stop: try to read back that everything is off; True if nothing is in doubt (any more).
+        """After a stop: try to read back that everything is off; True if the laser is not UNKNOWN (any more).
 
-        Whoever watches calls it until it says True. A port that was lost is opened again for it.
+        The supervisor calls it until it returns True. A port that was lost is opened again for it.
         """
-        return self._dark.confirm()
+        return self._shutdown.confirm()
 
     def close(self) -> None:
         """Switch off, read back, and give the port back.
@@ -398,17 +398,17 @@ class Laser:
         LaserDoubt
             Something was switched on, and does not read back as off.
         """
-        self._dark.leave()
+        self._shutdown.leave()
 
     # ---- while it fires --------------------------------------------------------------------------------
 
     def switch_opened(self, why: str) -> None:
-        """Switch off, from warm-up on; called by whoever reads the switches, while one does not allow light.
+        """Switch off, from warm-up on; called by the thread of the switches, while one does not allow light.
 
         A switch that was open for a moment between two bursts holds the laser until `safe` as well.
         """
         if self.state not in (LaserState.SAFE, LaserState.UNKNOWN, LaserState.FAULT):
-            self._dark.say_quietly(why)
+            self._shutdown.try_send_off(why)
         if not self.off_request.is_closed() and not self.off_request.is_confirmed() and self.confirm_off():
             self.off_request.confirm()
 
@@ -423,7 +423,7 @@ class Laser:
         if self.state is not LaserState.FIRING:
             return
         if missing := conditions.missing(0, self.rules.clear_mm, fires=True) or self.switches.objection():
-            self._dark.say_quietly(missing)
+            self._shutdown.try_send_off(missing)
             raise LaserStopped(f"{self.name} was switched off: {missing}")
 
     def look(self) -> bool:
@@ -437,20 +437,20 @@ class Laser:
             It could not be asked; it was switched off as far as that was possible.
         """
         if (open_switch := self.switches.objection()) and self.emits:
-            self._dark.say_quietly(open_switch)
+            self._shutdown.try_send_off(open_switch)
         if self.state in EMITS and self._clock.now_s() < self._ends_s:
-            return True  # without the lock: whoever watches must not wait for another verb
+            return True  # without the lock: the supervisor must not wait for another verb
         with self._lock:
             state = self.state
             if state not in EMITS or self._clock.now_s() < self._ends_s:
                 return state in EMITS
-            with self._dark.doubting():
+            with self._shutdown.off_on_error():
                 self.box.end()
                 if state is LaserState.FIRING:
                     self.box.require_lamps(self._rate_hz is not None)  # a restart ends bursts too
                     self._states.enter(Event.DONE)
                 else:
-                    self._dark.read_back()
+                    self._shutdown.read_back()
                     self._states.enter(Event.OFF)
                 return False
 
@@ -463,7 +463,7 @@ class Laser:
             It was switched off meanwhile.
         """
         while self.look():
-            self._clock.sleep_s(POLL_S)
+            self._clock.sleep_s(BURST_POLL_S)
         if self.state in (LaserState.UNKNOWN, LaserState.FAULT):
             raise LaserStopped(f"{self.name} was switched off: {self.why}")
 

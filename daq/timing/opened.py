@@ -10,7 +10,7 @@
     the cable                            the box itself; as soon as it is plugged in again `Laser.confirm_off`
 
 A run may take a first Ctrl-C as a wish to end after its step; a laser goes off at the first one all the same. So
-what switches it off hears of signals from the system (`stages.wake_up`), whoever handles them.
+what switches it off hears of signals from the system (`stages.wake_up`), in whatever handler.
 """
 
 import signal

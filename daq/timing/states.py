@@ -13,10 +13,10 @@
 
 OFF (a person asked for it; everything was written off and reads back as off) leads from every state to SAFE. BAD
 (a stop, a lost condition, a lost link, an answer that does not fit) leads from every state to UNKNOWN: off has
-been said, and nobody has confirmed it. STILL (it reads back as off) makes that a FAULT, which a person has to
+been sent, and is not confirmed. STILL (it reads back as off) makes that a FAULT, which a person has to
 look at. A laser without lamps is warm at once.
 
-`LaserStateMachine` is what may be asked of a laser now, for several threads: its state, why it is in doubt, the
+`LaserStateMachine` is what may be asked of a laser now, for several threads: its state, why it is unknown, the
 confirmation code.  Every verb of a laser requires a state and enters another one; what a stop from another thread
 has made of the state meanwhile wins over what the verb would have made of it.  What can move on the bench is kept
 still from arming until the light reads back as off.
@@ -59,7 +59,7 @@ class Event(Enum):
     DONE = "the box has counted to the end"
     ALIGN = "weak pulses begin"
     BAD = "a stop, a lost condition, a lost link, an answer that does not fit"
-    STILL = "what was in doubt reads back as off"
+    STILL = "off was sent and reads back"
 
 
 _S, _E = LaserState, Event
@@ -75,7 +75,7 @@ NEXT: dict[LaserState, dict[Event, LaserState]] = {
     _S.FAULT: {},
 }
 
-EMITS = frozenset({_S.FIRING, _S.ALIGNING})  # light is meant to leave; in UNKNOWN nobody knows
+EMITS = frozenset({_S.FIRING, _S.ALIGNING})  # light is meant to leave; in UNKNOWN it may
 BARS_MOTION = EMITS | {_S.ARMED}  # nothing may move: what was said at arming has to stay true
 
 
@@ -130,7 +130,7 @@ class LaserStateMachine:
 
     def __init__(self, name: str, latch: StopLatch, clock: Clock) -> None:
         self.name = name
-        self.why = "it has not been looked at yet"  # of the last time that it went into doubt
+        self.why = "it has not been looked at yet"  # of the last change to UNKNOWN
         self.challenge = ""  # the code to be typed
         self.heated_s = math.inf  # when the lamps have run for long enough
         self._latch = latch
@@ -175,8 +175,8 @@ class LaserStateMachine:
                     raise LaserStopped(f"{self.name} was switched off: {self.why}") from None
                 raise NotNow(f"{self.name}: {error}") from None
 
-    def doubt(self, why: str) -> None:
-        """Nobody knows any more; the first reason stays."""
+    def mark_unknown(self, why: str) -> None:
+        """Change to UNKNOWN; the first reason stays."""
         with self._lock:
             if self._state is not LaserState.UNKNOWN:
                 self.why = why

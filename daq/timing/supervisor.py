@@ -1,16 +1,16 @@
-"""Two threads that watch a laser while it fires, so that nobody else's waiting can postpone its end.
+"""Two threads that watch a laser while it fires, so that no other wait can postpone its end.
 
-One **asks** how things stand, every `POLL_S`, and switches off as soon as an answer is not good; what it calls
-may talk to a camera or to stages and take its time. The other one **judges** that: an answer that has not come
-for `SILENCE_S` is a lost condition as well. It also ends bursts, and after a stop says off until it reads back
-as off.
+One **asks** how things stand, every `WATCH_POLL_S`, and switches off as soon as an answer is not good; what it
+calls may talk to a camera or to stages and take its time. The other one **judges** that: an answer that has not
+come for `SILENCE_S` is a lost condition as well. It also ends bursts, and after a stop says off until it reads
+back as off.
 
 **A silent box or a busy computer?** On a computer that has too much to do both threads are late, and a stage that
 answers in milliseconds seems to say nothing for a second.  What tells the two apart is the judge's own waking: if
-nobody answers while the judge wakes every `POLL_S`, a device is silent; if the judge is late too, nobody could
-have asked.  So of the time between two looks no more than `ON_TIME_S` counts as silence.  That has an end: who
-could not ask for `BLIND_S`, for whatever reason, does not watch, and the light goes off.  A computer that does
-not even wake to see that is the one that hangs, of which the box's own count is the end (ADR 14).
+there is no answer while the judge wakes every `WATCH_POLL_S`, a device is silent; if the judge is late too, it
+could not have asked.  So of the time between two looks no more than `ON_TIME_S` counts as silence.  That has an
+end: who could not ask for `BLIND_S`, for whatever reason, does not watch, and the light goes off.  A computer that
+does not even wake to see that is the one that hangs, of which the box's own count is the end (ADR 14).
 
 The second one waits on the laser's clock, so on a `VirtualClock` it is also what lets time pass while a burst
 goes on.
@@ -22,14 +22,14 @@ from contextlib import suppress
 
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions
-from daq.timing.darkness import CONFIRM_S
 from daq.timing.errors import LaserStopped
 from daq.timing.laser import Laser
+from daq.timing.shutdown import CONFIRM_INTERVAL_S
 from daq.timing.states import EMITS, LaserState
 from stages.clock import Clock
 from stages.errors import StageError
 
-POLL_S = 0.01  # between two questions, and between two judgements
+WATCH_POLL_S = 0.01  # between two questions, and between two judgements
 SILENCE_S = 1.0  # without a new answer, of the wall's time in which the judge was on time
 ON_TIME_S = 0.02  # between two looks of a judge who is on time; what is beyond is the computer's, not a device's
 BLIND_S = 5.0  # of the wall's clock, without a new answer, however busy the computer was
@@ -67,7 +67,7 @@ class LaserSupervisor:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._laser.state in EMITS:  # nobody watches any more
+        if self._laser.state in EMITS:  # the watch has ended
             with suppress(StageError):
                 self._laser.stop("the program has left the chunk")
         self._ended.set()
@@ -76,16 +76,16 @@ class LaserSupervisor:
     def wait(self) -> None:
         """Return when the burst has ended; LaserStopped if it was switched off."""
         while self._laser.state is LaserState.FIRING and self._judges.is_alive():
-            self._clock.sleep_s(POLL_S)
+            self._clock.sleep_s(WATCH_POLL_S)
         if self.error is not None:
             raise self.error
         self._laser.wait()
 
     def ask(self) -> None:
-        """Ask once how things stand, and switch off if that is not well or nobody can say it."""
+        """Ask once how things stand, and switch off if a condition is not met or not known."""
         try:
             found = self._ask()
-        except BaseException as error:  # whatever it is, nobody knows how things stand
+        except BaseException as error:  # whatever it is, the conditions are not known
             self._stop(f"the state of camera and stages is unknown: {error}")
             return
         if self._ended.is_set():
@@ -97,7 +97,7 @@ class LaserSupervisor:
             self.error = lost
 
     def judge(self) -> None:
-        """Look once whether somebody still knows how things stand, and whether the burst has ended."""
+        """Check once that the conditions are still known, and whether the burst has ended."""
         if blind := self._blindness():
             self._stop(blind)
         try:
@@ -108,17 +108,17 @@ class LaserSupervisor:
     def _go_on_asking(self) -> None:
         while not self._ended.is_set():
             self.ask()
-            self._ended.wait(POLL_S)
+            self._ended.wait(WATCH_POLL_S)
 
     def _go_on_judging(self) -> None:
         while not self._ended.is_set() and self._laser.state is LaserState.FIRING:
             self.judge()
-            self._clock.sleep_s(POLL_S)
-        while not self._laser.confirm_off() and not self._ended.wait(CONFIRM_S):
+            self._clock.sleep_s(WATCH_POLL_S)
+        while not self._laser.confirm_off() and not self._ended.wait(CONFIRM_INTERVAL_S):
             pass
 
     def _blindness(self) -> str | None:
-        """Say why nobody knows how things stand, now that the judge looks again; None if somebody does."""
+        """Return why the conditions are not known, now that the judge looks again; None if they are."""
         now_s, heard_s = self._wall.now_s(), self._heard_s
         if heard_s != self._knew_s:
             self._knew_s, self._silence_s = heard_s, 0.0

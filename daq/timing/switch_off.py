@@ -18,8 +18,8 @@ from daq.timing.timing_table import TimingTable
 from stages.errors import PortUnavailable
 from stages.watchdog import stop, word_of
 
-CONFIRM_S = 3.0  # for the program that holds the port to read back that everything is off
-POLL_S = 0.05
+CONFIRM_TIMEOUT_S = 3.0  # for the program that holds the port to read back that everything is off
+OFF_POLL_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def switch_off(table: TimingTable) -> SwitchedOff:
     requests = request_off(table.port)
     if not stop(word_of("laser", table.port, baud, False, box.off_bytes())):
         return SwitchedOff(False, f"NOT reached, {table.port} takes no bytes: use the laser's own key")
-    end_s = time.monotonic() + CONFIRM_S
+    end_s = time.monotonic() + CONFIRM_TIMEOUT_S
     try:
         while not _is_read_back(box, table.port, baud):
             if done := next((request for request in requests if request.is_confirmed()), None):
@@ -65,7 +65,7 @@ def switch_off(table: TimingTable) -> SwitchedOff:
             if not requests or time.monotonic() > end_s:
                 words = "off was sent past the program that holds its port, and could not be read back"
                 return SwitchedOff(False, f"{words}: look at its panel")
-            time.sleep(POLL_S)
+            time.sleep(OFF_POLL_S)
     except UNREADABLE as error:
         return SwitchedOff(False, f"off was sent and does NOT read back ({error}): use its key and its STOP")
     if table.identity is not None and table.identity not in box.identity:

@@ -3,10 +3,10 @@
     switches: {door: {port: /dev/serial/by-id/usb-switch, line: cts}, key: {by: "mylab.io:KeySwitch"}}
 
 A closed circuit allows light.  An open one, one that cannot be read, and one whose reading hangs do not: a wire
-that breaks is an open door.  Each switch is read every `POLL_S` by a thread of its own for as long as the laser is
-open, so that neither a stage nor another switch that takes its time can postpone it; what does not allow light
-switches off at once.  Nothing here takes the place of the chain that works without a computer, and the operator of
-a bench without any switch is told that nobody watches its door (`Switches.sentence`).
+that breaks is an open door.  Each switch is read every `SWITCH_POLL_S` by a thread of its own for as long as the
+laser is open, so that neither a stage nor another switch that takes its time can postpone it; what does not allow
+light switches off at once.  Nothing here takes the place of the chain that works without a computer, and the
+operator of a bench without any switch is reported as having no watch on its door (`Switches.sentence`).
 """
 
 import threading
@@ -22,10 +22,10 @@ from ground.named_program import named_program
 from stages.errors import StageUsageError
 from stages.port import ModemLine
 
-POLL_S = 0.01  # between two readings of a switch
-SILENCE_S = 1.0  # of one reading, after which nobody knows
+SWITCH_POLL_S = 0.01  # between two readings of a switch
+SILENCE_S = 1.0  # of one reading, after which its state is unknown
 OFF = "rtpiv laser off"  # name of the switch that another process opens (`in_use.OffRequest`)
-NOBODY = "no switch of door, shutter or key is read by this program: nobody but you watches them"
+NO_SWITCH = "no switch of door, shutter or key is read by this program: you alone watch them"
 
 
 class Switch(Protocol):
@@ -41,7 +41,7 @@ class Switch(Protocol):
 
 
 class SwitchTable(Table):
-    """One switch: a modem line of a serial port, or a class of somebody else's."""
+    """One switch: a modem line of a serial port, or a third-party class."""
 
     port: Annotated[str, Field(min_length=1)] | None = None
     line: Literal["cts", "dsr", "cd", "ri"] | None = None
@@ -128,7 +128,7 @@ class Switches:
         self._asking_s[name] = time.monotonic()
         try:
             closed: bool | None = bool(self._switches[name].is_closed())
-        except Exception:  # whatever it is, nobody knows
+        except Exception:  # whatever it is, its state is unknown
             closed = None
         self._closed[name] = closed
         self._asking_s.pop(name, None)
@@ -148,7 +148,7 @@ class Switches:
         """Description of what the switches watch, for the person who is asked for the code."""
         names = ", ".join(name for name in self._switches if name != OFF)
         if not names:
-            return NOBODY
+            return NO_SWITCH
         return f"read by this program while light is on: {names}; nothing else is"
 
     def close(self) -> None:
@@ -161,7 +161,7 @@ class Switches:
                 switch.close()
 
     def _go_on(self, name: str, opened: Callable[[str], object]) -> None:
-        while not self._ended.wait(POLL_S):
+        while not self._ended.wait(SWITCH_POLL_S):
             if words := self.look(name):
                 opened(words)
 

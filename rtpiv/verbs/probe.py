@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from daq.bench.probe import RATES, Found, why_nobody
+from daq.bench.probe import RATES, Found, no_reply_reason
 from daq.bench.probe import probe as ask_port
 from ground.terminal import console
 from ground.whole_file import whole_file
@@ -42,7 +42,7 @@ def probe(port: str, /, out: Named | None = None) -> Found:
     with whole_file(path) as file:
         file.write((head + "".join(f"{line}\n" for line in asked.dialogue)).encode())
     if found is None:
-        raise NoReply(f"{why_nobody(asked)}; what was said is in {path}")
+        raise NoReply(f"{no_reply_reason(asked)}; what was said is in {path}")
     table = Table(title=f"{found.box} on {port}")
     for column in ("", "it says"):
         table.add_column(column, overflow="fold")

@@ -1,9 +1,9 @@
 """Questions to a Thorlabs box, which answers are believed, and in which units its numbers are.
 
 An answer carries no number and no checksum. It counts if it is of the kind that was asked for, about the channel
-and from the place that was asked; any other is older than the question, or damaged, and puts the link in doubt.
-What boxes say unasked may stand before, between and behind answers and is nobody's; an error told like that is
-kept, because it may be why a motion does not begin.
+and from the place that was asked; any other is older than the question, or damaged, and makes the link suspect.
+What boxes say unasked may stand before, between and behind answers and is none of them; an error reported like
+that is kept, because it may be why a motion does not begin.
 
 The protocol sends integers whose unit depends on the electronics: servos count 1/65536 encoder counts per period
 of their control loop, older steppers microsteps per second, newer ones what their motion chip counts in. Nothing
@@ -56,11 +56,11 @@ A = TypeVar("A", bound=apt.Answer)
 
 
 class AptQuestions(Controller):
-    """A Thorlabs box as far as it is asked and told."""
+    """Questions and commands of a Thorlabs box."""
 
-    _complaint: str  # the last error that the box has told unasked
-    _alive_s: float = -math.inf  # when the box was last told that somebody is there
-    _told_homed: set[str]  # channels whose reference run has been told to have ended
+    _complaint: str  # the last error that the box has reported unasked
+    _alive_s: float = -math.inf  # time of the last keep-alive message
+    _told_homed: set[str]  # channels whose homing was reported as ended
 
     def _check_channel(self, channel: Channel) -> None:
         super()._check_channel(channel)
@@ -84,7 +84,7 @@ class AptQuestions(Controller):
         return [words.RACK, *cards] if self._is_rack else cards
 
     def _clear_line(self) -> None:
-        """And tell the box that somebody is there, if it has not been told for a while."""
+        """And send a keep-alive message if the last is old."""
         super()._clear_line()
         if self.clock.now_s() - self._alive_s > ALIVE_S:
             self._alive_s = self.clock.now_s()
@@ -173,7 +173,7 @@ class AptQuestions(Controller):
 
 def _tells_of(answer: apt.Unasked, channel: str) -> bool:
     """Return whether a short message is about a channel; some boxes do not say who they are."""
-    return answer.data[0] == ident_of(channel) and answer.sender in (place_of(channel), apt.NOBODY)
+    return answer.data[0] == ident_of(channel) and answer.sender in (place_of(channel), apt.NO_SENDER)
 
 
 def ident_of(channel: str) -> int:

@@ -10,7 +10,7 @@ but a reset, and throws that away if it comes before ``[MSG:Reset to continue]``
 resets most boards; the system raises it on opening all the same, so a board may be deaf for the two seconds of its
 boot loader. There is no encoder: a stalled motor is not noticed.
 
-**Restarts.** A board that has restarted greets with a banner and (homing enabled) stands in Alarm until somebody
+**Restarts.** A board that has restarted greets with a banner and (homing enabled) stands in Alarm until a person
 unlocks it. Either may be missed: the banner may be cut or damaged, the alarm unlocked at a pendant. So homing
 leaves a mark on the board that every restart and reset wipes out and that means nothing to a machine without a
 tool changer: the number of the tool (``T137``), drawn anew each time and read back with ``$G`` after every
@@ -22,7 +22,8 @@ rest (the same button, or noise on its wire) leaves the board in Hold: it reads 
 it is asked by ``?`` (real firmware; interface.md, "Hold:0"). So whatever stays unanswered is followed by that
 question. Nothing here resumes what a person may have held.
 
-All input goes through one decoder, so a line that comes in two pieces is one line, whoever reads the second piece.
+All input goes through one decoder, so a line that comes in two pieces is one line, whatever reads the second
+piece.
 """
 
 import re
@@ -52,7 +53,7 @@ STEPS, RATE, ACCELERATION = 100, 110, 120  # + 0, 1, 2 for X, Y, Z
 BANNER_S = 1.5
 HELD_AFTER_S = 0.5  # between questions while it homes: is it held?
 REPORT_S = 0.2  # a report is given at once, or not at all
-MARKS = range(2, 251)  # tool numbers that nobody uses by habit
+MARKS = range(2, 251)  # tool numbers that are not in common use
 REPORTED_MM = 0.001  # positions have three decimals
 RESET_BY_A_PERSON = (3, 6)  # in motion, while homing: this driver resets only to stop a reference run
 REFUSALS = {
@@ -147,7 +148,7 @@ class GrblController(Controller):
             status = self._status()
             if _drives(status):  # by a pendant or another program: two readings may agree by chance
                 raise StageUsageError(f"{self.name} moves; wait until it rests")
-            self._raise_if_held(status)  # it would not vouch for a position
+            self._raise_if_held(status)  # it would not confirm a position
             return status.position_mm[index], status.state == "Alarm"
 
         near = self._near(channel)
@@ -276,7 +277,7 @@ class GrblController(Controller):
         return [grbl.RealTime(grbl.RESET if waits else grbl.JOG_CANCEL).to_bytes()]
 
     def watchdog_bytes(self) -> Sequence[bytes]:
-        """Cancel of a jog, then a reset: nobody knows any more whether it was homing."""
+        """Cancel of a jog, then a reset: it is not known any more whether it was homing."""
         return [grbl.RealTime(grbl.JOG_CANCEL).to_bytes(), grbl.RealTime(grbl.RESET).to_bytes()]
 
     def _stream(self) -> Stream:
@@ -379,7 +380,7 @@ class GrblController(Controller):
     def _empty_unless_read(self) -> None:
         """See that a jog without an answer does not wait in the board.
 
-        A board that is held reads no line: it would obey whenever somebody releases it, long after a stop. A
+        A board that is held reads no line: it would obey whenever it is released, long after a stop. A
         report needs no fence, its shape tells it. Where none comes either, stops reset the board until it has
         read a line.
         """

@@ -10,8 +10,8 @@ initialised. It is initialised on connecting and before a reference run, never b
 question for the position also says that there was no restart since.
 
 A C142 does not know the version command and answers 5; it gets no acceleration, and its 5 serves as identity. A
-limit switch (2) or a fault (9) forgets every reference. A stop at the box is told by the one character (F) alone:
-if that is lost, an axis that rests short of its target counts as stopped by a person. The controller has no
+limit switch (2) or a fault (9) forgets every reference. A stop at the box is reported by the one character (F)
+alone: if that is lost, an axis that rests short of its target counts as stopped by a person. The controller has no
 encoder: a stalled motor is not noticed.
 """
 
@@ -169,7 +169,7 @@ class IselController(Controller):
             raise NotReferenced(f"{self.name} channel {channel} is not referenced; home it")
         return position_mm
 
-    def judge_unheard(self, channel: str) -> None:
+    def resolve_missing_reply(self, channel: str) -> None:
         """Only the one character tells of a stop at the box: where it was lost, short of the target is one."""
         if self._sent_to is None:
             return
@@ -195,7 +195,7 @@ class IselController(Controller):
         return [dnc.Stop().to_bytes()] if self._motion_pending else []
 
     def watchdog_bytes(self) -> Sequence[bytes]:
-        """The stop of a motion; whether there is one nobody knows any more."""
+        """The stop of a motion; whether there is one is not known any more."""
         return [dnc.Stop().to_bytes()]
 
     def _stream(self) -> Stream:

@@ -15,20 +15,20 @@ a reference run of which nothing was seen, neither motion nor end, was none, wha
 
 **Restarts.** A box that has restarted is not homed any more. It may be homed again at its own buttons though, or
 by another program with another offset. So homing leaves a mark: the distance of the next relative move, which
-nobody here ever makes, becomes a number made from the settings of the reference run. A restart wipes it out; a
+is never made here, becomes a number made from the settings of the reference run. A restart wipes it out; a
 box that is homed and has the mark is where it says it is, also for the next program.
 
 **Half a command.** Nothing marks where a message begins, so who dies in the middle of one leaves a box that takes
-the next bytes for the rest of it, maybe of a target. So whoever opens the port, and the watchdog, says stop until
-the longest of our messages must have ended: what has begun by then ends at once.
+the next bytes for the rest of it, maybe of a target. So a program that opens the port, and the watchdog, send stop
+until the longest of our messages must have ended: what has begun by then ends at once.
 
 **Server alive.** Over USB a box that has not heard MOT_ACK_DCSTATUSUPDATE for a second falls silent after about
 fifty commands (APT protocol, issue 26, p. 30; one lab has not seen it). So it stands before the next question
 whenever it was not said for `ALIVE_S`; while nothing is asked, nothing is said.
 
 **Stops.** A servo is stopped at once: its encoder goes on counting. A stepper that is stopped at once loses steps
-that nobody counts, so it is stopped along its ramp. The box's own backlash correction would drive past the target;
-it is switched off before the first move.
+that is not counted, so it is stopped along its ramp. The box's own backlash correction would drive past the
+target; it is switched off before the first move.
 """
 
 import math
@@ -54,10 +54,10 @@ from stages.protocols import thorlabs_apt as apt
 from stages.protocols.apt_words import Kind
 from stages.stop_latch import StopLatch
 
-SHORT_MM = 0.02  # a motion that ends further from its target was ended by something
+ARRIVAL_TOLERANCE_MM = 0.02  # a motion that ends further from its target was ended by something
 BEGINS_S = 0.3  # a box that has taken a command may still seem to rest for as long
-MARKS = range(257, 1024)  # counts: nothing to speak of if somebody should ever make that move
-DOUBT = 256  # the mark of a channel that must not be believed, though there was no restart
+MARKS = range(257, 1024)  # counts: nothing to speak of if that move should ever be made
+UNTRUSTED_MARK = 256  # the mark of a channel that must not be believed, though there was no restart
 LARGEST = 2**31 - 1
 LONGEST_BYTES = 20  # of what this driver says: a setting of speeds
 
@@ -104,7 +104,7 @@ class AptController(AptQuestions):
     def start_home(self, channel: str) -> None:
         """Begin to look for the reference, in the way that is set in the box."""
         self._referenced.discard(channel)
-        self._leave_mark(channel, DOUBT)
+        self._leave_mark(channel, UNTRUSTED_MARK)
         self._tell(channel, Kind.MOD_SET_CHANENABLESTATE, words.ON)
         self._homing.add(channel)
         self._begin(channel, apt.Order(Kind.MOT_MOVE_HOME, ident_of(channel), 0, place_of(channel)), None)
@@ -127,7 +127,7 @@ class AptController(AptQuestions):
         self._not_begun.pop(channel, None)
         if self._stopped:
             raise MotionStopped(f"{self.name} channel {channel} was stopped")
-        if was_homing and not arrived and self._agreed(lambda: self._mark(channel)) != DOUBT:
+        if was_homing and not arrived and self._agreed(lambda: self._mark(channel)) != UNTRUSTED_MARK:
             raise NotReferenced(f"{self.name} channel {channel} has restarted while it was homed; home it again")
         if was_homing and bits & words.HOMED and not has_begun:  # from an older run: who knows with what offset
             raise DeviceError(f"{self.name} channel {channel} did not begin its reference run; home it again")
@@ -139,7 +139,7 @@ class AptController(AptQuestions):
             self._referenced.add(channel)
         return False
 
-    def judge_unheard(self, channel: str) -> None:
+    def resolve_missing_reply(self, channel: str) -> None:
         """MotionStopped if it rested short of its target before our own halt: a person may have stopped it."""
         if channel in self._rested and not self._is_there(channel):
             raise MotionStopped(f"{self.name} channel {channel} rests short of its target and did not say why")
@@ -168,7 +168,7 @@ class AptController(AptQuestions):
                 f"the box's settings, up to {fastest:.3g} mm/s and {steepest:.3g} mm/s2; is the scale right?"
             )
 
-    # ---- who answers, and what it has been told ----------------------------------------------------
+    # ---- who answers, and its commands ----------------------------------------------------
 
     def _get_to_know(self) -> None:
         for data in self.watchdog_bytes():
@@ -305,7 +305,7 @@ class AptController(AptQuestions):
         if channel not in self._sent_to:
             return True
         count = self._agreed(lambda: self._count(channel), self._near(channel, self._scale(channel)))
-        return abs(count - self._sent_to[channel]) <= SHORT_MM * self._scale(channel) + 1
+        return abs(count - self._sent_to[channel]) <= ARRIVAL_TOLERANCE_MM * self._scale(channel) + 1
 
     def _raise_why(self, channel: str, bits: int, was_homing: bool) -> None:
         """Say what has ended a motion that was to go on; reference runs meet switches, so no switch ends them."""
@@ -314,7 +314,7 @@ class AptController(AptQuestions):
         at_switch = bits & (words.UPPER_SWITCH | words.LOWER_SWITCH) and not was_homing
         if faults or at_switch:
             self._referenced.discard(channel)
-            self._leave_mark(channel, DOUBT)  # nor shall the next program believe it
+            self._leave_mark(channel, UNTRUSTED_MARK)  # nor shall the next program believe it
         if faults:
             raise AxisStalled(f"{where} has ended its motion: {'; '.join(faults)}; clear the way and home it")
         if at_switch and self._was_driven_back(channel, bits):

@@ -36,7 +36,7 @@ from stages.protocols.zaber_ascii import AnswerStream, Command, Reply
 PER_SECOND = 1.6384
 MOTION_HAS_PROFILE = 7  # firmware from which on a move takes its own speed and acceleration
 LARGEST_SETTING = 2**31 - 1
-STOP_ID = 99  # answers to a stop belong to nobody and are skipped
+STOP_ID = 99  # answers to a stop belong to no question and are skipped
 
 FAULTS = {
     "FS": "stalled", "FQ": "has an encoder error", "FD": "has its driver switched off",
@@ -128,7 +128,7 @@ class ZaberController(Controller):
             self._referenced.add(channel)
         return False
 
-    def judge_unheard(self, channel: str) -> None:
+    def resolve_missing_reply(self, channel: str) -> None:
         """MotionStopped if the knob was pressed before our own halt."""
         if self._pressed == channel:
             raise MotionStopped(f"{self.name} channel {channel} was stopped at its knob")
@@ -145,7 +145,7 @@ class ZaberController(Controller):
         with self._lock:
             position_mm = self.position_mm(channel)
             if self._flag != NO_FLAG or not self.referenced(channel):
-                self.vouch(channel)
+                self.confirm_reference(channel)
             return position_mm
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:

@@ -1,13 +1,13 @@
-"""A library of somebody else in a thread of its own: a call that never returns costs an error, not the program.
+"""A third-party library in a thread of its own: a call that never returns costs an error, not the program.
 
 Vendors' libraries may block for ever (a cable that was pulled, a controller that is off), and few of them allow
 two threads. So each is loaded, asked and closed by ONE thread; everybody else hands calls over and waits for the
-answer as long as `longest_s`. What has not come back by then is given up: `stuck` says in which call, whoever
-asked gets `DeviceLost`, nothing that waited is ever begun, and no second thread is sent after the first. The
+answer as long as `longest_s`. What has not come back by then is given up: `stuck` says in which call, any caller
+that asked gets `DeviceLost`, nothing that waited is ever begun, and no second thread is sent after the first. The
 thread is a daemon without locks of ours, so the program goes on and can end.
 
 A stop overtakes everything that waits: it is the next call after the one in progress (`next`). Into that one it
-cannot reach; nobody could without a second thread in the library. After a stop a call is therefore given up
+cannot reach; that would need a second thread in the library. After a stop a call is therefore given up
 already after `AFTER_STOP_S`, and if it comes back at all, the stop is said then.
 
 A library that keeps the interpreter's lock while it blocks stops every thread of the program; nothing in this
@@ -23,7 +23,7 @@ from typing import Any, Generic, TypeVar
 
 from stages.errors import DeviceLost
 
-LOOK_S = 0.02  # how often a wait looks whether the bench was stopped
+STOP_POLL_S = 0.02  # how often a wait looks whether the bench was stopped
 AFTER_STOP_S = 2.0  # patience with a call once the bench was stopped
 SAID_S = 0.05  # time given to a stop to be said before its sayer goes on
 
@@ -147,7 +147,7 @@ class Calls:
 
     def _await(self, call: _Call[Any]) -> None:
         end_s, hurried = time.monotonic() + self._longest_s, False
-        while not call.done.wait(LOOK_S):
+        while not call.done.wait(STOP_POLL_S):
             if not hurried and self._hurried():
                 hurried, end_s = True, min(end_s, time.monotonic() + AFTER_STOP_S)
             if time.monotonic() >= end_s:

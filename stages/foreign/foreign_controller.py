@@ -5,16 +5,16 @@ reason why it rests. So nothing is taken from one answer:
 
 * a position is one of a stage that is not busy, read twice with `AGAIN_S` between, both the same;
 * a motion has ended where that position is the target. Elsewhere the stage has `GRACE_S` to go on; rests it then
-  still farther than `SHORT_MM`, it was stopped at its box, stalled or restarted, which nobody tells: the bench
-  is held and the reference is gone;
+  still farther than `EARLY_END_MM`, it was stopped at its box, stalled or restarted, which is not reported: the
+  bench is held and the reference is gone;
 * a reference is vouched for by the place where the stage came to rest. A stage at rest that reads something else
   was moved, or counts anew since a restart: its reference is gone. Reads it the same at the same place, its
   coordinate is the same.
 
 What that cannot see: a stage that was pushed without power to where it reads the same again, one that restarts in
-motion and then reads its target, and one that was stopped at its box so late that it brakes to within `SHORT_MM`
-of its target or reference. A library that opens a box again never learns that it was off, and that is why no
-reference outlives the program: after every opening the stage is homed, or a person says where it stands
+motion and then reads its target, and one that was stopped at its box so late that it brakes to within
+`EARLY_END_MM` of its target or reference. A library that opens a box again never learns that it was off, and that
+is why no reference outlives the program: after every opening the stage is homed, or a person says where it stands
 (`homing: hand`, `confirm`): then its zero lies where that makes it lie.
 
 Calls go through one thread with a deadline (`stages.foreign.calls`). Nothing but finite numbers goes in.
@@ -40,7 +40,7 @@ from stages.motion_controller import Channel
 from stages.stop_latch import StopLatch
 
 THERE_MM = 0.01  # the coarsest tolerance of an axis: nearer than this is there
-SHORT_MM = 0.1  # farther than this from its target a motion has ended otherwise
+EARLY_END_MM = 0.1  # farther than this from its target a motion has ended otherwise
 GRACE_S = 1.0  # a stage that is "done" elsewhere may still begin, or go on
 
 
@@ -173,7 +173,7 @@ class ForeignController(ForeignLibrary):
         if short_mm > THERE_MM and not self._waited(motion):
             return False
         self._motion, self._rests_mm[motion.channel] = None, here_mm
-        if short_mm > SHORT_MM:
+        if short_mm > EARLY_END_MM:
             self._forget_references()
             raise MotionStopped(
                 f"{self.name} channel {motion.channel} rests {short_mm:.3f} mm from its target: stopped at its "
@@ -186,15 +186,15 @@ class ForeignController(ForeignLibrary):
         for channel in self.homed_with(motion.channel) - {motion.channel}:
             reads_mm[channel] = self._reading_mm(channel)
         off_mm = max(abs(mm - self._home_mm) for mm in reads_mm.values())
-        if not (motion.seen_to_move and off_mm <= SHORT_MM) and not self._waited(motion):
+        if not (motion.seen_to_move and off_mm <= EARLY_END_MM) and not self._waited(motion):
             return False
         self._motion = None
         where = f"{self.name} channel {' and '.join(reads_mm)}"
         if not motion.seen_to_move:
             raise DeviceError(
-                f"{where} was told to home and has not moved; if its library cannot home it, say homing: hand"
+                f"{where} was commanded to home and has not moved; if its library cannot home it, say homing: hand"
             )
-        if off_mm > SHORT_MM:
+        if off_mm > EARLY_END_MM:
             read = " and ".join(f"{mm:.3f}" for mm in reads_mm.values())
             raise MotionStopped(
                 f"{where} reads {read} mm after its reference run and not {self._home_mm:g}: stopped at its box? "
@@ -210,7 +210,7 @@ class ForeignController(ForeignLibrary):
         self._motion, self._stopped = None, False
         if motion.target_mm is not None:
             low_mm, high_mm = sorted((motion.start_mm, motion.target_mm))
-            if low_mm - SHORT_MM <= here_mm <= high_mm + SHORT_MM:
+            if low_mm - EARLY_END_MM <= here_mm <= high_mm + EARLY_END_MM:
                 self._rests_mm[motion.channel] = here_mm
             else:
                 self._forget_references()
@@ -229,7 +229,7 @@ class ForeignController(ForeignLibrary):
             return self._reading_mm(channel) + self._zero_mm[channel]
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Nothing to check: the stage has the speed that its library was told."""
+        """Nothing to check: the stage has the speed that was set in its library."""
 
     def abandon(self) -> None:
         """Forget a motion whose end was never heard of."""

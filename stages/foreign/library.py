@@ -120,7 +120,7 @@ class ForeignLibrary(MotionController):
         return self._calls is None or self._failed or self._calls.ended or bool(self._calls.stuck)
 
     def stop(self) -> None:
-        """Stop every channel before anything else; waits for nobody."""
+        """Stop every channel before anything else; without waiting."""
         self._stopped = True
         if self._calls is not None:
             self._calls.next(self._say_stop)

@@ -24,7 +24,7 @@ from stages.errors import PortUnavailable, StageUsageError, WrongDevice
 from stages.foreign.foreign_controller import ForeignController
 
 STAGE, XY_STAGE = 5, 6  # the core's types of devices
-MOST_BYTES = 1_000_000
+MAX_CONFIG_BYTES = 1_000_000
 MOVES = re.compile(r"^(Property,[^,]*|ConfigGroup,System,Startup,[^,]*),Position,", re.MULTILINE)
 
 
@@ -108,7 +108,7 @@ class MicroManager(ForeignController):
         for label in dict.fromkeys(_parted(channel)[0] for channel in self._channels):
             try:
                 self._core.stop(label)
-            except Exception as error:  # whatever one says, the others are told
+            except Exception as error:  # whatever one says, the others are stopped
                 said.append(str(error).splitlines()[0])
         return "; ".join(said)
 
@@ -119,7 +119,7 @@ def _parted(channel: str) -> tuple[str, str]:
     return (label, axis) if slash and axis in ("x", "y") else (channel, "")
 
 
-def _class_of(dotted: str) -> Any:  # noqa: ANN401 - somebody else's
+def _class_of(dotted: str) -> Any:  # noqa: ANN401 - third-party
     try:
         return named_program(dotted)
     except (ImportError, AttributeError) as error:
@@ -154,11 +154,11 @@ def _load_devices(core: Any, devices: Mapping[str, AdapterTable]) -> None:  # no
 def _load_file(core: Any, path: Path) -> str:  # noqa: ANN401
     """Load a configuration file; return its name and what tells it from another."""
     try:
-        data = path.read_bytes()[: MOST_BYTES + 1]
+        data = path.read_bytes()[: MAX_CONFIG_BYTES + 1]
     except OSError as error:
         raise PortUnavailable(f"{path}: cannot be read ({error.strerror})") from error
-    if len(data) > MOST_BYTES:
-        raise PortUnavailable(f"{path}: larger than any configuration, {MOST_BYTES} bytes")
+    if len(data) > MAX_CONFIG_BYTES:
+        raise PortUnavailable(f"{path}: larger than any configuration, {MAX_CONFIG_BYTES} bytes")
     text = data.decode("utf-8", "replace")
     if found := MOVES.search(text):
         line = text.count("\n", 0, found.start()) + 1

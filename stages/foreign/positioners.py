@@ -2,8 +2,8 @@
 
 EPICS motors, Tango and yaq axes and many laboratories' own come as such objects (ophyd). ``set`` returns a
 status with ``done`` and ``exception``; `moving`, `home` and `disconnect` are used where they are there. Each
-object is made, asked and told in the thread of its controller alone. Objects whose ``set`` needs a running event
-loop (ophyd-async) cannot be driven this way.
+object is made, read and commanded in the thread of its controller alone. Objects whose ``set`` needs a running
+event loop (ophyd-async) cannot be driven this way.
 """
 
 import contextlib
@@ -73,12 +73,12 @@ class Positioners(ForeignController):
         for channel, made in self._objects.items():
             try:
                 made.stop()
-            except Exception as error:  # whatever one says, the others are told
+            except Exception as error:  # whatever one says, the others are stopped
                 said.append(f"{channel}: {error}")
         return "; ".join(said)
 
 
-def _failure(status: Any) -> BaseException | None:  # noqa: ANN401 - somebody else's
+def _failure(status: Any) -> BaseException | None:  # noqa: ANN401 - third-party
     """Return why a status has failed; None if it has not."""
     error = status.exception()
     if error is None and not getattr(status, "success", True):

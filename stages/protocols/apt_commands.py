@@ -136,5 +136,5 @@ def parse_command(raw: bytes) -> Command:
 
 
 def speed_bytes(channel: int, minimum: int, acceleration: int, maximum: int) -> bytes:
-    """Data of speeds, as they are set and as they are told."""
+    """Data of speeds, as they are set and as they are reported."""
     return number_bytes(channel, 2) + b"".join(map(signed_bytes, (minimum, acceleration, maximum)))

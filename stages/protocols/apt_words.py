@@ -40,7 +40,7 @@ class Kind(IntEnum):
     HW_GET_INFO = 0x0006
     HW_START_UPDATEMSGS = 0x0011
     HW_STOP_UPDATEMSGS = 0x0012
-    HW_NO_FLASH_PROGRAMMING = 0x0018  # at the start: nobody is about to write new firmware
+    HW_NO_FLASH_PROGRAMMING = 0x0018  # at the start: no new firmware is about to be written
     RACK_REQ_BAYUSED = 0x0060
     RACK_GET_BAYUSED = 0x0061
     HW_RESPONSE = 0x0080

@@ -20,7 +20,7 @@ class Message(Protocol):
 
 
 class Example(NamedTuple):
-    """A message as somebody else documented it: the bytes, what they mean, and where that is written."""
+    """A message as others documented it: the bytes, what they mean, and where that is written."""
 
     raw: bytes
     message: Message

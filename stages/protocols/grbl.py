@@ -43,7 +43,7 @@ ALARMS = {
 }
 
 LOCKED = 9  # refused: an alarm or a restart stands
-UNNAMED = 0  # a refusal or an alarm told in words that are not known
+UNNAMED = 0  # a refusal or an alarm in words that are not known
 VERBOSE_ALARMS = {  # FluidNC with verbose errors tells them by name
     "hard limit": 1, "soft limit": 2, "abort cycle": 3, "probe fail initial": 4, "probe fail contact": 5,
     "homing fail reset": 6, "homing fail door": 7, "homing fail pulloff": 8, "homing fail approach": 9,

@@ -11,10 +11,10 @@ its bays 0x21 to 0x2A. A unit has channels 1, 2, ..; a bay has channel 1 only.
 There is no checksum, no number that ties an answer to its question, and no byte that begins a message. What guards
 the border is exactness: the id is known, its form and length are the only ones it has, it goes to the host and
 comes from a place where a unit can be. Anything else is a violation, and everything read so far is thrown away
-with it, because nobody knows where the next message begins.
+with it, because it is not known where the next message begins.
 
 Boxes speak unasked: of the end of a motion (0x0464, 0x0466, 0x0444), of their state ten times a second if
-somebody has asked for that (0x0481, 0x0491), and of errors (0x0080, 0x0081). All of these are `Unasked`.
+that was asked for (0x0481, 0x0491), and of errors (0x0080, 0x0081). All of these are `Unasked`.
 
 Sources: Thorlabs, "APT Controllers Host-Controller Communications Protocol", issue 23 (2018), as its open readers
 tell it; each example names its own. None of it was confirmed on hardware by this project.
@@ -47,11 +47,11 @@ from stages.protocols.apt_words import (
 )
 
 __all__ = [
-    "ANSWERS", "COMMANDS", "NOBODY", "Answer", "AnswerStream", "Command", "CommandStream", "Homing",
+    "ANSWERS", "COMMANDS", "NO_SENDER", "Answer", "AnswerStream", "Command", "CommandStream", "Homing",
     "IdentityStream", "Info", "Order", "Reply", "SetSpeeds", "Setting", "Speeds", "Status", "Unasked", "Value",
 ]  # fmt: skip
 
-NOBODY = 0x00  # sender of some boxes' unasked messages, as thorlabs-apt-device has met them
+NO_SENDER = 0x00  # sender of some boxes' unasked messages, as thorlabs-apt-device has met them
 LONGEST_COMMAND = 255
 
 
@@ -79,7 +79,7 @@ class AnswerStream:
         kind, length, to, sender = header_of(self.rest)
         if length not in LENGTHS_OF_ANSWERS.get(kind, ()):
             raise ProtocolViolation("not a message of an APT box", self.rest[:HEADER])
-        if to != HOST or (sender not in SPEAKERS and not (kind in UNASKED and sender == NOBODY)):
+        if to != HOST or (sender not in SPEAKERS and not (kind in UNASKED and sender == NO_SENDER)):
             raise ProtocolViolation("an APT message between others", self.rest[:HEADER])
         return HEADER + (length or 0)
 

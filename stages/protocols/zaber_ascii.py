@@ -8,8 +8,8 @@ and every addressed device answers
 
     @<device> <axis> [<id>] OK|RJ IDLE|BUSY <flag> <data>[:<checksum>] CR LF
 
-The id (00-99) comes back unchanged, so a late answer can be told from the one expected.  ``#`` lines add
-information to an answer, ``!`` lines are alerts that nobody asked for.  The flag is the most important warning:
+The id (00-99) comes back unchanged, so a late answer is distinguished from the one expected.  ``#`` lines add
+information to an answer, ``!`` lines are unsolicited alerts.  The flag is the most important warning:
 ``--`` none, WR no reference, WH not homed, FS stalled, FD driver off, FQ encoder, WL unexpected limit,
 NI interrupted, NC manual control.  The checksum is the two's complement of the sum of the bytes between
 the first character and the colon, as two hexadecimal digits.

@@ -264,7 +264,7 @@ def test_a_port_never_waits_for_the_disk_of_a_recording(tmp_path, monkeypatch):
             raise OSError(errno.EIO, "I/O error")
 
     monkeypatch.setattr(Path, "open", lambda place, *words, **more: Hung())
-    monkeypatch.setattr(dialogue, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(dialogue, "DISK_PATIENCE_S", 0.05)
     monkeypatch.setattr(dialogue, "MOST_WAITING", 10)
     recording = dialogue.RecordedFile(tmp_path / "hung.txt")
     began_s = time.monotonic()

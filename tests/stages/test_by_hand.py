@@ -242,8 +242,8 @@ def test_places():
     question = ScaleQuestion("a", None, (0.0, 25.0), 0.01)
     assert "What does its scale read?" in question.words
     assert "Turn" not in question.words
-    assert question.wrong_with("25.0") is None
-    assert question.wrong_with("0") is None
+    assert question.reading_error("25.0") is None
+    assert question.reading_error("0") is None
 
 
 def test_a_question_that_raises_leaves_nothing_behind(typed):

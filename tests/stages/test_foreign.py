@@ -386,13 +386,13 @@ def test_a_stop_that_slips_in_behind_the_look_ends_the_motion(made, mocker):
 
 def test_a_stop_before_the_library_is_told_means_that_it_is_not_told(made, mocker):
     """It falls behind every look of the axis: the last one is in the library's own thread."""
-    vouch, before = made.controller.vouch, list(made.line.emulator.called)
+    confirm_reference, before = made.controller.confirm_reference, list(made.line.emulator.called)
 
     def stopped_behind(channel):
-        vouch(channel)
+        confirm_reference(channel)
         made.stage.stop()
 
-    mocker.patch.object(made.controller, "vouch", side_effect=stopped_behind)
+    mocker.patch.object(made.controller, "confirm_reference", side_effect=stopped_behind)
     with pytest.raises(MotionStopped):
         made.stage.axis("a").move_to(100.0)
     assert made.line.emulator.called == before

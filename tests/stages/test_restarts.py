@@ -366,7 +366,7 @@ def test_a_jog_that_a_locked_grbl_board_refuses_takes_its_reference(bench):
     lambda stage: stage.where_mm(),
     lambda stage: stage.move({"a": 40.0}),
     lambda stage: stage.axis("a").home(),
-    lambda stage: stage.controllers["box"].vouch("X"),
+    lambda stage: stage.controllers["box"].confirm_reference("X"),
 ])  # fmt: skip
 def test_a_feed_hold_at_rest_is_named_and_over_when_it_is_released(bench, asks):
     """Grbl 1.1 in Hold obeys no line and reports <Hold:0> to every `?` (real firmware; interface.md)."""

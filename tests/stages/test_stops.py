@@ -279,14 +279,14 @@ def test_a_question_unanswered_before_a_move_is_no_stop(bench, mocker):
     made.stage.home()
     made.stage.move({"a": 40.0})
     made.stage.home()
-    vouch, lost = made.controller.vouch, [NoReply("lost"), None]
+    confirm_reference, lost = made.controller.confirm_reference, [NoReply("lost"), None]
 
     def once_mute(channel):
         if failure := lost.pop(0) if lost else None:
             raise failure
-        vouch(channel)
+        confirm_reference(channel)
 
-    mocker.patch.object(made.controller, "vouch", once_mute)
+    mocker.patch.object(made.controller, "confirm_reference", once_mute)
     made.stage.move({"a": 60.0})
     assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)
     assert not made.stage.held

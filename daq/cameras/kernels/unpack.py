@@ -12,7 +12,7 @@ Formats of the GenICam Pixel Format Naming Convention (PFNC 2.x) and of GigE Vis
   byte 2. The usual format has a loop of its own, which is faster.
 * Mono12Packed: three bytes for two pixels as well, in GigE Vision order: byte 0 holds bits 11..4 of pixel 0,
   byte 1 the low nibbles (pixel 0 low, pixel 1 high), byte 2 bits 11..4 of pixel 1.
-* Mono10Packed: the same with bits 9..2 outside and two low bits at the foot of each nibble; the rest is nobody's.
+* Mono10Packed: the same with bits 9..2 outside and two low bits at the foot of each nibble; the rest is unused.
 
 ``int(...)`` keeps the interpreted kernels from overflowing a uint8; it costs nothing when compiled.
 """

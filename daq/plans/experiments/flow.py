@@ -14,7 +14,7 @@
     target_z_mm: -30.0          # where the target waits, out of the light sheet
     glass_z_mm: 4.0             # how far the glass stands off its place in the scene, so that the sheet is free
     lost_at_most: 0.1           # share of the fired pairs that may be lost before the run is ended
-    dt_measured_us: 80.2        # if somebody measured it at this setting, such as with a photodiode
+    dt_measured_us: 80.2        # if it was measured at this setting, such as with a photodiode
     dt_sigma_us: 0.05
 
 Only whole pairs that are sure are kept (runner.pair_finder).  A pair that was fired and lost is counted and fired

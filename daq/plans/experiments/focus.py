@@ -26,7 +26,7 @@ from daq.plans.steps import Step
 from ground.usual import Usual
 from stages.config import Positive
 
-FEWEST = 5  # places that a best one can be found from
+MIN_FOCUS_PLACES = 5  # places that a best one can be found from
 
 
 class FocusPlan(PlanTable):
@@ -35,7 +35,7 @@ class FocusPlan(PlanTable):
     experiment: Literal["focus"]
     view: View = "glass"
     moves: Literal["camera", "target"] = "camera"
-    z_mm: Annotated[list[float], Field(min_length=FEWEST, max_length=10_000)]
+    z_mm: Annotated[list[float], Field(min_length=MIN_FOCUS_PLACES, max_length=10_000)]
     f_number: Annotated[Positive, Usual(0.95, 64.0)] = 22.0
     pixel_pitch_um: Annotated[Annotated[float, Field(ge=0.1, le=1000.0)], Usual(1.4, 30.0)]
     frames: Annotated[int, Field(ge=1, le=1000)] = 2

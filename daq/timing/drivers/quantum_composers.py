@@ -13,9 +13,9 @@ pause.
 too: the key STOP, and every off of another program, clear it. The string that begins a burst therefore asks for
 T0 before it stops and starts it. If T0 did not run, off is sent at once, and a person has to release the laser.
 
-**The end of a burst is not told.** STAT stays 1 on a box that arms by RUN, and nothing else can be asked. A burst
-is over when its time is over; then its outputs are written off and read back, so that another RUN, at its keys,
-gives nothing.
+**The end of a burst is not reported.** STAT stays 1 on a box that arms by RUN, and nothing else can be asked. A
+burst is over when its time is over; then its outputs are written off and read back, so that another RUN, at its
+keys, gives nothing.
 
 **Damaged answers.** The protocol has no checksum. What is believed is read twice, numbers must have all their
 digits, booleans are 0 or 1 and nothing else, and every number that is written is read back. Lines that are
@@ -45,7 +45,9 @@ T0 = 0
 OUTPUTS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
 PAUSE_S = 0.05  # between lines to a box that loses those that come sooner
-SOON_S = 0.1  # without an answer to the first off of a burst, until off is written to all of its outputs
+FIRST_OFF_ANSWER_S = (
+    0.1  # without an answer to the first off of a burst, until off is written to all of its outputs
+)
 INSISTS = 6  # how often off is said again to such a box, before anything is asked: 0.3 s
 MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
@@ -100,8 +102,8 @@ class QuantumComposersBox(TimingBox):
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts.
 
-        One that refuses, or whose answer does not come, keeps none of the others from being told; a box that goes
-        on refusing is reset, which ends everything.
+        One that refuses, or whose answer does not come, keeps none of the others from being switched off; a box
+        that goes on refusing is reset, which ends everything.
         """
         with self._lock:
             self.drop()
@@ -201,7 +203,7 @@ class QuantumComposersBox(TimingBox):
         """Every output of the burst off and read back.
 
         Q-switches before anything is asked: a knob may have made the burst endless, and an answer may stay away.
-        T0 runs on behind a burst: if it does not, somebody has stopped it, or the box was restarted.
+        T0 runs on behind a burst: if it does not, it was stopped at its keys, or the box was restarted.
         """
         with self._lock:
             numbers = self._numbers(*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
@@ -326,15 +328,15 @@ class QuantumComposersBox(TimingBox):
         return trouble
 
     def _end_outputs(self, numbers: Sequence[int]) -> None:
-        """Off, each answered; written to all of them as soon as one is not, before anybody waits for that."""
-        told: list[int] = []
+        """Off, each answered; written to all of them as soon as one is not, before that is waited for."""
+        sent: list[int] = []
         with suppress(NoReply, ProtocolViolation):
-            while not self._suspect and len(told) < len(numbers):
-                told.append(numbers[len(told)])
-                self._set(told[-1], "STAT", "0", timeout_s=SOON_S)
+            while not self._suspect and len(sent) < len(numbers):
+                sent.append(numbers[len(sent)])
+                self._set(sent[-1], "STAT", "0", timeout_s=FIRST_OFF_ANSWER_S)
         if not self._suspect:
             return
-        for number in [*numbers[len(told) :], *told]:
+        for number in [*numbers[len(sent) :], *sent]:
             self.clock.sleep_s(self._pause_s)
             self.port.write(Command(f":PULSE{number}:STAT", "0").to_bytes())
         self._suspect = True
@@ -342,7 +344,7 @@ class QuantumComposersBox(TimingBox):
             self._off(number)
 
     def _start(self, burst: Sequence[int]) -> None:
-        """Begin a burst in one string, of which the first line asks whether somebody has stopped T0.
+        """Begin a burst in one string, of which the first line asks whether T0 was stopped.
 
         An exchange more would be time in which a STOP is undone.  A box that refuses to stop T0 gives pulses while
         its outputs come on, at most the counted ones, until the off that follows.

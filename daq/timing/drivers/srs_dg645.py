@@ -40,8 +40,8 @@ OUTPUTS = ("AB", "CD", "EF", "GH")
 T0 = 0
 LARGEST_COUNT = 2**31 - 1
 STEP_S = 5e-12
-SOON_S = 0.15  # for the answer that says whether outputs may have a length
-LONGEST_BURST_S, POLL_S = 12.0, 0.05  # a chunk lasts 10 s at most
+GATE_ANSWER_S = 0.15  # for the answer that says whether outputs may have a length
+LONGEST_BURST_S, IDLE_POLL_S = 12.0, 0.05  # a chunk lasts 10 s at most
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _DELAY = re.compile(r"(\d),([+-]?\d+\.\d{12})")
 FIXED = {"ADVT": "0", "INHB": "0", "BURT": "0", "BURD": "0"}  # nothing but the trigger says when cycles come
@@ -137,7 +137,7 @@ class Dg645Box(TimingBox):
                 start, end = _channels(output)
                 if self._delay(end) != (start, _seconds(lengths.get(output, 0.0))):
                     raise LaserDoubt(f"{self.name}: output {output} does not take its length, or was switched off")
-            self._require_burst_mode()  # last of all: whoever has switched off meanwhile has cleared it
+            self._require_burst_mode()  # last of all: an off in between has cleared it
             self._send(Command("*TRG").to_bytes(), moves=True)
             self._happened = self._registers("INSR")
             if not self._happened & WAS_TRIGGERED:
@@ -196,7 +196,7 @@ class Dg645Box(TimingBox):
         """Let a burst that was switched off come to its end, which gives no pulses."""
         end_s = self.clock.now_s() + LONGEST_BURST_S
         while self._is_busy() and self.clock.now_s() < end_s:
-            self.clock.sleep_s(POLL_S)
+            self.clock.sleep_s(IDLE_POLL_S)
 
     def _is_busy(self) -> bool:
         return bool(self._agreed(lambda: self._registers("*STB") & (IS_BUSY | IS_IN_BURST)))
@@ -211,7 +211,7 @@ class Dg645Box(TimingBox):
 
     def _require_not_off(self) -> None:
         """Ask once, and not for long: while outputs may have a length, the key that triggers gives light."""
-        if self._ask("BURM", timeout_s=SOON_S) != "1":
+        if self._ask("BURM", timeout_s=GATE_ANSWER_S) != "1":
             raise LaserDoubt(f"{self.name} was switched off while its burst began")
 
     def _require_positive(self, output: str) -> None:

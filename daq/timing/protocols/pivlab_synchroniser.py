@@ -30,7 +30,7 @@ PIVLAB = "PIVlab, acquisition, control of the synchroniser"
 FOUND = "a user's script for an xmSync"
 QUESTIONS = ("WhoAreYou?", "WhichFirmWare?", "WarningSignEnable!")
 LASER_FIELD = 7  # counted from 0
-LONGEST = 512
+MAX_ANSWER_BYTES = 512
 
 _ID = r"[^:;\s][^;\t]*?"
 _SEQUENCE = re.compile(rf"TALKINGTO:({_ID}):sequence:(\d{{1,9}}):(\d),0:([\d,:]+)")
@@ -104,7 +104,7 @@ class Switch:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Everything an xmSync is told, the laser's switch included, in one line."""
+    """All settings of an xmSync, the laser's switch included, in one line."""
 
     device: str
     frequency_hz: int
@@ -279,11 +279,11 @@ class CommandStream(LineStream[Command]):
     """Bytes of a host to commands."""
 
     def __init__(self) -> None:
-        super().__init__(parse_command, longest=LONGEST)
+        super().__init__(parse_command, longest=MAX_ANSWER_BYTES)
 
 
 class AnswerStream(LineStream[Answer]):
     """Bytes of a box to answers."""
 
     def __init__(self) -> None:
-        super().__init__(parse_answer, longest=LONGEST)
+        super().__init__(parse_answer, longest=MAX_ANSWER_BYTES)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from daq.bench.probe import RATES, Found, probe, why_nobody
+from daq.bench.probe import RATES, Found, no_reply_reason, probe
 from rtpiv.command_line.cli import DEVICE, DONE, main
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
@@ -183,8 +183,8 @@ def test_nobody_is_said_so_with_what_came(tmp_path, monkeypatch, capsys):
         with on_a_line(made({}, clock), clock, None):
             found, asked = probe("sim://probed", clock)
         assert found is None
-        assert words in why_nobody(asked)
-    assert "115200, 38400, 19200, 9600, 57600 baud" in why_nobody(asked)
+        assert words in no_reply_reason(asked)
+    assert "115200, 38400, 19200, 9600, 57600 baud" in no_reply_reason(asked)
     assert len([line for line in asked.dialogue if line.startswith("@")]) == len(RATES)
     with pytest.raises(PortUnavailable):
         probe("/dev/no-port")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from correction.grid import grid_of
-from daq.live.scene_lines import MOST, outlines
+from daq.live.scene_lines import MAX_BALLS, outlines
 from sim.demo.scenes import named_scene
 from tracer.strategies.trace import trace
 
@@ -38,7 +38,9 @@ def test_on_the_plane_an_outline_is_what_the_ball_hides():
 def test_what_has_no_outline_is_left_out_and_a_bed_is_not_drawn_whole():
     scene = named_scene("one_sphere_500")
     (ball,) = scene.spheres
-    many = [replace(ball, name=f"b{i}", radius_mm=1.0, centre_mm=(3.0 * i, 0.0, 2.0)) for i in range(2 * MOST)]
-    assert len(outlines(scene.with_bodies(many))["raw"]["lines"]) == MOST
+    many = [
+        replace(ball, name=f"b{i}", radius_mm=1.0, centre_mm=(3.0 * i, 0.0, 2.0)) for i in range(2 * MAX_BALLS)
+    ]
+    assert len(outlines(scene.with_bodies(many))["raw"]["lines"]) == MAX_BALLS
     assert outlines(scene.bare())["raw"]["lines"] == []
     assert outlines(scene.bare())["raw"]["cross"] == pytest.approx([1007.5, 1007.5], abs=1.0)

@@ -102,7 +102,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
         number, elapsed_s = number + 1, time.monotonic() - begun_s
     pairs.close()
     elapsed_s = time.monotonic() - begun_s
-    assert 2 <= flow.vectors_live <= 1.5 + preview_vectors.MOST_OF_THE_TIME * elapsed_s / 0.05
+    assert 2 <= flow.vectors_live <= 1.5 + preview_vectors.PREVIEW_DUTY * elapsed_s / 0.05
 
 
 @pytest.mark.parametrize("bad", [np.zeros((384, 384)), np.full((384, 384), np.nan), np.zeros((10, 10))])

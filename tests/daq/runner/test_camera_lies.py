@@ -124,6 +124,6 @@ def test_a_clock_that_is_another_or_cannot_be_read_still_tells_late_frames(rig, 
             filed.append((stop, int(frame.pixels[0, 0])))
             frame.release()
     accounting = exposures.conclude(len(filed))
-    assert not exposures.doubts
+    assert not exposures.ambiguities
     assert accounting.imbalance == 0
     assert all(sent[shown] == at for at, shown in filed)

@@ -1,4 +1,4 @@
-"""A run with a frame that nobody can vouch for is never done: the journal says so at once, resuming is refused."""
+"""A run with an ambiguous frame is never done: the journal says so at once, resuming is refused."""
 
 import json
 import time

@@ -146,8 +146,8 @@ def sensed(name, pairs, seed, is_wrong, faults=None):
         found, finder = found_in(section, frames)
         wrong += len(swapped(found))
         sense.chunk_ended(finder.last)
-        after = number + 1 if after is None and sense.doubt(False) else after
-    return after or (number + 1 if sense.doubt(True) else None), wrong
+        after = number + 1 if after is None and sense.objection(False) else after
+    return after or (number + 1 if sense.objection(True) else None), wrong
 
 
 @pytest.mark.parametrize("name", EVEN)
@@ -174,7 +174,7 @@ def test_the_ends_of_chunks_tell_nothing_where_the_frames_themselves_do(name):
     sense = MarkerPolarity(SECTIONS[name])
     for _ in range(10):
         sense.chunk_ended("A")
-    assert sense.doubt(True) is None
+    assert sense.objection(True) is None
 
 
 @pytest.mark.parametrize("name", [name for name in SECTIONS if name not in EVEN and SECTIONS[name].chunks])

@@ -83,7 +83,7 @@ class Held(SimpleNamespace):
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     monkeypatch.setattr(pulse_counters, "TAIL_S", 0.1)
-    monkeypatch.setattr(pulse_counters, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(pulse_counters, "FIRST_FRAME_S", 1.0)
 
 
 def counter_of(camera, shape="two_blocks"):

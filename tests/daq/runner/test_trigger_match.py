@@ -74,7 +74,7 @@ class Session:
 
     @property
     def is_in_doubt(self):
-        return bool(self.exposures.doubts)
+        return bool(self.exposures.ambiguities)
 
 
 @pytest.fixture
@@ -117,7 +117,7 @@ def check_books(session):
 def test_a_camera_whose_clock_can_be_read_is_never_misunderstood(play, script, frames_per_stop):
     session = play(script, frames_per_stop)
     assert not session.misfiled
-    assert not session.is_in_doubt, (session.exposures.doubts, session.books.sentence(), session.why)
+    assert not session.is_in_doubt, (session.exposures.ambiguities, session.books.sentence(), session.why)
     check_books(session)
 
 
@@ -227,7 +227,7 @@ def test_without_time_and_id_a_frame_after_a_wait_in_vain_ends_the_session_with_
     session = play(Script(late_ms={3: 310}, latch="none", stamps="none", tells_id=False))
     assert isinstance(session.why, FrameDoubt)
     assert not session.misfiled
-    assert "neither its time nor its id" in session.exposures.doubts[0]
+    assert "neither its time nor its id" in session.exposures.ambiguities[0]
 
 
 def test_ids_alone_tell_a_late_frame_from_the_next(play):
@@ -241,7 +241,7 @@ def test_a_first_frame_of_somebody_else_is_found_by_the_second(play):
     """A clock that cannot be read: the first frame is taken on trust, the second shows that it was not ours."""
     session = play(Script(latch="none", leftover_ms=(20,)))
     assert session.misfiled
-    assert "first frame of the session" in session.exposures.doubts[0]
+    assert "first frame of the session" in session.exposures.ambiguities[0]
     assert len(session.filed) == 1
 
 
@@ -264,7 +264,7 @@ def test_a_stop_while_a_frame_is_waited_for_leaves_the_books_whole(play):
             list(exposures.frames(2))
         assert len(camera.sent) == 2
         accounting = exposures.conclude(1)
-        assert not exposures.doubts
+        assert not exposures.ambiguities
         assert (accounting.triggered, accounting.written, accounting.silent, accounting.imbalance) == (2, 1, 1, 0)
 
 

@@ -16,7 +16,7 @@ from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow
 from daq.timing.opened import open_laser
 from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
-from daq.timing.switches import NOBODY, Switches, SwitchTable
+from daq.timing.switches import NO_SWITCH, Switches, SwitchTable
 from daq.timing.timing_table import HeadTable, TimingTable
 from ground.config import Table
 from ground.errors import UntrustedProgram
@@ -155,9 +155,9 @@ def test_a_reading_that_hangs_is_no_closed_door(monkeypatch):
 
 def test_who_watches_is_told_to_the_one_who_is_asked_for_the_code(capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("1234\n"))
-    assert Switches({}).sentence() == NOBODY
+    assert Switches({}).sentence() == NO_SWITCH
     assert "door, key" in Switches({"door": Contact(), "key": Contact()}).sentence()
-    assert TerminalOperator().confirmation_code("1234", NOBODY) == "1234"
+    assert TerminalOperator().confirmation_code("1234", NO_SWITCH) == "1234"
     assert "nobody but you watches" in " ".join(capsys.readouterr().err.split())
 
 

@@ -79,7 +79,7 @@ def ends_early(laser):
 
 
 def test_the_judge_sees_a_laser_that_is_given_up_while_its_cable_is_loose(monkeypatch):
-    monkeypatch.setattr("daq.timing.darkness.LEAVING_S", 0.0)
+    monkeypatch.setattr("daq.timing.shutdown.LEAVING_S", 0.0)
     _, found = play(20, "loose 11")
     assert found[-1:] == ["something is on after the end"]
 

@@ -1,10 +1,10 @@
 """Shutdown of a laser: off is sent first and believed last.
 
-`say` writes off past every lock and answer, from any thread.  What was said is in doubt (UNKNOWN) until every
+`send_off` writes off past every lock and answer, from any thread.  From then on the laser is UNKNOWN until every
 output reads back as off (`confirm`), and a fault from then on until a person has looked at it (`make_safe`).
-`doubting` says it whenever a verb that has begun to talk with the box does not come to its end.
+`off_on_error` sends it whenever a verb that has begun to talk with the box does not come to its end.
 
-Whoever leaves the bench says it too (`leave`) and does not go before it reads back, or before nothing can be done.
+Leaving the bench sends it too (`leave`), and ends only when it reads back, or when nothing can be done.
 """
 
 import threading
@@ -17,11 +17,11 @@ from daq.timing.states import Event, LaserState, LaserStateMachine
 from stages.clock import Clock
 from stages.errors import CommandRejected, StageError
 
-CONFIRM_S = 0.2  # between two attempts to read back that everything is off
-LEAVING_S = 10.0  # how long whoever leaves goes on with them; a cable that comes loose is mostly put back by then
+CONFIRM_INTERVAL_S = 0.2  # between two attempts to read back that everything is off
+LEAVING_S = 10.0  # time for these attempts when the bench is left; a loose cable is mostly put back by then
 
 
-class Darkness:
+class LaserShutdown:
     """The end of one laser's light; safe for several threads.
 
     Parameters
@@ -31,7 +31,7 @@ class Darkness:
     states : LaserStateMachine
         How the laser stands.
     lock : RLock
-        Held by whoever talks with the box; one verb at a time.
+        Held while a verb talks with the box; one at a time.
     clock : Clock
         Clock of its patience.
     """
@@ -39,24 +39,24 @@ class Darkness:
     def __init__(self, box: TimingBox, states: LaserStateMachine, lock: threading.RLock, clock: Clock) -> None:
         self._box, self._states, self._lock, self._clock = box, states, lock, clock
 
-    def say(self, why: str) -> None:
-        """Say off now, from any thread; waits for no lock and no answer, and holds until `make_safe`.
+    def send_off(self, why: str) -> None:
+        """Send off now, from any thread; waits for no lock and no answer, and holds until `make_safe`.
 
         Raises
         ------
         DeviceLost
-            The box could not be told.
+            The box could not be reached.
         """
         self._box.latch.stop(why)
         try:
             self._box.drop()
         finally:
-            self._states.doubt(why)
+            self._states.mark_unknown(why)
 
-    def say_quietly(self, why: str) -> None:
-        """Say it, whether or not the box can be told."""
+    def try_send_off(self, why: str) -> None:
+        """Send it; a box that cannot be reached is no error."""
         with suppress(StageError):
-            self.say(why)
+            self.send_off(why)
 
     def read_back(self) -> None:
         """Write everything off and read it back.
@@ -72,7 +72,7 @@ class Darkness:
             self._box.watchdog.rests(self._box.name)
 
     def confirm(self) -> bool:
-        """After a stop: try to read back that everything is off; True if nothing is in doubt (any more)."""
+        """After a stop: try to read back that everything is off; True if it is not UNKNOWN (any more)."""
         if self._states.state is not LaserState.UNKNOWN:
             return True
         with self._lock:
@@ -104,8 +104,8 @@ class Darkness:
             try:
                 self._reach()
                 self.read_back()
-            except BaseException as doubt:
-                self._states.doubt(str(doubt))
+            except BaseException as error:
+                self._states.mark_unknown(str(error))
                 raise
             if latch.count != count:
                 raise LaserStopped(f"{self._states.name}: {self._states.why}")
@@ -115,7 +115,7 @@ class Darkness:
         """Say off, read it back, and give the port back.
 
         What was switched on and cannot be reached is tried for `LEAVING_S` more, on a port that is opened again:
-        a box that does not count goes on for as long as nobody reaches it, and the watchdog gives a device up
+        a box that does not count goes on for as long as it is not reached, and the watchdog gives a device up
         whose cable has been out.  The watchdog says off again as well if that is not confirmed.
 
         Raises
@@ -126,24 +126,24 @@ class Darkness:
         box = self._box
         try:
             if not box.lost or box.may_be_on:
-                self.say_quietly("the program has left the bench")
+                self.try_send_off("the program has left the bench")
                 end_s, tries = self._clock.now_s() + LEAVING_S, 1
                 while not self.confirm():
                     if tries >= 3 and not (box.may_be_on and self._clock.now_s() < end_s):
                         break
                     tries += 1
-                    self._clock.sleep_s(CONFIRM_S)
+                    self._clock.sleep_s(CONFIRM_INTERVAL_S)
             if box.may_be_on:
                 raise LaserDoubt(
                     f"{self._states.name} may still give light: it does not read back as off "
                     f"({self._states.why}); turn its key, then see to the cable"
                 )
         finally:
-            box.may_be_on = False  # has been said; nobody waits for it twice
+            box.may_be_on = False  # was reported; it is not waited for twice
             box.close()
 
     @contextmanager
-    def doubting(self) -> Iterator[None]:
+    def off_on_error(self) -> Iterator[None]:
         """Say off if something comes between; what was refused before anything was sent is nothing."""
         try:
             yield
@@ -151,7 +151,7 @@ class Darkness:
             raise
         except BaseException as error:
             was_stopped = self._box.latch.held
-            self.say_quietly(str(error) or type(error).__name__)
+            self.try_send_off(str(error) or type(error).__name__)
             if isinstance(error, CommandRejected):  # it may refuse off as well: said until it reads back, at once
                 self.confirm()
             if was_stopped and isinstance(error, LaserDoubt):  # the box has only shown what the stop did
