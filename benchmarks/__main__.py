@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def in_one_row(scene: Scene) -> bool:
-    """Whether the peers' formulas serve: clear spheres above each other under a camera without lens terms."""
+    """Return whether the peers' formulas serve: clear spheres in one row, and a camera without lens terms."""
     table = scene.sphere_table()
     row = bool((np.ptp(table[:, :2], axis=0) == 0.0).all()) if len(table) else False
     return (
@@ -77,7 +77,7 @@ def in_one_row(scene: Scene) -> bool:
 
 
 def solid(scene: Scene) -> bool:
-    """Whether no sphere has another in it."""
+    """Return whether no sphere has another in it."""
     return not any(sphere.cores for sphere in scene.spheres)
 
 

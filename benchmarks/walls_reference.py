@@ -175,7 +175,7 @@ def shells(dome: Dome) -> list[tuple[Vector, mpf]]:
 
 
 def is_mount(dome: Dome, p: Vector) -> bool:
-    """Whether a point of a dome is beyond its opening."""
+    """Return whether a point of a dome is beyond its opening."""
     w, axis = minus(p, vector(dome.centre_mm)), vector(dome.axis)
     limit = mpf(float(dome.table_of([dome], lambda *_: 1.0).rows[0, -1]))
     return bool(dot(w, axis) < limit * mpmath.sqrt(dot(w, w)))
@@ -257,7 +257,7 @@ def follow_walls(walls: Walls, p: Vector, d: Vector, most: int = 400) -> End:
 
 
 def walls_from_inside(walls: Walls, p: Vector, d: Vector, tube: Body) -> bool:
-    """Whether a ray that leaves a tube's or dome's wall outwards at p came from its inside."""
+    """Return whether a ray that leaves a tube's or dome's wall outwards at p came from its inside."""
     if isinstance(tube, Dome):
         centre, radius = shells(tube)[1]
         return any(t > HAIR for t in _roots(minus(p, centre), tuple(-x for x in d), radius))

@@ -62,7 +62,7 @@ def _loaded() -> set[str]:
 
 @cache
 def _get_and_set(path: str) -> tuple[Callable[[], int], Callable[[int], object]] | None:
-    """What reads and sets the number of threads of a library; None if it has other names for them."""
+    """Functions that read and set the number of threads of a library; None if it has other names for them."""
     try:
         library = ctypes.CDLL(path)
     except OSError:

@@ -230,7 +230,7 @@ class _Reader:
         return result
 
     def _is_sayable(self, text: str, longest: int, place: Place, line: int) -> bool:
-        """Whether a text can be shown and named after; what cannot is a problem."""
+        """Return whether a text can be shown and named after; what cannot is a problem."""
         if len(text) > longest:
             said = f"a text of {len(text)} characters; at most {longest} are read"
         elif not text.replace("\n", "").replace("\t", "").isprintable():
@@ -275,7 +275,7 @@ def _decimal_comma(before: tuple[yaml.Node, yaml.Node], pair: tuple[yaml.Node, y
 
 
 def _doubt(text: str, tag: str) -> str | None:
-    """Why a person may have meant plain text as something else; None if not."""
+    """Reason why plain text may be meant as something else; None if there is none."""
     if _NOT_FINITE.fullmatch(text):
         return f"{text!r} is not a finite number"
     if _NUMBER.fullmatch(text):
@@ -351,7 +351,7 @@ def _place(document: Document, details: Any) -> Place:  # noqa: ANN401 - as the 
 def _is_other_branch(
     document: Document, place: Place, several: list[Any], by_place: dict[Place, list[Any]]
 ) -> bool:
-    """Whether a value was only not the other thing it might have been: what is wrong lies deeper in it."""
+    """Return whether a value was only not the other thing it might have been: what is wrong lies deeper in it."""
     deeper = any(len(other) > len(place) and other[: len(place)] == place for other in by_place)
     return deeper and all(is_of_a_kind(details) for details in several)
 

@@ -101,6 +101,6 @@ class MapFileError(GroundError):
 
 
 class MemoryShort(GroundError):  # noqa: N818 - says what it is
-    """What is asked for does not fit into memory; the message says how much it needs and how much is free."""
+    """Too little memory; the message says how much is needed and how much is free."""
 
     exit_code = DEVICE

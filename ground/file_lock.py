@@ -125,7 +125,7 @@ def _standing_for(folder: Path) -> Iterator[None]:
 
 
 def _is_there(folder: Path, descriptor: int) -> bool:
-    """Whether a folder that was opened still has its name."""
+    """Return whether a folder that was opened still has its name."""
     try:
         return samestat(folder.stat(), fstat(descriptor))
     except FileNotFoundError:

@@ -28,13 +28,13 @@ class UnknownName(LookupError):  # noqa: N818 - says what it is
 
 
 def trust_file() -> Path:
-    """Where the names are kept that this person trusts; it need not be there."""
+    """File of the names that this person trusts; it need not exist."""
     base = os.environ.get("XDG_CONFIG_HOME")
     return (Path(base) if base else Path.home() / ".config") / "rtpiv" / "trusted_programs.txt"
 
 
 def is_trusted(dotted: str) -> bool:
-    """Whether a program may be imported and called."""
+    """Return whether a program may be imported and called."""
     if dotted in SHIPPED or dotted in os.environ.get(VARIABLE, "").split(","):
         return True
     try:
@@ -44,7 +44,7 @@ def is_trusted(dotted: str) -> bool:
 
 
 def is_installed(dotted: str) -> bool:
-    """Whether the package of a program is there; nothing is imported."""
+    """Return whether the package of a program is there; nothing is imported."""
     return find_spec(dotted.partition(":")[0].partition(".")[0]) is not None
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a value of a file, in the words of the person who wrote it.
+"""Messages about a wrong value of a file, in the words of the person who wrote it.
 
 The library that checks files has a code for each kind of problem, and sentences for programmers ("Unable to
 extract tag using discriminator").  Here each code becomes what stands in the file, what should stand there, and,
@@ -104,7 +104,7 @@ def slip(key: str, number: float, low: float, high: float) -> str:
 
 
 def is_of_a_kind(details: Mapping[str, Any]) -> bool:
-    """Whether a problem says only that a value is of another kind than wanted."""
+    """Return whether a problem says only that a value is of another kind than wanted."""
     return details["type"] in _KINDS
 
 
@@ -197,7 +197,7 @@ def _bound_slip(key: str, kind: str, context: Mapping[str, Any], given: Any) -> 
 
 
 def _but(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
-    """What stands there instead."""
+    """Value that stands there instead."""
     if given is None:
         return "; nothing is given"
     if isinstance(given, dict):

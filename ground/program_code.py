@@ -1,4 +1,4 @@
-"""Which code computes, by its own text: what is kept of a computation is believed by the code that made it alone.
+"""Hash of the code that computes: a stored result is read by the code that made it alone.
 
 A version does not say it.  In a checkout that is brought up to date, and between two releases, it stays what it is
 while numbers change.  The text of the sources does not, comments included: a computation may be made anew for

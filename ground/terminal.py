@@ -1,4 +1,4 @@
-"""What a person sees while a verb works: tables wide enough to read, progress with time left.
+"""Terminal output while a verb works: tables wide enough to read, progress with time left.
 
 Names of files and what stands in them may hold anything, also bytes that a terminal takes for commands: it would
 clear its screen, rename its window, or answer.  All that is said goes through `printable`.

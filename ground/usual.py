@@ -15,7 +15,7 @@ from ground.plain_words import place_words, slip
 
 @dataclass(frozen=True)
 class Usual:
-    """What a number usually is: `low` to `high`, both included."""
+    """Usual range of a number: `low` to `high`, both included."""
 
     low: float
     high: float

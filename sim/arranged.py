@@ -1,4 +1,4 @@
-"""Where camera, glass and target stand at given positions of the axes, and whether that can be drawn.
+"""Places of camera, glass and target at given positions of the axes, and a check that they can be drawn.
 
 What the renderer cannot draw is said before anything runs (`check_views`): found out by the camera's own process
 after minutes, it reads like a camera that no longer answers.

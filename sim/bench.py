@@ -143,7 +143,7 @@ class SimulatedBench:
 
     @staticmethod
     def needs_camera_libraries(bench: Bench) -> bool:
-        """Whether the cameras stand behind what their backends' libraries speak."""
+        """Return whether the cameras stand behind what their backends' libraries speak."""
         return simulation_of(bench).camera_transport != "memory"
 
     @staticmethod
@@ -157,7 +157,7 @@ class SimulatedBench:
         return expected_s(bench, steps)
 
     def true_mm(self) -> dict[str, float]:
-        """Where every axis really is, in its own coordinate."""
+        """Return the true position of every axis, in its own coordinate."""
         return self.world.true_mm()
 
     def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
@@ -179,7 +179,7 @@ class SimulatedBench:
             self._watched.step_begins(number)
 
     def happened(self) -> Happened:
-        """What has happened so far, if the bench file's section keeps it."""
+        """Return the events so far, if the bench file's section keeps them."""
         return Happened(()) if self._watched is None else self._watched.happened(self.witness.judge())
 
     def drawn_s(self) -> float:

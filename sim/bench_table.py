@@ -65,7 +65,7 @@ class ApertureTable(Table):
 
 
 class FurtherCameraTable(Table):
-    """What is other of a further camera than of the section `camera`."""
+    """Settings of a further camera that differ from the section `camera`."""
 
     aperture: ApertureTable | None = None
     faults: FaultsTable = FaultsTable()
@@ -73,7 +73,7 @@ class FurtherCameraTable(Table):
 
 
 class HandErrorsTable(Table):
-    """How well the person reads who turns the axes without a motor."""
+    """Reading errors of the person who turns the axes without a motor."""
 
     reads_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 3.0
     division_um: Annotated[float, Field(gt=0.0, le=1000.0)] = 10.0

@@ -1,4 +1,4 @@
-"""How long a simulated bench will take for the steps of a plan: it draws every picture with rays.
+"""Estimated time of a simulated bench for the steps of a plan: it draws every picture with rays.
 
 A target is drawn once a place and colour, on all cores, and its further frames get new noise alone. What a pixel
 of it takes differs tenfold from scene to scene, so some pixels are drawn and timed. Every frame of a flow has

@@ -36,7 +36,7 @@ class NoTruth(ValueError):  # noqa: N818
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """What was true when a frame was exposed.
+    """True state of the world while a frame was exposed.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What has happened in a simulated world, and what was true then: for tests, not for who works on a run.
+"""Events of a simulated world, and what was true then: for tests, not for the user of a run.
 
 Each line of `world.jsonl` in the folder of a run, and each `Event` in Python, is one of these:
 
@@ -65,7 +65,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Happened:
-    """What has happened in a simulated world, in its order.
+    """Events of a simulated world, in order.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ class Happened:
 
     @property
     def differs(self) -> list[str]:
-        """What boxes of recordings were told otherwise than recorded, or have not been told."""
+        """Bytes sent to boxes of recordings that differ from the recording, or are missing."""
         return [f"{event.of}: {event.said}" for event in self.of_kind("differs")]
 
     @property
     def violations(self) -> list[str]:
-        """What must never happen and has."""
+        """Violations of the rules that the witness holds."""
         return [str(event.said) for event in self.of_kind("violation")]
 
     def text(self) -> str:

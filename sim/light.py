@@ -55,7 +55,7 @@ class Flash(NamedTuple):
 
 
 class LitFlow:
-    """What a sensor sees of a flow that a laser lights.
+    """Frames of a flow that a laser lights.
 
     Parameters
     ----------

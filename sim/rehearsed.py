@@ -42,11 +42,11 @@ class Rehearsed(BenchSession):
         super().__init__(Rehearsal(faults, seed).of(load_bench(bench), recorded=recorded), simulate=True)
 
     def true_mm(self) -> dict[str, float]:
-        """Where every axis really is [mm], whatever its controller says."""
+        """Return the true position of every axis [mm], whatever its controller says."""
         assert self.simulation is not None
         return self.simulation.true_mm()
 
     def happened(self) -> Happened:
-        """What has happened so far."""
+        """Return the events so far."""
         assert self.simulation is not None
         return cast("Happened", self.simulation.happened())

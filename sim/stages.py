@@ -124,7 +124,7 @@ class SimulatedStages:
             line.after_traffic = self.witness.judge_if_much
 
     def true_mm(self, axis: str) -> float:
-        """Where an axis really is, in the coordinate of the bench file."""
+        """Return the true position of an axis, in the coordinate of the bench file."""
         table = self.config.axes[axis]
         line = self.lines[table.controller]
         with line.lock:
@@ -134,7 +134,7 @@ class SimulatedStages:
 
     @property
     def is_moving(self) -> bool:
-        """Whether any axis moves."""
+        """Return whether any axis moves."""
         return any(motor.running for motor in self.motors.values())
 
     def slip(self, axis: str, distance_mm: float) -> None:

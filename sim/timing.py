@@ -61,7 +61,7 @@ class SimulatedSwitch:
         self._address = address
 
     def is_closed(self) -> bool:
-        """Whether nobody has opened it."""
+        """Return whether nobody has opened it."""
         return CLOSED[self._address]
 
     def close(self) -> None:
@@ -129,12 +129,12 @@ class SimulatedTiming:
         self._hears_time.append(hear)
 
     def is_high(self, role: Role, time_s: float) -> bool:
-        """Whether an output was high at a moment that is not too long ago."""
+        """Return whether an output was high at a moment that is not too long ago."""
         return role in self.wiring and self.outputs.is_high(self.wiring[role], time_s)
 
     @property
     def triggers_camera(self) -> bool:
-        """Whether the output of the camera is on, so that frames are to be expected."""
+        """Return whether the output of the camera is on, so that frames are to be expected."""
         if not isinstance(self._emulator, QuantumComposersEmulator):
             return self._emulator.is_running
         output = self.wiring.get(Role.CAMERA)

@@ -35,7 +35,7 @@ ON_THE_WIRE = ("late", "split", "lost", "cut", "doubled", "garbled")
 
 @dataclass(frozen=True)
 class Struck:
-    """What faults can be of.
+    """Parts of a simulated bench that faults can strike.
 
     Parameters
     ----------

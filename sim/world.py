@@ -44,7 +44,7 @@ Print = Chessboard | CodedBoard | DotGrid | ParticleSheet | Plate
 
 
 class World:
-    """Where everything really is, and what a sensor would see of it; a `FrameSource`.
+    """True places of everything, and the images that a sensor has of it; a `FrameSource`.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class World:
         self.on_exposed: Callable[[int, NDArray[np.uint16], dict[str, float]], None] | None = None
 
     def true_mm(self) -> dict[str, float]:
-        """Where every axis really is, in its own coordinate."""
+        """Return the true position of every axis, in its own coordinate."""
         return {name: self._stages.true_mm(name) for name in self._bench.table.stages.axes}
 
     def dim(self, share: float) -> None:

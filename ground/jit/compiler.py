@@ -1,4 +1,4 @@
-"""Where kernels are given to numba; imported when the first one is called.
+"""Registration of kernels with numba; imported when the first one is called.
 
 Numba meets our `Kernel` objects as globals of the functions that it compiles, and takes each for what it is made
 of it here.

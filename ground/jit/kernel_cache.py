@@ -1,4 +1,4 @@
-"""Where the compiled code of a kernel is kept, so that an edit is never missed and never costs more than it must.
+"""Cache of the compiled code of kernels: no edit is missed, and none costs more than it must.
 
 Numba's own key is the content of the DEFINING file alone: after an edit in a callee's file it silently returns
 numbers of the old code.  So each file of kernels has a folder of its own, whose name is the digest of all that its
@@ -131,7 +131,7 @@ def dependencies(source: Path, root: Path = ROOT) -> set[Path]:
 
 
 def _has_kernels(path: Path, root: Path) -> bool:
-    """Whether a file holds kernels, or registers those that it imports: the file itself says so."""
+    """Return whether a file holds kernels, or registers those that it imports: the file itself says so."""
     if path.parent == root / COMPILING:
         return False
     if path.parent.name == "kernels" or _COMPILES.search(_content(path).decode(errors="replace")):

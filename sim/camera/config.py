@@ -1,4 +1,4 @@
-"""What makes one simulated camera different from another, its faults included.
+"""Configuration of one simulated camera, its faults included.
 
 It travels as JSON into the process that the camera lives in.  Faults are scheduled by frame number so that every
 test can repeat them: frames are numbered from power-up, 0 first, whether they are received or not.
@@ -12,7 +12,7 @@ from typing import Any, Self
 
 @dataclass(frozen=True, slots=True)
 class FaultPlan:
-    """What goes wrong, and when.
+    """Faults of a camera, and the frames at which they happen.
 
     Parameters
     ----------

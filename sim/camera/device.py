@@ -55,7 +55,7 @@ class SimFrame:
 
     @property
     def tail(self) -> bytes:
-        """What is sent behind the pixels."""
+        """Bytes sent behind the pixels."""
         return tail(self.picture.payload.size, self.chunks)
 
 
@@ -123,7 +123,7 @@ class SimCamera:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the camera is unplugged just now; it may come back by itself."""
+        """Return whether the camera is unplugged just now; it may come back by itself."""
         if self._lost_ns is None:
             return False
         with self._wake:
@@ -240,7 +240,7 @@ class SimCamera:
 
     @property
     def _is_stacked(self) -> bool:
-        """Whether A and B of a double frame are sent as one picture, A on top."""
+        """Return whether A and B of a double frame are sent as one picture, A on top."""
         registers = self.registers
         return registers.integer("DoubleFrameEnable") == 1 and registers.entry("DoubleFrameLayout") == "OneBuffer"
 
@@ -351,7 +351,7 @@ class SimCamera:
         self._wake.notify_all()
 
     def _is_skipped(self) -> bool:
-        """Whether the next exposure is not made, though nothing says so."""
+        """Return whether the next exposure is not made, though nothing says so."""
         number, self._exposures = self._exposures, self._exposures + 1
         is_first, self._skip = self._skip > 0, max(0, self._skip - 1)
         return is_first or number in self.config.faults.skipped
@@ -437,7 +437,7 @@ class SimCamera:
         return frame_id % 0xFFFF + 1 if self.config.id_bits == 16 else frame_id + 1
 
     def _picture(self, pending: _Pending) -> NDArray[np.uint16]:
-        """What the sensor has seen; of a double-height frame both images, A on top."""
+        """Image on the sensor; of a double-height frame both images, A on top."""
         images = [
             image_of(self._source, pending.trigger_index, exposure.start_ns, exposure.end_ns)
             for exposure in pending.exposures

@@ -1,4 +1,4 @@
-"""When a sensor is exposed and read out: trigger in, exposures out, in nanoseconds and without a clock of its own.
+"""Timing of exposure and readout: trigger in, exposures out, in nanoseconds and without a clock of its own.
 
 A global-shutter sensor may expose one image while it reads out the one before, but a new exposure must not end
 before that readout has.  Hence a trigger at t is taken if no exposure is running at t and t + exposure is not

@@ -61,7 +61,7 @@ class RegisterNodes:
         return [name for name in self._registers.addresses if self._registers.feature(name).kind != "command"]
 
     def has(self, name: str) -> bool:
-        """Whether the feature exists and has a value."""
+        """Return whether the feature exists and has a value."""
         return name in self._registers.addresses and self._registers.feature(name).kind != "command"
 
     def get(self, name: str) -> Setting:
@@ -91,7 +91,7 @@ class RegisterNodes:
         return tuple(dict(self._registers.feature(name).entries))
 
     def can_execute(self, name: str) -> bool:
-        """Whether the command exists."""
+        """Return whether the command exists."""
         return name in self._registers.addresses and self._registers.feature(name).kind == "command"
 
     def execute(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""What a client gets of a frame: the sensor's grey values read out, and the data that comes with them.
+"""Payload of a frame: the sensor's grey values read out, and the data that comes with them.
 
 Readout goes by what the registers say: crop, gain, bits, packing.  Data that comes with a frame is laid out as in
 GigE Vision: every piece is followed by its id and its length.
@@ -100,7 +100,7 @@ TAG_BYTES = 8
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk lies in its buffer."""
+    """Place of a chunk in its buffer."""
 
     id: int
     offset: int
@@ -124,7 +124,7 @@ def tail(image_bytes: int, chunks: Mapping[str, float]) -> bytes:
 
 
 def places(image_bytes: int, chunks: Mapping[str, float]) -> list[ChunkPlace]:
-    """Where the image and every chunk lie; empty if there are no chunks."""
+    """Places of the image and of every chunk; empty if there are no chunks."""
     if not chunks:
         return []
     found, offset = [ChunkPlace(IMAGE_CHUNK_ID, 0, image_bytes)], image_bytes + TAG_BYTES

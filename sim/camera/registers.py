@@ -74,7 +74,7 @@ class RegisterMap:
         self._elsewhere.clear()
 
     def has(self, name: str) -> bool:
-        """Whether this camera has a feature."""
+        """Return whether this camera has a feature."""
         return name in self._features
 
     def at(self, address: int) -> Feature | None:
@@ -156,7 +156,7 @@ class RegisterMap:
             self.put(feature.name, value)
 
     def holds(self, conditions: Conditions) -> bool:
-        """Whether every feature has one of the entries or numbers asked for."""
+        """Return whether every feature has one of the entries or numbers asked for."""
         return all(self.integer(name) in _numbers(self._features[name], values) for name, values in conditions)
 
     def _exchange(self, selected: Sequence[Feature], selector: str, value: Value) -> None:

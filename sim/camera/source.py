@@ -1,4 +1,4 @@
-"""Where the pixels of a simulated camera come from.
+"""Sources of the pixels of a simulated camera.
 
 A source is asked once per exposure for the whole sensor; the camera crops, applies the gain and packs.  Sources
 are named by "package.module:factory" with JSON arguments, because the camera may live in another process.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 
 class FrameSource(Protocol):
-    """What a sensor would see."""
+    """Source of sensor images."""
 
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """Return the sensor's image of one exposure.

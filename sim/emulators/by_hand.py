@@ -74,7 +74,7 @@ class HandScrews(Emulator):
         """Nothing happens at a switch: there is none, and a hand feels the end."""
 
     def _drum_mm(self, motor: Motor) -> float:
-        """What the drum shows: it counts turns of the screw, and was set where the world begins."""
+        """Reading of the drum, which counts turns of the screw and was set where the world begins."""
         built = motor.mechanics
         return built.power_up_mm + motor.encoder_steps * built.lead_mm / built.steps_per_rev
 

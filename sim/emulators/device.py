@@ -1,4 +1,4 @@
-"""What every emulator is made of: motors, a clock, power, and answers with the moment at which they are given.
+"""Base of every emulator: motors, a clock, power, and answers with the moment at which they are given.
 
 **Power.** `switch_off` halts the motors where they are and takes what firmware holds in volatile memory: bytes
 of a command that is not complete, answers not yet given, positions, references. `switch_on` begins anew, with a
@@ -99,7 +99,7 @@ class Emulator(ABC):
 
     @property
     def next_s(self) -> float | None:
-        """When firmware will act by itself, as far as is known."""
+        """Next moment at which firmware acts by itself, as far as is known."""
         return self._due_s[0] if self._due_s else None
 
     def restart(self, off_s: float = 0.0) -> None:
@@ -127,19 +127,19 @@ class Emulator(ABC):
 
     @property
     def is_on(self) -> bool:
-        """Whether it has power."""
+        """Return whether it has power."""
         return self._is_on
 
     def person_stops(self) -> None:  # noqa: B027 - not every box has a button
         """Somebody stops what moves, at the box or through another of its interfaces."""
 
     def purpose(self, channel: str) -> Purpose:
-        """What a motor that runs now runs for, as firmware knows it."""
+        """Purpose of the present motion of a motor, as firmware knows it."""
         return "move"
 
     @property
     def has_said(self) -> bool:
-        """Whether there is something to fetch with `said`."""
+        """Return whether there is something to fetch with `said`."""
         return bool(self._said)
 
     def said(self) -> list[TimedReply]:

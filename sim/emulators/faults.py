@@ -1,4 +1,4 @@
-"""What cables and converters do to bytes, on a schedule.
+"""Faults of cables and converters, on a schedule.
 
 A fault waits for the n-th answer of a controller (counted from 0 on the line) or, for ``unplug``, for a moment.
 A wire keeps its order: behind a late answer everything is late.

@@ -70,7 +70,7 @@ class ForeignBox(Emulator):
         self.called: list[tuple[str, str, float]] = []  # motions asked for: call, channel, mm
 
     def position_mm(self, channel: str) -> float:
-        """What the counter says."""
+        """Position by the box's own counter."""
         one = self._channels[channel]
         return (self._read(one) - one.zero + one.motor.flicker()) / one.steps_per_mm
 
@@ -78,7 +78,7 @@ class ForeignBox(Emulator):
         return one.motor.encoder_steps if self._encoder else one.motor.steps
 
     def busy(self, channel: str) -> bool:
-        """What the box says: not always the truth."""
+        """Return whether the box reports a motion: not always the truth."""
         one = self._channels[channel]
         return (one.motor.running or bool(one.seeks)) and self.event_s - one.begun_s >= self._early_s
 
@@ -157,7 +157,7 @@ class ForeignBox(Emulator):
 
 
 class Wire:
-    """What a simulated library has in its hands: a line of this process with the box at its end.
+    """Connection of a simulated library: a line of this process with the box at its end.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ class GrblEmulator(Emulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"user_string": name}
 
     # ---- power and buttons ---------------------------------------------------------------------
@@ -109,7 +109,7 @@ class GrblEmulator(Emulator):
 
     @property
     def is_held(self) -> bool:
-        """Whether a feed hold stands that only a person, or a reset, ends."""
+        """Return whether a feed hold stands that only a person, or a reset, ends."""
         return self._state == "Hold"
 
     def person_stops(self) -> None:
@@ -142,7 +142,7 @@ class GrblEmulator(Emulator):
         self._forget_work()
 
     def _forget_work(self) -> None:
-        """What every reset forgets: waiting lines, motions, the parser's modes."""
+        """Clear what every reset clears: waiting lines, motions, the parser's modes."""
         self._lines.clear()
         self._queue.clear()
         self._homing.clear()
@@ -340,7 +340,7 @@ class GrblEmulator(Emulator):
         return grbl.Ok()
 
     def _end_mm(self, name: str) -> float:
-        """Where a motor will be after everything queued."""
+        """Position of a motor after everything queued."""
         under_way = [] if self._under_way is None else [self._under_way]
         for motion in [*reversed(self._queue), *under_way]:
             if name in motion.targets_mm:

@@ -113,12 +113,12 @@ class Line:
 
     @property
     def reached(self) -> bool:
-        """Whether what the host has open leads to the box."""
+        """Return whether what the host has open leads to the box."""
         return self.owner is not None and not self.dead and self.opened_with == self.plugged
 
     @property
     def opened(self) -> bool:
-        """Whether somebody has it open."""
+        """Return whether somebody has it open."""
         return self.owner is not None
 
     def open(self, owner: object) -> None:
@@ -191,7 +191,7 @@ class Line:
             return arrived
 
     def next_s(self) -> float | None:
-        """When the next bytes will reach the host, as far as is known."""
+        """Next moment at which bytes reach the host, as far as is known."""
         with self.lock:
             moments = [self._coming[0].time_s] if self._coming else []
             if (acts_s := self.emulator.next_s) is not None:

@@ -70,7 +70,7 @@ class SimulatedCore:
         self._labels.clear()
 
     def deviceBusy(self, label: str) -> bool:  # noqa: N802
-        """Whether anything of a device moves, as the box says."""
+        """Return whether anything of a device moves, as the box says."""
         with self._box("busy") as box:
             return any(box.busy(channel) for channel in _channels(box, label))
 

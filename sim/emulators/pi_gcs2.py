@@ -121,7 +121,7 @@ class _Axis:
 
 @dataclass(frozen=True, slots=True)
 class StageMake:
-    """How the stages on a controller were made, and what its maker has set it up for.
+    """Stages on a controller as they were made, and the settings of their maker.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class PiEmulator(Emulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"serial": serial_number(name)}
 
     def person_stops(self) -> None:

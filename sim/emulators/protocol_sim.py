@@ -112,10 +112,10 @@ class SimSerial(serial.SerialBase):
 
 
 def _misread(data: bytes) -> bytes:
-    """What is read of bytes that were sent at another rate: as many others, some of which are no text."""
+    """Bytes read at a wrong rate: as many others, some of which are no text."""
     return bytes(0xFF & ~(7 * byte + 0x1D) for byte in data)
 
 
 def serial_class_for_url(url: str) -> tuple[str, type[SimSerial]]:
-    """What pyserial asks a handler for."""
+    """Class and URL that pyserial asks a handler for."""
     return url, SimSerial

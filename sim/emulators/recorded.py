@@ -51,7 +51,7 @@ class RecordedBox(Emulator):
 
     @property
     def differs(self) -> str:
-        """What was said otherwise than recorded, or not at all, so far; "" if nothing."""
+        """First difference from the recording so far, or what is still missing; "" if nothing."""
         left = [word for word in self._words[self._next :] if word.by == ">"]
         if self._differs or not left:
             return self._differs
@@ -67,7 +67,7 @@ class RecordedBox(Emulator):
 
     @property
     def next_s(self) -> float | None:
-        """When firmware will act by itself, as far as is known."""
+        """Next moment at which firmware acts by itself, as far as is known."""
         moments = (super().next_s, None if self._obeys is None else self._obeys.next_s)
         return min((moment for moment in moments if moment is not None), default=None)
 
@@ -89,7 +89,7 @@ class RecordedBox(Emulator):
             self._obeys.person_stops()
 
     def purpose(self, channel: str) -> Purpose:
-        """What a motor that runs now runs for."""
+        """Purpose of the present motion of a motor."""
         return "move" if self._obeys is None else self._obeys.purpose(channel)
 
     def _take(self, data: bytes) -> None:

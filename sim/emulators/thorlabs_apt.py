@@ -227,7 +227,7 @@ class AptEmulator(Emulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"serial": serial_number(name)}
 
     def channel(self, name: str) -> _Channel:

@@ -170,7 +170,7 @@ class ZaberEmulator(Emulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"serial": serial_number(name)}
 
     def person_stops(self) -> None:

@@ -50,7 +50,7 @@ class MeanFlow(Protocol):
         """A (N, 3, 3) [mm/s]; A A^T are the Reynolds stresses."""
 
     def holds(self, points_mm: Float64) -> Bool:
-        """Whether there is fluid (N,): behind walls there are no particles."""
+        """Return whether there is fluid (N,): behind walls there are no particles."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Flow:
         return np.asarray(amplitude @ np.swapaxes(amplitude, 1, 2))
 
     def holds(self, points_mm: Float64) -> Bool:
-        """Whether there is fluid (N,)."""
+        """Return whether there is fluid (N,)."""
         return self.base.holds(np.asarray(points_mm, np.float64))
 
 

@@ -75,7 +75,7 @@ class LightSheet:
 
 @dataclass(frozen=True)
 class Seeding:
-    """How densely and how unevenly the gas is seeded.
+    """Density and unevenness of the seeding.
 
     Parameters
     ----------

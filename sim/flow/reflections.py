@@ -1,4 +1,4 @@
-"""What stands still in every frame of a flow: balls that mirror the light sheet and the optics it comes from.
+"""Static light in every frame of a flow: balls that mirror the light sheet and the optics it comes from.
 
 A ray of the camera that meets a ball is followed to its mirror direction.  By the rim, where it grazes, most of
 the light is mirrored (Fresnel) and the mirror direction leads down to the sheet: a ring, smooth and brightest at
@@ -26,7 +26,7 @@ BLUR_RAD = 0.02
 
 @dataclass(frozen=True)
 class Reflections:
-    """How strong the light in the balls is.
+    """Strength of the light in the balls.
 
     Parameters
     ----------

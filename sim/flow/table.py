@@ -40,7 +40,7 @@ FIELDS: dict[str, Any] = {
 
 
 class FlowTable(Table):
-    """What flows on the simulated bench."""
+    """Flow of the simulated bench."""
 
     field: Literal["uniform", "shear", "vortex", "jet", "channel", "turbulent_channel"] = "jet"
     parameters: dict[str, Any] = Field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What a window of a measurement sees of a flow that is known: averages over its area and across the sheet.
+"""A known flow as a window measures it: averages over its area and across the sheet.
 
 A vector is, at best, the mean of the velocity over the window's area, weighted across the sheet by what both
 pulses light: a particle counts by the product of its light in A and B, so exp(-16 z^2/w^2), narrower than the

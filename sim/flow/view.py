@@ -103,7 +103,7 @@ class _Table:
 
 
 class ParticleView:
-    """What a camera sees of points of light between two heights.
+    """Images in a camera of points of light between two heights.
 
     Parameters
     ----------

@@ -98,7 +98,7 @@ class PacedClock(VirtualClock):
         self.sleep_s(time_s - self.now_s())
 
     def wall_ns(self, time_s: float) -> int:
-        """When a moment is on the wall's monotonic clock, by the pace that is kept or was kept last."""
+        """Moment on the wall's monotonic clock, by the pace that is kept or was kept last."""
         with self._lock:
             self._follow()
             return round(1e9 * (time_s + self._ahead_s))
@@ -133,7 +133,7 @@ class ScaledClock:
         return world_s + (time.monotonic() - wall_s) * speed
 
     def wall_ns(self, time_s: float) -> int:
-        """When a moment is on the wall's monotonic clock."""
+        """Moment on the wall's monotonic clock."""
         wall_s, world_s, speed = self._last
         return round(1e9 * (wall_s + (time_s - world_s) / speed))
 

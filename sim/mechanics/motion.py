@@ -32,7 +32,7 @@ BISECTIONS = 50  # a double is exhausted before
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """What the workshop built.
+    """Mechanics of one axis as it was built.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Motor:
 
     @property
     def encoder_steps(self) -> int:
-        """What an encoder on the motor shaft counts."""
+        """Count of an encoder on the motor shaft."""
         return self.steps - self._lost_steps
 
     def flicker(self) -> int:
@@ -167,7 +167,7 @@ class Motor:
 
     @property
     def carriage_mm(self) -> float:
-        """Where the carriage really is."""
+        """True position of the carriage."""
         return self._carriage_mm
 
     # ---- what may happen to it -----------------------------------------------------------------
@@ -313,7 +313,7 @@ class Motor:
         return edges
 
     def _free(self, low_mm: float, high_mm: float) -> bool:
-        """Whether there is plainly no edge on this way; most ways are so, and short."""
+        """Return whether there is plainly no edge on this way; most ways are so, and short."""
         mechanics = self.mechanics
         return (
             self.obstacle_mm is None

@@ -1,1 +1,1 @@
-"""What the simulated camera sees: an independent ray tracer, and the noise of its sensor."""
+"""Images of the simulated camera: an independent ray tracer, and the noise of its sensor."""

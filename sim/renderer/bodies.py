@@ -17,7 +17,7 @@ from tracer.scene.scene import Scene
 
 
 def uneven_numbers(ball: Sphere) -> list[float]:
-    """What follows in the row of a ball out of round, as `sim.renderer.kernels.uneven` reads it."""
+    """Further numbers in the row of a ball out of round, as `sim.renderer.kernels.uneven` reads them."""
     heights = {
         (degree, order): 1e-3 * um
         for (_, degree, order), um in zip(TERMS, ball.shape_um, strict=True)
@@ -38,7 +38,7 @@ def uneven_numbers(ball: Sphere) -> list[float]:
 
 
 class Wall(NamedTuple):
-    """What the renderer knows of a kind of wall.
+    """A kind of wall as the renderer knows it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is printed on the target: functions from a point of the printed sheet [mm] to reflectance 0..1.
+"""Prints on the target: functions from a point of the printed page [mm] to reflectance 0..1.
 
 A sheet has its own axes: x right and y up on the paper, origin where the scene has its world origin.  Its
 ``Pose`` puts it into the world, so a target that sits 0.2 mm beside its nominal place, or is moved by a
@@ -167,7 +167,7 @@ class Plate(PrintedBoard):
 
     @property
     def face_mm(self) -> float:
-        """How far the face lies before the plane of the target, in which the origin is."""
+        """Height of the face before the plane of the target, in which the origin is."""
         assert self.dots is not None
         return max(-self.dots.step_mm, 0.0)
 

@@ -272,7 +272,7 @@ def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, flo
 
 
 def _beside(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, float]) -> bool:
-    """Whether a box around a body, along the sheet's axes, has no point in common with the sheet."""
+    """Return whether a box around a body, along the sheet's axes, has no point in common with the sheet."""
     *ends, radius_mm = body.capsule
     places = (np.array(ends) - plane[0]) @ plane[1:3].T
     low, high = places.min(axis=0) - radius_mm, places.max(axis=0) + radius_mm

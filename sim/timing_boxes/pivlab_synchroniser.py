@@ -47,7 +47,7 @@ class OltSyncEmulator(PulsingEmulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"name": f"oltSync:{serial_number(name)}"}
 
     def person_stops(self) -> None:
@@ -111,7 +111,7 @@ class XmSyncEmulator(OltSyncEmulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"name": f"SYNC_{serial_number(name)}"}
 
     def _introduce(self, question: Question) -> None:

@@ -69,7 +69,7 @@ class PulseBoxEmulator(Emulator):
 
     @property
     def next_s(self) -> float | None:
-        """When its timer ticks or its input changes."""
+        """Next moment at which its timer ticks or its input changes."""
         next_s = min([self._tick_s, *(time_s for time_s, _ in self._edges[:1])])
         return None if math.isinf(next_s) else next_s
 

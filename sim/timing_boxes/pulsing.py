@@ -1,4 +1,4 @@
-"""What boxes are made of that give pulses by themselves: periods that begin, pulses on their way, and the outputs.
+"""Base of boxes that give pulses by themselves: periods that begin, pulses on their way, and the outputs.
 
 A period begins at its moment on the world's clock, whoever listens and whether or not the host still lives; what
 falls into it is put on its way then, and leaves at its own moment, in order.  Who hangs on an output hears each:
@@ -49,7 +49,7 @@ class Outputs:
             hear(pulse)
 
     def is_high(self, output: str, time_s: float) -> bool:
-        """Whether an output was high at a moment that is not too long ago."""
+        """Return whether an output was high at a moment that is not too long ago."""
         for pulse in reversed(self.recent):
             if pulse.output == output and pulse.rises_s <= time_s:
                 return time_s < pulse.falls_s
@@ -73,12 +73,12 @@ class PulsingEmulator(Emulator):
 
     @property
     def is_running(self) -> bool:
-        """Whether it gives pulses."""
+        """Return whether it gives pulses."""
         return self._period_begins_s is not None
 
     @property
     def has_something_to_stop(self) -> bool:
-        """Whether a key that stops it, or an off, would end something."""
+        """Return whether a key that stops it, or an off, would end something."""
         return self.is_running
 
     def switch_off(self) -> None:
@@ -88,7 +88,7 @@ class PulsingEmulator(Emulator):
 
     @property
     def next_s(self) -> float | None:
-        """When the next period or pulse is due."""
+        """Next moment at which a period or pulse is due."""
         moments = [self._coming[0][0]] if self._coming else []
         moments += self._due_s[:1]
         if self._period_begins_s is not None:
@@ -120,7 +120,7 @@ class PulsingEmulator(Emulator):
         heapq.heapify(self._coming)
 
     def _lets_out(self) -> bool:
-        """Whether a pulse that leaves now gets out of the box."""
+        """Return whether a pulse that leaves now gets out of the box."""
         return True
 
     def _end_periods(self) -> None:

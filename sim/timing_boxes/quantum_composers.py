@@ -76,7 +76,7 @@ LONG_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """Which box of the family it is, and how it was set up.
+    """Model of the family, and its settings.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Variant:
 
     @property
     def has_clock_mode(self) -> bool:
-        """Whether its clock has a mode; else it is one word."""
+        """Return whether its clock has a mode; else it is one word."""
         return self.model.partition(",")[2].startswith(HAS_CLOCK_MODE)
 
 
@@ -128,7 +128,7 @@ class _Channel:
         self.waits = int(self.words.get("WCO", "0"))
 
     def tick(self, mode: str) -> bool:
-        """Whether there is a pulse at this tick."""
+        """Return whether there is a pulse at this tick."""
         if not self.on:
             return False
         kind = self.words[mode]
@@ -185,16 +185,16 @@ class QuantumComposersEmulator(PulsingEmulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"serial": serial_number(name)}
 
     @classmethod
     def model_of(cls, box: str) -> dict[str, Any]:
-        """What makes it the box that a bench file names."""
+        """Options that make it the box that a bench file names."""
         return {"variant": Variant(MODELS[box])} if box in MODELS else {}
 
     def is_on_at(self, number: int) -> bool:
-        """Whether T0 (0) or an output is on, for tests that look inside."""
+        """Return whether T0 (0) or an output is on, for tests that look inside."""
         return self._all[number].on
 
     def fed_by(self, number: int) -> set[str]:

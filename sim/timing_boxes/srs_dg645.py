@@ -67,12 +67,12 @@ class Dg645Emulator(PulsingEmulator):
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
-        """What tells this box from another of its kind."""
+        """Options that distinguish this box from another of its kind."""
         return {"serial": serial_number(name)}
 
     @property
     def has_something_to_stop(self) -> bool:
-        """Whether it gives cycles or is ready to."""
+        """Return whether it gives cycles or is ready to."""
         return self.is_running or self._settings["BURM"] == 1
 
     def set_inside(self, word: str, value: float) -> None:
@@ -103,7 +103,7 @@ class Dg645Emulator(PulsingEmulator):
         self._end_periods()
 
     def _comes_s(self, channel: int) -> float:
-        """When a channel comes behind T0, along its references."""
+        """Delay of a channel behind T0, along its references."""
         after_s = 0.0
         while channel > 1:
             channel, delay_s = self._delays[channel]

@@ -31,7 +31,7 @@ CONTACT_MM = 0.025  # by which bodies named in `contact` may overlap the target,
 
 
 class Carried(NamedTuple):
-    """What an axis carries: element, index of the world direction, its position where the scene file holds."""
+    """Element that an axis carries, index of the world direction, and its position where the scene file holds."""
 
     element: str
     direction: Literal[0, 1, 2]
@@ -82,7 +82,7 @@ class _Elements:
     is_moving: bool = False
 
     def place(self, at_mm: Mapping[str, float]) -> Point:
-        """Where the first element is relative to the second."""
+        """Place of the first element relative to the second."""
         place = [0.0, 0.0, 0.0]
         for axis, (direction, sense, scene_at_mm) in self.axes.items():
             place[direction] += sense * (at_mm[axis] - scene_at_mm)
@@ -287,7 +287,7 @@ def _pair(one: _Capsule | _Box, other: _Capsule | _Box, table: "KeepOutTable") -
 
 
 def _slack(axes: Mapping[str, tuple[int, int, float]], slack_mm: Mapping[str, float]) -> float:
-    """What two elements may truly be off along the worst direction."""
+    """Tolerance of two elements along the worst direction."""
     along_each = [0.0, 0.0, 0.0]
     for axis, (direction, _, _) in axes.items():
         along_each[direction] += slack_mm[axis]

@@ -110,7 +110,7 @@ class Watched:
         return self.sign * (carriage_mm - self.zero_mm) + self.offset_mm
 
     def outside_mm(self, at_mm: float) -> float:
-        """How far a position is outside the limits, 0 within."""
+        """Distance of a position outside the limits, 0 within."""
         return max(self.limits_mm[0] - at_mm, at_mm - self.limits_mm[1], 0.0)
 
 
@@ -138,7 +138,7 @@ class _Noted(NamedTuple):
 
     @property
     def brakes(self) -> bool:
-        """Whether its speed falls."""
+        """Return whether its speed falls."""
         return abs(self.end_speed) < abs(self.begin_speed)
 
 
@@ -299,7 +299,7 @@ class Witness:
             self._clearances.rested()
 
     def _put(self, glide: _Noted) -> None:
-        """What happened in no time: a carriage has slipped, a screw was turned."""
+        """Note a change of no duration: a carriage has slipped, a screw was turned."""
         self.axes[glide.axis].at_mm = glide.end_mm
         if self._clearances is not None:
             self._clearances.put(glide.axis, glide.end_mm)

@@ -32,7 +32,7 @@ GC_ERR_ERROR = -1001
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """What differs between processors."""
+    """Code and constants of one type of processor."""
 
     elf_machine: int
     relative: int  # relocation types

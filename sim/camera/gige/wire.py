@@ -160,7 +160,7 @@ class Block:
         return -(-(self.frame.picture.payload.size + len(self.frame.tail)) // self.data_bytes) + 1
 
     def is_unsent(self, packet: int) -> bool:
-        """Whether this packet is never sent: the second half of a frame that is to arrive incomplete."""
+        """Return whether this packet is never sent: the second half of a frame that is to arrive incomplete."""
         return self.frame.is_incomplete and self.last_packet // 2 < packet < self.last_packet
 
     def packet(self, number: int) -> tuple[bytes, memoryview | bytes]:

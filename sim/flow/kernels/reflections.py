@@ -1,4 +1,4 @@
-"""What balls mirror into the camera: the sheet, and the optics that the sheet comes from."""
+"""Reflections of balls into the camera: of the sheet, and of the optics that the sheet comes from."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Where points of light are seen: the rays of a grid of pixels lead near each image, rays of its own to it.
+"""Images of points of light: the rays of a grid of pixels lead near each image, rays of its own to it.
 
 A node holds the last straight way of its ray: x and y where it crosses z = 0 and its slopes dx/dz and dy/dz.  At
 height z a ray is at x + z dx/dz: one table serves the whole depth of a light sheet.

@@ -227,7 +227,7 @@ def camera_ray(
 
 @kernel
 def may_meet(u: float, v: float, camera: Float64, bounds: Float64) -> bool:
-    """Whether a ray of this pixel may meet a ball of `bounds` (x, y, z, radius); errs on the safe side."""
+    """Return whether a ray of this pixel may meet a ball of `bounds` (x, y, z, radius); errs on the safe side."""
     ox, oy, oz, dx, dy, dz = camera_ray(u, v, 0.0, 0.0, camera)
     for index in range(bounds.shape[0]):
         x, y, z = bounds[index, 0] - ox, bounds[index, 1] - oy, bounds[index, 2] - oz

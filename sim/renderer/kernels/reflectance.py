@@ -147,7 +147,7 @@ def printed_image(points: Float64, image: Float32, pixel: float, outside: float,
 def sharp_image(
     places: Float64, image: NDArray[np.uint8], side: int, dark: float, bright: float, out: Float32
 ) -> None:
-    """What an image with `side` pixels a unit shows at places (N, 2) from its lower left; bright around it."""
+    """Reflectance of an image with `side` pixels a unit at places (N, 2) from its lower left; bright around it."""
     rows, columns = image.shape
     for index in range(places.shape[0]):
         column, row = np.floor(places[index, 0] * side), rows - 1.0 - np.floor(places[index, 1] * side)

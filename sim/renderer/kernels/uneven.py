@@ -25,7 +25,7 @@ LOWEST = 2
 
 @kernel
 def is_uneven(s: Float64) -> bool:
-    """Whether the row is one of a ball out of round."""
+    """Return whether the row is one of a ball out of round."""
     return bool(s.shape[0] > SOLID and s[SOLID] == UNEVEN)
 
 
@@ -50,7 +50,7 @@ def radius_at(x: float, y: float, z: float, s: Float64) -> float:
 
 @kernel
 def beyond(x: float, y: float, z: float, s: Float64) -> float:
-    """How far a point, relative to the centre, is outside."""
+    """Distance of a point, relative to the centre, from the surface; positive outside."""
     return float(np.sqrt(x * x + y * y + z * z) - radius_at(x, y, z, s))
 
 
