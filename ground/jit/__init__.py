@@ -1,7 +1,6 @@
 """Compiling of kernels; the only place where numba options are chosen.
 
     compiler       where kernels are given to numba, as late as that can be
-    without_owner  `unowned` as numba compiles it: arrays whose slices count no references
     kernel_cache   where compiled kernels are kept
     compile_news   that kernels are being compiled
     signatures     types of a kernel's arguments, to be compiled for ahead of any call
@@ -15,20 +14,22 @@ Every kernel of every package is compiled through ``kernel``:
   would use the one, later ones the other: such functions are `kernel_inlined`, and exist once.
 * ``error_model="numpy"``: 0/0 is NaN, never an exception inside a loop.
 * An integer written in a call is an int64 as any other, so that a kernel is compiled once for both (`compiler`).
+* No runtime of numba's own (``_nrt``): a kernel that allocates does not compile, and a slice counts no references.
+  Counting them, by locked instructions on one cache line that all threads share, took half of the time of a map,
+  and more with more threads.  The caller of a kernel holds its arrays until it returns.
 * ``nogil=True``: the row scheduler (ground.rows) runs kernels on all cores from ordinary threads.
 * ``cache=True`` with a folder for each file that changes with all it is compiled from, see `kernel_cache`.
 
 What belongs together comes as a named tuple where a function is called once for many rays (`RowScratch`,
 `NodeScratch`, `Mirrors`, `World`), unpacked once at its top: measured, it costs nothing there.  What is inlined
-for each ray (`land`, `turned_tangent`, `keep_view`) takes its numbers one by one: they stay in registers, while
-taking an array out of a tuple within a loop is not free.
+for each ray takes vectors as tuples of three numbers (``tracer.kernels.vectors``), which stay in registers.
 
 ``kernel`` functions take scalars and contiguous arrays, write into ``out`` arguments that stand last,
 allocate nothing and raise nothing.  Each is also tested as plain Python through ``.py_func``.
 
 A kernel is given to numba when it is first called, with those that it calls, and numba is imported no earlier: a
 command that traces nothing waits for neither, one that does finds the machine code of what it calls, in which its
-callees already are.  What numba itself is taught (`overload`, `unowned`) waits as well; see `compiler`.
+callees already are.  What numba itself is taught (`overload`) waits as well; see `compiler`.
 """
 
 from collections.abc import Callable
@@ -44,7 +45,13 @@ else:  # a command asks for news of compiling before anything needs NumPy
     Array = Any
 F = TypeVar("F", bound=Callable[..., Any])
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+_OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "_nrt": False,
+    "nogil": True,
+    "fastmath": {"contract"},
+    "error_model": "numpy",
+}
 OVERLOADED: Any = {name: value for name, value in _OPTIONS.items() if name != "cache"}  # what types choose
 overloads: list[tuple[Any, Callable[..., Any], dict[str, Any]]] = []  # not yet given to numba
 _one_at_a_time = RLock()  # kernels are called from many threads
@@ -115,13 +122,3 @@ def overload(function: Callable[..., Any], **options: Any) -> Callable[[F], F]: 
         return writer
 
     return kept
-
-
-def unowned(array: Array) -> Array:
-    """Return the same array, whose slices do not count references.
-
-    A compiled function counts the references to an array's memory at each slice, by locked instructions on one
-    cache line that all threads share: half the time of a map, and more with more threads.  The caller of a
-    kernel holds its arrays until it returns, so nothing needs to be counted.
-    """
-    return array

@@ -4,8 +4,6 @@ Numba meets our `Kernel` objects as globals of the functions that it compiles, a
 of it here.
 """
 
-import ground.jit.without_coverage  # before all else that imports numba
-
 # isort: split
 import gc
 import glob
@@ -26,7 +24,6 @@ from numba.extending import overload, typeof_impl
 
 import ground.jit.compile_news as compile_news
 import ground.jit.shipped as shipped
-import ground.jit.without_owner  # noqa: F401 - teaches numba
 from ground.jit import Kernel, overloads
 from ground.jit.compile_news import CompileCount
 from ground.jit.kernel_cache import cache_folder, digest_of

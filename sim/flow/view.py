@@ -193,10 +193,11 @@ class ParticleView:
         out = np.zeros((height, width), np.float32)
 
         def band(first: int, last: int) -> None:
+            across = np.empty(self._spots.shape[1])
             for index in range(first, last):
                 rows = slice(index * BAND_ROWS, min((index + 1) * BAND_ROWS, height))
                 near = ordered[ends[index] - counts[index] : ends[index + 2]]  # the bands above and below, too
-                splat(near, rows.start, rows.stop, self._spots, out)
+                splat(near, rows.start, rows.stop, self._spots, across, out)
 
         run_rows(band, bands, 1)
         return out

@@ -14,7 +14,6 @@ from ground.jit.kernel_cache import PACKAGES, ROOT, dependencies, digest_of
 KERNELS = sorted(path for name in PACKAGES for path in (ROOT / name).glob("**/kernels/*.py"))
 TREE = {
     "ground/jit/__init__.py": "from ground.jit.kernel_cache import cache_folder\n",
-    "ground/jit/without_owner.py": "import ground.jit\n",
     "tracer/constants.py": "import tracer.far\nSIDE = 2.0\n",
     "tracer/far.py": "",
     "tracer/kernels/inner.py": "from tracer.constants import SIDE\n",
@@ -54,7 +53,6 @@ def tree(tmp_path):
         ("sphere", {"sphere", "world", "rays"}),  # reached by type
         ("alone", {"alone"}),
         ("__init__", {Path(name).stem for name in TREE}),
-        ("without_owner", {Path(name).stem for name in TREE}),
     ],
 )
 def test_an_edit_is_seen_by_what_is_compiled_from_it_and_by_nothing_else(tree, edited, seen_by):
@@ -70,8 +68,7 @@ def test_a_file_that_moves_is_compiled_anew(tmp_path):
         place.parent.mkdir(parents=True)
         place.write_text("import numpy as np\n")
     (tmp_path / "ground/jit").mkdir(parents=True)
-    for name in ("__init__", "without_owner"):
-        (tmp_path / "ground/jit" / f"{name}.py").touch()
+    (tmp_path / "ground/jit/__init__.py").touch()
     rooms = [digest_of(tmp_path / room / "kernels/rays.py", tmp_path) for room in ("daq", "daq/acquisition")]
     assert rooms[0] != rooms[1]
 

@@ -15,6 +15,7 @@ from tracer.bodies import Core
 from tracer.camera import Lens
 from tracer.kernels.landing import STATE, trace_landings
 from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.world import MOST_NUMBERS
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose, landings, parameter_names
@@ -145,7 +146,7 @@ def test_compiled_and_interpreted_agree_and_lost_rays_are_nan():
     )
     directions, camera = scene.camera.directions(pixels), pack_camera(scene.camera)
     world = (world_of(scene), POSE.packed(), scene.n_ambient)
-    scratch = (np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE)))
+    scratch = (np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE)), np.zeros(MOST_NUMBERS))
     trace_landings.py_func(pixels, directions, camera, *world, 0, 3, *scratch, *out)
     np.testing.assert_array_equal(out[0], found.status)
     np.testing.assert_allclose(out[4], found.rate, rtol=1e-9, atol=1e-12)

@@ -6,7 +6,7 @@ from ground.jit import Array, kernel
 from tracer.kernels.branches import UNKNOWN
 from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, pixel_ray
 from tracer.kernels.march import march
-from tracer.kernels.world import RECOVERED, World, unowned_world
+from tracer.kernels.world import RECOVERED, World
 
 
 @kernel
@@ -20,7 +20,6 @@ def march_doubted(
     (B, K, 3): of each branch and rod a, b, c, where points with a x + b y >= c are seen past it.  ``keys`` (B,) of
     the branches; another one is UNKNOWN in ``branch`` (H, W).
     """
-    world = unowned_world(world)
     for row in range(first, last):
         for column in range(branch.shape[1]):
             number, x, y = branch[row, column], plane[row, column, 0], plane[row, column, 1]

@@ -37,9 +37,7 @@ for each of its own numbers.
 import math
 from typing import Any
 
-import numpy as np
-
-from ground.jit import Array, kernel, kernel_composed, unowned
+from ground.jit import Array, kernel, kernel_composed
 from tracer.kernels.ball import back_through_shaped, is_shaped
 from tracer.kernels.branches import NOTHING, body_of
 from tracer.kernels.camera import (
@@ -69,12 +67,10 @@ from tracer.kernels.march import Crossing, walk
 from tracer.kernels.sphere import INDEX, RADIUS, angles, through, through_rates, with_cores, with_cores_rates
 from tracer.kernels.world import (
     MISSED_PLANE,
-    MOST_NUMBERS,
     RECOVERED,
     World,
     place_of_other,
     rates_other,
-    unowned_world,
 )
 
 STATE = 8  # w, d, m, b2 of each body crossed
@@ -258,7 +254,7 @@ def camera_rates(
 @kernel
 def trace_landings(
     pixels: Array, directions: Array, camera: Array, world: World, target: Array, n_ambient: float,
-    first: int, last: int, trail: Array, state: Array, status: Array, key: Array, point: Array, by_pixel: Array,
+    first: int, last: int, trail: Array, state: Array, move: Array, status: Array, key: Array, point: Array, by_pixel: Array,
     rate: Array, by_shape: Array,
 ) -> None:  # fmt: skip
     """Trace pixels first..last-1 onto a target plane with all derivatives.
@@ -269,12 +265,9 @@ def trace_landings(
     the other bodies' numbers; by_shape (N, 2, S, 50), or (0, 2, S, 50) where all spheres are round.  NaN unless
     recovered.
     """
-    world, trail, state = unowned_world(world), unowned(trail), unowned(state)
-    point, by_pixel, rate = unowned(point), unowned(by_pixel), unowned(rate)
     spheres = world.spheres
     of_others = CAMERA_NUMBERS + SPHERE_NUMBERS * spheres.shape[0]
     place = rate.shape[2] - TARGET_NUMBERS
-    move = np.zeros(MOST_NUMBERS if len(world.others) > 0 else 0)
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
     for i in range(first, last):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]

@@ -10,7 +10,7 @@ places of the tile.  ``box`` (12 + 2 LANES,) is that of `box_of`.
 
 from typing import NamedTuple
 
-from ground.jit import Array, kernel_inlined, unowned
+from ground.jit import Array
 from tracer.kernels.candidates import Lists, Neighbours
 
 LANES = 256
@@ -65,28 +65,3 @@ class Bundle(NamedTuple):
     group_marks: Array
     group_of: Array
     lists: Lists
-
-
-@kernel_inlined
-def unowned_bundle(bundle: Bundle) -> Bundle:
-    """Return a bundle whose arrays do not count references; see `unowned`."""
-    lists = bundle.lists
-    return Bundle(
-        unowned(bundle.rays), unowned(bundle.marks), unowned(bundle.ends), unowned(bundle.fates),
-        unowned(bundle.trail), unowned(bundle.box), unowned(bundle.grouped), unowned(bundle.group_marks),
-        unowned(bundle.group_of),
-        Lists(
-            unowned(lists.begin), unowned(lists.size), unowned(lists.ball), unowned(lists.least),
-            unowned(lists.used),
-        ),
-    )  # fmt: skip
-
-
-@kernel_inlined
-def unowned_bed(bed: Bed) -> Bed:
-    """Return a bed whose arrays do not count references."""
-    near = Neighbours(unowned(bed.near.begin), unowned(bed.near.items), bed.near.horizon)
-    return Bed(
-        near, unowned(bed.clusters), unowned(bed.spheres), unowned(bed.frame), unowned(bed.begin),
-        unowned(bed.items), unowned(bed.home), bed.alike, bed.clear,
-    )  # fmt: skip

@@ -62,7 +62,6 @@ from tracer.kernels.world import (
     leave_other,
     next_body,
     rates_other,
-    unowned_world,
 )
 
 MAX_EVENTS = 64  # bodies crossed by one ray; a bed of a thousand spheres stays below 20
@@ -73,7 +72,6 @@ Tangents = tuple[float, float, float, float, float, float, float, float, float, 
 @kernel
 def trace_rays(origins: Array, directions: Array, world: World, first: int, last: int, rays: Array) -> None:
     """Trace rays first..last-1 from origins (N, 3) along unit directions (N, 3) into records (trace.RAY)."""
-    world = unowned_world(world)
     for i in range(first, last):
         px, py, pz = origins[i, 0], origins[i, 1], origins[i, 2]
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -103,7 +101,6 @@ def trace_rows(
     camera: Array, world: World, first: int, last: int, point: Array, status: Array, key: Array
 ) -> None:
     """Trace the pixels of rows first..last-1: plane points (H, W, 2), status and branch key (H, W)."""
-    world = unowned_world(world)
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
     for row in range(first, last):
         for column in range(point.shape[1]):

@@ -16,7 +16,7 @@ all stay.
 
 from typing import NamedTuple
 
-from ground.jit import Array, kernel, unowned
+from ground.jit import Array, kernel
 from tracer.kernels.branches import UNKNOWN, branch_number
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import (
@@ -257,12 +257,10 @@ def sensor_rows(
     Outputs: ``unknown`` (H,) int64, pixels a row without a branch number, ``point`` (H, 2 W), ``status`` and
     ``branch`` (H, W).
     """
-    camera, balls = unowned(camera), unowned(balls)
-    x, y, spans, wanted = unowned(scratch.x), unowned(scratch.y), unowned(scratch.spans), unowned(scratch.wanted)
-    rays, trips = unowned(scratch.rays), unowned(scratch.trips)
-    point, status, branch = unowned(point), unowned(status), unowned(branch)
+    x, y, spans, wanted = scratch.x, scratch.y, scratch.spans, scratch.wanted
+    rays, trips = scratch.rays, scratch.trips
     mirror_x, mirror_y = mirrors.in_x, mirrors.in_y
-    swap_x, swap_y = unowned(mirrors.swap_x), unowned(mirrors.swap_y)
+    swap_x, swap_y = mirrors.swap_x, mirrors.swap_y
     width = status.shape[1]
     bodies = balls.shape[0]
     flat_columns(flat, camera, x)

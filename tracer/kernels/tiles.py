@@ -18,7 +18,7 @@ afterwards (`copy_book`).
 import math
 from typing import NamedTuple
 
-from ground.jit import Array, kernel, unowned
+from ground.jit import Array, kernel
 from tracer.kernels import chain
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.bundle import follow_bundle
@@ -48,8 +48,6 @@ from tracer.kernels.lanes import (
     PZ,
     Bed,
     Bundle,
-    unowned_bed,
-    unowned_bundle,
 )
 from tracer.kernels.march import MAX_EVENTS
 from tracer.kernels.window import BEHIND, GLASS, THICKNESS
@@ -261,13 +259,6 @@ def trace_tiles(
     plane points (H, 2 W), status (H, W) uint8, entries in the book (H, W) uint32, and ``odd`` (H,) int64, which
     counts in the tiles' first row what only `march` can follow through the windows.
     """
-    camera, balls, bed, windows = unowned(camera), unowned(balls), unowned_bed(bed), unowned(windows)
-    passed = unowned(passed)
-    point, status, entry = unowned(point), unowned(status), unowned(entry)
-    bundle = unowned_bundle(bundle)
-    book = BranchBook(
-        unowned(book.slots), unowned(book.hashes), unowned(book.begin), unowned(book.met), unowned(book.counts)
-    )
     rays, marks, ends = bundle.rays, bundle.marks, bundle.ends
     width = status.shape[1]
     while tile * SIDE < width:

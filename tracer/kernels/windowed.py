@@ -24,7 +24,7 @@ Mirror images are copied as in ``tracer.kernels.sensor``.
 import math
 from typing import NamedTuple
 
-from ground.jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.apparent import all_open, image_box, seem
 from tracer.kernels.branches import UNKNOWN
 from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, axes_of
@@ -249,17 +249,9 @@ def windowed_rows(
     branch: Array,
 ) -> None:  # fmt: skip
     """Trace rows first..last-1 as `sensor_rows` does; `windows` (K, 10) from the camera on."""
-    camera, balls, windows = unowned(camera), unowned(balls), unowned(windows)
-    scratch = RowScratch(
-        unowned(scratch.x), unowned(scratch.y), unowned(scratch.spans), unowned(scratch.wanted),
-        unowned(scratch.rays), unowned(scratch.trips),
-    )  # fmt: skip
     x, y, spans, rays, trips = scratch.x, scratch.y, scratch.spans, scratch.rays, scratch.trips
-    fates, box, faces, discs = (
-        unowned(beside.fates), unowned(beside.box), unowned(beside.faces), unowned(beside.discs),
-    )  # fmt: skip
-    point, status, branch = unowned(point), unowned(status), unowned(branch)
-    swap_x, swap_y = unowned(mirrors.swap_x), unowned(mirrors.swap_y)
+    fates, box, faces, discs = beside
+    swap_x, swap_y = mirrors.swap_x, mirrors.swap_y
     width = status.shape[1]
     bodies, inner = balls.shape[0], windows[windows.shape[0] - 1]
     flat_columns(flat, camera, x)

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ground.jit import OVERLOADED, Array, kernel, kernel_inlined, overload, unowned
+from ground.jit import OVERLOADED, Array, kernel, kernel_inlined, overload
 from tracer.kernels.ball import next_shaped
 from tracer.kernels.branches import FIRST_OTHER, NOTHING
 from tracer.kernels.rooms import ONE_ROOM, Rooms
@@ -173,23 +173,6 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[type, Kind] = {}
-
-
-@kernel_inlined
-def unowned_world(world: World) -> World:
-    """Return a world whose arrays do not count references; see `unowned`."""
-    rooms = world.rooms
-    return World(
-        unowned(world.spheres), unowned(world.frame), unowned(world.begin), unowned(world.items), world.others,
-        Rooms(unowned(rooms.home), unowned(rooms.inside), unowned(rooms.wall), unowned(rooms.n), rooms.first),
-        unowned(world.still), world.shapes,
-    )  # fmt: skip
-
-
-@kernel_inlined
-def unowned_tables(tables: Tables) -> Tables:
-    """Return the tables of a scene, camera and bodies, as `unowned`."""
-    return unowned(tables[0]), unowned_world(tables[1])
 
 
 @kernel

@@ -23,7 +23,7 @@ from tracer.harmonics import COUNT, NAMES, to_polynomials
 from tracer.kernels.ball import EVEN, MEAN, SHAPE_NUMBERS
 from tracer.kernels.landing import STATE, trace_landings
 from tracer.kernels.march import MAX_EVENTS
-from tracer.kernels.world import KINDS, World
+from tracer.kernels.world import KINDS, MOST_NUMBERS, World
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import RayStatus, pack_camera, world_of
 
@@ -192,9 +192,9 @@ def landings_through(
     point, by_pixel, rate = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2, len(names)))
 
     def work(first: int, last: int) -> None:
-        trail, state = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE))
+        trail, state, move = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE)), np.zeros(MOST_NUMBERS)
         trace_landings(
-            points, directions, packed, world, pose, n_ambient, first, last, trail, state, status, key,
+            points, directions, packed, world, pose, n_ambient, first, last, trail, state, move, status, key,
             point, by_pixel, rate, by_shape,
         )  # fmt: skip
 

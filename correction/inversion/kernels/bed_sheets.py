@@ -39,20 +39,19 @@ from correction.inversion.kernels.newton import (
     slopes_along,
     solve_block,
     solve_patiently,
-    unowned_ways,
 )
 from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
 from correction.inversion.kernels.views import ANOTHER, begin_group, judge_trips, keep_group, put_off
-from ground.jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined
 from piv.resampling.kernels.bspline import INDEX
 from tracer.kernels.bundle import follow_bundle
 from tracer.kernels.chain import TRIP, whole_vectors
-from tracer.kernels.lanes import DX, DY, END_DZ, EVENTS, FATE, Bed, Bundle, unowned_bed, unowned_bundle
+from tracer.kernels.lanes import DX, DY, END_DZ, EVENTS, FATE, Bed, Bundle
 from tracer.kernels.lanes import LANES as IN_BUNDLE
 from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
 from tracer.kernels.tiles import aim_lanes, end_behind, land_lanes, pass_windows
 from tracer.kernels.world import RECOVERED as TRACED
-from tracer.kernels.world import Tables, unowned_tables
+from tracer.kernels.world import Tables
 
 REACH, WHOLE = 0.7, 1.0
 SHARP = 1e-7  # relative error of derivatives that are not traced again after the last step; float32 holds 6e-8
@@ -238,10 +237,6 @@ def scatter_sheet(
     beyond ENOUGH_NODES.  ``cursor`` (3,) int64 is where to begin and then where to go on: TILING, EDGES or DONE,
     run, column.  Scratch: ``listed`` (LANES,) int64, ``measured`` (MEASURES,), ``block`` (NEWTON_NUMBERS,).
     """
-    plane, branch, flags, runs = unowned(plane), unowned(branch), unowned(flags), unowned(runs)
-    weight, taken, starts, nodes = unowned(weight), unowned(taken), unowned(starts), unowned(nodes)
-    tables, ways, block = unowned_tables(tables), unowned_ways(ways), unowned(block)
-    grid, listed, measured = unowned(grid), unowned(listed), unowned(measured)
     tiled = found = 0
     for sweep in range(cursor[0], DONE):
         asked = NEAR | EDGE | BORDER if sweep == TILING else EDGE | BORDER
@@ -405,10 +400,7 @@ def solve_in_bundle(
     ``sequence``, ``balls`` (E,) are the spheres of the sheet in the order of the sphere table and of the bundle's
     ``table``; the others are those of `solve_small_sheets`.
     """
-    tables, bed, bundle = unowned_tables(tables), unowned_bed(bed), unowned_bundle(bundle)
-    camera, spheres, windows, passed = tables[0], tables[1].spheres, unowned(windows), unowned(passed)
-    block, state, trips, table = unowned(block), unowned(state), unowned(trips), unowned(table)
-    starts, nodes, sequence, balls = unowned(starts), unowned(nodes), unowned(sequence), unowned(balls)
+    camera, spheres = tables[0], tables[1].spheres
     total, left = nodes.shape[0], 0
     for patient in range(2):
         for low in range(0, total, GROUP):
@@ -438,9 +430,8 @@ def solve_small_sheets(
     ``passed`` (GROUP,) int64 is scratch.
     Others as `solve_nodes` and `scatter_sheet` take them.
     """
-    tables, ways = unowned_tables(tables), unowned_ways(ways)
-    starts, nodes = unowned(start.starts), unowned(start.nodes)
-    events, balls, begin, weight = unowned(sheets.events), unowned(sheets.balls), unowned(sheets.begin), maps[3]
+    starts, nodes = start.starts, start.nodes
+    events, balls, begin, weight = sheets.events, sheets.balls, sheets.begin, maps[3]
     while progress[0] < sheets.branch.shape[0]:
         s = progress[0]
         if progress[1] == LAST_STAMP:

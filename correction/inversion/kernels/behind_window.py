@@ -45,7 +45,7 @@ from correction.inversion.kernels.direct import (
     begin_views,
     place_pixels,
 )
-from ground.jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of
 from tracer.kernels.chain import (
     DX,
@@ -245,11 +245,7 @@ def direct_rows_behind(
 
     ``b`` (BLOCK_NUMBERS,) is scratch as all before it is.
     """
-    camera, window, balls, b = unowned(camera), unowned(window), unowned(balls), unowned(b)
-    rays, trips, hidden, lens = unowned(rays), unowned(trips), unowned(hidden), unowned(lens)
     status, pixel, jacobian, weight, transmittance, branch = maps
-    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
-    transmittance, branch = unowned(transmittance), unowned(branch)
     width = status.shape[1]
     for row in range(first, last):
         wy = grid[1] - row * grid[2] - camera[EYE_Y]

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
-from ground.jit import Array, kernel, unowned
+from ground.jit import Array, kernel
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.camera import (
     CENTRE_U,
@@ -217,9 +217,6 @@ def direct_rows(
     cleared.  ``size`` (2,) sensor width and height; ``lens`` (6, w) is scratch.  Others see `hide_nodes`.
     """
     status, pixel, jacobian, weight, transmittance, branch = maps
-    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
-    transmittance, branch, lens = unowned(transmittance), unowned(branch), unowned(lens)
-    x, y, spans, rays, trips = unowned(x), unowned(y), unowned(spans), unowned(rays), unowned(trips)
     camera = tables[0]
     for row in range(first, last):
         hide_nodes(row, place, tables, discs, lockstep, glass_only, x, y, spans, rays, trips, hidden)

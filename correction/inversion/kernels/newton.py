@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ground.jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import (
     CENTRE_U,
     CENTRE_V,
@@ -374,12 +374,6 @@ class Ways(NamedTuple):
 
 
 NO_WAYS = Ways(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 10)))
-
-
-@kernel_inlined
-def unowned_ways(ways: Ways) -> Ways:
-    """Arrays that no reference counter knows."""
-    return Ways(unowned(ways.begin), unowned(ways.events), unowned(ways.windows))
 
 
 @kernel

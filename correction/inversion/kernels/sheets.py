@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 
-from correction.inversion.kernels.newton import Ways, slopes_along, stretch, unowned_ways
-from ground.jit import Array, kernel, kernel_inlined, unowned
+from correction.inversion.kernels.newton import Ways, slopes_along, stretch
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED, Tables
 
@@ -110,9 +110,7 @@ def flag_rows(
     Branches below `least` are left out.  ``plane`` (H, 2 W) holds x and y in turn.  The outermost columns stay
     without flags.  ``block`` (NEWTON_NUMBERS,) is scratch.
     """
-    ways = unowned_ways(ways)
-    known, block, camera, spheres = ways.begin.shape[0] > 0, unowned(block), tables[0], tables[1].spheres
-    plane, branch, status, flags = unowned(plane), unowned(branch), unowned(status), unowned(flags)
+    known, camera, spheres = ways.begin.shape[0] > 0, tables[0], tables[1].spheres
     height, width = branch.shape
     x0, y0, per_mm = grid[0], grid[1], 1.0 / grid[2]
     for row in range(first, last):
@@ -166,7 +164,6 @@ def list_runs(flags: Array, branch: Array, first: int, last: int, begin: Array, 
 
     ``ends`` (W,) int64 is scratch.
     """
-    flags, branch, ends = unowned(flags), unowned(branch), unowned(ends)
     width = flags.shape[1]
     for row in range(first, last):
         k = begin[row]
@@ -192,7 +189,6 @@ def flag_edges(flags: Array, branch: Array, first: int, last: int, begin: Array,
 
     Other rows may be flagged at the same time: what is read of them does not change.
     """
-    flags, branch, edges = unowned(flags), unowned(branch), unowned(edges)
     height, width = flags.shape
     for row in range(first, last):
         if begin[row + 1] == begin[row]:

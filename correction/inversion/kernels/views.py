@@ -34,7 +34,7 @@ from correction.inversion.kernels.newton import (
     stretch,
 )
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, UNLISTED
-from ground.jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined
 from piv.resampling.kernels.bspline import INDEX
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistorted
 from tracer.kernels.chain import (
@@ -50,7 +50,7 @@ from tracer.kernels.chain import (
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
-from tracer.kernels.world import Tables, unowned_tables
+from tracer.kernels.world import Tables
 
 ANOTHER, AGAIN = -2, -3  # trips that no ray takes; the second: of a node that is not given up
 CLOSE_PX = 2.0  # from its start, which is within a pixel of the node or nearly so
@@ -102,13 +102,7 @@ def solve_nodes(
     """
     block, state, xy, spans, wanted, rays, trips, passed = scratch
     status, pixel, jacobian, weight, transmittance, branch, masked, ways = maps
-    tables, sequence, windows = unowned_tables(tables), unowned(sequence), unowned(windows)
     camera, spheres = tables[0], tables[1].spheres
-    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
-    transmittance, branch, starts, nodes = unowned(transmittance), unowned(branch), unowned(starts), unowned(nodes)
-    block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
-    state, balls, spans, wanted = unowned(state), unowned(balls), unowned(spans), unowned(wanted)
-    passed = unowned(passed)
     kept = status, pixel, jacobian, weight, transmittance, branch, masked, ways
     total, left, is_block = nodes.shape[0], 0, trip >= 0 or solid
     for patient in range(2 if is_block else 1):
@@ -200,8 +194,6 @@ def keep_group(
     ``maps`` end with why pixels (H, W) and ways (B,) are masked, 0 where they are not; B = 0: nothing is.
     """
     status, pixel, jacobian, weight, transmittance, branch, masked, ways = maps
-    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
-    transmittance, branch, masked, ways = unowned(transmittance), unowned(branch), unowned(masked), unowned(ways)
     judge(count, pitch, events, limits, block, state)
     for i in range(count):
         row, column = nodes[i, 0] & INDEX, nodes[i, 1] & INDEX

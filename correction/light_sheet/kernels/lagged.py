@@ -2,7 +2,7 @@
 
 import math
 
-from ground.jit import Array, kernel, unowned
+from ground.jit import Array, kernel
 
 
 @kernel
@@ -52,7 +52,6 @@ def add_products(
     (N, 2) by how much the pixel of the second moves for a lag of one; cell (N,); out (C, 2 a + 1, 2 b + 1) for
     lags -a ... a along and -b ... b across.  All pixels lie two inside the image.
     """
-    image, out = unowned(image), unowned(out)
     rows, columns = out.shape[1], out.shape[2]
     a, b = rows // 2, columns // 2
     for n in range(first.shape[0]):
@@ -73,7 +72,6 @@ def add_bells(
     offset (N, L, 2) middle of a bell from the second pixel; spread (N, L, 3) its variances along u and v and their
     covariance; light (N, L); along, across (N, 2) as in `add_products`; cell (N,); out (C, L, 2 a + 1, 2 b + 1).
     """
-    out = unowned(out)
     rows, columns = out.shape[2], out.shape[3]
     a, b = rows // 2, columns // 2
     for n in range(offset.shape[0]):

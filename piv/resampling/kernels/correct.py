@@ -7,7 +7,7 @@ means.  `to_offset_uint16` makes of them what is stored.
 
 import numpy as np
 
-from ground.jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined
 from piv.resampling.kernels.bspline import weight_inner, weight_middle, weight_outer
 from piv.resampling.kernels.footprint import ADDS, COLUMN, FIRST, FRACTIONS, NODES, SAMPLES
 from piv.resampling.kernels.lanes import copy_pair, footprint_sum
@@ -125,8 +125,6 @@ def correct_rows(
     those of ``Footprints``.  ``scratch`` is that of `spline_values`, (WEIGHTS, CHUNK), or of
     `bilinear_values`; ``values`` (CHUNK,) float32.
     """
-    flat, anchor, fraction, out = unowned(flat), unowned(anchor), unowned(fraction), unowned(out)
-    scratch, values = unowned(scratch), unowned(values)
     for row in range(first, last):
         out[row, :] = fill
         for number in range(begin[row], begin[row + 1]):

@@ -23,7 +23,7 @@ whoever computes it and whenever, and tiles that nobody reads need no work.
 
 import numpy as np
 
-from ground.jit import Array, kernel, unowned
+from ground.jit import Array, kernel
 
 Z_1, Z_2 = -0.43057534709997814, -0.04309628820326465
 REACH = 24  # rows of margin above and below: 0.43^24 = 2e-9
@@ -112,7 +112,6 @@ def filter_tile(
     ``out`` may be wider than the frame by mirrored pixels, `rim` of them above and to the left.  Scratch, float32:
     ``lines`` (2, columns + 2 SPREAD) and ``tile`` (rows + 2 REACH + 1, columns), its last row for the state.
     """
-    frame, lines, tile, out = unowned(frame), unowned(lines), unowned(tile), unowned(out)
     height = frame.shape[0]
     rows, columns = bottom - top + 2 * REACH, right - left
     x, y = lines[0, : columns + 2 * SPREAD], lines[1, : columns + 2 * SPREAD]

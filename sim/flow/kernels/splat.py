@@ -25,14 +25,13 @@ def order_by_band(images: Array, band_rows: int, places: Array, out: Array) -> N
 
 
 @kernel
-def splat(images: Array, first: int, last: int, table: Array, out: Array) -> None:
-    """Add spots to rows first..last of `out` (H, W); images (N, 3) are u, v [px] and light.
+def splat(images: Array, first: int, last: int, table: Array, across: Array, out: Array) -> None:
+    """Add spots to rows first..last of `out` (H, W); images (N, 3) are u, v [px] and light, ``across`` scratch.
 
     `table` (phases + 1, 2 r + 2): what pixel k - r of a row gets of a spot that lies phase/phases beyond the
     middle of pixel 0; interpolated between phases.
     """
     phases, reach = table.shape[0] - 1, table.shape[1] // 2 - 1
-    across = np.empty(table.shape[1])
     width = out.shape[1]
     for n in range(images.shape[0]):
         u, v, light = images[n, 0], images[n, 1], images[n, 2]
