@@ -6,8 +6,10 @@ the share of pixels that show what they should is
 
     agreement = max over d of  mean [ bright(I) = shade(X + d) ],
 
-X the traced points of the board, d a shift by up to a square each way: of a ball that stands a little elsewhere
-the picture is the same, but shifted.  A ball that is not there shows the bare board, unshifted.
+X the traced points of the board, d a shift by up to a square each way: a ball that stands a little aside shows the
+same picture, shifted.  One that stands a little nearer or farther shows it larger or smaller (0.3 mm: a third of a
+square, at the edge of a ball far above the board), so places along the line of sight are tried before a ball counts
+as not as described.  A ball that is not there shows the bare board, unshifted.
 """
 
 from collections.abc import Iterator
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 
 from correction.fit.seen.prediction import in_target_frame
 from correction.target import Chessboard
-from tracer.bodies import Core, Sphere
+from tracer.bodies import Core, Sphere, vector3
 from tracer.errors import SceneError
 from tracer.media import MEDIA, ConstantMedium
 from tracer.scene.scene import Scene
@@ -30,6 +32,7 @@ INDICES = np.arange(1.30, 1.97, 0.02)  # of glass, plastic and liquids
 CORES = np.arange(0.5, 0.96, 0.05)  # radii of a core of air, of the ball's
 RADII = np.arange(0.9, 1.105, 0.01)  # times that given
 SHIFTS = np.arange(-1.0, 1.0, 0.25)  # squares
+NEARER_MM = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)  # to the camera: a standard deviation of an ordinary place
 WITHIN, BEYOND = 0.9, 1.03  # of a ball's outline that is asked, and of another's that is not
 MOST, FEWEST = 1500, 600  # pixels of a ball
 LEVELS, LEAST_CONTRAST = (0.05, 0.95), 0.5  # quantiles that are dark and bright; of the contrast of the frame
@@ -63,31 +66,28 @@ def balls_seen_otherwise(
     Returns
     -------
     dict
-        Ball -> sentence; those that are as described, or hardly seen, are not in it.
+        Ball -> sentence, the one that agrees least first; balls as described, or hardly seen, are not in it.
     """
     if board.dots is not None:
         return {}
     seen = in_target_frame(scene, pose)
     contrast = float(np.ptp(np.quantile(image, LEVELS)))
-    words = {
-        ball.name: _what_it_is(seen, ball, image, board, contrast, is_refused)
-        for ball in seen.spheres
-        if ball.medium is not None
-    }
-    return {name: sentence for name, sentence in words.items() if sentence}
+    glass = [ball for ball in seen.spheres if ball.medium is not None]
+    judged = [(*_judge_ball(seen, ball, image, board, contrast, is_refused), ball.name) for ball in glass]
+    return {name: sentence for _, sentence, name in sorted(judged, key=lambda one: one[0]) if sentence}
 
 
-def _what_it_is(
+def _judge_ball(
     scene: Scene, ball: Sphere, image: NDArray[Any], board: Chessboard, contrast: float, is_refused: bool
-) -> str:
-    """Say what one ball seems to be; "" where it is as described, or too little is seen of it."""
+) -> tuple[float, str]:
+    """Agreement of one ball as given, and what it seems to be; "" if as described, or too little is seen of it."""
     pixels = _seen_alone(scene, ball)
     if len(pixels) < FEWEST:
-        return ""
+        return 1.0, ""
     light = image[tuple(pixels[:, ::-1].T)].astype(np.float64)
     dark, white = np.quantile(light, LEVELS)
     if white - dark < LEAST_CONTRAST * contrast:
-        return ""
+        return 1.0, ""
     bright = light > 0.5 * (dark + white)
 
     def agreement(changed: Scene, shifts: NDArray[np.float64] = SHIFTS) -> float:
@@ -100,10 +100,10 @@ def _what_it_is(
             return 0.0
 
     given = agreement(scene)
-    if given > OTHERWISE:
-        return ""
+    if given > OTHERWISE or any(agreement_of(other) > OTHERWISE for other in _nearer_or_farther(scene, ball)):
+        return given, ""
     if agreement(scene.bare(), np.zeros(1)) > AGREES:
-        return (
+        return given, (
             f"`{ball.name}` is not where the scene puts it: the board is seen there without glass; take the ball"
             " out of the scene, or correct its centre_mm"
         )
@@ -112,25 +112,33 @@ def _what_it_is(
     )
     best = found[0][0]
     if best < UNEXPLAINED and not is_refused:
-        return ""
+        return given, ""
     if best < UNEXPLAINED:
-        return (
+        return given, (
             f"no glass, core or radius explains what is seen through `{ball.name}` (as given"
             f" {100.0 * given:.0f} %, at best {100.0 * best:.0f} % of its pixels show the right squares): a ball"
             " that the scene does not list may stand before it; list it, or take it away"
         )
     others = max((share for share, kind, _ in found if kind != found[0][1]), default=0.0)
     if best < AGREES and best < others + LEAD:
-        return ""
+        return given, ""
     likely: dict[str, str] = {}
     for share, kind, value in found:
         if share > best - RIVAL:
             likely.setdefault(kind, value)
-    return (
+    return given, (
         f"what is seen through `{ball.name}` is as through {', or '.join(likely.values())}"
         f" ({100.0 * best:.0f} % of its pixels show the right squares, as given {100.0 * given:.0f} %); check its"
         " glass, radius and core"
     )
+
+
+def _nearer_or_farther(scene: Scene, ball: Sphere) -> Iterator[Sphere]:
+    """The same ball at other distances from the camera."""
+    centre = np.array(ball.centre_mm)
+    towards = np.array(scene.camera.position_mm) - centre
+    for by in NEARER_MM:
+        yield replace(ball, centre_mm=vector3(centre + by * towards / np.linalg.norm(towards)))
 
 
 def _changes(scene: Scene, ball: Sphere) -> Iterator[tuple[Sphere, str, str]]:
