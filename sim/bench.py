@@ -182,7 +182,7 @@ class SimulatedBench:
         """Return the events so far, if the bench file's section keeps them."""
         return Happened(()) if self._watched is None else self._watched.happened(self.witness.judge())
 
-    def drawn_s(self) -> float:
+    def rendering_s(self) -> float:
         """Seconds in which pictures were drawn, up to now: time of this computer, not of the cameras."""
         return self.world.drawing.so_far_s
 
@@ -244,7 +244,7 @@ class SimulatedBench:
         folder: Path,
     ) -> CameraSection:
         """A further camera: eyes of its own in the same world, the same light, behind the same glass."""
-        beside = bench.seen_by(name)
+        beside = bench.as_seen_by(name)
         beside = beside.with_scene(replace(bench.scene, camera=beside.scene.camera))
         own = table.cameras.get(name, FurtherCameraTable())
         flow = table.flow.model_copy(update={"prepared": None})  # pairs of another view

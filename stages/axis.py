@@ -101,7 +101,7 @@ class Turn:
     holds: int = 0  # how often the one who has the turn has taken it
 
     @contextmanager
-    def taken(self) -> Iterator[None]:
+    def take(self) -> Iterator[None]:
         """Take the turn; what a signal asks for beyond the stop waits for the end of it.
 
         Raises
@@ -159,13 +159,13 @@ class Axis:
     @property
     def state(self) -> AxisState:
         """Present state; a controller at rest is asked whether its reference still holds."""
-        if self._settled_state() is AxisState.READY:
+        if self._state_without_asking() is AxisState.READY:
             try:
-                self._guarded(lambda: self.controller.confirm_reference(self.settings.channel))
+                self._run_guarded(lambda: self.controller.confirm_reference(self.settings.channel))
             except (PortError, DeviceError):  # silence and nonsense confirm nothing
                 return AxisState.LOST if self.controller.lost else AxisState.UNREFERENCED
             except StageUsageError:  # not referenced any more, or mute because another of its axes moves
-                return self._settled_state()
+                return self._state_without_asking()
         return self._state
 
     @property
@@ -180,7 +180,7 @@ class Axis:
             The controller is gone.
         """
         self._require(MAY_READ)
-        return self._guarded(self._read_mm)
+        return self._run_guarded(self._read_mm)
 
     def check(self, target_mm: float) -> None:
         """Raise if a target must not be asked for; sends nothing.
@@ -226,7 +226,7 @@ class Axis:
         """
         self.check(target_mm)
         token = self._latch.begin()  # before the turn: a stop while another one moves ends this move too
-        with self._turn.taken():
+        with self._turn.take():
             return self.carry_out(target_mm, token)
 
     def move_by(self, distance_mm: float) -> Arrival:
@@ -256,9 +256,9 @@ class Axis:
                 measured_mm = self._attempt(target_mm, token)
             except (NoReply, ProtocolViolation) as error:
                 failure = error
-                self._guarded(self._settle_after_stop, token)
+                self._run_guarded(self._settle_after_stop, token)
                 self._latch.check(token)
-                self._guarded(lambda: self.controller.resolve_missing_reply(self.settings.channel), token)
+                self._run_guarded(lambda: self.controller.resolve_missing_reply(self.settings.channel), token)
                 continue
             if abs(measured_mm - target_mm) * 1000.0 <= self.settings.in_position_um + ROUNDING_UM:
                 self._rests_at_mm = target_mm
@@ -289,21 +289,23 @@ class Axis:
             The axis moves already, or homing is switched off at its controller.
         """
         token = self._latch.begin()
-        with self._turn.taken():
+        with self._turn.take():
             self._latch.check(token)
             self._require(MAY_HOME)
             self.controller.token = token
             self._happens(Event.HOME)
             try:
-                self._guarded(lambda: self._find_reference(token), token)
-                if not self.controller.referenced(self.settings.channel):
+                self._run_guarded(lambda: self._find_reference(token), token)
+                if not self.controller.has_reference(self.settings.channel):
                     text = f"{self.name} has ended its reference run without a reference; home it again"
                     raise DeviceError(text)
             except BaseException as error:
                 try:
                     if isinstance(error, NoReply | ProtocolViolation):
-                        self._guarded(self._settle_after_stop, token)
-                        self._guarded(lambda: self.controller.resolve_missing_reply(self.settings.channel), token)
+                        self._run_guarded(self._settle_after_stop, token)
+                        self._run_guarded(
+                            lambda: self.controller.resolve_missing_reply(self.settings.channel), token
+                        )
                 finally:  # also if an alarm, or anything else, comes while it is brought to rest
                     if self._state is AxisState.HOMING:
                         self._happens(Event.FORGET)
@@ -311,9 +313,9 @@ class Axis:
             self._happens(Event.FOUND)
 
     @property
-    def homed_by_hand(self) -> bool:
+    def needs_hand_homing(self) -> bool:
         """True if a person says where the axis stands, because its box cannot look for its reference."""
-        return self.controller.homed_by_hand(self.settings.channel)
+        return self.controller.needs_hand_homing(self.settings.channel)
 
     def confirm(self, position_mm: float) -> None:
         """Take a person's word for where the axis rests now; nothing moves.
@@ -330,10 +332,10 @@ class Axis:
         low, high = self.settings.limits_mm
         if not low <= position_mm <= high:
             raise OutOfRange(f"{self.name}: {position_mm:g} mm is outside its limits {low:g} to {high:g} mm")
-        with self._turn.taken():
+        with self._turn.take():
             self._require(MAY_HOME)
             box_mm = self.settings.sign * (position_mm - self.settings.offset_mm)
-            self._guarded(lambda: self.controller.confirm(self.settings.channel, box_mm))
+            self._run_guarded(lambda: self.controller.confirm(self.settings.channel, box_mm))
             self._happens(Event.FOUND)
 
     def trust_reference(self) -> None:
@@ -342,11 +344,11 @@ class Axis:
 
     # ---- states --------------------------------------------------------------------------------
 
-    def connected(self) -> None:
+    def note_connected(self) -> None:
         """Note that the port is open (again): what the controller does not confirm is unknown."""
         self._happens(Event.CUT)
         self._happens(Event.CONNECT)
-        if self.controller.referenced(self.settings.channel):
+        if self.controller.has_reference(self.settings.channel):
             self._happens(Event.FOUND)
 
     def _happens(self, event: Event) -> None:
@@ -354,18 +356,18 @@ class Axis:
         if event is not Event.REST:
             self._rests_at_mm = None
 
-    def _settled_state(self) -> AxisState:
+    def _state_without_asking(self) -> AxisState:
         """State as far as it is known without asking."""
         if self.controller.lost:
             self._happens(Event.CUT)
-        elif self._state in (AxisState.READY, AxisState.MOVING) and not self.controller.referenced(
+        elif self._state in (AxisState.READY, AxisState.MOVING) and not self.controller.has_reference(
             self.settings.channel
         ):
             self._happens(Event.FORGET)
         return self._state
 
     def _require(self, states: frozenset[AxisState]) -> None:
-        state = self._settled_state()
+        state = self._state_without_asking()
         if state in states:
             return
         if state is AxisState.LOST:
@@ -374,7 +376,7 @@ class Axis:
             raise NotReferenced(f"{self.name} does not know where it is; home it first")
         raise StageUsageError(f"{self.name} is {state.value}; wait for the end of it")
 
-    def _guarded(self, action: Callable[[], T], token: int | None = None) -> T:
+    def _run_guarded(self, action: Callable[[], T], token: int | None = None) -> T:
         """Run, and forget the position if what happens makes it unreliable.
 
         A motion that was not ended from here was ended by a person at the box: that is a stop of the whole bench.
@@ -399,7 +401,9 @@ class Axis:
     # ---- driving -------------------------------------------------------------------------------
 
     def _read_mm(self) -> float:
-        return self.settings.sign * self.controller.known_mm(self.settings.channel) + self.settings.offset_mm
+        return (
+            self.settings.sign * self.controller.rest_position_mm(self.settings.channel) + self.settings.offset_mm
+        )
 
     def _attempt(self, target_mm: float, token: int) -> float:
         """Judge the way from where the axis is, drive it, return where the axis came to rest."""
@@ -408,7 +412,7 @@ class Axis:
         if self._rests_at_mm == target_mm:
             return here_mm
         self._happens(Event.START)
-        return self._guarded(lambda: self._drive(here_mm, target_mm, token), token)
+        return self._run_guarded(lambda: self._drive(here_mm, target_mm, token), token)
 
     def _drive(self, here_mm: float, target_mm: float, token: int) -> float:
         for leg in self.legs(here_mm, target_mm):

@@ -28,7 +28,7 @@ class ByHand(MotionController):
     _is_open = False
     _ask: Person | None = None
 
-    def turned_by(self, person: Person) -> None:
+    def set_operator(self, person: Person) -> None:
         """Say who is asked."""
         self._ask = person
 
@@ -95,10 +95,10 @@ class ByHand(MotionController):
         if self._ask is None:
             raise StageUsageError(
                 f"{about.axis} is moved by hand, and there is no operator to ask; use a terminal, "
-                "or say who turns it (Stage.turned_by)"
+                "or say who turns it (Stage.set_operator)"
             )
         while True:
-            text = None if self._given_up() else self._ask(question, self._given_up)
+            text = None if self._is_given_up() else self._ask(question, self._is_given_up)
             if text is None:
                 raise MotionStopped(f"the position of {about.axis} was not read; home it to be asked for it")
             wrong = question.reading_error(text)
@@ -106,8 +106,8 @@ class ByHand(MotionController):
                 return reading_mm
             question = replace(question, wrong=wrong or "")
 
-    def _given_up(self) -> bool:
-        return self.latch.held or self.latch.count != self.token
+    def _is_given_up(self) -> bool:
+        return self.latch.is_held or self.latch.count != self.token
 
     def position_mm(self, channel: str) -> float:
         """Last reading."""

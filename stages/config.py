@@ -108,7 +108,7 @@ class AxisTable(Table):
         )
 
 
-def shared_ports(ports: Mapping[str, str]) -> list[str]:
+def port_conflicts(ports: Mapping[str, str]) -> list[str]:
     """Name the devices that are given one port, a sentence for each port; "" is no port."""
     users: dict[str, list[str]] = {}
     for name, port in ports.items():
@@ -178,7 +178,7 @@ class StagesTable(Table):
     def require_own_ports(self) -> None:
         """StageUsageError if two controllers have one port, as the system names it now."""
         ports = {name: str(getattr(table, "port", "")) for name, table in self.controllers.items()}
-        if problems := shared_ports(ports):
+        if problems := port_conflicts(ports):
             raise StageUsageError("; ".join(problems))
 
     def beside(self, folder: Path) -> "StagesTable":

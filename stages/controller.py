@@ -75,7 +75,7 @@ class Controller(Link, MotionController):
         assert isinstance(table, ControllerTable)
         return self.connect(table.port, table.baud)
 
-    def watched_by(self, table: AnyControllerTable, start: Callable[[], Watchdog]) -> None:
+    def register_watchdog(self, table: AnyControllerTable, start: Callable[[], Watchdog]) -> None:
         """Tell the watchdog how the box is stopped, where the port outlives the process."""
         assert isinstance(table, ControllerTable)
         if needs_watchdog([table.port]):
@@ -194,7 +194,7 @@ class Controller(Link, MotionController):
             self._at_rest.clear()
             self._reset_state()
 
-    def homed_with(self, channel: str) -> frozenset[str]:
+    def channels_homed_with(self, channel: str) -> frozenset[str]:
         """All channels where one command homes them, or the one."""
         return frozenset(self._channels) if self.homes_together else frozenset({channel})
 
@@ -226,7 +226,7 @@ class Controller(Link, MotionController):
         noise = self.noise_mm(channel) * counts_per_mm
         return lambda first, second: abs(first - second) <= noise
 
-    def _settled(self, key: str, ask: Callable[[], T], same: Callable[[T, T], bool] = operator.eq) -> T:
+    def _settle_reading(self, key: str, ask: Callable[[], T], same: Callable[[T, T], bool] = operator.eq) -> T:
         """Return a reading at rest that two answers agree on: of one damaged answer nothing is ever believed.
 
         The first of the two may be an earlier one, as long as nothing was sent that moves and the link was never

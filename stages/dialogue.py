@@ -50,12 +50,12 @@ class Dialogue:
         self._lock = threading.Lock()
         self._sent_s = clock.now_s()
 
-    def opened(self, baud: int) -> None:
+    def record_opening(self, baud: int) -> None:
         """The port has been opened."""
         with self._lock:
             self._write(f"@ {baud}")
 
-    def sent(self, data: bytes) -> None:
+    def record_sent(self, data: bytes) -> None:
         """The host sends bytes."""
         with self._lock:
             self._sent_s = self._clock.now_s()
@@ -98,7 +98,7 @@ class RecordedFile:
             os.fsync(file.fileno())
 
 
-def recorded_file(url: str) -> RecordedFile | None:
+def recording_file(url: str) -> RecordedFile | None:
     """The file that keeps what is said on a port from now on; None if that is not wanted.
 
     Raises

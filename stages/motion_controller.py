@@ -5,7 +5,7 @@ limits and backlash belong to `stages.axis`. Two ways lead to one: bytes on a po
 third-party library (`stages.foreign`).
 
 Life of a motion: ``start_move`` or ``start_home`` returns once the controller has taken the command, ``moving``
-is asked until it says False or raises what ended the motion, then ``known_mm`` is read.
+is asked until it says False or raises what ended the motion, then ``rest_position_mm`` is read.
 
 A position means something only as long as the controller has not restarted since it was referenced. So every
 position that is believed is read FIRST and vouched for AFTERWARDS: a box that still knows its reference now knew
@@ -116,7 +116,7 @@ class MotionController(ABC):
     def lost(self) -> bool:
         """True if the box cannot be reached until `open` is called again."""
 
-    def watched_by(  # noqa: B027 - most libraries give no second way to the box
+    def register_watchdog(  # noqa: B027 - most libraries give no second way to the box
         self, table: AnyControllerTable, start: Callable[[], Watchdog]
     ) -> None:
         """Tell the watchdog of this process how the box is stopped, if it can reach the box by itself.
@@ -129,10 +129,10 @@ class MotionController(ABC):
             Returns the watchdog, which begins its life then.
         """
 
-    def turned_by(self, person: Person) -> None:  # noqa: B027 - most boxes have motors
+    def set_operator(self, person: Person) -> None:  # noqa: B027 - most boxes have motors
         """Say who turns the screws of channels without a motor, and reads their scales."""
 
-    def referenced(self, channel: str) -> bool:
+    def has_reference(self, channel: str) -> bool:
         """True if the position of a channel meant something when the controller was last asked; asks nothing."""
         return not self.lost and channel in self._referenced
 
@@ -150,7 +150,7 @@ class MotionController(ABC):
             if channel not in self._referenced:
                 raise NotReferenced(f"{self.name} channel {channel} has lost its reference (a restart?); home it")
 
-    def known_mm(self, channel: str) -> float:
+    def rest_position_mm(self, channel: str) -> float:
         """Position of a channel at rest that the controller vouches for now, in its own coordinate.
 
         Raises
@@ -260,11 +260,11 @@ class MotionController(ABC):
     def stop(self) -> None:
         """Stop every channel now; harmless when nothing moves; does not wait for other threads."""
 
-    def homed_with(self, channel: str) -> frozenset[str]:
+    def channels_homed_with(self, channel: str) -> frozenset[str]:
         """Channels that a reference run of this one homes, itself included."""
         return frozenset({channel})
 
-    def homed_by_hand(self, channel: str) -> bool:
+    def needs_hand_homing(self, channel: str) -> bool:
         """Return whether a person says where the channel stands, because the box cannot look for it."""
         return False
 

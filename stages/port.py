@@ -27,7 +27,7 @@ from typing import NamedTuple
 import serial
 
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.dialogue import Dialogue, RecordedFile, recorded_file
+from stages.dialogue import Dialogue, RecordedFile, recording_file
 from stages.errors import DeviceLost, NoReply, PortUnavailable
 
 try:
@@ -127,7 +127,7 @@ class Port:
         """
         with self._write_lock, self._cable:
             if self._said is not None:
-                self._said.sent(data)  # first, so that no answer is recorded before its question
+                self._said.record_sent(data)  # first, so that no answer is recorded before its question
             self._serial.write(data)
         self.trace.append(Chunk(self.clock.now_s(), True, data))
 
@@ -193,13 +193,13 @@ class Port:
     def _record(self) -> None:
         """Keep what is said from now on, if that is wanted."""
         try:
-            self._file = recorded_file(self.url)
+            self._file = recording_file(self.url)
         except PortUnavailable:
             self.close()
             raise
         if self._file is not None:
             self._said = Dialogue(self._file.line, self.clock)
-            self._said.opened(self.baud)
+            self._said.record_opening(self.baud)
 
     def _came(self, data: bytes) -> None:
         """Note what has come."""

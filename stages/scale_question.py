@@ -42,10 +42,10 @@ class ScaleQuestion:
     @property
     def words(self) -> str:
         """Text of the question."""
-        return f"{self.wrong}\n{self._asked}" if self.wrong else self._asked
+        return f"{self.wrong}\n{self._request}" if self.wrong else self._request
 
     @property
-    def _asked(self) -> str:
+    def _request(self) -> str:
         if self.target_mm is None:
             return f"{self.axis} is moved by hand. What does its scale read? Type that in mm, then Enter:"
         return (

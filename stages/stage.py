@@ -91,7 +91,7 @@ class Stage:
         except WrongDevice:
             box.close()
             raise
-        box.watched_by(table, self._the_watchdog)
+        box.register_watchdog(table, self._the_watchdog)
         for axis in self._axes.values():
             if axis.controller is box:
                 settings = axis.settings
@@ -100,7 +100,7 @@ class Stage:
                     *([settings.approach.speed_mm_s] if settings.approach else []),
                 }:
                     box.check_motion(settings.channel, speed_mm_s, settings.acceleration_mm_s2)
-                axis.connected()
+                axis.note_connected()
 
     def _the_watchdog(self) -> Watchdog:
         self._watchdog = self._watchdog or Watchdog(self._end_unwatched_motion)
@@ -121,7 +121,7 @@ class Stage:
         """Ask a function before anything moves; a sentence as its answer refuses the motion (`MotionBarred`)."""
         self._turn.bars.append(why)
 
-    def turned_by(self, person: Person) -> None:
+    def set_operator(self, person: Person) -> None:
         """Say who turns the axes without a motor, and reads their scales.
 
         Parameters
@@ -130,14 +130,14 @@ class Stage:
             Puts a question (`stages.scale_question`) and returns what was typed.
         """
 
-        def asked(question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+        def ask_operator(question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
             for why_not in self._hand_bars:
                 if why := why_not():
                     raise MotionBarred(f"{question.axis} is moved by hand, and must not be reached now: {why}")
             return person(question, given_up)
 
         for box in self._controllers.values():
-            box.turned_by(asked)
+            box.set_operator(ask_operator)
 
     def bar_hands(self, why: Callable[[], str | None]) -> None:
         """Ask a function before a person reaches in; a sentence as the answer refuses it, with `MotionBarred`."""
@@ -202,7 +202,7 @@ class Stage:
             Where some axes shall go.
         """
         here, pieces = dict(start_mm), []
-        for name in self._ordered(targets_mm):
+        for name in self._homing_order(targets_mm):
             for leg in self._axes[name].legs(here[name], targets_mm[name]):
                 pieces.append(Piece(name, leg.start_mm, leg.end_mm, dict(here)))
                 here[name] = leg.end_mm
@@ -240,14 +240,15 @@ class Stage:
         for name, target_mm in targets_mm.items():
             self.axis(name).check(target_mm)
         token = self.latch.begin()  # before the turn: a stop while another one moves ends this move too
-        with self._turn.taken():
+        with self._turn.take():
             self.latch.check(token)
             start_mm = self._positions_mm(targets_mm)
             self.check(start_mm, targets_mm)
             self._just_judged = start_mm
             try:
                 return {
-                    name: self._axes[name].carry_out(targets_mm[name], token) for name in self._ordered(targets_mm)
+                    name: self._axes[name].carry_out(targets_mm[name], token)
+                    for name in self._homing_order(targets_mm)
                 }
             except BaseException:
                 self.halt_quietly()
@@ -267,7 +268,7 @@ class Stage:
         self._said_mm[name] = position_mm
 
     @property
-    def said_mm(self) -> Mapping[str, float]:
+    def operator_mm(self) -> Mapping[str, float]:
         """Axes whose reference is a person's word, and where they were said to be."""
         return {name: mm for name, mm in self._said_mm.items() if self._axes[name].state is AxisState.READY}
 
@@ -311,9 +312,9 @@ class Stage:
         for name in order:
             if missing := set(self._homes_with(name)) - wanted:
                 raise StageUsageError(f"homing {name} also homes {', '.join(sorted(missing))}; name them too")
-        done = self._confirmed(order, ask)
+        done = self._confirm_by_hand(order, ask)
         token = self.latch.begin()
-        with self._turn.taken():
+        with self._turn.take():
             self._refuse_beside_lost_motion()
             try:
                 for name in order:
@@ -333,9 +334,9 @@ class Stage:
             if len(done) == len(self._axes):
                 self._leave_home()
 
-    def _confirmed(self, names: Iterable[str], ask: Callable[[str], float] | None) -> set[str]:
+    def _confirm_by_hand(self, names: Iterable[str], ask: Callable[[str], float] | None) -> set[str]:
         """Those of some axes that are homed by hand, each with a person's word that still holds."""
-        by_hand = [name for name in names if self._axes[name].homed_by_hand]
+        by_hand = [name for name in names if self._axes[name].needs_hand_homing]
         for name in by_hand:
             if self._axes[name].state is AxisState.READY:
                 continue
@@ -376,9 +377,9 @@ class Stage:
         self._tell_all_to_stop()
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """True if a stop holds the bench."""
-        return self.latch.held
+        return self.latch.is_held
 
     def clear_stop(self) -> None:
         """Let the bench move again: a person has looked at it, and asks for it."""
@@ -438,13 +439,13 @@ class Stage:
             except StageUsageError as error:
                 raise type(error)(f"move {number} of after_home: {error}") from error
 
-    def _ordered(self, names: Iterable[str]) -> list[str]:
+    def _homing_order(self, names: Iterable[str]) -> list[str]:
         order = self.config.move_order or list(self._axes)
         return [name for name in order if name in set(names)]
 
     def _homes_with(self, name: str) -> list[str]:
         axis = self._axes[name]
-        channels = axis.controller.homed_with(axis.settings.channel)
+        channels = axis.controller.channels_homed_with(axis.settings.channel)
         return [
             other
             for other, one in self._axes.items()

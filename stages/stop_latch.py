@@ -33,7 +33,7 @@ class StopLatch:
         self._gate = threading.RLock()
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """True if a stop holds the bench."""
         return self._held
 

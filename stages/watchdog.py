@@ -232,7 +232,7 @@ def watch(parent: int) -> None:
         os.set_blocking(descriptor, False)
     death = _death_of(parent)
     while True:
-        died = _died(descriptor, death, parent)
+        died = _has_died(descriptor, death, parent)
         chunk = _read(descriptor)
         if chunk == b"" or (chunk is None and died):
             break
@@ -260,7 +260,7 @@ def stop(about: Word) -> bool:
         if _file_of(about["url"]) != about["file"]:
             return said > 0  # unplugged; what has this name now is another box
         try:
-            port = _opened(about) if port is None else port
+            port = _open_port(about) if port is None else port
             for data in about["stop"]:
                 port.write(bytes.fromhex(data))
             said += 1
@@ -288,7 +288,7 @@ def _file_of(url: str) -> list[int] | None:
     return [is_now.st_rdev, is_now.st_ino, made_ns]
 
 
-def _opened(about: Word) -> Any:  # noqa: ANN401 - pyserial's object, or a bare file
+def _open_port(about: Word) -> Any:  # noqa: ANN401 - pyserial's object, or a bare file
     try:
         port = serial.serial_for_url(
             about["url"], about["baud"], timeout=0.0, write_timeout=1.0, exclusive=True, do_not_open=True
@@ -314,7 +314,7 @@ def _death_of(parent: int) -> int | None:
         return None
 
 
-def _died(descriptor: int, death: int | None, parent: int) -> bool:
+def _has_died(descriptor: int, death: int | None, parent: int) -> bool:
     """Wait for a word or for the death of the parent; True if it has died."""
     if not SELECTS_PIPES:
         return False

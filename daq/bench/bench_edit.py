@@ -71,7 +71,7 @@ def difference(path: Path, before: str, after: str) -> str:
     return "\n".join(lines)
 
 
-def changed(path: Path, values: Mapping[Place, Value], after: Mapping[str, str]) -> tuple[str, str]:
+def edit_values(path: Path, values: Mapping[Place, Value], after: Mapping[str, str]) -> tuple[str, str]:
     """Return the text of a YAML file as it is, and with some values set; makes sure of the result, writes nothing.
 
     Raises
@@ -89,7 +89,7 @@ def changed(path: Path, values: Mapping[Place, Value], after: Mapping[str, str])
         at: Any = wanted
         for key in place[:-1]:
             at = at.setdefault(key, {})
-        at[place[-1]] = _rounded(value)
+        at[place[-1]] = _round(value)
     if yaml.safe_load(text) != wanted:
         raise RunUsageError(f"{path} is laid out in a way that cannot be edited safely; write the values by hand")
     return before, text
@@ -111,18 +111,18 @@ def replace_file(path: Path, text: str) -> Path:
     return kept
 
 
-def _rounded(value: Value) -> Value:
+def _round(value: Value) -> Value:
     return value if isinstance(value, str) else round(value, DECIMALS) + 0.0  # no minus zero
 
 
-def _shown(value: Value) -> str:
+def _format_value(value: Value) -> str:
     """Write a value so that it is read back as it was."""
     if isinstance(value, str):
         plain = _PLAIN.fullmatch(value) and yaml.safe_load(value) == value
         return value if plain else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     if not math.isfinite(value):
         raise RunUsageError(f"{value} is no position")
-    text = f"{_rounded(value):.{DECIMALS}f}".rstrip("0")
+    text = f"{_round(value):.{DECIMALS}f}".rstrip("0")
     return text + "0" if text.endswith(".") else text
 
 
@@ -139,11 +139,11 @@ def _set(
 ) -> list[tuple[int, int, str]]:
     there = {name.value: value for name, value in node.value}
     edits = [
-        (there[key].start_mark.index, there[key].end_mark.index, _shown(value))
+        (there[key].start_mark.index, there[key].end_mark.index, _format_value(value))
         for key, value in pairs.items()
         if key in there
     ]
-    new = [f"{key}: {_shown(value)}" for key, value in pairs.items() if key not in there]
+    new = [f"{key}: {_format_value(value)}" for key, value in pairs.items() if key not in there]
     if not new:
         return edits
     if node.flow_style:
@@ -172,7 +172,7 @@ def _new_mapping(
     if before is None:
         raise RunUsageError(f"the file has no key {behind!r}; write {name} by hand")
     end = _line_end(text, _last(before))
-    inner = ", ".join(f"{key}: {_shown(value)}" for key, value in pairs.items())
+    inner = ", ".join(f"{key}: {_format_value(value)}" for key, value in pairs.items())
     return end, end, f"{newline}{name}: {{{inner}}}"
 
 

@@ -67,23 +67,23 @@ def load_bench(path: Path | str) -> Bench:
     """
     document = open_document(path)
     wrong: list[ConfigError] = []
-    table = _tried(lambda: validate(document, BenchTable), wrong)
+    table = _try_build(lambda: validate(document, BenchTable), wrong)
     tree = document.tree if isinstance(document.tree, dict) else {}
     named = table.scene if table is not None else tree.get("scene")
     scene = None
     if isinstance(named, str) and named:
-        scene = _tried(lambda: load_scene(document.path.parent / named), wrong)
+        scene = _try_build(lambda: load_scene(document.path.parent / named), wrong)
     glass = [body for body in scene.bodies if not body.stays] if scene is not None else []
     if table is not None and table.glass is None and table.axes_of(GLASS) and glass:
         text = "axes carry the glass, so say glass.out_mm"
         wrong.append(ConfigError(document.path, [Problem(document.line(("stages",)), text)]))
     if table is not None and scene is not None:
-        parted = [Problem(document.line(("scene",)), text) for text in _parted(table, scene)]
+        parted = [Problem(document.line(("scene",)), text) for text in _wall_conflicts(table, scene)]
         wrong += [ConfigError(document.path, parted)] if parted else []
     devices = table.devices if table is not None else tree.get("devices")
     sections = devices.items() if isinstance(devices, dict) else ()
     more = {
-        name: _tried(partial(_device, document, name, section), wrong)
+        name: _try_build(partial(_device, document, name, section), wrong)
         for name, section in sections
         if isinstance(name, str) and isinstance(section, dict)
     }
@@ -95,21 +95,21 @@ def load_bench(path: Path | str) -> Bench:
             continue
         if section.scene is not None or section.scene_shows == "sensor":
             file = None if section.scene is None else document.path.parent / section.scene
-            own = scene if file is None else _tried(partial(load_scene, file), wrong)
-            own = None if own is None else _sent(document, ("devices", name), section, own, wrong)
+            own = scene if file is None else _try_build(partial(load_scene, file), wrong)
+            own = None if own is None else _scene_of_image(document, ("devices", name), section, own, wrong)
             seen |= {} if own is None else {name: own}
     if table is not None and scene is not None:
-        scene = _sent(document, ("camera",), table.camera, scene, wrong)
-    printed = None if table is None else _printed(document, table, wrong)
+        scene = _scene_of_image(document, ("camera",), table.camera, scene, wrong)
+    printed = None if table is None else _read_printed_board(document, table, wrong)
     if table is None or scene is None or wrong:
         raise ConfigError.joined(wrong)
     return Bench(document.path.resolve(), document, table, scene, found, seen, printed)
 
 
-def _printed(document: Document, table: BenchTable, wrong: list[ConfigError]) -> PrintedBoard | None:
+def _read_printed_board(document: Document, table: BenchTable, wrong: list[ConfigError]) -> PrintedBoard | None:
     """The board file that a bench names."""
     named = table.target.board
-    printed = None if named is None else _tried(lambda: read_board(document.path.parent / named), wrong)
+    printed = None if named is None else _try_build(lambda: read_board(document.path.parent / named), wrong)
     if printed is not None:
         try:
             printed.board()
@@ -118,7 +118,7 @@ def _printed(document: Document, table: BenchTable, wrong: list[ConfigError]) ->
     return printed
 
 
-def _sent(
+def _scene_of_image(
     document: Document, place: tuple[str, ...], section: CameraSection, scene: Scene, wrong: list[ConfigError]
 ) -> Scene | None:
     """The scene as the image shows it that a camera sends."""
@@ -131,7 +131,7 @@ def _sent(
         return None
 
 
-def _parted(table: BenchTable, scene: Scene) -> Iterator[str]:
+def _wall_conflicts(table: BenchTable, scene: Scene) -> Iterator[str]:
     """Yield a problem for each axis that would drive something through the wall of a tube."""
     walls = {body.name: body for body in scene.bodies if body.room is not None and body.room.surrounds}
     for wall in walls.values():
@@ -154,7 +154,7 @@ def _parted(table: BenchTable, scene: Scene) -> Iterator[str]:
                 break
 
 
-def _tried(build: Callable[[], T], wrong: list[ConfigError]) -> T | None:
+def _try_build(build: Callable[[], T], wrong: list[ConfigError]) -> T | None:
     """Build something; None if its file is wrong, with what is wrong added."""
     try:
         return build()

@@ -21,13 +21,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
 
-from daq.bench.bench_edit import Place, Value, changed, difference, replace_file
+from daq.bench.bench_edit import Place, Value, difference, edit_values, replace_file
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import STAGES, Bench, CameraSection
 from daq.bench.elements import CAMERA
 from daq.bench.guards import guard_of
 from daq.bench.kinds import kind_of
-from daq.bench.opened import check_devices, keep_apart, known_positions, open_bench, require_camera_libraries
+from daq.bench.opened import check_devices, keep_apart, open_bench, require_camera_libraries, require_positions
 from daq.errors import RunUsageError
 from daq.timing.laser import Laser
 from stages.axis import Arrival
@@ -57,7 +57,7 @@ class BenchSession:
         self._stack = ExitStack()
         try:
             opened = self._stack.enter_context(open_bench(bench, simulate, only={STAGES}))
-            self.stage, self.simulation, self.drawn_s = opened.stage, opened.simulation, opened.drawn_s
+            self.stage, self.simulation, self.rendering_s = opened.stage, opened.simulation, opened.rendering_s
             self._opened, self._devices = opened, dict(opened.devices)
         except BaseException:
             self._stack.close()
@@ -66,7 +66,7 @@ class BenchSession:
     @property
     def held(self) -> bool:
         """True if a stop holds the bench; see `clear`."""
-        return self.stage.held
+        return self.stage.is_held
 
     def where(self) -> dict[str, float | None]:
         """Position of every axis at rest [mm]; None where it is not known."""
@@ -170,7 +170,7 @@ class BenchSession:
             Some of these axes do not know where they are.
         """
         names = axes or tuple(self.stage.axes)
-        where_mm = known_positions({name: self.stage.where_mm()[self.stage.axis(name).name] for name in names})
+        where_mm = require_positions({name: self.stage.where_mm()[self.stage.axis(name).name] for name in names})
         scene_at_mm = {name: round(mm, DECIMALS) + 0.0 for name, mm in where_mm.items()}
         table = self.bench.table.model_copy(
             update={"scene_at_mm": {**self.bench.table.scene_at_mm, **scene_at_mm}}
@@ -261,7 +261,7 @@ class BenchSession:
                 said, wanted = controller.identity, self.stage.config.controllers[name].identity
                 if said and not (wanted and wanted in said):
                     values["stages", "controllers", name, "identity"] = said
-        return changed(self.bench.path, values, after={"scene_at_mm": "scene"})
+        return edit_values(self.bench.path, values, after={"scene_at_mm": "scene"})
 
 
 def open_session(bench: Path | str, simulate: bool = False, home: bool = False) -> BenchSession:

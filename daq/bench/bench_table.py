@@ -37,7 +37,7 @@ from daq.errors import PlanError, SettingRefused
 from ground.config import Document, Name, Table
 from ground.plain_words import slip
 from ground.usual import Usual
-from stages.config import AxisTable, Positive, StagesTable, shared_ports
+from stages.config import AxisTable, Positive, StagesTable, port_conflicts
 from tracer.scene.scene import Scene
 
 Preset = Literal["free_running", "software", "edge", "falling_edge", "pulse_width", "burst"]
@@ -157,7 +157,7 @@ class TargetSection(Table):
     )
 
     @model_validator(mode="after")
-    def _said_once(self) -> "TargetSection":
+    def _has_one_source(self) -> "TargetSection":
         if self.board is not None and (more := self.model_fields_set - {"board"}):
             raise ValueError(f"the board file says its sizes, so leave {', '.join(sorted(more))} out")
         return self
@@ -197,7 +197,7 @@ class BenchTable(Table):
                     problems.append(f"{key}: axis {name!r} does not carry the glass")
         ports = {name: str(getattr(table, "port", "")) for name, table in self.stages.controllers.items()}
         ports |= {name: str(device.get("port") or "") for name, device in self.devices.items()}
-        problems += shared_ports(ports)
+        problems += port_conflicts(ports)
         for name in {STAGES, CAMERA} & set(self.devices):
             problems.append(f"devices.{name}: that device has a section of its own; give this one another name")
         for name, axis in self.stages.axes.items():
@@ -282,7 +282,7 @@ class Bench:
         further = {name: d.section for name, d in self.more.items() if isinstance(d.section, CameraSection)}
         return {CAMERA: self.table.camera, **further}
 
-    def seen_by(self, name: str) -> "Bench":
+    def as_seen_by(self, name: str) -> "Bench":
         """Return the same bench as one of its cameras sees it: with that one in the section `camera`.
 
         Raises

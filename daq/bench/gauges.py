@@ -127,7 +127,7 @@ class PortGauge:
         self._section, self._clock = section, clock
         self._port: Port | None = None
         with suppress(StageError):
-            self._opened()
+            self._open_port()
 
     def close(self) -> None:
         """Close the port."""
@@ -139,7 +139,7 @@ class PortGauge:
         """Return what the box says now."""
         section = self._section
         try:
-            line = self._line(self._opened())
+            line = self._line(self._open_port())
         except StageError as error:
             if self._port is not None and self._port.lost:
                 self.close()
@@ -157,7 +157,7 @@ class PortGauge:
             return missing(section, f"{line[:40]!r} is not what find looks for")
         return reading_of(section, found[1], when)
 
-    def _opened(self) -> Port:
+    def _open_port(self) -> Port:
         if self._port is None:
             assert self._section.port is not None
             self._port = Port(self._section.port, self._section.baud, clock=self._clock)

@@ -164,7 +164,7 @@ class KeepOut:
         """
         for piece in way:
             for one, other, closest_mm, begin_mm in self._approaches(piece, self._table.clearance_mm):
-                allowed_mm = self._allowed_mm(one, other)
+                allowed_mm = self._limit_mm(one, other)
                 if closest_mm < min(allowed_mm, begin_mm) - ROUNDING_MM:
                     text = (
                         f"{piece.axis} from {piece.start_mm:g} to {piece.end_mm:g} mm would bring {one.name} to "
@@ -176,7 +176,7 @@ class KeepOut:
         """Smallest distance between any two elements of which one moves, over a whole way."""
         return min((closest for piece in way for _, _, closest, _ in self._approaches(piece)), default=np.inf)
 
-    def _allowed_mm(self, one: _Shape, other: _Shape) -> float:
+    def _limit_mm(self, one: _Shape, other: _Shape) -> float:
         elements = {one.element, other.element}
         if "target" in elements and {one.name, other.name} & set(self._table.contact):
             return -CONTACT_MM

@@ -69,7 +69,7 @@ class Simulation(Protocol):
         """Hear that a step of a run begins, 1 first."""
         ...
 
-    def drawn_s(self) -> float:
+    def rendering_s(self) -> float:
         """Seconds in which its pictures were drawn, up to now; no camera's time, so no timeout counts them."""
         ...
 
@@ -116,9 +116,9 @@ class OpenBench:
         """Open, not configured."""
         return cast("Camera", self.devices[CAMERA])
 
-    def drawn_s(self) -> float:
+    def rendering_s(self) -> float:
         """Seconds in which a simulation drew pictures, up to now; 0 at hardware."""
-        return 0.0 if self.simulation is None else self.simulation.drawn_s()
+        return 0.0 if self.simulation is None else self.simulation.rendering_s()
 
     @property
     def camera_section(self) -> CameraSection:
@@ -231,7 +231,7 @@ def simulation_class(bench: Bench) -> Callable[..., object]:
 
 
 @contextmanager
-def simulated_or_real(
+def device_sections(
     bench: Bench, simulate: bool, shows: str = "chessboard", exposures_before: int = 0
 ) -> Iterator[tuple[Mapping[str, Table], Clock, Simulation | None]]:
     """Yield what to open: the sections of the file, or those of its simulation, which ends with the block."""
@@ -273,7 +273,7 @@ def open_bench(
     wanted = {name: device for name, device in bench.devices.items() if not only or name in only}
     require_camera_libraries(bench, simulate, only)  # before anything is compiled or set up
     with ExitStack() as stack:
-        opened = simulated_or_real(bench, simulate, shows, exposures_before)
+        opened = device_sections(bench, simulate, shows, exposures_before)
         sections, clock, simulation = stack.enter_context(opened)
         devices = {
             name: stack.enter_context(kind_of(device.kind).open(sections[name], bench, clock))
@@ -283,7 +283,7 @@ def open_bench(
             for laser in [device for device in devices.values() if isinstance(device, Laser)]:
                 keep_apart(laser, stage)
             if simulation is not None and bench.table.stages.by_hand:
-                stage.turned_by(simulation.turns)
+                stage.set_operator(simulation.turns)
         yield OpenBench(bench, devices, sections, clock, simulation)
 
 
@@ -305,7 +305,7 @@ def _dark_for_hands(laser: Laser) -> str | None:
     return None if state is LaserState.SAFE else f"{laser.name} is {state.value}; switch it off (rtpiv laser off)"
 
 
-def known_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:
+def require_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:
     """Positions of all axes.
 
     Raises

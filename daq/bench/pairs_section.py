@@ -73,7 +73,7 @@ class PairsSection(Table):
         return self
 
     @property
-    def told_by(self) -> Marker:
+    def effective_marker(self) -> Marker:
         """The marker, also where the shape is one."""
         return self.marker or "halves"
 
@@ -81,7 +81,7 @@ class PairsSection(Table):
     def chunks(self) -> tuple[str, ...]:
         """Chunk data that every frame has to carry, by their SFNC names."""
         names = {"line_status": "LineStatusAll", "counter": self.counter or ""}
-        return (names[self.told_by],) if self.told_by in names else ()
+        return (names[self.effective_marker],) if self.effective_marker in names else ()
 
     @property
     def frames(self) -> int:

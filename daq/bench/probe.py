@@ -77,7 +77,7 @@ class Probe:
         deaf_s = WAKES_S
         for baud in RATES:
             self.port = Port(self.url, baud, clock=self.clock, hold_dtr=True)
-            self._said.opened(baud)
+            self._said.record_opening(baud)
             with closing(self.port):
                 self._listen(deaf_s)
                 deaf_s = 0.0
@@ -89,7 +89,7 @@ class Probe:
     def ask(self, data: bytes, limit_s: float = LONGEST_S) -> bytes:
         """Send a question; return all that comes until it is quiet."""
         assert self.port is not None
-        self._said.sent(data)
+        self._said.record_sent(data)
         self.port.write(data)
         return self._listen(QUIET_S, limit_s)
 

@@ -58,7 +58,7 @@ def image_of(camera: Camera, settings: Mapping[str, Setting]) -> Camera:
             "both or none, or describe the image itself (scene_shows: image), as behind a mirror"
         )
     if settings.get("ReverseX", False) is True:
-        camera = _rolled(camera)
+        camera = _half_turn(camera)
     for name, half in (("Binning", 0.5), ("Decimation", 0.0)):
         camera = _coarser(camera, _whole(settings, f"{name}Horizontal", 1), half)
     offset = (_whole(settings, "OffsetX", 0), _whole(settings, "OffsetY", 0))
@@ -77,7 +77,7 @@ def image_of(camera: Camera, settings: Mapping[str, Setting]) -> Camera:
     return replace(camera, sensor_px=size, principal_px=(u - offset[0], v - offset[1]))
 
 
-def _rolled(camera: Camera) -> Camera:
+def _half_turn(camera: Camera) -> Camera:
     """Turned by half a turn about its axis; tangential lens terms are even, so they change their sign."""
     (width, height), (u, v) = camera.sensor_px, camera.principal_px
     right, down, forward = camera.rotation

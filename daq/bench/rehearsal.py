@@ -57,7 +57,7 @@ class Rehearsal:
         """
         if self.seed is not None and not 0 <= self.seed <= SEEDS:
             raise RunUsageError(f"seed {self.seed}: say a whole number from 0 to {SEEDS}")
-        document, file = self._said()
+        document, file = self._read_faults()
         found = file.faults
         problems = [
             Problem(document.line(("faults", index)) if document.lines else 0, f"faults[{index}]: {text}")
@@ -78,7 +78,7 @@ class Rehearsal:
             read_dialogue(path)
         return with_rehearsal(bench, self.seed, found, files)
 
-    def _said(self) -> tuple[Document, FaultFile]:
+    def _read_faults(self) -> tuple[Document, FaultFile]:
         """Faults and recordings of a file, each with its line."""
         if self.faults is None:
             return Document(Path("recorded"), {}, {}), FaultFile.model_construct(faults=[], recorded={})

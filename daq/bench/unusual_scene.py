@@ -129,9 +129,8 @@ def _bodies_asked(scene: Scene) -> Asked:
             )
         widest = max(lenses, key=lambda body: float(discs[body.name][2]))
         if (share := 2.0 * float(discs[widest.name][2]) / side_px) > MOST_SHARE:
-            text = (
-                f"{widest.name} is {share:.3g} times as large as the picture, {_seen_mm(camera):.3g} mm: {sizes}"
-            )
+            picture_mm = _field_of_view_mm(camera)
+            text = f"{widest.name} is {share:.3g} times as large as the picture, {picture_mm:.3g} mm: {sizes}"
             yield ("bodies", places[widest.name]), text
     radii = [body.radius_mm for body in Sphere.among(scene.bodies)]
     middle_mm = float(np.median(radii)) if radii else 0.0
@@ -165,13 +164,13 @@ def _bodies_asked(scene: Scene) -> Asked:
             outer_mm, inner_mm = getattr(body, "outer_radius_mm"), getattr(body, "inner_radius_mm")  # noqa: B009
             if asked := question("wall", 1.0 - inner_mm / outer_mm, WALL):
                 yield at, f"{body.name}: the wall over the outer radius: {asked}"
-            if 2.0 * outer_mm < LEAST_SHARE * _seen_mm(camera):
-                text = f"is outer_radius_mm {outer_mm:g} right? The picture is {_seen_mm(camera):.3g} mm wide"
+            if 2.0 * outer_mm < LEAST_SHARE * (picture_mm := _field_of_view_mm(camera)):
+                text = f"is outer_radius_mm {outer_mm:g} right? The picture is {picture_mm:.3g} mm wide"
                 yield at, f"{body.name}: {text}"
 
 
 def _sheet_asked(scene: Scene) -> Asked:
-    sheet, seen_mm = scene.sheet, _seen_mm(scene.camera)
+    sheet, seen_mm = scene.sheet, _field_of_view_mm(scene.camera)
     if sheet is None:
         return
     try:
@@ -191,7 +190,7 @@ def _distance_mm(camera: Camera) -> float:
     return camera.position_mm[2] / max(-float(camera.rotation_matrix[2][2]), 1e-3)
 
 
-def _seen_mm(camera: Camera) -> float:
+def _field_of_view_mm(camera: Camera) -> float:
     """Field of view along the longer side of the picture, without glass [mm]."""
     return max(camera.sensor_px) * _distance_mm(camera) / camera.focal_px
 

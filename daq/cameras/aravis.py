@@ -309,7 +309,7 @@ class AravisCamera:
                 nodes.execute("AcquisitionStop")
                 if nodes.has("TLParamsLocked"):
                     nodes.set("TLParamsLocked", 0)
-                ignored = self._ignored(nodes) if self._counts_triggers else None
+                ignored = self._count_ignored(nodes) if self._counts_triggers else None
             self._drain()
             self._last = self._count(ignored)
         finally:
@@ -435,7 +435,7 @@ class AravisCamera:
         behind = -(-(packets - self._underrun_packets) // self._packets_per_frame)
         underrun = self._underrun_before + self._underrun_in_gaps + behind
         if ignored is None and self._counts_triggers:
-            ignored = self._ignored(AravisNodes(self._device))
+            ignored = self._count_ignored(AravisNodes(self._device))
         missing = self._ids.missing(self._underrun_in_gaps)
         return Counters(self._delivered, self._incomplete, underrun, missing, resent, ignored, unused=self._unused)
 
@@ -449,7 +449,7 @@ class AravisCamera:
             resent = int(call("arv_stream_get_info_uint64_by_name", self._stream, b"n_resent_packets"))
         return resent, underrun.value
 
-    def _ignored(self, nodes: AravisNodes) -> int:
+    def _count_ignored(self, nodes: AravisNodes) -> int:
         return max(0, int(nodes.get("CounterValue")) - self._ignored_before)
 
     def _probe(self, timeout_s: float) -> None:

@@ -44,7 +44,7 @@ class Counters:
     unused: int = 0
 
     @property
-    def lost(self) -> int:
+    def losses(self) -> int:
         """Frames that the camera exposed and that will never be complete."""
         return self.incomplete + self.underrun + self.missing
 

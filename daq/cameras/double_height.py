@@ -36,7 +36,7 @@ class DoubleHeightCamera:
     @property
     def counters(self) -> Counters:
         """Halves since the last `arm`."""
-        return self._doubled(self._camera.counters)
+        return self._in_halves(self._camera.counters)
 
     def open(self) -> None:
         """As the camera does."""
@@ -100,7 +100,7 @@ class DoubleHeightCamera:
         left = len(self._halves)
         while self._halves:
             self._halves.popleft().release()
-        counts = self._doubled(self._camera.disarm())
+        counts = self._in_halves(self._camera.disarm())
         return replace(counts, delivered=counts.delivered - left, unused=counts.unused + left)
 
     def _cut(self, whole: Frame) -> None:
@@ -123,7 +123,7 @@ class DoubleHeightCamera:
             meta = replace(whole.meta, sequence=2 * whole.meta.sequence + half)
             self._halves.append(Frame(pixels, meta, release, whole.slot))
 
-    def _doubled(self, counts: Counters) -> Counters:
+    def _in_halves(self, counts: Counters) -> Counters:
         uncut = self._uncut
         return replace(
             counts,

@@ -126,33 +126,33 @@ def image_of(buffer: Any) -> BufferFacts:  # noqa: ANN401 - genicam has no types
     BadFrame
         It does not tell format and size of one image, or in a form that is not supported.
     """
-    code, width, height = (_told(buffer, name) for name in ("pixel_format", "width", "height"))
+    code, width, height = (_first_answer(buffer, name) for name in ("pixel_format", "width", "height"))
     if code is None or width is None or height is None:
-        kind = _told(buffer, "payload_type")
+        kind = _first_answer(buffer, "payload_type")
         raise BadFrame(
             f"the camera sends frames that are no single image (payload type {kind}); switch off chunk data, "
             "GenDC and multi-part frames (ChunkModeActive, GenDCStreamingMode)"
         )
     form = pixel_format(code)
-    first = _told(buffer, "image_offset") or 0
-    size = _told(buffer, "data_size", "size_filled", "size") or 0
+    first = _first_answer(buffer, "image_offset") or 0
+    size = _first_answer(buffer, "data_size", "size_filled", "size") or 0
     payload = np.frombuffer(buffer.raw_buffer, np.uint8)[first:size]
-    if form.wire_bits == 16 and _told(buffer, "pixel_endianness") == BIG_ENDIAN:
+    if form.wire_bits == 16 and _first_answer(buffer, "pixel_endianness") == BIG_ENDIAN:
         payload = payload[: payload.size // 2 * 2].view(np.uint16).byteswap().view(np.uint8)
-    return BufferFacts(form, width, height, _told(buffer, "padding_x") or 0, payload)
+    return BufferFacts(form, width, height, _first_answer(buffer, "padding_x") or 0, payload)
 
 
 def frame_id(buffer: Any) -> int | None:  # noqa: ANN401
     """Id as the camera gave it; None if the producer does not tell."""
-    return _told(buffer, "frame_id")
+    return _first_answer(buffer, "frame_id")
 
 
 def timestamp_ns(buffer: Any) -> int:  # noqa: ANN401
     """Camera clock; 0 if it has none, or one of unknown ticks."""
-    found = _told(buffer, "timestamp_ns")
+    found = _first_answer(buffer, "timestamp_ns")
     if found is not None:
         return found
-    ticks, per_s = _told(buffer, "timestamp"), _told(buffer.parent.parent, "timestamp_frequency")
+    ticks, per_s = _first_answer(buffer, "timestamp"), _first_answer(buffer.parent.parent, "timestamp_frequency")
     return round(ticks * 1e9 / per_s) if ticks and per_s else 0
 
 
@@ -177,10 +177,10 @@ def _has_chunks(buffer: Any) -> bool:  # noqa: ANN401
     try:
         return bool(buffer.is_containing_chunk_data())
     except gentl.GenericException:  # a producer before GenTL 1.5
-        return bool(_told(buffer, "num_chunks"))
+        return bool(_first_answer(buffer, "num_chunks"))
 
 
-def _told(module: Any, *names: str) -> int | None:  # noqa: ANN401
+def _first_answer(module: Any, *names: str) -> int | None:  # noqa: ANN401
     """First answer that is available."""
     for name in names:
         try:

@@ -259,12 +259,12 @@ class HarvestersCamera:
             with self._send_lock:
                 send(self._pipe, {"number": number, "call": call, "arguments": arguments})
         except OSError as error:
-            raise self._lost("its process has ended") from error
+            raise self._end_as_lost("its process has ended") from error
         deadline = time.monotonic() + (timeout_s if call == "probe" else WATCHDOG * timeout_s)
         while number not in self._answers:
             left_s = deadline - time.monotonic()
             if left_s <= 0:
-                raise self._lost(f"{call} gave no answer within {timeout_s:g} s")
+                raise self._end_as_lost(f"{call} gave no answer within {timeout_s:g} s")
             self._receive(left_s)
         answer = self._answers.pop(number)
         raise_error(answer)
@@ -277,7 +277,7 @@ class HarvestersCamera:
                 return False
             message = receive(self._pipe)
         except (EOFError, OSError) as error:
-            raise self._lost("its process has ended") from error
+            raise self._end_as_lost("its process has ended") from error
         if "answer" in message:
             self._answers[int(message["answer"])] = message
         elif "broken" in message:
@@ -288,7 +288,7 @@ class HarvestersCamera:
             self._counts |= message
         return True
 
-    def _lost(self, why: str) -> CameraLost:
+    def _end_as_lost(self, why: str) -> CameraLost:
         self._kill()
         self._drop_ring()
         return CameraLost(f"the camera is lost: {why}; close it and open it again")
@@ -305,7 +305,7 @@ class HarvestersCamera:
 
     def _require_armed(self) -> None:
         if self._pipe is not None and self._process is None:  # another call may have found out
-            raise self._lost("its process has ended")
+            raise self._end_as_lost("its process has ended")
         if self._ring is None:
             raise CameraUsageError("the camera is not armed; call arm first")
 

@@ -25,7 +25,7 @@ HEADERS_BYTES, CABLE_BYTES, USUAL_PACKET_BYTES = 36, 38, 1500
 PACKET_SIZE = "GevSCPSPacketSize"
 
 
-def carried_bytes_s(settings: Mapping[str, Setting], link: LinkName | None = None) -> float:
+def link_capacity_bytes_s(settings: Mapping[str, Setting], link: LinkName | None = None) -> float:
     """Pixels that fit through the link in a second [byte/s]; 0 if not known.
 
     Parameters
@@ -45,7 +45,7 @@ def carried_bytes_s(settings: Mapping[str, Setting], link: LinkName | None = Non
     return min((each for each in limits if each >= SLOWEST_BYTES_S), default=0.0)
 
 
-def told_bytes_s(settings: Mapping[str, Setting]) -> float:
+def link_speed_bytes_s(settings: Mapping[str, Setting]) -> float:
     """The link's speed as the camera tells it, without any loss; 0 if it does not tell."""
     rate = limit_bytes_s(settings) or first_of(settings, ("DeviceLinkSpeed",))
     if rate < SLOWEST_BYTES_S:

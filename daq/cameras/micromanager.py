@@ -347,7 +347,7 @@ class MicroManagerCamera:
             return left
 
         left = self._ask("to end", finish)
-        self._counters = self._counted(unused=left)
+        self._counters = self._count(unused=left)
         return self._counters
 
     def close(self) -> None:
@@ -405,14 +405,14 @@ class MicroManagerCamera:
         sequence = self._ids.note(frame_id)
         form = FORMATS.get(str(self._ask("for its format", lambda: self._nodes.get("PixelFormat"))))
         if pixels.ndim != 2 or pixels.dtype not in (np.dtype("u1"), np.dtype("u2")) or form is None:
-            self._counters = self._counted(unused=1)
+            self._counters = self._count(unused=1)
             raise BadFrame(f"an image is {pixels.shape} {pixels.dtype}; a frame is grey of 8 or 16 bit")
         exposure_us = 1e3 * float(self._ask("for its exposure", lambda: self._core.getExposure()))
-        self._counters = self._counted(delivered=1)
+        self._counters = self._count(delivered=1)
         meta = FrameMeta(frame_id, sequence, 0, received_ns, exposure_us, form.name, form.significant_bits)
         return Frame(np.ascontiguousarray(pixels, dtype=np.uint16), meta)
 
-    def _counted(self, delivered: int = 0, unused: int = 0) -> Counters:
+    def _count(self, delivered: int = 0, unused: int = 0) -> Counters:
         old = self._counters
         missing = 0 if self._is_triggered else self._ids.missing(0)
         return Counters(old.delivered + delivered, missing=missing, unused=old.unused + unused)

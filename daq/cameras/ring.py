@@ -33,7 +33,7 @@ class FrameRing:
         self.slots = slots
         self.pixels = pixels
         size = 2 * slots * pixels
-        self._memory = _created(size) if name is None else _attached(name)
+        self._memory = _create(size) if name is None else _attach(name)
         if self._memory.size < size:
             self._memory.close()
             raise ValueError(f"shared memory {name} is smaller than {slots} frames of {pixels} px")
@@ -74,7 +74,7 @@ def _let_go(memory: SharedMemory, owner: int) -> None:
         memory._buf = None  # type: ignore[attr-defined]
 
 
-def _created(size: int) -> SharedMemory:
+def _create(size: int) -> SharedMemory:
     """Memory that the tracker, a process of its own, gives back if this one is killed: without its warning."""
     before = list(sys.warnoptions)
     sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # a process that is started now is given these
@@ -85,7 +85,7 @@ def _created(size: int) -> SharedMemory:
     return SharedMemory(create=True, size=size)
 
 
-def _attached(name: str) -> SharedMemory:
+def _attach(name: str) -> SharedMemory:
     """Memory of another process; this one's tracker must not know it, for it would remove it at our end."""
     if sys.version_info >= (3, 13):
         return SharedMemory(name=name, track=False)

@@ -94,7 +94,7 @@ def apply_settings(nodes: Nodes, settings: Mapping[str, Setting]) -> dict[str, S
     writer = _Writer(nodes)
     try:
         written = writer.write_all(settings)
-        readback = {asked: nodes.get(_known_name(nodes, asked)) for asked in written}
+        readback = {asked: nodes.get(_resolve_name(nodes, asked)) for asked in written}
         wrong = differing(written, readback)
         if wrong:
             raise SettingRefused(f"the camera did not take {wrong}")
@@ -166,7 +166,7 @@ class _Writer:
         return {name: refusals[name] for name in pending if name in refusals}
 
     def _write(self, name: str, value: Setting) -> None:
-        nodes, known = self._nodes, _known_name(self._nodes, name)
+        nodes, known = self._nodes, _resolve_name(self._nodes, name)
         before = nodes.get(known)
         if type(before) is type(value) and before == value:
             return
@@ -238,7 +238,7 @@ def enable_chunks(nodes: Nodes, chunks: Iterable[str]) -> dict[str, Setting]:
 def verify_settings(nodes: Nodes, expected: Mapping[str, Setting]) -> None:
     """Compare the camera with what it read back when it was configured; SettingsChanged if it differs."""
     try:
-        readback = {asked: nodes.get(_known_name(nodes, asked)) for asked in expected}
+        readback = {asked: nodes.get(_resolve_name(nodes, asked)) for asked in expected}
     except SettingRefused as gone:
         raise SettingsChanged(f"the camera lost its settings ({gone}); configure it again") from gone
     wrong = differing(expected, readback, tolerance=1e-6)
@@ -319,7 +319,7 @@ def _is_selected(name: str, selector: str) -> bool:
     return name.startswith(SELECTED.get(selector, (selector.removesuffix("Selector"),)))
 
 
-def _known_name(nodes: Nodes, name: str) -> str:
+def _resolve_name(nodes: Nodes, name: str) -> str:
     for candidate in (name, OLD_NAMES.get(name), NEW_NAMES.get(name)):
         if candidate is not None and nodes.has(candidate):
             return candidate

@@ -50,7 +50,7 @@ class DavisImages:
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         self._path = path
-        opened = _opened(as_it_is(path))
+        opened = _open(as_it_is(path))
         if len(cameras := opened.cameras()) > 1:
             first = opened.each // len(cameras) + 1
             raise FrameError(
@@ -68,7 +68,7 @@ class DavisImages:
         if path.suffix.lower() != IMAGE or not path.is_file():
             return False
         try:
-            return _opened(as_it_is(path)).count != 1
+            return _open(as_it_is(path)).count != 1
         except (FrameError, RunUsageError):
             return True
 
@@ -76,13 +76,13 @@ class DavisImages:
         """Pairs of frames."""
         return self._pairs
 
-    def alone(self) -> int:
+    def count_unpaired(self) -> int:
         """Frames that are in no pair."""
         return self._alone
 
     def file_of(self, place: Path) -> Path:
         """The image that a frame lies in, which of a set is in the folder beside it."""
-        found, opened = frame_in(place), _opened(as_it_is(self._path))
+        found, opened = frame_in(place), _open(as_it_is(self._path))
         assert found is not None
         return opened.files[(found[1] - 1) // opened.each] if opened.files else self._path
 
@@ -97,7 +97,7 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
     """Read one frame; raises FrameError as `daq.frames.named_frame.read_named`."""
     named = frame_in(place)
     path, number = named or (place, 1)
-    opened = _opened(as_it_is(path))
+    opened = _open(as_it_is(path))
     if named is None and opened.count != 1:
         raise FrameError(
             f"{place}: holds {opened.count} frames; name one, such as {place.name}@1, or give the set it is in"
@@ -111,7 +111,7 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
 
 
 @lru_cache(maxsize=2)
-def _opened(file: OpenFile) -> "_Davis":
+def _open(file: OpenFile) -> "_Davis":
     return _Davis(file[0])
 
 
@@ -144,7 +144,7 @@ class _Davis:
 
     def _open_set(self) -> int:
         """Open the file as a set; return how many images it has."""
-        with self._said():
+        with self._translate_errors():
             if self._library.is_multiset(str(self._path)):
                 raise FrameError("holds sets, not images; name one of them")
             self._set = self._library.read_set(str(self._path))
@@ -171,7 +171,7 @@ class _Davis:
 
     def _buffer(self, place: int) -> Any:  # noqa: ANN401 - lvpyio's
         if self._last is None or self._last[0] != place:
-            with self._said():
+            with self._translate_errors():
                 buffer = self._library.read_buffer(str(self._path)) if self._set is None else self._set[place]
             if not set(buffer.attributes) - ITS_OWN:
                 raise FrameError(
@@ -181,7 +181,7 @@ class _Davis:
         return self._last[1]
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _translate_errors(self) -> Iterator[None]:
         """Turn what lvpyio finds into our sentence."""
         try:
             yield

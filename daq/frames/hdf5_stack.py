@@ -53,8 +53,8 @@ class Hdf5Stack:
         found = _STACK.fullmatch(str(path))
         assert found is not None
         self._file = Path(found[1])
-        with _opened(self._file) as file:
-            names = _named(file, found[2], path)
+        with _open(self._file) as file:
+            names = _dataset_names(file, found[2], path)
             counts = [_Images(file[name]).count for name in names]
             is_paired = _Images(file[names[0]]).is_paired
         if len(names) == 1 and not is_paired:
@@ -80,7 +80,7 @@ class Hdf5Stack:
         """Pairs in their order; images are numbered as if those of pairs stood one behind the other."""
         return self._pairs
 
-    def alone(self) -> int:
+    def count_unpaired(self) -> int:
         """Images that are in no pair."""
         return self._alone
 
@@ -140,7 +140,7 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
     found = _IMAGE.fullmatch(str(place))
     assert found is not None
     number = int(found[3])
-    with _opened(Path(found[1])) as file:
+    with _open(Path(found[1])) as file:
         try:
             pixels = _Images(file[found[2]]).image(number)
         except (KeyError, ValueError, IndexError, OSError, FrameError) as error:
@@ -149,7 +149,7 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
     return pixels
 
 
-def _opened(file: Path) -> Any:  # noqa: ANN401 - h5py's file
+def _open(file: Path) -> Any:  # noqa: ANN401 - h5py's file
     try:
         import h5py
     except ImportError:
@@ -160,7 +160,7 @@ def _opened(file: Path) -> Any:  # noqa: ANN401 - h5py's file
         raise FrameError(f"{file}: is no HDF5 file that can be read ({str(error)[:100]})") from None
 
 
-def _named(file: Any, given: str | None, path: Path) -> list[str]:  # noqa: ANN401
+def _dataset_names(file: Any, given: str | None, path: Path) -> list[str]:  # noqa: ANN401
     """Names of the data set that is meant, or of those of first and of second frames."""
     stacks: dict[str, tuple[int, ...]] = {}
     others: dict[str, str] = {}

@@ -175,7 +175,7 @@ def sequences_of(names: Collection[str]) -> list[dict[Fraction, str]]:
     return found
 
 
-def counted_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:
+def number_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:
     """Number the frames of a sequence from 1, with gaps where some were lost.
 
     Numbers in steps of 10 count by tens; times count by the usual time between them.  Where the frames of a pair

@@ -17,8 +17,8 @@ from pathlib import Path
 from daq.frames.name_schemes import (
     FEW_STRAYS,
     Scheme,
-    counted_from_1,
     natural,
+    number_from_1,
     pattern_of,
     schemes_of,
     sequences_of,
@@ -66,7 +66,7 @@ class FoundFiles:
             self._keep(folder, [(f"{name}@1", f"{name}@2") for name in order], 2 * len(order))
             return
         self.is_sequence = pairing is NEIGHBOURS
-        numbered = {number: folder / name for number, name in counted_from_1(frames).items()}
+        numbered = {number: folder / name for number, name in number_from_1(frames).items()}
         steps = [(a, b) for a, b in pairwise(sorted(numbered)) if b > a + 1]
         self.missing = sum(b - a - 1 for a, b in steps)
         self.gaps = [(numbered[a].name, numbered[b].name) for a, b in steps]
@@ -76,7 +76,7 @@ class FoundFiles:
         """Pairs in their order; their numbers are those of the files, or of pairs of files."""
         return self._pairs
 
-    def alone(self) -> int:
+    def count_unpaired(self) -> int:
         """Frames without a partner."""
         return self._alone
 
@@ -113,7 +113,7 @@ class NumberedFiles(FoundFiles):
                 and not (names & {first for first, _ in scheme.pairs})
             ):
                 raise PairError(
-                    f"{path}: these are second frames; give the first ones, {_quoted(folder / scheme.first)}"
+                    f"{path}: these are second frames; give the first ones, {_quote(folder / scheme.first)}"
                 )
             pairs = [pair for pair in scheme.pairs if pair[0] in names]
             if names <= scheme.names and pairs:
@@ -277,9 +277,7 @@ def _one_sequence(folder: Path, found: list[dict[Fraction, str]], few: float = 0
         raise PairError(f"{folder}: holds no numbered frames")
     longest = max(found, key=len)
     if sum(map(len, found)) - len(longest) > few:
-        some = ", ".join(
-            sorted({_quoted(folder / pattern_of(list(each.values()))) for each in found})[:MOST_NAMED]
-        )
+        some = ", ".join(sorted({_quote(folder / pattern_of(list(each.values()))) for each in found})[:MOST_NAMED])
         raise PairError(f"{folder}: its frames are of several series; name one of them, in quotes: {some}")
     return longest
 
@@ -292,9 +290,9 @@ def _several(folder: Path, names: set[str], schemes: Sequence[Scheme]) -> str:
             pairs = [pair for pair in scheme.pairs if pair[0] in set(part.values())]
             first, second = (pattern_of(each) for each in zip(*pairs, strict=True))
             where = folder / second if "/" in second else Path(second)
-            ways.append(f"{_quoted(folder / first)} --second {_quoted(where)}")
+            ways.append(f"{_quote(folder / first)} --second {_quote(where)}")
     rest = sequences_of(names - frozenset().union(*(scheme.names for scheme in schemes)))
-    ways += [_quoted(folder / pattern_of(list(each.values()))) for each in rest if len(each) > 1]
+    ways += [_quote(folder / pattern_of(list(each.values()))) for each in rest if len(each) > 1]
     more = "  ..." if len(ways) > MOST_NAMED else ""
     return (
         f"{folder}: its frames are of several series, or can be paired in several ways; in place of the folder"
@@ -302,5 +300,5 @@ def _several(folder: Path, names: set[str], schemes: Sequence[Scheme]) -> str:
     )
 
 
-def _quoted(path: Path) -> str:
+def _quote(path: Path) -> str:
     return f'"{path}"'

@@ -48,7 +48,7 @@ class FrameSource(Protocol):
         """Pairs in their order."""
         ...
 
-    def alone(self) -> int:
+    def count_unpaired(self) -> int:
         """Frames without a partner."""
         ...
 

@@ -63,7 +63,7 @@ class TiffPages:
         """Pairs of pages."""
         return self._pairs
 
-    def alone(self) -> int:
+    def count_unpaired(self) -> int:
         """Pages that are in no pair."""
         return self._alone
 

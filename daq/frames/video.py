@@ -66,7 +66,7 @@ class Video:
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         self._path = path
-        numbers = _opened(as_it_is(path)).numbers
+        numbers = _open(as_it_is(path)).numbers
         self._pairs, self._alone = pairing.pairs({n: path.with_name(f"{path.name}@{n}") for n in numbers})
 
     @classmethod
@@ -78,7 +78,7 @@ class Video:
         """Pairs of frames."""
         return self._pairs
 
-    def alone(self) -> int:
+    def count_unpaired(self) -> int:
         """Frames that are in no pair."""
         return self._alone
 
@@ -97,7 +97,7 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
     """Read one frame; raises FrameError as `daq.frames.named_frame.read_named`, of another size undecoded."""
     found = frame_in(place)
     assert found is not None
-    opened = _opened(as_it_is(found[0]))
+    opened = _open(as_it_is(found[0]))
     require_size(place, opened.shape, shape)
     try:
         return opened.frame(found[1])
@@ -106,7 +106,7 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
 
 
 @lru_cache(maxsize=2)
-def _opened(file: OpenFile) -> "_Decoder":
+def _open(file: OpenFile) -> "_Decoder":
     return _Decoder(file[0])
 
 
@@ -133,7 +133,7 @@ class _Decoder:
         except self._library.error.FFmpegError as error:
             raise FrameError(f"{path}: is no video that can be read ({str(error)[:100]})") from None
         try:
-            self._packed = _numbered(packed)
+            self._packed = _number_frames(packed)
         except FrameError as error:
             raise FrameError(f"{path}: {error}") from None
         self.shape = int(self._track.height), int(self._track.width)
@@ -198,7 +198,7 @@ class _Decoder:
         begin = int(self._alone[before - 1]) if before else min(self._packed)
         if not begin <= self._next <= number:
             require_memory(10.0 * self.shape[0] * self.shape[1], "a frame of the video")
-            self._coming, self._next = self._decoded(begin), begin
+            self._coming, self._next = self._decode(begin), begin
         for found, pixels in self._coming:  # ends where the file does, or where no more can be read of it
             self._recent[found] = pixels
             self._next = found + 1
@@ -208,7 +208,7 @@ class _Decoder:
                 break
         self._recent.setdefault(number, None)
 
-    def _decoded(self, begin: int) -> Iterator[tuple[int, NDArray[Any] | None]]:
+    def _decode(self, begin: int) -> Iterator[tuple[int, NDArray[Any] | None]]:
         """Frames from one that stands alone, in the order of their numbers; None for one that is damaged."""
         self._track.codec_context.flush_buffers()
         sound = True
@@ -237,7 +237,7 @@ class _Decoder:
             yield from self._video.demux(self._track)
 
 
-def _numbered(packed: list[_Packed]) -> dict[int, _Packed]:
+def _number_frames(packed: list[_Packed]) -> dict[int, _Packed]:
     """Frames by number: one more from each to the next, and more where the times say that some are missing."""
     if not packed:
         raise FrameError("holds no frame that can be read")
@@ -259,7 +259,7 @@ def _numbered(packed: list[_Packed]) -> dict[int, _Packed]:
 def _grey(frame: Any) -> NDArray[Any]:  # noqa: ANN401 - PyAV's frame
     """Grey of a frame, rows from the top."""
     if any(plane.line_size < 0 for plane in frame.planes):  # rows from the bottom, which PyAV reads past their end
-        return np.ascontiguousarray(_grey(_turned_over(frame))[::-1])
+        return np.ascontiguousarray(_grey(_flip(frame))[::-1])
     kind = frame.format
     if kind.is_bayer:
         raise FrameError("is raw of a colour sensor (Bayer); export it as grey or as colours")
@@ -273,7 +273,7 @@ def _grey(frame: Any) -> NDArray[Any]:  # noqa: ANN401 - PyAV's frame
     return _plane(frame.planes[0], np.uint8 if bits <= 8 else np.uint16)
 
 
-def _turned_over(frame: Any) -> Any:  # noqa: ANN401
+def _flip(frame: Any) -> Any:  # noqa: ANN401
     """The same frame with its rows the other way round, in memory as they are counted."""
     from av.filter import Graph
 

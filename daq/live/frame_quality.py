@@ -108,7 +108,7 @@ MIN_TILE_PARTICLES = 6  # maxima in a tile, below which nothing is said of it
 BINS = 64
 
 
-def saturated_share(pixels: NDArray[Any], white: int) -> float:
+def share_of_saturated(pixels: NDArray[Any], white: int) -> float:
     """Share of saturated pixels, of those that are known."""
     known = np.isfinite(pixels)
     return float((pixels >= white).sum() / max(int(known.sum()), 1))
@@ -183,8 +183,8 @@ def _of_tile(tile: NDArray[Any]) -> tuple[float | None, float | None, float | No
     density = count / inner.size
     if count < MIN_TILE_PARTICLES:
         return None, density, None
-    beyond = _alike(image, BEYOND_PARTICLES_PX)
-    falls = [_alike(image, k) - beyond for k in (1, 2)]
+    beyond = _autocorrelation(image, BEYOND_PARTICLES_PX)
+    falls = [_autocorrelation(image, k) - beyond for k in (1, 2)]
     contrast = float(np.median(inner[top])) / noise
     if not falls[0] > falls[1] > 0.0:
         return None, density, contrast
@@ -208,7 +208,7 @@ def _edge_of_tile(tile: NDArray[Any]) -> float | None:
     return math.sqrt(max(variance, LEAST_EDGE_PX**2))
 
 
-def _alike(image: NDArray[Any], shift_px: int) -> float:
+def _autocorrelation(image: NDArray[Any], shift_px: int) -> float:
     """Mean product of an image and itself, shifted to the right and down."""
     k = shift_px
     return 0.5 * float((image[:, :-k] * image[:, k:]).mean() + (image[:-k] * image[k:]).mean())
@@ -239,7 +239,7 @@ class FrameQuality(Monitor):
         self._follow(snapshot.words, middle_of(maps["edge_px" if is_board else "diameter_px"]))
         self.figures = {
             "of": snapshot.number,
-            "saturated": saturated_share(raw, white),
+            "saturated": share_of_saturated(raw, white),
             "bright": brightness(raw, white),
             "histogram": histogram(raw, white),
             "maps": maps,

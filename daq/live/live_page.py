@@ -63,7 +63,7 @@ class RateLimiter:
         """
         return now_s - self._from_s >= self._period_s(is_watched)
 
-    def shown(self, now_s: float, is_watched: bool) -> None:
+    def note_shown(self, now_s: float, is_watched: bool) -> None:
         """Say that one was shown."""
         period_s = self._period_s(is_watched)
         self._from_s = max(self._from_s + period_s, now_s - period_s)
@@ -138,7 +138,7 @@ class LivePage:
         self.say("starting")
         self._keeper = threading.Thread(target=self._keep, name="page", daemon=True)
         try:
-            self.port = self._started(port)
+            self.port = self._start_server(port)
         except BaseException:
             self.close()
             raise
@@ -178,7 +178,7 @@ class LivePage:
     def show(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
         """Show a snapshot, unless the last one is too young to have been seen."""
         if self.is_due:
-            self.rate_limiter.shown(time.monotonic(), self._slot.is_watched)
+            self.rate_limiter.note_shown(time.monotonic(), self._slot.is_watched)
             self._slot.put(words, pictures)
 
     def say(self, doing: str) -> None:
@@ -220,9 +220,9 @@ class LivePage:
                 return
             begun_s = time.monotonic()
             with suppress(PageError, OSError):  # its port is taken, or no process can be started: once more, later
-                self._started(self.port)
+                self._start_server(self.port)
 
-    def _started(self, port: int) -> int:
+    def _start_server(self, port: int) -> int:
         """Start the server; the port on which it listens."""
         command, environment = child("daq.live.serve", str(self._slot.path))
         pipe = subprocess.PIPE

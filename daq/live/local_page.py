@@ -84,7 +84,7 @@ class LocalPage:
         ConnectionClosed, TimeoutError
             It has gone, or says nothing.
         """
-        said = understood(connection.recv(timeout=TOKEN_S))
+        said = parse_message(connection.recv(timeout=TOKEN_S))
         token = said.get("token")
         known = token.encode("utf-8", "surrogatepass") if isinstance(token, str) else b""
         if hmac.compare_digest(known, self.token.encode()):
@@ -133,7 +133,7 @@ def listening(
     )  # fmt: skip
 
 
-def understood(message: str | bytes) -> dict[str, Any]:
+def parse_message(message: str | bytes) -> dict[str, Any]:
     """Parse a message of a browser; empty if it makes no sense."""
     try:
         said = json.loads(message)

@@ -22,7 +22,7 @@ from websockets.sync.server import ServerConnection
 
 from correction.masked import pixels_in
 from daq.atomic_write import why
-from daq.live.local_page import LocalPage, listening, understood
+from daq.live.local_page import LocalPage, listening, parse_message
 from ground.whole_file import whole_file
 from tracer.masked import LEFT_OUT, MaskedPart, Point
 
@@ -90,9 +90,9 @@ class MaskPage:
             connection.send(json.dumps(words | {"outlines": self._outlines}))
             connection.send(self._shown)
             while True:
-                connection.send(json.dumps(self._written(understood(connection.recv()))))
+                connection.send(json.dumps(self._write_mask(parse_message(connection.recv()))))
 
-    def _written(self, said: dict[str, Any]) -> dict[str, Any]:
+    def _write_mask(self, said: dict[str, Any]) -> dict[str, Any]:
         """Write what was drawn; say what came of it."""
         outlines = outlines_of(said.get("outlines"))
         if outlines is None:

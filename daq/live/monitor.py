@@ -38,7 +38,7 @@ class Monitor(ABC):
 
     def look(self) -> None:
         """Look at the last snapshot, if it is a new one with a raw frame."""
-        snapshot = self._slot.taken(_raw_of)
+        snapshot = self._slot.read(_raw_of)
         if snapshot is not None and snapshot.number != self._seen and "raw" in snapshot.pictures:
             self._seen = snapshot.number
             self.see(snapshot)

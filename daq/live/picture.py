@@ -55,7 +55,7 @@ def room_px(asked: object) -> int:
     return min(max(asked, LEAST_PX), LARGEST_PX) if type(asked) is int else LARGEST_PX
 
 
-def sent(
+def picture_bytes(
     name: str,
     number: int,
     pixels: NDArray[Any],

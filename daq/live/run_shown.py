@@ -82,7 +82,7 @@ class RunShown:
         now_s = time.monotonic()
         if now_s - self._looked_s > DISK_S:
             self._looked_s, self._free_bytes = now_s, shutil.disk_usage(self._folder.path).free
-        rate = self._progress.stats.written_bytes / self._progress.elapsed_s
+        rate = self._progress.stats.written_bytes / self._progress.run_time_s
         text, little = f"{self._free_bytes / 1e9:.0f} GB", False
         if rate > 0.0:
             left_s = self._free_bytes / rate
@@ -97,11 +97,11 @@ def words_of(progress: Progress) -> dict[str, Any]:
     raw, live = progress.waiting
     latency = stats.latency_ms[-RECENT:]
     middle_ms = float(np.median(latency)) if latency else 0.0
-    lost = frames.lost + frames.incomplete
+    lost = frames.losses + frames.incomplete
     counters = {
         "step": [f"{progress.step + 1} of {progress.steps}", False],
         "frames": [f"{progress.frames} of {progress.planned}", False],
-        "time left": [progress.left() or "-", False],
+        "time left": [progress.time_left() or "-", False],
         "waiting for the disk": [str(raw), raw >= MANY_WAIT],
         "waiting to be corrected": [str(live), False],
         "frame to corrected": [f"{middle_ms:.0f} ms", middle_ms > SLOW_MS],

@@ -76,7 +76,7 @@ def _folds(rays: RayMap, times: int) -> list[Line]:
         for contour in cv2.findContours(one, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]:
             points = contour[:, 0, :]
             on = near[points[:, 1], points[:, 0]] > 0
-            lines += [_scaled(run + 0.5, times, on.all()) for run in _runs(points, on)]
+            lines += [_scale_line(run + 0.5, times, on.all()) for run in _runs(points, on)]
     return sorted(lines, key=len, reverse=True)[:MOST_LINES]
 
 
@@ -96,10 +96,10 @@ def _around(region: NDArray[np.bool_], times: int) -> list[Line]:
     large = region & (found[:, cv2.CC_STAT_AREA] >= LEAST_PX2)[label]
     contours, _ = cv2.findContours(large.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     long = sorted((c[:, 0, :] for c in contours if len(c) >= LEAST_PX), key=len, reverse=True)[:MOST_LINES]
-    return [_scaled(points, times, closed=True) for points in long]
+    return [_scale_line(points, times, closed=True) for points in long]
 
 
-def _scaled(points: NDArray[Any], times: int, closed: bool) -> Line:
+def _scale_line(points: NDArray[Any], times: int, closed: bool) -> Line:
     """Points in pixels of the frame, as few as follow the line to half a coarse pixel."""
     few = cv2.approxPolyDP(points.astype(np.float32)[:, None, :], 0.5, closed)[:, 0, :]
     few = np.concatenate((few, few[:1])) if closed else few
@@ -123,17 +123,17 @@ def outlines(scene: Scene) -> dict[str, Any]:
         touch = touched(scene.camera, np.array(ball.centre_mm), ball.radius_mm, ANGLES)
         if not np.isfinite(touch).all():  # the camera stands in it
             continue
-        said["raw"]["lines"].append([ball.name, _rounded(scene.camera.project(touch))])
+        said["raw"]["lines"].append([ball.name, _round_points(scene.camera.project(touch))])
         if (touch[:, 2] < pinhole[2] - 1e-6 * ball.radius_mm).all():
             along = pinhole[2] / (pinhole[2] - touch[:, 2])
             plane = pinhole + (touch - pinhole) * along[:, None]
-            said["corrected"]["lines"].append([ball.name, _rounded(grid.to_px(plane[:, :2]))])
-    said["raw"]["cross"] = _rounded(scene.camera.project(origin))[0]
-    said["corrected"]["cross"] = _rounded(grid.to_px(origin[:, :2]))[0]
+            said["corrected"]["lines"].append([ball.name, _round_points(grid.to_px(plane[:, :2]))])
+    said["raw"]["cross"] = _round_points(scene.camera.project(origin))[0]
+    said["corrected"]["cross"] = _round_points(grid.to_px(origin[:, :2]))[0]
     return said
 
 
-def _rounded(pixels: NDArray[np.float64]) -> list[list[float]]:
+def _round_points(pixels: NDArray[np.float64]) -> list[list[float]]:
     return [[round(float(u), 1), round(float(v), 1)] for u, v in np.nan_to_num(pixels, nan=-1e4)]
 
 

@@ -27,8 +27,8 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection
 
 from daq.live.frame_quality import FrameQuality
-from daq.live.local_page import LocalPage, listening, understood
-from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
+from daq.live.local_page import LocalPage, listening, parse_message
+from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, picture_bytes, room_px, white_of
 from daq.pipeline.live_slot import NoSlotError, SlotReader, Snapshot
 from daq.pipeline.priority import lower_process
 from daq.signal_handling import flush_or_leave
@@ -151,9 +151,9 @@ class Page:
         seen, missed, request = 0, 0, ViewRequest()
         request.heard(said)
         known: dict[str, Any] = {}
-        while (last := self._waited(seen, connection, request)) is not None:
+        while (last := self._wait_for_snapshot(seen, connection, request)) is not None:
             seen = last
-            update = self.slot.taken(lambda snapshot: self._update_for(snapshot, request))
+            update = self.slot.read(lambda snapshot: self._update_for(snapshot, request))
             if update is None or update.number <= seen:
                 time.sleep(SNAPSHOT_POLL_S)
                 continue
@@ -168,12 +168,12 @@ class Page:
             connection.send(json.dumps(words))
             for picture in update.pictures.values():
                 connection.send(picture)
-            while request.heard(understood(connection.recv())):  # it has drawn them, or wants others at once
+            while request.heard(parse_message(connection.recv())):  # it has drawn them, or wants others at once
                 pass
         connection.send(json.dumps({"over": self.over}))
         connection.close()
 
-    def _waited(self, seen: int, connection: ServerConnection, request: ViewRequest) -> int | None:
+    def _wait_for_snapshot(self, seen: int, connection: ServerConnection, request: ViewRequest) -> int | None:
         """Wait for a snapshot that was not seen, or for a viewer who wants the last one in another way.
 
         Returns
@@ -190,7 +190,7 @@ class Page:
                 connection.send(json.dumps(self._doing()))
                 alive_s = time.monotonic() + ALIVE_S
             with suppress(TimeoutError):
-                request.heard(understood(connection.recv(timeout=SNAPSHOT_POLL_S)))
+                request.heard(parse_message(connection.recv(timeout=SNAPSHOT_POLL_S)))
                 return max(seen - 1, 0)
         return None
 
@@ -207,7 +207,7 @@ class Page:
             if name in request.wanted:
                 how = request.part, request.room_px, request.columns.get(name, EVERY)
                 key = snapshot.number, name, *how
-                pictures[key] = self._pictures.get(key) or sent(
+                pictures[key] = self._pictures.get(key) or picture_bytes(
                     name, snapshot.number, snapshot.pictures[name], white, *how
                 )
         counters = dict(said.get("counters", {}))
@@ -231,7 +231,7 @@ class Page:
                 self._pictures = dict([*self._pictures.items(), *update.pictures.items()][-MOST_KEPT:])
 
 
-def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
+def start_server(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
     """Listen on this computer; the server is to be run by `serve_forever`."""
     page = Page(SlotReader(slot), token)
     server = listening(page.show, page.answer, port, MOST_WORDS)
@@ -264,7 +264,7 @@ def main() -> int:
     orders = _next_words()
     if orders:
         try:
-            server, page = opened(slot, orders["token"], orders["port"])
+            server, page = start_server(slot, orders["token"], orders["port"])
         except (NoSlotError, OSError) as error:
             _say({"error": str(error)})
             return 3

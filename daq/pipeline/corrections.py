@@ -105,14 +105,16 @@ class Corrections:
         return self._prepared[view]
 
 
-def uncorrected(folder: RunFolder, corrections: Corrections, steps: Iterable[Step]) -> list[tuple[Step, int]]:
+def frames_to_correct(
+    folder: RunFolder, corrections: Corrections, steps: Iterable[Step]
+) -> list[tuple[Step, int]]:
     """Return the frames (step, number) that are to be corrected and have no corrected file yet."""
     return [
         (step, number)
         for step in steps
         if corrections.of(step) is not None
         for number in step.numbers
-        if folder.frame_path(number).exists() and not folder.corrected_path(number).exists()
+        if folder.frame_path(number).exists() and not folder.correction_path(number).exists()
     ]
 
 
@@ -130,4 +132,4 @@ def correct_from_disk(folder: RunFolder, corrections: Corrections, step: Step, n
     assert corrector is not None
     source = folder.frame_path(number)
     pixels = read_acquired(source)
-    corrections.write(folder.corrected_path(number), corrector(pixels), step, source.name)
+    corrections.write(folder.correction_path(number), corrector(pixels), step, source.name)

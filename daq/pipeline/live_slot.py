@@ -186,9 +186,9 @@ class SlotReader:
 
     def latest(self) -> Snapshot | None:
         """Return the last snapshot, copied whole; None as in `taken`."""
-        return self.taken(_copied)
+        return self.read(_copy_snapshot)
 
-    def taken(self, take: Callable[[Snapshot], T]) -> T | None:
+    def read(self, take: Callable[[Snapshot], T]) -> T | None:
         """Return what is made of the last snapshot; None before the first, or if the writer overtakes every look.
 
         Parameters
@@ -204,7 +204,7 @@ class SlotReader:
             start = HALVES + which * self._half
             before, words, count, taken_ns = HALF.unpack_from(self._memory, start)
             if before % 2 == 0 and words <= WORDS_BYTES and count <= MOST_PICTURES:
-                snapshot = self._seen(start, before // 2, words, count, taken_ns)
+                snapshot = self._view_snapshot(start, before // 2, words, count, taken_ns)
                 made = None if snapshot is None else take(snapshot)
                 del snapshot
                 if made is not None and HALF.unpack_from(self._memory, start)[0] == before:
@@ -220,7 +220,7 @@ class SlotReader:
         magic, half, number, which = HEAD.unpack_from(self._memory, 0)
         return magic, half, number, which & 1
 
-    def _seen(self, start: int, number: int, words: int, count: int, taken_ns: int) -> Snapshot | None:
+    def _view_snapshot(self, start: int, number: int, words: int, count: int, taken_ns: int) -> Snapshot | None:
         """A snapshot where it lies; None where it cannot be one, because the writer was in it meanwhile."""
         at = start + HALF.size
         text = bytes(self._memory[at : at + words])
@@ -249,6 +249,6 @@ def _is_watched(memory: mmap.mmap) -> bool:
     return 0 <= time.monotonic_ns() - int(asked_ns) < int(WATCHED_S * 1e9)
 
 
-def _copied(snapshot: Snapshot) -> Snapshot:
+def _copy_snapshot(snapshot: Snapshot) -> Snapshot:
     pictures = {name: pixels.copy() for name, pixels in snapshot.pictures.items()}
     return replace(snapshot, pictures=pictures)

@@ -88,7 +88,7 @@ class PreviewThread:
     def _work(self) -> None:
         lower_priority(2)
         try:
-            while (taken := self._taken()) is not None:
+            while (taken := self._take()) is not None:
                 shared, corrected = taken
                 try:
                     self._show_to(shared.job, corrected)
@@ -102,7 +102,7 @@ class PreviewThread:
                 left[0].let_go()
             warnings.warn(f"the live page shows nothing any more: {error!r}", RtpivWarning, stacklevel=1)
 
-    def _taken(self) -> tuple[SharedJob, NDArray[np.float32] | None] | None:
+    def _take(self) -> tuple[SharedJob, NDArray[np.float32] | None] | None:
         """Wait for the contents of the tray; None at the end."""
         with self._wake:
             while self._tray is None and not self._ends:
@@ -165,7 +165,7 @@ class Pipeline:
         if corrections is not None:
             loops += [("live", self._correct_frames), ("store", self._store_corrected)]
         self._threads = [
-            threading.Thread(target=self._guarded, args=(loop,), name=f"{name} thread", daemon=True)
+            threading.Thread(target=self._run_guarded, args=(loop,), name=f"{name} thread", daemon=True)
             for name, loop in loops
         ]
         for thread in self._threads:
@@ -256,7 +256,7 @@ class Pipeline:
         if self._error is not None:
             raise self._error
 
-    def _guarded(self, loop: Any) -> None:  # noqa: ANN401
+    def _run_guarded(self, loop: Any) -> None:  # noqa: ANN401
         try:
             loop()
         except DaqError as error:
@@ -346,6 +346,6 @@ class Pipeline:
             job, corrected = item
             try:
                 name = self._folder.frame_path(job.number).name
-                self._corrections.write(self._folder.corrected_path(job.number), corrected, job.step, name)
+                self._corrections.write(self._folder.correction_path(job.number), corrected, job.step, name)
             except DiskError as error:
                 self._error, failed = self._error or error, True

@@ -36,7 +36,7 @@ def warm_up() -> None:
     """Compile what measures a pair before the first frame comes: a compiler keeps all other threads waiting."""
     frame = np.random.default_rng(0).normal(size=(WARM_PX, WARM_PX)).astype(np.float32)
     frame[: WARM_PX // 4] = np.nan  # masked windows have code of their own
-    _measured(_Pair(0, frame, frame, time.monotonic_ns()))
+    _measure(_Pair(0, frame, frame, time.monotonic_ns()))
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class PreviewVectors:
                 pair, self._tray = self._tray, None
             assert pair is not None
             begun_s = time.monotonic()
-            self._flow.vectors = _measured(pair)
+            self._flow.vectors = _measure(pair)
             self._flow.vectors_live += 1
             del pair
             took_s = time.monotonic() - begun_s  # longer than it needed, where others need the processor
@@ -116,7 +116,7 @@ def _some(field: VectorField, good: NDArray[np.bool_]) -> tuple[tuple[float, flo
     return tuple(zip(*columns, strict=True))
 
 
-def _measured(pair: _Pair) -> LiveVectors:
+def _measure(pair: _Pair) -> LiveVectors:
     """Measure a pair; what cannot be measured says why: frames of a lab can be anything."""
     facts: dict[str, Any] = {}
     try:

@@ -177,7 +177,7 @@ def check_views(bench: Bench, steps: Iterable[Step]) -> None:
         judge(bench, steps)
 
 
-def simulated_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
+def simulation_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
     """Return what the simulation of a bench file expects each step to take [s]; [] if it does not tell.
 
     Raises
@@ -192,11 +192,11 @@ def simulated_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
 def time_said(bench: Bench, steps: Sequence[Step], said: Forecast, simulate: bool = True) -> str:
     """Return the duration of a plan in words: at hardware, and where its pictures have to be drawn."""
     hardware = in_words(said.duration_s)
-    if not simulate or bench.table.simulation is None or not (drawn_s := simulated_s(bench, steps)):
+    if not simulate or bench.table.simulation is None or not (rendering_s := simulation_s(bench, steps)):
         return hardware
     width, height = bench.scene.camera.sensor_px
     begins_s = SIMULATED_START_S + MAP_S * 1e-6 * width * height
-    return f"{hardware} on hardware, {in_words(begins_s + sum(drawn_s))} simulated on an idle computer"
+    return f"{hardware} on hardware, {in_words(begins_s + sum(rendering_s))} simulated on an idle computer"
 
 
 @dataclass(frozen=True)

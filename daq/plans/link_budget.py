@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from daq.bench.bench_table import Bench, CameraSection, trigger_is_software
 from daq.cameras.camera import Setting
 from daq.cameras.formats import FORMATS
-from daq.cameras.link import MBITS, carried_bytes_s, first_of
+from daq.cameras.link import MBITS, first_of, link_capacity_bytes_s
 from daq.errors import RunUsageError
 from daq.plans.steps import Step
 
@@ -99,7 +99,7 @@ def link_excess(bench: Bench, step: Step, camera_settings: Mapping[str, Setting]
         As for `link_need`.
     """
     need, section = link_need(bench, step, camera_settings), bench.table.camera
-    carried = carried_bytes_s(dict(section.settings) | dict(camera_settings or {}), section.link)
+    carried = link_capacity_bytes_s(dict(section.settings) | dict(camera_settings or {}), section.link)
     if need is None or not carried or need.bytes_s <= carried:
         return ""
     by = f"{section.link} carries" if section.link else "the camera's link carries"
@@ -112,10 +112,10 @@ def link_said(bench: Bench, steps: Iterable[Step]) -> str:
     if not needs:
         return ""
     most, section = max(needs, key=lambda need: need.bytes_s), bench.table.camera
-    carried = carried_bytes_s(section.settings, section.link)
+    carried = link_capacity_bytes_s(section.settings, section.link)
     if carried:
         return f"link: {most.sentence} of {carried / 1e6:.1f}"
-    fits = [name for name in MBITS if most.bytes_s <= carried_bytes_s(section.settings, name)]  # type: ignore[arg-type]
+    fits = [name for name in MBITS if most.bytes_s <= link_capacity_bytes_s(section.settings, name)]  # type: ignore[arg-type]
     return f"link: {most.sentence}; Ethernet that carries it: {fits[0] if fits else 'none'} (say camera.link)"
 
 

@@ -136,7 +136,7 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
 
 def check_same_trigger(bench: Bench, name: str, order: PulseOrder) -> None:
     """Refuse a further camera that cannot take the same pairs from the same trigger pulses; PlanError."""
-    beside = bench.seen_by(name)
+    beside = bench.as_seen_by(name)
     check_pulses(beside, order)
     first, second = pairs_section(bench), pairs_section(beside)
     settings, others = bench.table.camera.settings, beside.table.camera.settings
@@ -153,7 +153,7 @@ def check_same_trigger(bench: Bench, name: str, order: PulseOrder) -> None:
 def check_marker(section: PairsSection, exposure_us: float, rate_hz: float) -> None:
     """Refuse a marker that would tell nothing at this rate; PlanError."""
     gap_us, period_us = exposure_us + section.dead_us, 1e6 / rate_hz
-    if section.told_by == "spacing" and period_us - gap_us < SPACING_RATIO * gap_us:
+    if section.effective_marker == "spacing" and period_us - gap_us < SPACING_RATIO * gap_us:
         raise PlanError(
             f"A to B takes {gap_us:g} us and B to A {period_us - gap_us:g} us at {rate_hz:g} Hz: their spacing "
             "does not tell A from B; use another marker, or A to B shorter by more than 10 %"

@@ -77,7 +77,7 @@ class AlignmentLoop:
             return step
         bench, stage = self._hardware.bench, self._hardware.stage
         require_followed(self.looks, _names(bench))
-        want = self.wanted()
+        want = self.next_positions()
         before = self._entry("step", step.index - 1)
         targets = next_targets(bench, before["planned_mm"], self.looks[-1], want)
         stage.guard = guard_where_seen(bench, want)
@@ -94,7 +94,7 @@ class AlignmentLoop:
     def after(self, step: Step, journal: Journal) -> None:
         """Look at the frames of a step, and write down what is seen."""
         self._see(step.index + 1)
-        want, look = self.wanted(), self.looks[-1]
+        want, look = self.next_positions(), self.looks[-1]
         journal.append(
             "look",
             sync=True,
@@ -124,7 +124,7 @@ class AlignmentLoop:
         if self._table.moves == 0:
             self._say(f"with moves allowed: {move_in_words(planned, targets)}")
 
-    def wanted(self) -> Wanted:
+    def next_positions(self) -> Wanted:
         """Return the positions of the axes that the looks so far ask for."""
         bench = self._hardware.bench
         axes = {
@@ -147,7 +147,7 @@ class AlignmentLoop:
         )
         put_up, camera_put_up, reach = np.zeros(3), np.zeros(3), REACH_MM
         if self.looks:
-            want, last = self.wanted(), self.looks[-1]
+            want, last = self.next_positions(), self.looks[-1]
             put_up, camera_put_up = want.put_up_mm, want.camera_put_up_mm
             # where it is if it has gone the other way must be in sight too
             reach = 0.5 + 2.0 * float(np.hypot(*(glass - last.glass_mm)[:2]))

@@ -14,7 +14,7 @@ that has not been touched since it was calibrated stays so.
 
 from collections.abc import Mapping
 
-from daq.bench.opened import OpenBench, known_positions
+from daq.bench.opened import OpenBench, require_positions
 from daq.plans.steps import route
 from stages.axis_settings import ROUNDING_UM
 from stages.errors import NotInPosition
@@ -47,7 +47,7 @@ def go_to(
     StageError
         A move was refused, or something came between; everything has been halted.
     """
-    found_mm = dict(here_mm or known_positions(hardware.stage.where_mm()))
+    found_mm = dict(here_mm or require_positions(hardware.stage.where_mm()))
     believed_mm = {name: targets_mm[name] for name in hardware.bench.table.stages.by_hand} | dict(rests_at_mm)
     away = off_by_mm(hardware, believed_mm, found_mm)
     found_mm |= {name: mm for name, mm in believed_mm.items() if name not in away}

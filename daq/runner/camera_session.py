@@ -36,7 +36,7 @@ from daq.bench.bench_table import CameraSection, trigger_is_software
 from daq.cameras.camera import Camera, Counters, Setting, probe_s
 from daq.cameras.formats import FORMATS
 from daq.cameras.frame import Frame, FrameMeta
-from daq.cameras.link import first_of, told_bytes_s
+from daq.cameras.link import first_of, link_speed_bytes_s
 from daq.errors import (
     BadFrame,
     CameraError,
@@ -101,7 +101,7 @@ class CameraSession:
         The bench's stop, which ends exposures too; None where nothing can be stopped.
     report_ambiguity : callable, optional
         Called at once with every reason to distrust frames; it is also kept in `ambiguities`.
-    drawn_s : callable, optional
+    rendering_s : callable, optional
         Seconds in which a simulation drew pictures, up to now.
     """
 
@@ -111,7 +111,7 @@ class CameraSession:
         section: CameraSection,
         latch: StopLatch | None = None,
         report_ambiguity: Callable[[str], None] = lambda text: None,
-        drawn_s: Callable[[], float] = lambda: 0.0,
+        rendering_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self.camera = camera
         self.section = section
@@ -124,7 +124,7 @@ class CameraSession:
         self.settings: dict[str, Setting] = {}  # as the camera read them back
         self._latch = latch
         self._report_ambiguity = report_ambiguity
-        self._drawn_s = drawn_s
+        self._drawn_s = rendering_s
         self._token = 0
         self._heard_s = self.now_s()  # a frame, or an answer to a probe
         self._format = FrameFormat({})
@@ -264,7 +264,7 @@ class CameraSession:
         self.end()
         self.camera.close()
         self.camera.open()
-        self.match.reopened()
+        self.match.note_reopening()
         self.set_up()
 
     # ---- what the two ways of taking frames ask for (exposures) --------------------------------
@@ -281,7 +281,7 @@ class CameraSession:
             self.drain()
             return
         self.camera.arm(self.section.buffers)
-        self.match.armed()
+        self.match.note_arming()
         self._is_armed = True
 
     def clock_ns(self) -> int | None:
@@ -455,7 +455,7 @@ def _parts_s(settings: Mapping[str, Setting]) -> Iterator[tuple[str, float]]:
         microseconds = first_of(settings, names)
         if microseconds:
             yield what, microseconds * 1e-6
-    payload_bytes, bytes_s = first_of(settings, ("PayloadSize",)), told_bytes_s(settings)
+    payload_bytes, bytes_s = first_of(settings, ("PayloadSize",)), link_speed_bytes_s(settings)
     if payload_bytes and bytes_s:
         yield "transfer", payload_bytes / bytes_s
 

@@ -96,14 +96,14 @@ def explain(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> ClockCalibrati
     best: tuple[Pairing, ...] = ()
     for shot in shots:
         for stamp_ns in stamps:
-            pairs = _explained(shots, metas, stamps, shot.before_ns - stamp_ns)
+            pairs = _pairs_by_offset(shots, metas, stamps, shot.before_ns - stamp_ns)
             best = max(best, pairs, key=len)
     if len(best) >= ENOUGH:
         return ClockCalibration(best)
     return _in_another_unit(shots, metas) if len(metas) == len(shots) else None
 
 
-def _explained(
+def _pairs_by_offset(
     shots: Sequence[Shot], metas: Sequence[FrameMeta], stamps: Sequence[float], offset_ns: float
 ) -> tuple[Pairing, ...]:
     """Pairs that an offset makes: each frame exposed between its trigger and a little after."""

@@ -65,7 +65,7 @@ def _one(taken_by: "CameraSession") -> Frame:
         taken_by.make_ready()
         try:
             with _waiting(taken_by):
-                if match.restarted:
+                if match.has_restarted:
                     taken_by.verify()
                 return _await(taken_by)
         except FrameIncomplete as error:
@@ -105,7 +105,7 @@ def _waiting(taken_by: "CameraSession") -> Iterator[Shot]:
     match.begin()
     try:
         shot = Shot(taken_by.camera.trigger(), before_ns, time.monotonic_ns())
-        match.sent(shot)
+        match.note_trigger(shot)
         yield shot
     except BadFrame:
         raise
@@ -153,7 +153,7 @@ def _settle(taken_by: "CameraSession") -> bool:
     if not metas:
         return False
     if trial is None and not each_had_one:
-        taken_by.match.learned_nothing()
+        taken_by.match.note_failed_trial()
         raise FramesLost("so many frames are lost or late that their time stamps cannot be matched to triggers")
     said = taken_by.match.learn(trial)
     if said:

@@ -42,7 +42,7 @@ class ExternalLight:
     @property
     def is_firing(self) -> bool:
         """True if triggers are to be expected."""
-        return not self._interrupts.wanted
+        return not self._interrupts.is_end_wanted
 
     def prepare(self, order: PulseOrder, settings: Mapping[str, Setting], tell: Callable[[str], None]) -> Self:
         """Refuse what the camera, as it reads back, cannot take of these pairs."""

@@ -107,7 +107,7 @@ class FlowStep:
         # As many pairs more are fired as the worst chunk so far has lost.
         spare, empty_bursts, fired, lost = 0, 0, 0, 0
         while place < step.frames:
-            if self._interrupts.wanted:
+            if self._interrupts.is_end_wanted:
                 return False
             wanted = (step.frames - place) // 2
             pairs = min(order.chunk, wanted + max(spare, SPARE), laser.most_pairs)
@@ -123,14 +123,14 @@ class FlowStep:
                     self._light.account(chunk)
                     side.close(step, chunk, number, utc, self._light.synchroniser)
             if self._light.synchroniser == EXTERNAL:
-                if self._interrupts.wanted:
+                if self._interrupts.is_end_wanted:
                     return place >= step.frames
                 require_rate_seen(chunks[0].periods_ns, order.rate_hz)
             # The last frame of a chunk is a B: a marker that calls it an A is found here.
             for side in self._sides:
                 side.source.trust_marker(is_final=False)
             number, chunk = number + 1, chunks[0]
-            fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
+            fired, lost, spare = fired + pairs, lost + chunk.losses, max(spare, chunk.losses)
             empty_bursts = 0 if chunk.kept else empty_bursts + 1
             too_many = lost > max(FREE_LOSSES, order.lost_at_most * fired)
             if empty_bursts == MAX_EMPTY_BURSTS or (empty_bursts and pairs >= MANY) or too_many:

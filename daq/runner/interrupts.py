@@ -44,17 +44,17 @@ class Interrupts:
         self._before: dict[int, Any] = {}
 
     @property
-    def wanted(self) -> bool:
+    def is_end_wanted(self) -> bool:
         """True if the run shall end after this step, or has been stopped already."""
         return self._presses > 0
 
     @property
-    def stopped(self) -> bool:
+    def is_stopped(self) -> bool:
         """True if everything was to stop at once."""
         return self._presses >= STOPS_AT
 
     @property
-    def paused(self) -> bool:
+    def is_paused(self) -> bool:
         """True if the run shall wait before the next step."""
         return self._paused
 
@@ -62,7 +62,7 @@ class Interrupts:
         """Ask for the end after this step; asked again, stop now."""
         self._presses += 1
         self._paused = False
-        if self.stopped and self._thread is not None:
+        if self.is_stopped and self._thread is not None:
             self._thread.press()
 
     def stop(self) -> None:

@@ -11,7 +11,7 @@ from itertools import cycle
 from typing import Protocol, cast
 
 from daq.bench.guards import sheet_clearance_mm
-from daq.bench.opened import OpenBench, known_positions
+from daq.bench.opened import OpenBench, require_positions
 from daq.cameras.camera import Setting
 from daq.errors import DaqError, PlanError, RunInterrupted, RunUsageError
 from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
@@ -224,7 +224,7 @@ class LaserSession:
         clock = self._hardware.clock
         end_s = clock.now_s() + max(least_s, laser.warm_in_s)
         while (left_s := end_s - clock.now_s()) > 0.0 or laser.state is LaserState.WARM:
-            if self._interrupts.wanted:
+            if self._interrupts.is_end_wanted:
                 raise RunInterrupted("ended on request while the laser warmed up")
             if laser.state not in (LaserState.WARM, LaserState.READY):
                 break  # set() says what is wrong
@@ -243,7 +243,7 @@ class LaserSession:
         where = self._where_mm
         at_rest = all(mm is not None for mm in where.values())
         bench = self._hardware.bench
-        clearance_mm = sheet_clearance_mm(bench, known_positions(where)) if at_rest else None
+        clearance_mm = sheet_clearance_mm(bench, require_positions(where)) if at_rest else None
         height, width = bench.scene.camera.shape
         room = shutil.disk_usage(self._folder.path).free // (4 * height * width)
         return Conditions(armed(), is_empty, at_rest, clearance_mm, int(room))

@@ -133,12 +133,14 @@ class BoxTrials:
         for output, roles in self._plugs().items():
             name = f"{output} ({', '.join(role.value for role in roles)})"
             found = self._locate(output, roles)
-            yield _named(name, found)
+            yield _with_output(name, found)
             if not found.is_right:
                 continue
             has_lamp = any(role in LAMPS for role in roles)
-            for trial in self._counted(roles, self._run_lamps if has_lamp else partial(self._give_bursts, roles)):
-                yield _named(name, trial)
+            for trial in self._count_while(
+                roles, self._run_lamps if has_lamp else partial(self._give_bursts, roles)
+            ):
+                yield _with_output(name, trial)
             self.counted += (output,)
 
     def _plugs(self) -> dict[str, list[Role]]:
@@ -157,13 +159,13 @@ class BoxTrials:
         trial = Trial("", None, "")
         for _ in range(TRIAL_ATTEMPTS):
             self._helper.move_counter(output, ", ".join(roles))
-            trials = self._counted(roles, lambda: self._give_apart(roles))
+            trials = self._count_while(roles, lambda: self._give_apart(roles))
             trial = next((trial for trial in trials if trial.is_right is False), trials[-1])
             if trial.is_right is not None:
                 break
         return trial
 
-    def _counted(self, roles: Sequence[Role], give: Callable[[], None]) -> list[Trial]:
+    def _count_while(self, roles: Sequence[Role], give: Callable[[], None]) -> list[Trial]:
         """Count at one plug while pulses are given; judge every stretch once all of its pulses have arrived."""
         self._judges, self._marks_s = [_at_most("before the first burst", 0, None)], []
         schedule = schedule_of(self._timing, self._laser.head, self._exposures)
@@ -399,5 +401,5 @@ def _unless(trouble: str, trial: Trial) -> Trial:
     return Trial(trial.what, None, f"{trial.said}; {trouble}")
 
 
-def _named(plug: str, trial: Trial) -> Trial:
+def _with_output(plug: str, trial: Trial) -> Trial:
     return Trial(f"output {plug}: {trial.what}", trial.is_right, trial.said)

@@ -94,7 +94,7 @@ class PairFinder(Generic[T]):
     def add(self, meta: FrameMeta, item: T) -> tuple[T, T] | None:
         """Take the next frame; return the pair before it if that is sure now."""
         held, last = _Held(meta, item), self._last
-        if self._section.told_by != "halves" and meta.timestamp_ns == 0:
+        if self._section.effective_marker != "halves" and meta.timestamp_ns == 0:
             self._reject(held, NO_CLOCK)
             return None
         if last is not None and meta.sequence <= last.sequence:
@@ -126,7 +126,11 @@ class PairFinder(Generic[T]):
     @property
     def last(self) -> Exposure | None:
         """Exposure of the last frame by its marker; None if the marker does not say, or is `spacing`."""
-        return None if self._last is None or self._section.told_by == "spacing" else self._exposure(self._last)
+        return (
+            None
+            if self._last is None or self._section.effective_marker == "spacing"
+            else self._exposure(self._last)
+        )
 
     def _measure_period(self, meta: FrameMeta) -> None:
         """Note the time from the frame before the last one: of two frames a pulse one period, if none is lost."""
@@ -138,15 +142,15 @@ class PairFinder(Generic[T]):
     def _exposure(self, meta: FrameMeta) -> Exposure | None:
         """Exposure by the marker; of `spacing`, B is a frame that comes soon after another."""
         section = self._section
-        if section.told_by == "halves":
+        if section.effective_marker == "halves":
             return "B" if meta.sequence % 2 else "A"
-        if section.told_by == "spacing":
+        if section.effective_marker == "spacing":
             last = self._last
             return "B" if last and meta.timestamp_ns - last.timestamp_ns <= self._longest_ns else "A"
         value = meta.chunks.get(section.chunks[0])
         if value is None:
             return None
-        if section.told_by == "line_status":
+        if section.effective_marker == "line_status":
             return "A" if int(value) >> (section.line or 0) & 1 else "B"
         return {section.first: "A", section.first + 1: "B"}.get(int(value))  # type: ignore[return-value]
 
@@ -156,7 +160,7 @@ class PairFinder(Generic[T]):
             held.is_ambiguous = True
         if self._first is not None:
             # by its spacing alone a B without its A looks like another A
-            is_spaced = self._section.told_by == "spacing"
+            is_spaced = self._section.effective_marker == "spacing"
             held.is_ambiguous |= not is_spaced and self._is_near(self._first.meta, held.meta)
             self._reject(self._first, UNSURE if self._first.is_ambiguous else ALONE)
         self._first = held
@@ -183,12 +187,12 @@ class PairFinder(Generic[T]):
     def _is_copy(self, meta: FrameMeta, last: FrameMeta) -> bool:
         """Return whether a frame is the one before once more; the halves of a buffer have one stamp."""
         is_second_half = (
-            self._section.told_by == "halves" and meta.sequence == last.sequence + 1 and meta.sequence % 2
+            self._section.effective_marker == "halves" and meta.sequence == last.sequence + 1 and meta.sequence % 2
         )
         return meta.timestamp_ns == last.timestamp_ns != 0 and not is_second_half
 
     def _is_the_gap(self, first: FrameMeta, second: FrameMeta) -> bool:
-        if self._section.told_by == "halves":
+        if self._section.effective_marker == "halves":
             return True
         gap_ns = second.timestamp_ns - first.timestamp_ns
         return gap_ns <= self._longest_ns and abs(gap_ns - self._gap_ns) <= self._off_ns
@@ -231,7 +235,9 @@ def longest_gap(section: PairsSection) -> float:
     period apart.
     """
     return (
-        STRADDLING if section.shape == "straddling" and section.told_by != "spacing" else 1 / (1 + SPACING_RATIO)
+        STRADDLING
+        if section.shape == "straddling" and section.effective_marker != "spacing"
+        else 1 / (1 + SPACING_RATIO)
     )
 
 
@@ -245,7 +251,7 @@ class MarkerPolarity:
     """
 
     def __init__(self, section: PairsSection) -> None:
-        self.matters = section.shape == "straddling" and section.told_by in ("line_status", "counter")
+        self.matters = section.shape == "straddling" and section.effective_marker in ("line_status", "counter")
         self._first = self._second = 0  # chunks that ended with an A, with a B
 
     def chunk_ended(self, last: Exposure | None) -> None:

@@ -32,7 +32,7 @@ class Chunk:
     periods_ns: list[int] = field(default_factory=list)  # of the triggers, by the camera's clock
 
     @property
-    def lost(self) -> int:
+    def losses(self) -> int:
         """Pairs that were fired and are neither kept nor surplus."""
         return self.fired - self.kept - self.surplus
 

@@ -48,7 +48,7 @@ class PairWriter:
             self.journal.append("discard", sync=True, frames=loose, why="their pairs are not whole")
         for number in loose:
             self.folder.frame_path(number).unlink(missing_ok=True)
-            self.folder.corrected_path(number).unlink(missing_ok=True)
+            self.folder.correction_path(number).unlink(missing_ok=True)
 
     def chunks_so_far(self, step: Step) -> int:
         """Number of the next chunk."""
@@ -78,7 +78,7 @@ class PairWriter:
         """Give a pair to the threads."""
         order, section = step.pulses, self.source.section
         assert order is not None
-        about: dict[str, Any] = {"chunk": number, "dt_us": order.dt_us, "marker": section.told_by}
+        about: dict[str, Any] = {"chunk": number, "dt_us": order.dt_us, "marker": section.effective_marker}
         if order.dt_measured_us is not None:
             about["dt_measured_us"] = order.dt_measured_us
         if order.dt_measured_us is not None and order.dt_sigma_us is not None:
@@ -107,7 +107,7 @@ class PairWriter:
             triggers=chunk.fired,
             pairs=chunk.kept,
             surplus=chunk.surplus,
-            lost=chunk.lost,
+            lost=chunk.losses,
             dropped=dict(sorted(chunk.dropped.items())),
             never_came=chunk.never_came,
             **({"synchroniser": synchroniser} if synchroniser else {}),

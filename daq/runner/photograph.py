@@ -45,7 +45,7 @@ def photograph(bench: BenchSession, camera: str = CAMERA) -> NDArray[np.uint16]:
     if not hasattr(device, "next_frame"):
         raise RunUsageError(f"{camera} takes no frames; name a camera of the bench")
     section = bench.camera_section(camera)
-    exposures = CameraSession(cast("Camera", device), section, bench.stage.latch, drawn_s=bench.drawn_s)
+    exposures = CameraSession(cast("Camera", device), section, bench.stage.latch, rendering_s=bench.rendering_s)
     exposures.set_up()
     try:
         for _, frame in exposures.frames(1):

@@ -66,7 +66,7 @@ class Progress:
     _last_s: float | None = None
 
     @property
-    def elapsed_s(self) -> float:
+    def run_time_s(self) -> float:
         """Time since the session began."""
         return max(1e-9, time.monotonic() - self.begun_s)
 
@@ -100,7 +100,7 @@ class Progress:
             if self._last_s is not None:
                 self._last_s += time.monotonic() - begun_s
 
-    def left(self) -> str:
+    def time_left(self) -> str:
         """Time left as a person says it; "" before the first frame and behind the last.
 
         Expected seconds of what is left, times what frames have taken here for each second that was expected of
@@ -139,8 +139,8 @@ def panel(progress: Progress) -> Table:
     rows = [
         ("step", f"{progress.step + 1} of {progress.steps}  {progress.tag}"),
         ("doing", progress.doing),
-        ("frames", f"{progress.frames} of {progress.planned}  ({progress.frames / progress.elapsed_s:.1f} /s)"),
-        ("time", progress.left() or "-"),
+        ("frames", f"{progress.frames} of {progress.planned}  ({progress.frames / progress.run_time_s:.1f} /s)"),
+        ("time", progress.time_left() or "-"),
         ("waiting", f"{raw} to be written, {live} to be corrected"),
         ("latency", f"{np.median(latency):.0f} ms frame to corrected" if latency else "-"),
         ("skipped", f"{len(progress.stats.skipped)} not corrected live (done after the run)"),
@@ -158,7 +158,11 @@ def panel(progress: Progress) -> Table:
 
 def line(progress: Progress) -> str:
     """Return the state of a run as one line of a log."""
-    words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}".rstrip(), progress.doing, progress.left()]
+    words = [
+        f"step {progress.step + 1}/{progress.steps} {progress.tag}".rstrip(),
+        progress.doing,
+        progress.time_left(),
+    ]
     if progress.stats.vectors is not None:
         words.append(f"vectors {progress.stats.vectors.sentence()}")
     return "; ".join([*filter(None, words), account_sentence(progress)])

@@ -150,7 +150,7 @@ class CameraCounter:
         self._thread.join()
         self._thread = None
         self._session.end()
-        missing = self._camera.counters.lost
+        missing = self._camera.counters.losses
         if missing and not self._seen.trouble:
             self._seen.trouble = f"{missing} frames were lost on their way"
 

@@ -21,7 +21,7 @@ from daq.bench.elements import CAMERA
 from daq.bench.opened import OpenBench
 from daq.cameras.camera import Setting
 from daq.errors import BadBalance, ResumeRefused
-from daq.pipeline.corrections import Corrections, correct_from_disk, uncorrected
+from daq.pipeline.corrections import Corrections, correct_from_disk, frames_to_correct
 from daq.pipeline.job import Show
 from daq.pipeline.pipeline import LIVE_QUEUE, Pipeline
 from daq.plans.link_budget import require_link
@@ -34,9 +34,9 @@ from daq.runner.step_readings import camera_facts
 from daq.runs.displacement import displacements, write_displacements
 from daq.runs.done_file import run_hash
 from daq.runs.frame_accounting import FrameAccounting, ambiguities, total_accounting
-from daq.runs.gaps import numbers_in, recorded_gaps
+from daq.runs.gaps import gaps_by_step, numbers_in
 from daq.runs.journal import Journal, utc_now
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, versions
+from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk, versions
 from daq.runs.seal import write_record
 
 
@@ -50,7 +50,7 @@ class RunCamera:
     folder : RunFolder
         The camera's; run.json is on the disk.
     corrections : Corrections, optional
-        By the camera's own scene; None to leave frames uncorrected.
+        By the camera's own scene; None to leave frames frames_to_correct.
     name : str
         Device of the bench.
     live_queue : int
@@ -69,7 +69,7 @@ class RunCamera:
         show: Show | None = None,
     ) -> None:
         self.name = name
-        self.hardware = hardware if name == CAMERA else _seen_by(hardware, name)
+        self.hardware = hardware if name == CAMERA else _as_seen_by(hardware, name)
         self.folder = folder
         self._corrections = corrections
         self._live_queue, self._show = live_queue, show
@@ -78,7 +78,7 @@ class RunCamera:
         self._finished: frozenset[int] = frozenset()  # steps that were, when the session began
         latch = self.hardware.stage.latch
         self.session = CameraSession(
-            self.hardware.camera, self.hardware.camera_section, latch, self._write_ambiguity, hardware.drawn_s
+            self.hardware.camera, self.hardware.camera_section, latch, self._write_ambiguity, hardware.rendering_s
         )
 
     @property
@@ -125,7 +125,7 @@ class RunCamera:
             Those of them that are finished and have to be taken again.
         """
         stage = self.hardware.stage
-        said_mm = dict(stage.said_mm)  # of axes whose reference is a person's word
+        said_mm = dict(stage.operator_mm)  # of axes whose reference is a person's word
         self.journal.append(
             "session",
             sync=True,
@@ -137,7 +137,7 @@ class RunCamera:
             **({"said_mm": said_mm} if said_mm else {}),
         )
         discard_unfinished(self.folder, left, self.journal, again)
-        self._finished = frozenset(finished_steps(self.folder.entries())).difference(again)
+        self._finished = frozenset(steps_on_disk(self.folder.entries())).difference(again)
         if self._corrections is not None:
             self._corrections.prepare(step.view for step in left if step.on_plane)
 
@@ -172,7 +172,7 @@ class RunCamera:
 
     def finish_step(self, step: Step, record: Mapping[str, Any]) -> None:
         """Say that a step is on the disk, unless an earlier session has, and its frames still count."""
-        if step.index in self._finished and step.index in finished_steps(self.folder.entries()):
+        if step.index in self._finished and step.index in steps_on_disk(self.folder.entries()):
             return
         self.journal.append("step", sync=True, step=step.index, tag=step.tag, utc=utc_now(), **record)
         sync_folder(self.folder.path / "frames")
@@ -228,7 +228,7 @@ class RunCamera:
         caught_up = self._catch_up(steps, tell)
         if moved := displacements(self.hardware.bench, steps, self.folder.entries()):
             write_displacements(self.folder, moved)
-        done = done_record(self.folder, steps, caught_up)
+        done = make_done_record(self.folder, steps, caught_up)
         write_record(self.folder.path / "done.json", done)
         return done
 
@@ -242,7 +242,7 @@ class RunCamera:
         if self._corrections is None:
             return 0
         self._corrections.prepare(step.view for step in steps if step.on_plane)
-        left = uncorrected(self.folder, self._corrections, steps)
+        left = frames_to_correct(self.folder, self._corrections, steps)
         whose = "" if self.name == CAMERA else f" of {self.name}"
         for count, (step, number) in enumerate(left, start=1):
             tell(f"correcting what was skipped{whose}, {count} of {len(left)}")
@@ -269,11 +269,11 @@ class RunCamera:
             self._journal.append("doubt", sync=True, doubt=said)
 
 
-def _seen_by(hardware: OpenBench, name: str) -> OpenBench:
+def _as_seen_by(hardware: OpenBench, name: str) -> OpenBench:
     """The bench with a further camera in the place of the first."""
     return replace(
         hardware,
-        bench=hardware.bench.seen_by(name),
+        bench=hardware.bench.as_seen_by(name),
         devices={**hardware.devices, CAMERA: hardware.devices[name]},
         sections={**hardware.sections, CAMERA: hardware.sections[name]},
     )
@@ -317,7 +317,7 @@ def discard_unfinished(
         why = f"steps {retaken} are taken again for a damaged frame" if retaken else "the step was cut off"
         journal.append("discard", sync=True, frames=known, why=why)
     for number in unfinished:  # a frame may have been renamed just before the kill, without its line
-        for path in (folder.frame_path(number), folder.corrected_path(number)):
+        for path in (folder.frame_path(number), folder.correction_path(number)):
             path.unlink(missing_ok=True)
     for name in ("frames", "corrected"):
         for leftover in (folder.path / name).glob("*.part"):
@@ -325,7 +325,7 @@ def discard_unfinished(
     return len(known)
 
 
-def done_record(folder: RunFolder, steps: Sequence[Step], caught_up: int) -> dict[str, Any]:
+def make_done_record(folder: RunFolder, steps: Sequence[Step], caught_up: int) -> dict[str, Any]:
     """Contents of done.json.
 
     Raises
@@ -337,7 +337,7 @@ def done_record(folder: RunFolder, steps: Sequence[Step], caught_up: int) -> dic
     total, sessions = total_accounting(entries)
     present = frame_entries(entries)
     absent = folder.absent(entries)
-    gaps = recorded_gaps(entries)
+    gaps = gaps_by_step(entries)
     never_came = {number for found in gaps.values() for number in numbers_in(found)}
     if absent or {number for step in steps for number in step.numbers} - never_came != set(present):
         raise BadBalance(f"{len(present)} frames in the journal, {len(absent)} of them without a file")

@@ -15,10 +15,10 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from daq.bench.opened import OpenBench, known_positions
+from daq.bench.opened import OpenBench, require_positions
 from daq.errors import BadBalance, PlanError, RunInterrupted
 from daq.pipeline.preview_vectors import warm_up
-from daq.plans.forecast import forecast, simulated_s
+from daq.plans.forecast import forecast, simulation_s
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest
@@ -56,7 +56,7 @@ class Runner:
     watcher : callable, optional
         Called with the progress, often.
     again : collection of int
-        Finished steps that are to be taken again: a frame of theirs is damaged, see session.damaged_steps.
+        Finished steps that are to be taken again: a frame of theirs is damaged, see session.steps_to_retake.
     operator : Operator, optional
         The person at the bench, whom a laser asks for its confirmation code.
     alignment : AlignmentLoop, optional
@@ -89,7 +89,7 @@ class Runner:
         self._alignment = alignment
         self._gauges = Gauges(hardware.devices, needed)
         if hardware.simulation is None:
-            hardware.stage.turned_by(self._turned)
+            hardware.stage.set_operator(self._ask_operator)
         self._operator = operator or NoOperator()
         self._laser_session = LaserSession(hardware, self._first.folder, self._operator, self.interrupts)
 
@@ -121,7 +121,7 @@ class Runner:
                 camera.open(left, self._again)
             present = frame_entries(self._first.folder.entries())
             missing = [sum(number not in present for number in step.numbers) for step in left]
-            self.progress.expect(left, missing, self._expected_s(left))
+            self.progress.expect(left, missing, self._forecast_s(left))
             if self._first.corrects and any(step.group == 2 and step.on_plane for step in left):
                 warm_up()
             with self.interrupts:
@@ -130,11 +130,11 @@ class Runner:
                 done = camera.complete(self._steps, self._tell)
             return done
 
-    def _expected_s(self, left: Sequence[Step]) -> Sequence[float]:
+    def _forecast_s(self, left: Sequence[Step]) -> Sequence[float]:
         """Seconds that each step will take, as they are known before anything was measured."""
         bench = self._hardware.bench
-        if self._hardware.simulation is not None and (drawn_s := simulated_s(bench, left)):
-            return drawn_s
+        if self._hardware.simulation is not None and (rendering_s := simulation_s(bench, left)):
+            return rendering_s
         return forecast(bench, self._hardware.stage, left).steps_s
 
     @property
@@ -188,11 +188,11 @@ class Runner:
             camera.note_camera()
 
     def _between_steps(self, left: int) -> None:
-        if self.interrupts.paused:
+        if self.interrupts.is_paused:
             self._tell("paused")
             with self.progress.aside():
                 self.interrupts.wait()
-        if self.interrupts.wanted:
+        if self.interrupts.is_end_wanted:
             raise RunInterrupted(f"ended on request with {left} of {len(self._steps)} steps left")
 
     def _step(self, frames: StepFrames, step: Step, flow: FlowStep | None) -> None:
@@ -212,11 +212,11 @@ class Runner:
                 gaps = frames.take(step, record)
             self._require_still_there(frames, step, record)
         except StageError as error:
-            if self.interrupts.wanted and not isinstance(error, DeviceLost):
+            if self.interrupts.is_end_wanted and not isinstance(error, DeviceLost):
                 raise RunInterrupted(f"stopped {place} step {step.index + 1} ({step.tag}): {error}") from error
             raise
         except LaserStopped as error:
-            if self.interrupts.wanted:
+            if self.interrupts.is_end_wanted:
                 raise RunInterrupted(f"stopped at step {step.index + 1} ({step.tag}): {error}") from error
             raise
         if gaps is None:
@@ -248,7 +248,7 @@ class Runner:
         go_to(self._hardware, planned, before, found)
         self._rests_at_mm = planned
         rest(self._hardware, step.settle_s, token)
-        measured = known_positions(self._hardware.stage.where_mm())
+        measured = require_positions(self._hardware.stage.where_mm())
         self.progress.positions_mm = measured
         record: dict[str, Any] = {"planned_mm": planned, "measured_mm": measured}
         if self._hardware.simulation is not None:
@@ -259,7 +259,7 @@ class Runner:
     def _require_still_there(self, frames: StepFrames, step: Step, record: Mapping[str, Any]) -> None:
         """Ask once more when the frames are in: what was exposed elsewhere must not stay under this step."""
         try:
-            measured = known_positions(self._hardware.stage.where_mm())
+            measured = require_positions(self._hardware.stage.where_mm())
             self._require_arrived(step, record, measured)
         except (StageError, PlanError):
             frames.discard(step)
@@ -275,11 +275,11 @@ class Runner:
             self._first.journal.append("miss", sync=True, step=step.index, tag=step.tag, utc=utc_now(), **about)
             raise
 
-    def _turned(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
+    def _ask_operator(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Have the operator turn an axis; a request for the end of the run ends the question."""
         self._tell(f"waiting for {question.axis}, which is moved by hand")
         with self.progress.aside():
-            return self._operator.reads(question, lambda: given_up() or self.interrupts.wanted)
+            return self._operator.reads(question, lambda: given_up() or self.interrupts.is_end_wanted)
 
     def _tell(self, doing: str, accounting: FrameAccounting | None = None) -> None:
         self.progress.doing, self.progress.laser = doing, self._laser_session.state

@@ -43,12 +43,12 @@ from daq.runner.runner import Runner
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.done_file import FILE as DONE
 from daq.runs.frame_accounting import ambiguities
-from daq.runs.frame_check import Track, frame_faults, named, orphan_files, untracked
+from daq.runs.frame_check import Track, frame_faults, name_faults, no_tracking, orphan_files
 from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from daq.runs.journal import Entry
 from daq.runs.names import MAPS
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, remaining, versions
+from daq.runs.run_folder import RunFolder, frame_entries, remaining, steps_on_disk, versions
 from daq.runs.run_views import dewarp_of
 from piv.resampling.sample import Method
 from stages.errors import WrongDevice
@@ -86,8 +86,8 @@ def require_same_boxes(entries: Sequence[Entry], now: Mapping[str, str]) -> None
             raise WrongDevice(f"{name}: {identity!r} answers, and the run began with {before!r}; {cure}")
 
 
-def damaged_steps(
-    folder: RunFolder, steps: Sequence[Step], entries: Sequence[Entry], retake: bool, track: Track = untracked
+def steps_to_retake(
+    folder: RunFolder, steps: Sequence[Step], entries: Sequence[Entry], retake: bool, track: Track = no_tracking
 ) -> frozenset[int]:
     """Check every frame that is about to count as done; return the steps that must be taken again.
 
@@ -109,13 +109,14 @@ def damaged_steps(
     RunDamaged
         A frame is missing or damaged, and nothing may be taken again.
     """
-    kept = finished_steps(entries) | {step.index for step in steps if step.may_have_gaps}
+    kept = steps_on_disk(entries) | {step.index for step in steps if step.may_have_gaps}
     counting = {number: entry for number, entry in frame_entries(entries).items() if entry["step"] in kept}
     faults = frame_faults(folder, counting, track)
     if faults and not retake:
         raise RunDamaged(
-            f"{folder.path}: {len(faults)} of {len(counting)} frames are not what was written ({named(faults)}); "
-            f"restore them from a copy, or take their steps again with rtpiv resume {folder.path} --retake"
+            f"{folder.path}: {len(faults)} of {len(counting)} frames are not what was written"
+            f" ({name_faults(faults)}); restore them from a copy,"
+            f" or take their steps again with rtpiv resume {folder.path} --retake"
         )
     return _with_partners({fault.step for fault in faults}, steps) & kept
 
@@ -186,7 +187,7 @@ def hashes(request: Request, bench: Bench, plan: Plan) -> dict[str, str | None]:
     """Hashes of what must not change between the sessions of a run."""
     corrected = load_scene(request.scene) if request.scene is not None else bench.scene
     sheet = corrected.sheet
-    beside = [(name, bench.seen_by(name).scene.content_hash()) for name in plan.table.further_cameras]
+    beside = [(name, bench.as_seen_by(name).scene.content_hash()) for name in plan.table.further_cameras]
     return {
         "plan": plan.content_hash(),
         "bench": bench.content_hash(),
@@ -218,7 +219,8 @@ def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable
 def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder:
     """Make the folder of a new run, and in it those of its further cameras."""
     beside = {
-        name: _about(_asked_of(name, request), _seen_by(name, bench), plan) for name in plan.table.further_cameras
+        name: _about(_request_for(name, request), _as_seen_by(name, bench), plan)
+        for name in plan.table.further_cameras
     }
     return RunFolder.create(parent, plan.name, _about(request, bench, plan), beside)
 
@@ -245,14 +247,14 @@ def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _asked_of(name: str, request: Request) -> Request:
+def _request_for(name: str, request: Request) -> Request:
     """Request for one camera: a further one has the scene of the bench file alone, and no dewarp."""
     return request if name == CAMERA else replace(request, scene=None, target_clear=None)
 
 
-def _seen_by(name: str, bench: Bench) -> Bench:
+def _as_seen_by(name: str, bench: Bench) -> Bench:
     """The bench as a camera of the run sees it."""
-    return bench if name == CAMERA else bench.seen_by(name)
+    return bench if name == CAMERA else bench.as_seen_by(name)
 
 
 def _pulses_of(step: Step) -> dict[str, Any]:
@@ -285,7 +287,7 @@ class Run:
     again: frozenset[int] = frozenset()
 
 
-def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
+def reopen(path: Path, retake: bool = False, track: Track = no_tracking) -> Run:
     """Read a run's files again, and make sure that they still mean the same and that its frames are whole.
 
     Parameters
@@ -323,7 +325,7 @@ def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
             )
     if strange := orphan_files(folder, about["steps"], entries).sentence:
         raise RunDamaged(f"{path}: {strange}")
-    again = damaged_steps(folder, plan.steps, entries, retake, track)
+    again = steps_to_retake(folder, plan.steps, entries, retake, track)
     if folder.is_done and not again:
         raise ResumeRefused(f"{path} is finished and all of its frames are right; there is nothing to take again")
     if request.rehearsed:
@@ -388,7 +390,7 @@ def run_session(
     request, bench, plan, folder, again = run.request, run.bench, run.plan, run.folder, run.again
     left = remaining(plan.steps, folder.entries(), again)
     folders = {CAMERA: folder, **folder.cameras()}
-    shapes = [_seen_by(name, bench).scene.camera.shape for name in folders]
+    shapes = [_as_seen_by(name, bench).scene.camera.shape for name in folders]
     pixels = sum(height * width for height, width in shapes)
     check_disk(folder.path, 2 * pixels * frame_count(left) * (2 if request.correct else 1))
     progress = Progress(len(plan.steps))
@@ -399,7 +401,9 @@ def run_session(
             watcher(progress)
 
     corrections = {
-        name: make_corrections(_asked_of(name, request), _seen_by(name, bench), folder.path.parent / MAPS, left)
+        name: make_corrections(
+            _request_for(name, request), _as_seen_by(name, bench), folder.path.parent / MAPS, left
+        )
         for name in folders
     }
     for each in filter(None, corrections.values()):
@@ -420,7 +424,7 @@ def run_session(
         if before is not None:
             before(hardware)
         if hardware.simulation is None:
-            hardware.stage.turned_by((operator or NoOperator()).reads)
+            hardware.stage.set_operator((operator or NoOperator()).reads)
         if home:
             _home(hardware, operator or NoOperator(), tell)
         cameras = [
@@ -438,7 +442,7 @@ def run_session(
         alignment = AlignmentLoop(hardware, folder, plan.table, say or (lambda sentence: None))
         done = Runner(hardware, cameras, plan.steps, watcher, again, operator, alignment, plan.table.needed).run()
         if say is not None and alignment.looks:
-            for sentence in end_in_words(alignment.wanted(), alignment.looks[-1].seen.spheres):
+            for sentence in end_in_words(alignment.next_positions(), alignment.looks[-1].seen.spheres):
                 say(sentence)
         return done
 

@@ -117,7 +117,7 @@ class StepFrames:
             self._progress.took(-len(numbers), step.index)
         for number in numbers:
             self._camera.folder.frame_path(number).unlink(missing_ok=True)
-            self._camera.folder.corrected_path(number).unlink(missing_ok=True)
+            self._camera.folder.correction_path(number).unlink(missing_ok=True)
 
     def _expose(self, step: Step, record: Mapping[str, Any], begin: int) -> bool:
         """One arm; False if the end was asked for before the last place."""
@@ -133,11 +133,11 @@ class StepFrames:
                 self._progress.took(1, step.index)
                 self._progress.waiting = self._camera.pipeline.waiting
                 self._tell("exposing")
-                if step.may_have_gaps and self._interrupts.wanted:
+                if step.may_have_gaps and self._interrupts.is_end_wanted:
                     break
         self._camera.pipeline.flush()
         self._camera.session.verify()
-        return place + 1 >= step.frames or not self._interrupts.wanted
+        return place + 1 >= step.frames or not self._interrupts.is_end_wanted
 
     def _note_arm(self, step: Step, begin: int, why: str) -> None:
         utc = utc_now()
@@ -159,7 +159,7 @@ class StepFrames:
                 self._camera.session.reopen()
                 return
             except CameraError:
-                if time.monotonic() > end_s or self._interrupts.wanted:
+                if time.monotonic() > end_s or self._interrupts.is_end_wanted:
                     raise why from None
             time.sleep(RETRY_S)
 

@@ -35,7 +35,7 @@ class TriggerCheck:
 
 
 def try_trigger(
-    camera: Camera, section: CameraSection, frames: int = FRAMES, drawn_s: Callable[[], float] = lambda: 0.0
+    camera: Camera, section: CameraSection, frames: int = FRAMES, rendering_s: Callable[[], float] = lambda: 0.0
 ) -> list[TriggerCheck]:
     """Take a few frames as the bench file sets the camera up, and judge them.
 
@@ -47,7 +47,7 @@ def try_trigger(
         How it is set up.
     frames : int
         How many.
-    drawn_s : callable, optional
+    rendering_s : callable, optional
         Seconds in which a simulation drew pictures, up to now.
 
     Raises
@@ -57,7 +57,7 @@ def try_trigger(
     """
     sends = _sends_exposures(camera, section)
     asked = [*section.chunks, *([CHUNK] if sends and CHUNK not in section.chunks else [])]
-    exposures = CameraSession(camera, section.model_copy(update={"chunks": asked}), drawn_s=drawn_s)
+    exposures = CameraSession(camera, section.model_copy(update={"chunks": asked}), rendering_s=rendering_s)
     settings = exposures.set_up()
     found = [TriggerCheck("settings", True, f"{len(section.settings)} read back as they were set")]
     metas: list[FrameMeta] = []

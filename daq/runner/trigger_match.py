@@ -55,7 +55,7 @@ class Offset:
         drift_ns = DRIFT * abs(now_ns - self.at_ns)
         return Offset(self.low_ns - drift_ns, self.high_ns + drift_ns, now_ns)
 
-    def together_with(self, other: "Offset") -> "Offset":
+    def intersection_with(self, other: "Offset") -> "Offset":
         """Intersection of both, at the time of the other; empty (low above high) if they contradict each other."""
         mine = self.until(other.at_ns)
         return Offset(max(mine.low_ns, other.low_ns), min(mine.high_ns, other.high_ns), other.at_ns)
@@ -130,7 +130,7 @@ class TriggerMatch:
         return self.has_taken and self._is_odd and not is_sure
 
     @property
-    def restarted(self) -> bool:
+    def has_restarted(self) -> bool:
         """True if the camera's clock has not run on between the last two triggers: it lost power, or was set."""
         now, then = self._shot, self._before
         if not self._latch_is_the_stamps or now is None or then is None:
@@ -152,14 +152,14 @@ class TriggerMatch:
         self._waits = True
         self._stale_here = 0
 
-    def sent(self, shot: Shot) -> None:
+    def note_trigger(self, shot: Shot) -> None:
         """Note the trigger that was sent; frames are judged against it from now on."""
         self._before, self._shot = self._shot, shot
         if self._before is not None and shot.clock_ns is not None and shot.clock_ns == self._before.clock_ns:
             self._latch_is_the_stamps = False  # it stands
         self._first = self._first or shot
 
-    def armed(self) -> None:
+    def note_arming(self) -> None:
         """Note that the acquisition was started anew: ids may count from anywhere."""
         self._last_taken, self._id_taken, self._ids_count_by_ones = None, None, False
 
@@ -172,13 +172,13 @@ class TriggerMatch:
 
     def answers_pending_trigger(self, meta: FrameMeta) -> bool:
         """True if a frame that is rejected may be owed to a trigger that was waited for; call it once a frame."""
-        return not self._is_foreign(meta) and self._owed(1) > 0
+        return not self._is_foreign(meta) and self._settle_pending(1) > 0
 
     def not_owed(self, frames: int) -> int:
         """Number of frames, of those that were not examined, that answer no trigger of ours."""
-        return frames - self._owed(frames)
+        return frames - self._settle_pending(frames)
 
-    def reopened(self) -> None:
+    def note_reopening(self) -> None:
         """Note that the camera was closed and opened: one that tells no time has nothing under way any more."""
         if not self._tells_time:
             self._unanswered = 0
@@ -233,7 +233,7 @@ class TriggerMatch:
         self._take(meta, arm)
         return True
 
-    def learned_nothing(self) -> None:
+    def note_failed_trial(self) -> None:
         """Note that a trial was disturbed: what was unconfirmed before it stays so."""
         self._note_odd()
 
@@ -282,7 +282,7 @@ class TriggerMatch:
             return Place.UNKNOWN
         if self._is_before(meta, shot.before_ns):
             return Place.STALE
-        both = self._offset.together_with(self._interval(meta, shot))
+        both = self._offset.intersection_with(self._interval(meta, shot))
         return Place.OURS if both.low_ns <= both.high_ns else Place.UNKNOWN
 
     def _went_back(self, meta: FrameMeta) -> bool:
@@ -305,7 +305,7 @@ class TriggerMatch:
     def _note_odd(self) -> None:
         self._is_odd = self._was_odd = True
 
-    def _owed(self, frames: int) -> int:
+    def _settle_pending(self, frames: int) -> int:
         """Take some frames off what triggers of ours are owed; return how many of them may have been owed."""
         if not (self._latch_is_the_stamps or self._is_confirmed):
             return frames
@@ -334,7 +334,7 @@ class TriggerMatch:
             if meta.received_ns - self._last_trial_ns > AGREED_NS:
                 self._trials = 0
             mine = self._interval(meta, shot)
-            both = mine if self._offset is None else self._offset.together_with(mine)
+            both = mine if self._offset is None else self._offset.intersection_with(mine)
             self._offset = both if both.low_ns <= both.high_ns else mine
 
     def _has_time(self, meta: FrameMeta) -> bool:

@@ -53,7 +53,7 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     if run is None:
         return read_named(path, shape)
     _require(path)
-    known = _known(run, _stamp(run.journal_path))
+    known = _frame_facts(run, _stamp(run.journal_path))
     if path.name not in known:
         raise RunDamaged(f"{path}: is not in the journal of its run, so it cannot be verified; leave it out")
     return read_frame(path, shape, known[path.name].crc32)
@@ -70,7 +70,7 @@ def full_scale(path: Path, frame: NDArray[Any]) -> float:
         Its pixels, background taken off or not.
     """
     run = run_of(path)
-    known = None if run is None else _known(run, _stamp(run.journal_path)).get(path.name)
+    known = None if run is None else _frame_facts(run, _stamp(run.journal_path)).get(path.name)
     if known is not None:
         return float((1 << known.bits) - 1)
     least = max(DEPTHS[0] if frame.dtype == np.uint8 else DEPTHS[1], float(np.nanmax(frame)))
@@ -129,7 +129,7 @@ class _Known(NamedTuple):
 
 
 @lru_cache(maxsize=2)
-def _known(run: RunFolder, stamp: tuple[int, int]) -> dict[str, _Known]:
+def _frame_facts(run: RunFolder, stamp: tuple[int, int]) -> dict[str, _Known]:
     """Every frame that the journal of a run has, by the name of its file; read again if it changed."""
     entries = frame_entries(run.entries()).values()
     return {Path(entry["file"]).name: _Known(entry["crc32"], entry["bits"]) for entry in entries}

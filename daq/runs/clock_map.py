@@ -90,7 +90,7 @@ def clock_maps(entries: Iterable[Entry]) -> list[ClockMap]:
             stretches.append([])
         stretches[-1].append(reading)
         last = reading
-    return [_fitted(stretch) for stretch in stretches]
+    return [_fit_map(stretch) for stretch in stretches]
 
 
 def _goes_on(last: Reading, reading: Reading) -> bool:
@@ -100,7 +100,7 @@ def _goes_on(last: Reading, reading: Reading) -> bool:
     return abs(ours_ns - its_ns) <= open_ns
 
 
-def _fitted(stretch: list[Reading]) -> ClockMap:
+def _fit_map(stretch: list[Reading]) -> ClockMap:
     before, camera, after = (np.array(column, dtype=object) for column in zip(*stretch, strict=True))
     widths = np.maximum((after - before).astype(float), 1.0)
     middles = (before + after) // 2

@@ -32,10 +32,10 @@ from daq.atomic_write import write_text
 from daq.bench.elements import DIRECTIONS, TARGET, Vector
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.journal import Entry
-from daq.runs.records import CURE, MAX_RECORD_BYTES, STRICT, Count, Tag, Way, parsed, read_record
+from daq.runs.records import CURE, MAX_RECORD_BYTES, STRICT, Count, Tag, Way, parse_record, read_record
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
-from daq.runs.seal import sealed
+from daq.runs.seal import add_seal
 from ground.plain_file import read_plain
 
 if TYPE_CHECKING:  # who reads pairs does not wait for plans
@@ -142,7 +142,7 @@ def _sigma(bench: "Bench", before: Entry, after: Entry) -> Sigmas | None:
 
 def write_displacements(folder: RunFolder, found: Sequence[Displacement]) -> None:
     """Write what `displacements` found to displacements.json; DiskError if it cannot be written."""
-    records = [sealed(json.dumps(entry.to_dict(), allow_nan=False).encode()).decode() for entry in found]
+    records = [add_seal(json.dumps(entry.to_dict(), allow_nan=False).encode()).decode() for entry in found]
     write_text(folder.path / FILE, "\n".join(["[", *[f"{r}," for r in records[:-1]], *records[-1:], "]", ""]))
 
 
@@ -160,7 +160,7 @@ def read_displacements(folder: RunFolder) -> list[Moved]:
     if not path.is_file():
         raise RunUnsuitable(f"{folder.path}: holds no displacements; evaluate a finished shift run")
     about = folder.about
-    found = _sealed_entries(path) if about["layout"] >= SEALED_FROM else read_record(_LIST, path, sealed=False)
+    found = _read_sealed(path) if about["layout"] >= SEALED_FROM else read_record(_LIST, path, sealed=False)
     steps = about["steps"]
     wanted = [
         (step["tag"], (steps[step["reference"]]["first_frame"], step["first_frame"]))
@@ -172,7 +172,7 @@ def read_displacements(folder: RunFolder) -> list[Moved]:
     return found
 
 
-def _sealed_entries(path: Path) -> list[Moved]:
+def _read_sealed(path: Path) -> list[Moved]:
     try:
         lines = read_plain(path, MAX_RECORD_BYTES).split(b"\n")
     except OSError as error:
@@ -180,6 +180,6 @@ def _sealed_entries(path: Path) -> list[Moved]:
     if lines[0] != b"[" or lines[-2:] != [b"]", b""]:
         raise RunDamaged(f"{path}: is not a list with an entry a line; {CURE}")
     return [
-        parsed(_ENTRY, line.removesuffix(b","), path, number, sealed=True)
+        parse_record(_ENTRY, line.removesuffix(b","), path, number, sealed=True)
         for number, line in enumerate(lines[1:-2], start=2)
     ]

@@ -59,21 +59,21 @@ class FrameAccounting:
     unwritten: int = 0
 
     @property
-    def lost(self) -> int:
+    def losses(self) -> int:
         """Frames that never arrived, or that the disk did not take."""
         return self.underrun + self.missing + self.ignored + self.silent + self.unwritten
 
     @property
     def imbalance(self) -> int:
         """Triggered minus everything that became of them; 0 if the account is right."""
-        return self.triggered - self.written - self.incomplete - self.rejected - self.lost
+        return self.triggered - self.written - self.incomplete - self.rejected - self.losses
 
     def __add__(self, other: "FrameAccounting") -> "FrameAccounting":
         return FrameAccounting(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def to_dict(self) -> dict[str, int]:
         """Every count by name, `lost` and `imbalance` included."""
-        return {**asdict(self), "lost": self.lost, "imbalance": self.imbalance}
+        return {**asdict(self), "lost": self.losses, "imbalance": self.imbalance}
 
     @classmethod
     def from_dict(cls, counts: Mapping[str, Any]) -> Self:
@@ -82,10 +82,10 @@ class FrameAccounting:
 
     def sentence(self) -> str:
         """The balance in one line; what did not happen is left out."""
-        if not any((self.triggered, self.written, self.incomplete, self.rejected, self.lost)):
+        if not any((self.triggered, self.written, self.incomplete, self.rejected, self.losses)):
             return "no frame triggered yet"
         sign = "=" if self.imbalance == 0 else "!="
-        others = ((self.incomplete, "incomplete"), (self.rejected, "rejected"), (self.lost, "lost"))
+        others = ((self.incomplete, "incomplete"), (self.rejected, "rejected"), (self.losses, "lost"))
         failed = "".join(f" + {count} {name}" for count, name in others if count)
         return f"{self.triggered} triggered {sign} {self.written} written{failed}"
 
@@ -122,7 +122,7 @@ class FrameCounters:
         counters : Counters
             The camera's, after it was disarmed.
         """
-        self._ended = _added(self._ended, counters)
+        self._ended = _add_counters(self._ended, counters)
         return self.accounting()
 
     def accounting(self) -> FrameAccounting:
@@ -146,7 +146,7 @@ class FrameCounters:
         )
 
 
-def _added(one: Counters, other: Counters) -> Counters:
+def _add_counters(one: Counters, other: Counters) -> Counters:
     ignored = [each.ignored_triggers for each in (one, other) if each.ignored_triggers is not None]
     return Counters(
         delivered=one.delivered + other.delivered,
@@ -204,7 +204,7 @@ def ambiguities(entries: Sequence[Entry]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def rejected_sentence(entries: Sequence[Entry]) -> str:
+def rejection_sentence(entries: Sequence[Entry]) -> str:
     """Say why frames of a run were rejected, as one sentence without full stop; "" if none were.
 
     Of a run with chunks `chunk_sentences` says it.

@@ -18,7 +18,7 @@ from daq.runs.journal import Entry
 from daq.runs.journal_lines import frame_name
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_file import PlannedStep
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 
 T = TypeVar("T")
 NAMED = 5  # frames that a sentence names
@@ -32,7 +32,7 @@ class Track(Protocol):
         ...
 
 
-def untracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
+def no_tracking(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     """Yield `items` and show nothing."""
     yield from items
 
@@ -58,7 +58,7 @@ class FrameFault:
 
 
 def frame_faults(
-    folder: RunFolder, acknowledged: Mapping[int, Entry], track: Track = untracked
+    folder: RunFolder, acknowledged: Mapping[int, Entry], track: Track = no_tracking
 ) -> list[FrameFault]:
     """Read frames and compare them with their lines in the journal: pixels, and what the file says about them.
 
@@ -78,7 +78,7 @@ def frame_faults(
     return found
 
 
-def named(faults: list[FrameFault]) -> str:
+def name_faults(faults: list[FrameFault]) -> str:
     """Name the first few of some faults, and say how many more there are."""
     more = f" and {len(faults) - NAMED} more" if len(faults) > NAMED else ""
     return ", ".join(f"{fault.file} {fault.what}" for fault in faults[:NAMED]) + more
@@ -135,7 +135,7 @@ def orphan_files(folder: RunFolder, steps: Sequence[PlannedStep], entries: Seque
     known = {Path(entry["file"]).name for entry in frame_entries(entries).values()}
     there = (path.name for path in (folder.path / "frames").glob("*") if _FRAME.fullmatch(path.name))
     names = sorted(name for name in there if name not in known)
-    finished = finished_steps(entries)
+    finished = steps_on_disk(entries)
     step_of = {
         Path(frame_name(number)).name: step["index"]
         for step in steps

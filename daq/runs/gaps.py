@@ -8,7 +8,7 @@ from collections.abc import Container, Iterable, Sequence
 
 from daq.plans.steps import Step
 from daq.runs.journal import Entry
-from daq.runs.run_folder import finished_steps
+from daq.runs.run_folder import steps_on_disk
 
 Gaps = list[list[int]]
 NAMED = 5  # gaps that a sentence names
@@ -27,9 +27,9 @@ def gaps_of(numbers: Iterable[int], present: Container[int]) -> Gaps:
     return found
 
 
-def recorded_gaps(entries: Sequence[Entry]) -> dict[int, Gaps]:
+def gaps_by_step(entries: Sequence[Entry]) -> dict[int, Gaps]:
     """Return the gaps of every finished step that has any."""
-    finished = finished_steps(entries)
+    finished = steps_on_disk(entries)
     lines = [entry for entry in entries if entry["kind"] == "step" and entry["step"] in finished]
     return {entry["step"]: entry["gaps"] for entry in lines if entry.get("gaps")}
 

@@ -36,8 +36,8 @@ from pydantic_core import from_json
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs.journal_lines import LINE, FrameEntry
 from daq.runs.journal_lines import Entry as Entry  # what readers of a journal hold in their hands
-from daq.runs.records import CURE, parsed
-from daq.runs.seal import sealed
+from daq.runs.records import CURE, parse_record
+from daq.runs.seal import add_seal
 from ground.file_lock import hold
 from ground.plain_file import open_plain
 
@@ -75,7 +75,7 @@ def _entries(path: Path, has_seals: bool) -> Iterator[Entry]:
                 if not _is_torn(line):
                     raise RunDamaged(f"{path}:{number}: the end of the file is damaged; {CURE}")
                 return
-            entry: Entry = parsed(LINE, line, path, number, has_seals)
+            entry: Entry = parse_record(LINE, line, path, number, has_seals)
             yield FrameEntry(entry, shared) if entry["kind"] == "frame" else entry
 
 
@@ -144,7 +144,7 @@ class Journal:
             It cannot be written.
         """
         record = json.dumps({"kind": kind, **fields}, separators=(",", ":"), allow_nan=False)
-        line = sealed(record.encode()) + b"\n"
+        line = add_seal(record.encode()) + b"\n"
         with self._lock:
             try:
                 self._write(line)

@@ -30,16 +30,16 @@ class Shown(TypedDict):
     std: NotRequired[float]  # from step to step
 
 
-def shown_over(steps: Iterable[Mapping[str, ReadingRecord]]) -> dict[str, Shown]:
+def reading_statistics(steps: Iterable[Mapping[str, ReadingRecord]]) -> dict[str, Shown]:
     """Return it by the name of each gauge, from what the journal has of each step."""
     records: dict[str, list[ReadingRecord]] = {}
     for step in steps:
         for name, record in step.items():
             records.setdefault(name, []).append(record)
-    return {name: _shown(of_one) for name, of_one in records.items()}
+    return {name: _statistics(of_one) for name, of_one in records.items()}
 
 
-def _shown(records: list[ReadingRecord]) -> Shown:
+def _statistics(records: list[ReadingRecord]) -> Shown:
     values = [record["value"] for record in records if "value" in record]
     found: Shown = {
         "unit": records[0]["unit"],
@@ -53,7 +53,7 @@ def _shown(records: list[ReadingRecord]) -> Shown:
     return found
 
 
-def said_in_files(shown: Mapping[str, Shown], about: str = "") -> dict[str, Any]:
+def readings_attribute(shown: Mapping[str, Shown], about: str = "") -> dict[str, Any]:
     """Return the attribute of a file of vectors, JSON in plain letters; nothing where no gauge was read.
 
     Parameters
@@ -66,7 +66,7 @@ def said_in_files(shown: Mapping[str, Shown], about: str = "") -> dict[str, Any]
     return {f"{about}_{ATTRIBUTE}" if about else ATTRIBUTE: json.dumps(shown)} if shown else {}
 
 
-def shown_together(runs: Iterable[Mapping[str, Shown]]) -> dict[str, Shown]:
+def merge_readings(runs: Iterable[Mapping[str, Shown]]) -> dict[str, Shown]:
     """Merge the statistics of several runs, exactly as if their steps were those of one.
 
     Gauges are the same if name and unit are; where one name has several units, the unit stands behind it.
@@ -77,12 +77,12 @@ def shown_together(runs: Iterable[Mapping[str, Shown]]) -> dict[str, Shown]:
             found.setdefault((name, shown["unit"]), []).append(shown)
     names = Counter(name for name, _ in found)
     return {
-        name if names[name] == 1 else f"{name} [{unit}]": _together(unit, parts)
+        name if names[name] == 1 else f"{name} [{unit}]": _merge(unit, parts)
         for (name, unit), parts in found.items()
     }
 
 
-def _together(unit: str, parts: list[Shown]) -> Shown:
+def _merge(unit: str, parts: list[Shown]) -> Shown:
     steps = sum(part["steps"] for part in parts)
     found: Shown = {"unit": unit, "steps": steps, "missing": sum(part["missing"] for part in parts)}
     known = [part for part in parts if part["steps"]]

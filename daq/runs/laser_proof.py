@@ -13,7 +13,7 @@ from pathlib import Path
 
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
-from daq.runs.seal import SealBroken, unsealed, write_record
+from daq.runs.seal import SealBroken, check_seal, write_record
 from ground.plain_file import read_plain
 
 LONGEST_BYTES = 100_000
@@ -109,7 +109,7 @@ def read_proof(path: Path) -> Proof | None:
     except OSError:
         return None
     try:
-        tree = json.loads(unsealed(raw, required=True))
+        tree = json.loads(check_seal(raw, required=True))
         trials = tuple(Trial(**trial) for trial in tree.pop("trials"))
         return Proof(**tree | {"counted": tuple(tree.get("counted", ()))}, trials=trials)
     except SealBroken:

@@ -38,7 +38,7 @@ from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.displacement import read_displacements
 from daq.runs.journal import Entry
 from daq.runs.journal_lines import ReadingRecord
-from daq.runs.lab_readings import Shown, shown_over
+from daq.runs.lab_readings import Shown, reading_statistics
 from daq.runs.records import CURE
 from daq.runs.run_file import PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
@@ -216,7 +216,7 @@ class _Judge:
             self._records(step, one, two)
             self._agree.add(records)
         if second["timestamp_ns"] < first["timestamp_ns"]:
-            self._damaged(two, f"was exposed before frame {one} of its pair, by the camera's clock")
+            self._raise_damaged(two, f"was exposed before frame {one} of its pair, by the camera's clock")
         for number, exposure in ((one, "A"), (two, "B")):
             self._exposure(number, exposure, step.get("background", False))
 
@@ -225,21 +225,23 @@ class _Judge:
         for number, exposure in ((one, "A"), (two, "B")):
             record = self._frames[number].get("pair")
             if record is None:
-                self._damaged(number, "does not say which exposure of a pair its frame is")
+                self._raise_damaged(number, "does not say which exposure of a pair its frame is")
             if record["exposure"] != exposure:
-                self._damaged(
+                self._raise_damaged(
                     number, f"says exposure {record['exposure']} where the run keeps exposure {exposure}"
                 )
             if record.get("background", False) != step.get("background", False):
-                self._damaged(number, "says something else about the background than the plan")
+                self._raise_damaged(number, "says something else about the background than the plan")
             if not isclose(record["dt_us"], step["dt_us"], rel_tol=SAME):
-                self._damaged(number, f"says dt_us {record['dt_us']:g} and the plan says {step['dt_us']:g}")
+                self._raise_damaged(number, f"says dt_us {record['dt_us']:g} and the plan says {step['dt_us']:g}")
         before, after = (self._frames[number]["pair"] for number in (one, two))
         for key in sorted({*before, *after} - {"exposure"}):
             if before.get(key) != after.get(key):
-                self._damaged(two, f"says {key} {after.get(key)} and frame {one} of its pair {before.get(key)}")
+                self._raise_damaged(
+                    two, f"says {key} {after.get(key)} and frame {one} of its pair {before.get(key)}"
+                )
         if "dt_sigma_us" in before and "dt_measured_us" not in before:
-            self._damaged(one, "has a dt_sigma_us and no dt_measured_us that it belongs to")
+            self._raise_damaged(one, "has a dt_sigma_us and no dt_measured_us that it belongs to")
 
     def _exposure(self, number: int, exposure: str, is_background: bool) -> None:
         """Background and pairs must be exposed for the same time: what is subtracted is light."""
@@ -248,7 +250,7 @@ class _Judge:
             return
         known_us, known = self._exposed.setdefault((exposure, is_background), (exposed_us, number))
         if not isclose(known_us, exposed_us, rel_tol=READ_BACK):
-            self._damaged(number, f"says {exposed_us:g} us of exposure and frame {known} {known_us:g} us")
+            self._raise_damaged(number, f"says {exposed_us:g} us of exposure and frame {known} {known_us:g} us")
         other_us, other = self._exposed.get((exposure, not is_background), (exposed_us, number))
         if not isclose(other_us, exposed_us, rel_tol=READ_BACK):
             raise PairError(
@@ -259,7 +261,7 @@ class _Judge:
     def _place(self, number: int) -> str:
         return f"{self._folder.journal_path}:{self._lines[number]}"
 
-    def _damaged(self, number: int, what: str) -> NoReturn:
+    def _raise_damaged(self, number: int, what: str) -> NoReturn:
         raise RunDamaged(f"{self._place(number)}: {what}; {CURE}")
 
 
@@ -279,12 +281,12 @@ class RunPairs:
     lines: Mapping[int, Entry] = field(default_factory=dict)
     readings: Mapping[int, Mapping[str, ReadingRecord]] = field(default_factory=dict)
 
-    def shown_during(self, pairs: Iterable[FramePair]) -> dict[str, Shown]:
+    def statistics_during(self, pairs: Iterable[FramePair]) -> dict[str, Shown]:
         """Statistics of the gauges over the steps of these pairs; empty where there are none."""
         if not self.readings:
             return {}
         used = {step: records for pair in pairs for step, records in self.readings_during(pair).items()}
-        return shown_over(used[step] for step in sorted(used))
+        return reading_statistics(used[step] for step in sorted(used))
 
     def readings_during(self, pair: FramePair) -> dict[int, Mapping[str, ReadingRecord]]:
         """Readings of the gauges at each step of a pair."""
@@ -317,14 +319,14 @@ def pairs_of(path: Path) -> RunPairs:
     moved = any(step["reference"] is not None for step in steps)
     if not moved and all(step.get("group", 1) == 1 for step in steps):
         raise PairError(f"{path}: no frames of this run form pairs; give a shift run, or a stream with a group")
-    pairs = list(_moved(folder, steps, entries)) if moved else []
+    pairs = list(_pairs_by_shift(folder, steps, entries)) if moved else []
     alone: list[int] = []
     if any("dt_us" in step for step in steps):
         pairs, alone = flow_pairs(folder, lines)
     else:
         timed: dict[int, FramePair] = {}
         for step in steps:
-            timed |= _timed(folder, step, entries, alone)
+            timed |= _neighbour_pairs(folder, step, entries, alone)
         times = exposure_times_s(lines, timed)
         pairs += [replace(pair, time_s=times[one]) for one, pair in timed.items()]
     if not pairs:
@@ -333,7 +335,9 @@ def pairs_of(path: Path) -> RunPairs:
     return RunPairs(tuple(pairs), tuple(alone), entries, readings)
 
 
-def _moved(folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, Entry]) -> Iterator[FramePair]:
+def _pairs_by_shift(
+    folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, Entry]
+) -> Iterator[FramePair]:
     views = {step["tag"]: step["view"] for step in steps}
     for entry in read_displacements(folder):
         first, second = (entries.get(number) for number in entry["frames"])
@@ -349,7 +353,7 @@ def _moved(folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, En
         )
 
 
-def _timed(
+def _neighbour_pairs(
     folder: RunFolder, step: PlannedStep, entries: Mapping[int, Entry], alone: list[int]
 ) -> dict[int, FramePair]:
     """Pairs of one step by their first frame; adds to `alone` the frames that are in none."""

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from daq.errors import RunDamaged
-from daq.runs.seal import SealBroken, unsealed
+from daq.runs.seal import SealBroken, check_seal
 from ground.plain_file import read_plain
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ Text = Annotated[str, Field(min_length=1)]
 Tag = Annotated[str, Field(pattern=r"^\w[\w.+-]*$", max_length=200)]  # names folders of results
 
 
-def parsed(adapter: TypeAdapter[T], record: bytes, path: Path, line: int, sealed: bool) -> T:
+def parse_record(adapter: TypeAdapter[T], record: bytes, path: Path, line: int, sealed: bool) -> T:
     """Check one record and return it.
 
     Parameters
@@ -56,7 +56,7 @@ def parsed(adapter: TypeAdapter[T], record: bytes, path: Path, line: int, sealed
         In one sentence.
     """
     try:
-        return adapter.validate_json(unsealed(record, sealed))
+        return adapter.validate_json(check_seal(record, sealed))
     except SealBroken as error:
         raise RunDamaged(f"{path}:{line}: {error}, so it is not what was written; {CURE}") from None
     except ValidationError as error:
@@ -76,7 +76,7 @@ def read_record(adapter: TypeAdapter[T], path: Path, sealed: bool) -> T:
     except OSError as error:
         raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
     try:
-        return adapter.validate_json(unsealed(data, sealed))
+        return adapter.validate_json(check_seal(data, sealed))
     except SealBroken as error:
         raise RunDamaged(f"{path}: {error}, so it is not what was written; {CURE}") from None
     except ValidationError as error:
@@ -93,15 +93,15 @@ def _sentence(error: ValidationError) -> str:
     if kind == "missing":
         return f"the key {name} is missing"
     if kind == "union_tag_invalid":
-        return f"is of a kind that is not known here, {_shown(first['ctx']['tag'])}"
+        return f"is of a kind that is not known here, {_format_value(first['ctx']['tag'])}"
     if kind == "union_tag_not_found":
         return "does not say of which kind it is"
     if kind == "value_error":
         return message.removeprefix("Value error, ")
-    return f"{name} should be {message.removeprefix('Input should be ')}, not {_shown(first['input'])}"
+    return f"{name} should be {message.removeprefix('Input should be ')}, not {_format_value(first['input'])}"
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     text = repr(value)
     return text if len(text) <= LONGEST_SHOWN else text[: LONGEST_SHOWN - 3] + "..."
 

@@ -13,11 +13,11 @@ from daq.runs.clock_map import clock_maps
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import DoneFile, read_done, run_hash
 from daq.runs.frame_accounting import ambiguities, total_accounting
-from daq.runs.frame_check import NAMED, FrameFault, Track, frame_faults, named, orphan_files, untracked
-from daq.runs.gaps import numbers_in, recorded_gaps
+from daq.runs.frame_check import NAMED, FrameFault, Track, frame_faults, name_faults, no_tracking, orphan_files
+from daq.runs.gaps import gaps_by_step, numbers_in
 from daq.runs.journal import Entry
 from daq.runs.run_file import SEALED_FROM, RunFile
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 from ground.plain_words import counted
 
 
@@ -60,7 +60,7 @@ class RunCheck:
         return all(finding.sound for finding in self.findings)
 
 
-def check_run(path: Path, track: Track = untracked) -> RunCheck:
+def check_run(path: Path, track: Track = no_tracking) -> RunCheck:
     """Check a run; nothing is changed, and nothing is raised for what is wrong with it.
 
     Parameters
@@ -95,7 +95,7 @@ def check_run(path: Path, track: Track = untracked) -> RunCheck:
 
 
 def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
-    finished, present, gaps = finished_steps(entries), frame_entries(entries), recorded_gaps(entries)
+    finished, present, gaps = steps_on_disk(entries), frame_entries(entries), gaps_by_step(entries)
     for step in about["steps"]:
         numbers = range(step["first_frame"], step["first_frame"] + step["frames"])
         never_came = numbers_in(gaps.get(step["index"], ()))
@@ -132,7 +132,9 @@ def _frames(count: int, faults: list[FrameFault]) -> Finding:
     if not faults:
         return Finding("frames", True, f"all {count} are what was written")
     cure = "restore them from a copy, or take their steps again with rtpiv resume --retake"
-    return Finding("frames", False, f"{len(faults)} of {count} are not what was written: {named(faults)}; {cure}")
+    return Finding(
+        "frames", False, f"{len(faults)} of {count} are not what was written: {name_faults(faults)}; {cure}"
+    )
 
 
 def _unknown(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Finding:
@@ -162,14 +164,14 @@ def _end(folder: RunFolder, about: RunFile, entries: list[Entry], faults: int) -
     except RunDamaged as error:
         yield Finding("done.json", False, str(error))
     if done is not None:
-        yield _done(folder, about, entries, done, faults)
+        yield _check_end(folder, about, entries, done, faults)
     if any(step["reference"] is not None for step in about["steps"]):
         yield _displacements(folder)
     if about["request"]["correct"]:
-        yield _corrected(folder, about, entries)
+        yield _check_correction(folder, about, entries)
 
 
-def _done(folder: RunFolder, about: RunFile, entries: list[Entry], done: DoneFile, faults: int) -> Finding:
+def _check_end(folder: RunFolder, about: RunFile, entries: list[Entry], done: DoneFile, faults: int) -> Finding:
     present = frame_entries(entries)
     total, _ = total_accounting(entries)
     if done["frames"] != len(present) or done["conservation"] != total.to_dict():
@@ -198,10 +200,10 @@ def _displacements(folder: RunFolder) -> Finding:
         return Finding("displacements", False, str(error))
 
 
-def _corrected(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Finding:
-    never_came = numbers_in(gap for gaps in recorded_gaps(entries).values() for gap in gaps)
+def _check_correction(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Finding:
+    never_came = numbers_in(gap for gaps in gaps_by_step(entries).values() for gap in gaps)
     wanted = [
-        folder.corrected_path(number)
+        folder.correction_path(number)
         for step in about["steps"]
         if step["on_plane"]
         for number in range(step["first_frame"], step["first_frame"] + step["frames"])

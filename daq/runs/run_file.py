@@ -14,7 +14,7 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.names import FILE
 from daq.runs.records import CURE, MAX_RECORD_BYTES, STRICT, Count, Tag, Text, read_record
-from daq.runs.seal import SealBroken, unsealed
+from daq.runs.seal import SealBroken, check_seal
 from ground.plain_file import read_plain
 
 LAYOUT = 2
@@ -116,7 +116,7 @@ def _layout(path: Path) -> int:
     A seal that is broken is found in a tenth of a second, in whatever takes a minute to be taken apart.
     """
     try:
-        tree: Any = json.loads(unsealed(read_plain(path, MAX_RECORD_BYTES), required=False))
+        tree: Any = json.loads(check_seal(read_plain(path, MAX_RECORD_BYTES), required=False))
     except SealBroken as error:
         raise RunDamaged(f"{path}: {error}, so it is not what was written; {CURE}") from None
     except (OSError, ValueError, RecursionError):

@@ -108,7 +108,7 @@ class RunFolder:
             _make(hidden, {**about, **({"cameras": list(beside)} if beside else {})})
             for camera, its_own in beside.items():
                 _make(hidden / CAMERAS / camera, its_own)
-            path = _renamed(hidden, parent, name)
+            path = _rename_free(hidden, parent, name)
             sync_folder(parent)
         except OSError as error:
             raise DiskError(f"{parent}: {error.strerror}; choose another folder with -o") from error
@@ -186,7 +186,7 @@ class RunFolder:
         """File of a raw frame."""
         return self.path / frame_name(number)
 
-    def corrected_path(self, number: int) -> Path:
+    def correction_path(self, number: int) -> Path:
         """File of a corrected frame."""
         return self.path / "corrected" / f"{number:06d}.tif"
 
@@ -238,7 +238,7 @@ def _sweep(parent: Path) -> None:
                 shutil.rmtree(left, ignore_errors=True)
 
 
-def _renamed(hidden: Path, parent: Path, name: str) -> Path:
+def _rename_free(hidden: Path, parent: Path, name: str) -> Path:
     """Give a folder its own name, or that with the first number that is free; OSError if there is none."""
     for number in range(1000):
         path = parent / (f"{name}_{number}" if number else name)
@@ -287,7 +287,7 @@ def frame_entries(entries: Iterable[Entry]) -> dict[int, Entry]:
     return frames
 
 
-def finished_steps(entries: Iterable[Entry]) -> set[int]:
+def steps_on_disk(entries: Iterable[Entry]) -> set[int]:
     """Steps whose every frame is on the disk: their line is there and no frame of theirs was discarded later."""
     finished: set[int] = set()
     step_of: dict[int, int] = {}
@@ -303,5 +303,5 @@ def finished_steps(entries: Iterable[Entry]) -> set[int]:
 
 def remaining(steps: Iterable["Step"], entries: Iterable[Entry], again: Container[int] = ()) -> list["Step"]:
     """Plan minus journal, and the finished steps that are to be taken `again`."""
-    done = finished_steps(entries)
+    done = steps_on_disk(entries)
     return [step for step in steps if step.index not in done or step.index in again]

@@ -233,7 +233,7 @@ def board_of(
     files = {path: load_kept(run, "board", read_board) for path, run in runs.items() if "board" in run.about}
     if files or board is not None:
         sizes = [name for name, value in said.items() if value is not None]
-        return _printed(files if board is None else {board: read_board(board), **files}, list(runs), sizes)
+        return _board_of_runs(files if board is None else {board: read_board(board), **files}, list(runs), sizes)
     by = dict.fromkeys(said, "the options say")
     for path, run in runs.items():
         about = run.about
@@ -253,7 +253,7 @@ def board_of(
     return Chessboard(square, disc, scale_sigma=(UNMEASURED, UNMEASURED))
 
 
-def _printed(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], sizes: Sequence[str]) -> Chessboard:
+def _board_of_runs(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], sizes: Sequence[str]) -> Chessboard:
     """The board of files that say the same; runs without one, or sizes said beside them, contradict it."""
     (first, printed), *others = files.items()
     for path in [path for path, other in others if other != printed]:

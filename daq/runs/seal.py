@@ -28,7 +28,7 @@ class SealBroken(ValueError):  # noqa: N818 - says what it is
     """A record is not what was sealed; the text says in what way, as the rest of a sentence."""
 
 
-def sealed(record: bytes) -> bytes:
+def add_seal(record: bytes) -> bytes:
     """Return a JSON object with its seal as the last key.
 
     Parameters
@@ -42,7 +42,7 @@ def sealed(record: bytes) -> bytes:
     return b"".join((body, b",", before, b'"seal', colon, b"%08x" % zlib.crc32(body), b'"', after, b"}"))
 
 
-def unsealed(record: bytes, required: bool) -> bytes:
+def check_seal(record: bytes, required: bool) -> bytes:
     """Check the seal of a record; return the record without it.
 
     Parameters
@@ -70,4 +70,4 @@ def unsealed(record: bytes, required: bool) -> bytes:
 
 def write_record(path: Path, tree: Mapping[str, Any]) -> None:
     """Write a record of a run, with its seal, as `write_text` does."""
-    write_text(path, sealed(json.dumps(tree, indent=1, allow_nan=False).encode()).decode() + "\n")
+    write_text(path, add_seal(json.dumps(tree, indent=1, allow_nan=False).encode()).decode() + "\n")

@@ -74,7 +74,7 @@ class OffRequest:
 
 
 @contextmanager
-def noted(table: TimingTable) -> Iterator[OffRequest]:
+def register_laser(table: TimingTable) -> Iterator[OffRequest]:
     """Have a laser found by other processes while the block lasts, unless it is simulated in memory.
 
     Yields
@@ -82,7 +82,7 @@ def noted(table: TimingTable) -> Iterator[OffRequest]:
     OffRequest
         By which another process asks for off.
     """
-    held = _written(table) if needs_watchdog([table.port]) else None
+    held = _write_note(table) if needs_watchdog([table.port]) else None
     request = OffRequest(None if held is None else Path(held.name).with_suffix(".off"))
     try:
         yield request
@@ -133,7 +133,7 @@ def _folder() -> Path:
     return folder
 
 
-def _written(table: TimingTable) -> IO[str] | None:
+def _write_note(table: TimingTable) -> IO[str] | None:
     with suppress(OSError):
         file = tempfile.NamedTemporaryFile(  # noqa: SIM115 - open for as long as the laser is
             "w", prefix=f"{os.getpid()}-", suffix=".json", dir=_folder(), delete=False, encoding="utf-8"

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 
 from daq.timing.drivers_by_name import driver_class
 from daq.timing.errors import WrongBox
-from daq.timing.in_use import noted
+from daq.timing.in_use import register_laser
 from daq.timing.laser import Laser
 from daq.timing.switches import OFF, Switches
 from daq.timing.timing_table import TimingTable
@@ -80,7 +80,7 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
         if watchdog is not None:
             watchdog.know(box.name, table.port, table.baud or box.default_baud, False, box.off_bytes())
             box.watchdog = watchdog
-        with noted(table) as request:
+        with register_laser(table) as request:
             laser.switches.add(OFF, request)
             laser.off_request = request
             laser.switches.watch(laser.switch_opened)

@@ -150,7 +150,7 @@ class LaserShutdown:
         except TimingUsageError:
             raise
         except BaseException as error:
-            was_stopped = self._box.latch.held
+            was_stopped = self._box.latch.is_held
             self.try_send_off(str(error) or type(error).__name__)
             if isinstance(error, CommandRejected):  # it may refuse off as well: said until it reads back, at once
                 self.confirm()

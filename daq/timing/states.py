@@ -161,7 +161,7 @@ class LaserStateMachine:
 
     def token(self) -> int:
         """Return what bytes that switch on have to show; LaserStopped while a stop holds."""
-        if self._latch.held:
+        if self._latch.is_held:
             raise LaserStopped(f"{self.name} is held: {self.why}; look at it, then safe()")
         return self._latch.count
 
@@ -171,7 +171,7 @@ class LaserStateMachine:
             try:
                 self._state = after(self._state, event)
             except ValueError as error:
-                if self._latch.held:
+                if self._latch.is_held:
                     raise LaserStopped(f"{self.name} was switched off: {self.why}") from None
                 raise NotNow(f"{self.name}: {error}") from None
 

@@ -23,7 +23,7 @@ from daq.atomic_write import write_text
 from daq.frames.numbered_files import WITH, NumberedFiles
 from daq.runs.acquired import read_acquired
 from daq.runs.names import is_run
-from daq.runs.run_views import FAR_MM, FAR_PX, board_of, dewarp_of
+from daq.runs.run_views import FAR_MM, UNSCALED_DISTANCE_PX, board_of, dewarp_of
 from piv.resampling.sample import Method
 from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
@@ -112,7 +112,7 @@ class CorrectionRecipe:
             raise MapUsageError("--mm-per-px is for frames without a scene; leave it or --scene out")
         height, width = read_acquired(frame).shape
         out.mkdir(parents=True, exist_ok=True)
-        pitch, far = (1.0, FAR_PX) if self.mm_per_px is None else (self.mm_per_px, FAR_MM)
+        pitch, far = (1.0, UNSCALED_DISTANCE_PX) if self.mm_per_px is None else (self.mm_per_px, FAR_MM)
         numbers = {"mm_per_px": pitch, "focal_px": far / pitch, "far_mm": far}
         (out / FIT_FILE).unlink(missing_ok=True)  # of another scene
         write_text(out / SCENE_FILE, PLAIN_SCENE.format(**numbers, width=width, height=height))

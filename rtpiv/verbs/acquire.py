@@ -26,7 +26,7 @@ from daq.runner.progress import watch
 from daq.runner.session import Request, Run, begin, check_disk, run_session
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import Moved, read_displacements
-from daq.runs.frame_accounting import UNCHECKED, chunk_sentences, rejected_sentence
+from daq.runs.frame_accounting import UNCHECKED, chunk_sentences, rejection_sentence
 from daq.runs.gaps import gap_sentence
 from daq.runs.run_folder import RunFolder
 from ground.errors import ConfigError
@@ -318,7 +318,7 @@ def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None
         f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
         f"+ {books['rejected']} {'dark or surplus' if chunks else 'rejected'} + {books['lost']} lost"
     )
-    for sentence in filter(None, (rejected_sentence(entries), *chunks)):
+    for sentence in filter(None, (rejection_sentence(entries), *chunks)):
         screen.print(sentence, soft_wrap=True, highlight=False)
     for step in done.get("gaps", ()):
         frames = sum(planned["frames"] for planned in folder.about["steps"] if planned["index"] == step["step"])

@@ -56,9 +56,9 @@ def camera(
         info = hardware.camera.info
         screen.print(f"{info.vendor} {info.model}, serial {info.serial}, {info.backend} at {info.address}")
         if action == "test":
-            _say(try_trigger(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s))
+            _say(try_trigger(hardware.camera, hardware.camera_section, rendering_s=hardware.rendering_s))
             return None
-        exposures = CameraSession(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s)
+        exposures = CameraSession(hardware.camera, hardware.camera_section, rendering_s=hardware.rendering_s)
         settings = exposures.set_up()
         if action == "list":
             for name in sorted(settings):

@@ -83,7 +83,7 @@ def live(
         shown = None if corrector is None else _through(believed, corrector)
         page.say("opening the camera")
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
-        exposures = CameraSession(hardware.camera, hardware.camera_section, drawn_s=hardware.drawn_s)
+        exposures = CameraSession(hardware.camera, hardware.camera_section, rendering_s=hardware.rendering_s)
         exposures.set_up()
         if hardware.simulation is not None:  # its axes begin where they were switched off; no stage is opened
             hardware.simulation.place(loaded.home_mm)

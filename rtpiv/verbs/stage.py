@@ -71,7 +71,7 @@ def stage(
 
     with open_session(bench, simulate) as session:
         if not simulate:
-            session.stage.turned_by(operator_of(None, simulate).reads)
+            session.stage.set_operator(operator_of(None, simulate).reads)
         if home:
             session.home(tell=tell)
         if action == "session":

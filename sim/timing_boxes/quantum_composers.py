@@ -36,7 +36,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from daq.timing.protocols.quantum_composers import Command, CommandStream, shortened
+from daq.timing.protocols.quantum_composers import Command, CommandStream, short_forms
 from sim.emulators.device import Clock, serial_number
 from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
@@ -311,7 +311,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         if command.keyword.startswith("*"):
             return self._common(command)
         try:
-            words = list(shortened(command.keyword))
+            words = list(short_forms(command.keyword))
         except KeyError:
             return "?3"
         return self._obey(words, command)

@@ -152,7 +152,7 @@ class GrblController(Controller):
             return status.position_mm[index], status.state == "Alarm"
 
         near = self._near(channel)
-        place_mm, locked = self._settled(channel, ask, lambda a, b: near(a[0], b[0]) and a[1] == b[1])
+        place_mm, locked = self._settle_reading(channel, ask, lambda a, b: near(a[0], b[0]) and a[1] == b[1])
         if locked:
             self._forget_references()
         return place_mm

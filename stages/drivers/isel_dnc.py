@@ -156,16 +156,16 @@ class IselController(Controller):
         self._initialise()
 
     def _initialise(self) -> None:
-        self._repeated(lambda: self._acknowledged(dnc.Initialise((1 << self._axes) - 1)))
+        self._repeated(lambda: self._acknowledge(dnc.Initialise((1 << self._axes) - 1)))
         self._initialised = True
 
-    def known_mm(self, channel: str) -> float:
+    def rest_position_mm(self, channel: str) -> float:
         """Steps / scale; the answer itself says that there was no restart.
 
         NotReferenced if there was one, or the axis was never homed.
         """
         position_mm = self.position_mm(channel)
-        if not self.referenced(channel):
+        if not self.has_reference(channel):
             raise NotReferenced(f"{self.name} channel {channel} is not referenced; home it")
         return position_mm
 
@@ -220,10 +220,10 @@ class IselController(Controller):
     def _set_ramp(self, scale: float, acceleration_mm_s2: float) -> None:
         ramp = max(1, round(acceleration_mm_s2 * scale / 1000))
         if self.identity != C142 and ramp != self._ramp:
-            self._repeated(lambda: self._acknowledged(dnc.Numbered("J", ramp)))
+            self._repeated(lambda: self._acknowledge(dnc.Numbered("J", ramp)))
             self._ramp = ramp
 
-    def _acknowledged(self, command: dnc.Initialise | dnc.Numbered) -> None:
+    def _acknowledge(self, command: dnc.Initialise | dnc.Numbered) -> None:
         def accept(answer: object) -> str | None:
             return answer.code if isinstance(answer, dnc.Ack) else None
 
@@ -232,7 +232,7 @@ class IselController(Controller):
             self._raise(code, f"taking {command.to_bytes()!r}")
 
     def _steps(self) -> tuple[int, ...]:
-        steps = self._settled("P", self._steps_once, self._agree)
+        steps = self._settle_reading("P", self._steps_once, self._agree)
         if steps is None:
             self._forget_references()
             raise NotReferenced(f"{self.name} has lost its reference (was it switched off?); home it")

@@ -73,7 +73,7 @@ class PiController(Controller):
         self._repeated(lambda: self._command("SVO", channel, "1"))
         self._homing.add(channel)
         # without ERR? behind it, which not every firmware answers meanwhile
-        self._send(_told(how, channel).to_bytes(), moves=True)
+        self._send(_command_for(how, channel).to_bytes(), moves=True)
 
     def _how_referenced(self, channel: str) -> str:
         """FRF, or at a limit switch where there is no reference switch; StageUsageError where there is neither."""
@@ -119,7 +119,7 @@ class PiController(Controller):
                 raise StageUsageError(f"{self.name} axis {channel} moves; wait until it rests")
             return self._value("POS?", channel)
 
-        return self._settled(channel, ask, self._near(channel))
+        return self._settle_reading(channel, ask, self._near(channel))
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Nothing to check: the controller refuses what it cannot do, with error 8."""
@@ -275,7 +275,7 @@ class PiController(Controller):
                 self._repeated(lambda c=each: self._error_of(c))  # type: ignore[misc]
             self._stopped = False
         address = _address_of(channel)
-        data = _told(name, channel, *arguments).to_bytes() + gcs.Command("ERR?", address=address).to_bytes()
+        data = _command_for(name, channel, *arguments).to_bytes() + gcs.Command("ERR?", address=address).to_bytes()
         if code := self._error_code(self._talk(data, address, moves)):
             self._raise(code, " ".join([name, channel, *arguments]))
 
@@ -312,6 +312,6 @@ def _axis_of(channel: str) -> str:
     return channel.rpartition("/")[2]
 
 
-def _told(name: str, channel: str, *arguments: str) -> gcs.Command:
+def _command_for(name: str, channel: str, *arguments: str) -> gcs.Command:
     """A command about a channel."""
     return gcs.Command(name, (_axis_of(channel), *arguments), _address_of(channel))

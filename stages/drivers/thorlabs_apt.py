@@ -155,7 +155,7 @@ class AptController(AptQuestions):
             return self._count(channel)
 
         scale = self._scale(channel)
-        return self._settled(channel, ask, self._near(channel, scale)) / scale
+        return self._settle_reading(channel, ask, self._near(channel, scale)) / scale
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """StageUsageError if a value does not fit the setting it goes to."""

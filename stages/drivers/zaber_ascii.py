@@ -137,14 +137,15 @@ class ZaberController(Controller):
         """Microsteps / scale, from two answers that agree within the noise of a servo."""
         scale = self._scale(channel)
         return (
-            self._settled(channel, lambda: self._integer(channel, "get pos"), self._near(channel, scale)) / scale
+            self._settle_reading(channel, lambda: self._integer(channel, "get pos"), self._near(channel, scale))
+            / scale
         )
 
-    def known_mm(self, channel: str) -> float:
+    def rest_position_mm(self, channel: str) -> float:
         """Position; an answer without any flag vouches for it, else the flags are asked for."""
         with self._lock:
             position_mm = self.position_mm(channel)
-            if self._flag != NO_FLAG or not self.referenced(channel):
+            if self._flag != NO_FLAG or not self.has_reference(channel):
                 self.confirm_reference(channel)
             return position_mm
 

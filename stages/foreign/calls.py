@@ -106,7 +106,7 @@ class Calls:
         call = _Call(words, function)
         with self._changed:
             if self._stuck or self._ended:
-                raise self._lost()
+                raise self._device_lost()
             self._waiting.append(call)
             self._changed.notify()
         try:
@@ -134,7 +134,7 @@ class Calls:
             raise call.error
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         """True if nothing is asked any more."""
         return self._ended
 
@@ -155,9 +155,9 @@ class Calls:
                     if call.done.is_set():
                         return
                     self._stuck = (self._present or call).words
-                raise self._lost()
+                raise self._device_lost()
 
-    def _lost(self) -> DeviceLost:
+    def _device_lost(self) -> DeviceLost:
         if not self._stuck:
             return DeviceLost(f"{self._name} is closed; open it again and home its axes")
         return DeviceLost(
@@ -166,14 +166,14 @@ class Calls:
         )
 
     def _run(self) -> None:
-        while (call := self._fetched()) is not None:
+        while (call := self._fetch()) is not None:
             call.run()
             with self._changed:
                 self._present = None
         with contextlib.suppress(Exception):
             self._last()
 
-    def _fetched(self) -> _Call[Any] | None:
+    def _fetch(self) -> _Call[Any] | None:
         """Wait for the next call; None at the end."""
         with self._changed:
             while True:

@@ -88,7 +88,7 @@ class ForeignController(ForeignLibrary):
         super()._forget_references()
         self._rests_mm.clear()
 
-    def homed_by_hand(self, channel: str) -> bool:
+    def needs_hand_homing(self, channel: str) -> bool:
         """Return whether a person says where the stage stands."""
         return self._homed_by_hand
 
@@ -124,7 +124,7 @@ class ForeignController(ForeignLibrary):
                 f"{self.name} cannot look for its reference; see where channel {channel} stands, and confirm that"
             )
         with self._lock:
-            self._referenced -= self.homed_with(channel)
+            self._referenced -= self.channels_homed_with(channel)
             try:
                 self._begin(Motion(channel, self._look(channel)[1], None), partial(self._seek, channel))
             except CommandRejected as refused:
@@ -170,7 +170,7 @@ class ForeignController(ForeignLibrary):
     def _has_come(self, motion: Motion, here_mm: float) -> bool:
         assert motion.target_mm is not None
         short_mm = abs(here_mm - motion.target_mm)
-        if short_mm > THERE_MM and not self._waited(motion):
+        if short_mm > THERE_MM and not self._has_rested(motion):
             return False
         self._motion, self._rests_mm[motion.channel] = None, here_mm
         if short_mm > EARLY_END_MM:
@@ -183,10 +183,10 @@ class ForeignController(ForeignLibrary):
 
     def _has_found(self, motion: Motion, here_mm: float) -> bool:
         reads_mm = {motion.channel: here_mm}
-        for channel in self.homed_with(motion.channel) - {motion.channel}:
+        for channel in self.channels_homed_with(motion.channel) - {motion.channel}:
             reads_mm[channel] = self._reading_mm(channel)
         off_mm = max(abs(mm - self._home_mm) for mm in reads_mm.values())
-        if not (motion.seen_to_move and off_mm <= EARLY_END_MM) and not self._waited(motion):
+        if not (motion.seen_to_move and off_mm <= EARLY_END_MM) and not self._has_rested(motion):
             return False
         self._motion = None
         where = f"{self.name} channel {' and '.join(reads_mm)}"
@@ -216,7 +216,7 @@ class ForeignController(ForeignLibrary):
                 self._forget_references()
         raise MotionStopped(f"{self.name} channel {motion.channel} was stopped")
 
-    def _waited(self, motion: Motion) -> bool:
+    def _has_rested(self, motion: Motion) -> bool:
         """Return whether the stage has rested long enough that it will not begin any more."""
         now_s = self.clock.now_s()
         if motion.rests_since_s is None:

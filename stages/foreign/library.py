@@ -73,7 +73,7 @@ class ForeignLibrary(MotionController):
             self._calls = Calls(self.name, table.call_s, lambda: self.latch.count != self.token, self._unload)
             self.token = self.latch.count
             try:
-                identity = self._loaded(table)
+                identity = self._load_library(table)
                 if self.identity not in ("", identity):
                     text = f"{identity!r} answers instead of {self.identity!r}; check the cables"
                     raise WrongDevice(f"{self.name}: {text}")
@@ -87,7 +87,7 @@ class ForeignLibrary(MotionController):
             self.under_way = False
             return identity
 
-    def _loaded(self, table: ForeignTable) -> str:
+    def _load_library(self, table: ForeignTable) -> str:
         try:
             return self._ask("to load", partial(self._load, table))
         except CommandRejected as refused:
@@ -117,7 +117,7 @@ class ForeignLibrary(MotionController):
     @property
     def lost(self) -> bool:
         """True if the library has failed, has not come back from a call, or is not loaded."""
-        return self._calls is None or self._failed or self._calls.ended or bool(self._calls.stuck)
+        return self._calls is None or self._failed or self._calls.has_ended or bool(self._calls.stuck)
 
     def stop(self) -> None:
         """Stop every channel before anything else; without waiting."""

@@ -37,9 +37,9 @@ class MicroManager(ForeignController):
     _mm_per_unit = 0.001
     _sent: dict[str, dict[str, float]]  # last targets of XY stages [mm]
 
-    def homed_with(self, channel: str) -> frozenset[str]:
+    def channels_homed_with(self, channel: str) -> frozenset[str]:
         """Both axes of an XY stage are homed by one command."""
-        label, axis = _parted(channel)
+        label, axis = _label_and_axis(channel)
         pair = {f"{label}/x", f"{label}/y"} & set(self._channels)
         return frozenset(pair if axis and not self._homed_by_hand else {channel})
 
@@ -54,12 +54,12 @@ class MicroManager(ForeignController):
             parts.append(_load_file(core, Path(table.config)))
         else:
             _load_devices(core, table.devices)
-        for label in dict.fromkeys(_parted(channel)[0] for channel in self._channels):
-            pair = {(label, "x"), (label, "y")} & {_parted(channel) for channel in self._channels}
-            parts.append(self._described(label, XY_STAGE if pair else STAGE))
+        for label in dict.fromkeys(_label_and_axis(channel)[0] for channel in self._channels):
+            pair = {(label, "x"), (label, "y")} & {_label_and_axis(channel) for channel in self._channels}
+            parts.append(self._describe(label, XY_STAGE if pair else STAGE))
         return ", ".join(parts)
 
-    def _described(self, label: str, wanted: int) -> str:
+    def _describe(self, label: str, wanted: int) -> str:
         if label not in self._core.getLoadedDevices():
             raise WrongDevice(f"{self.name}: there is no device {label!r} in what was loaded")
         if int(self._core.getDeviceType(label)) != wanted:
@@ -74,15 +74,15 @@ class MicroManager(ForeignController):
             self._core.unloadAllDevices()
 
     def _busy(self, channel: str) -> bool:
-        return bool(self._core.deviceBusy(_parted(channel)[0]))
+        return bool(self._core.deviceBusy(_label_and_axis(channel)[0]))
 
     def _read_mm(self, channel: str) -> float:
-        label, axis = _parted(channel)
+        label, axis = _label_and_axis(channel)
         read = {"x": self._core.getXPosition, "y": self._core.getYPosition, "": self._core.getPosition}[axis]
         return float(read(label)) * self._mm_per_unit
 
     def _send(self, channel: str, target_mm: float) -> None:
-        label, axis = _parted(channel)
+        label, axis = _label_and_axis(channel)
         if not axis:
             self._core.setPosition(label, target_mm / self._mm_per_unit)
             return
@@ -99,13 +99,13 @@ class MicroManager(ForeignController):
         self._core.setXYPosition(label, targets["x"] / self._mm_per_unit, targets["y"] / self._mm_per_unit)
 
     def _seek(self, channel: str) -> None:
-        label = _parted(channel)[0]
+        label = _label_and_axis(channel)[0]
         self._sent.pop(label, None)
         self._core.home(label)
 
     def _halt(self) -> str:
         said = []
-        for label in dict.fromkeys(_parted(channel)[0] for channel in self._channels):
+        for label in dict.fromkeys(_label_and_axis(channel)[0] for channel in self._channels):
             try:
                 self._core.stop(label)
             except Exception as error:  # whatever one says, the others are stopped
@@ -113,7 +113,7 @@ class MicroManager(ForeignController):
         return "; ".join(said)
 
 
-def _parted(channel: str) -> tuple[str, str]:
+def _label_and_axis(channel: str) -> tuple[str, str]:
     """Label and axis of a channel; no axis for a stage that has one only."""
     label, slash, axis = channel.rpartition("/")
     return (label, axis) if slash and axis in ("x", "y") else (channel, "")

@@ -32,7 +32,7 @@ class Positioners(ForeignController):
         said = []
         for channel in self._channels:
             about = table.objects[channel]
-            made = _made(about.object, dict(about.arguments))
+            made = _make(about.object, dict(about.arguments))
             if missing := [name for name in NEEDED if not hasattr(made, name)]:
                 raise WrongDevice(f"{self.name}: {about.object} has no {' and no '.join(missing)}")
             self._objects[channel], self._mm_per_unit[channel] = made, about.mm_per_unit
@@ -87,7 +87,7 @@ def _failure(status: Any) -> BaseException | None:  # noqa: ANN401 - third-party
     return found
 
 
-def _made(dotted: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401
+def _make(dotted: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401
     try:
         made = named_program(dotted)
     except (ImportError, AttributeError) as error:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from stages.protocols.apt_bytes import (
     long_message,
     number_bytes,
-    padded,
+    pad_text,
+    read_signed,
+    read_unsigned,
     short_message,
-    signed,
-    signed_bytes,
     text_of,
-    unsigned,
+    to_signed_bytes,
 )
 from stages.protocols.apt_commands import MANUAL, PROTOCOL, PUBLISHED, speed_bytes
 from stages.protocols.apt_words import (
@@ -74,7 +74,9 @@ class Value:
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return long_message(self.kind, number_bytes(self.channel, 2) + signed_bytes(self.value), HOST, self.sender)
+        return long_message(
+            self.kind, number_bytes(self.channel, 2) + to_signed_bytes(self.value), HOST, self.sender
+        )
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -134,7 +136,7 @@ class Homing:
         """Bytes as they go over the wire."""
         head = (self.channel, self.direction, self.switch)
         data = b"".join(number_bytes(number, 2) for number in head)
-        data += signed_bytes(self.speed) + signed_bytes(self.offset)
+        data += to_signed_bytes(self.speed) + to_signed_bytes(self.offset)
         return long_message(Kind.MOT_GET_HOMEPARAMS, data, HOST, self.sender)
 
     @classmethod
@@ -182,8 +184,8 @@ class Info:
         """Bytes as they go over the wire."""
         minor, interim, major = self.firmware
         data = (
-            number_bytes(self.serial, 4) + padded(self.model, 8) + number_bytes(self.hardware_type, 2)
-            + bytes((minor, interim, major, 0)) + padded(self.notes, 60)
+            number_bytes(self.serial, 4) + pad_text(self.model, 8) + number_bytes(self.hardware_type, 2)
+            + bytes((minor, interim, major, 0)) + pad_text(self.notes, 60)
             + number_bytes(self.hardware_version, 2) + number_bytes(self.modification, 2)
             + number_bytes(self.channels, 2)
         )  # fmt: skip
@@ -265,7 +267,7 @@ def parse_answer(raw: bytes) -> Answer:
     ProtocolViolation
         Its data cannot be what it says.
     """
-    kind, sender, data = unsigned(raw[:2]), raw[5], raw[HEADER:]
+    kind, sender, data = read_unsigned(raw[:2]), raw[5], raw[HEADER:]
     is_short = not raw[4] & WITH_DATA
     if kind in UNASKED:
         return Unasked(kind, raw[2:4] if is_short else data, is_short, sender)
@@ -273,16 +275,22 @@ def parse_answer(raw: bytes) -> Answer:
         return Reply(kind, raw[2], raw[3], sender)
     if kind == Kind.HW_GET_INFO:
         return Info(
-            unsigned(data[:4]), text_of(data[4:12]), unsigned(data[12:14]), tuple(data[14:17]),
-            text_of(data[18:78]), unsigned(data[78:80]), unsigned(data[80:82]), unsigned(data[82:84]), sender,
+            read_unsigned(data[:4]), text_of(data[4:12]), read_unsigned(data[12:14]), tuple(data[14:17]),
+            text_of(data[18:78]), read_unsigned(data[78:80]), read_unsigned(data[80:82]),
+            read_unsigned(data[82:84]), sender,
         )  # fmt: skip
-    channel = unsigned(data[:2])
+    channel = read_unsigned(data[:2])
     if kind in VALUES:
-        return Value(kind, channel, signed(data[2:6]), sender)
+        return Value(kind, channel, read_signed(data[2:6]), sender)
     if kind == Kind.MOT_GET_STATUSBITS:
-        return Status(channel, unsigned(data[2:6]), sender)
+        return Status(channel, read_unsigned(data[2:6]), sender)
     if kind == Kind.MOT_GET_VELPARAMS:
-        return Speeds(channel, signed(data[2:6]), signed(data[6:10]), signed(data[10:14]), sender)
+        return Speeds(channel, read_signed(data[2:6]), read_signed(data[6:10]), read_signed(data[10:14]), sender)
     return Homing(
-        channel, unsigned(data[2:4]), unsigned(data[4:6]), signed(data[6:10]), signed(data[10:14]), sender
+        channel,
+        read_unsigned(data[2:4]),
+        read_unsigned(data[4:6]),
+        read_signed(data[6:10]),
+        read_signed(data[10:14]),
+        sender,
     )

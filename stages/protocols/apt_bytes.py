@@ -7,7 +7,7 @@ from stages.protocols.apt_words import SHORT, WITH_DATA
 def header_of(raw: bytes) -> tuple[int, int | None, int, int]:
     """Kind, length of the data if there are any, receiver, sender."""
     has_data = raw[4] & WITH_DATA
-    return unsigned(raw[:2]), unsigned(raw[2:4]) if has_data else SHORT, raw[4] & ~WITH_DATA, raw[5]
+    return read_unsigned(raw[:2]), read_unsigned(raw[2:4]) if has_data else SHORT, raw[4] & ~WITH_DATA, raw[5]
 
 
 def short_message(kind: int, first: int, second: int, to: int, sender: int) -> bytes:
@@ -25,24 +25,24 @@ def number_bytes(value: int, size: int) -> bytes:
     return int(value).to_bytes(size, "little")
 
 
-def signed_bytes(value: int) -> bytes:
+def to_signed_bytes(value: int) -> bytes:
     """A signed number of four bytes."""
     return value.to_bytes(4, "little", signed=True)
 
 
-def padded(text: str, size: int) -> bytes:
+def pad_text(text: str, size: int) -> bytes:
     """Text filled up with NUL; ValueError if it is longer."""
     if len(text) > size:
         raise ValueError(f"{text!r} has more than {size} characters")
     return text.encode("ascii").ljust(size, b"\0")
 
 
-def unsigned(raw: bytes) -> int:
+def read_unsigned(raw: bytes) -> int:
     """An unsigned number."""
     return int.from_bytes(raw, "little")
 
 
-def signed(raw: bytes) -> int:
+def read_signed(raw: bytes) -> int:
     """A signed number."""
     return int.from_bytes(raw, "little", signed=True)
 

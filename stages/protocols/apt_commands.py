@@ -2,7 +2,14 @@
 
 from dataclasses import dataclass
 
-from stages.protocols.apt_bytes import long_message, number_bytes, short_message, signed, signed_bytes, unsigned
+from stages.protocols.apt_bytes import (
+    long_message,
+    number_bytes,
+    read_signed,
+    read_unsigned,
+    short_message,
+    to_signed_bytes,
+)
 from stages.protocols.apt_words import FIRST_BAY, HEADER, HOST, ON, RACK, UNIT, WITH_DATA, Kind
 from stages.protocols.framing import Example
 
@@ -59,7 +66,7 @@ class Setting:
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return long_message(self.kind, number_bytes(self.channel, 2) + signed_bytes(self.value), self.to, HOST)
+        return long_message(self.kind, number_bytes(self.channel, 2) + to_signed_bytes(self.value), self.to, HOST)
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -126,15 +133,15 @@ Command = Order | Setting | SetSpeeds
 
 def parse_command(raw: bytes) -> Command:
     """Read one whole message of the host."""
-    kind, to, data = unsigned(raw[:2]), raw[4] & ~WITH_DATA, raw[HEADER:]
+    kind, to, data = read_unsigned(raw[:2]), raw[4] & ~WITH_DATA, raw[HEADER:]
     if not raw[4] & WITH_DATA:
         return Order(kind, raw[2], raw[3], to)
-    channel = unsigned(data[:2])
+    channel = read_unsigned(data[:2])
     if kind == Kind.MOT_SET_VELPARAMS:
-        return SetSpeeds(channel, signed(data[2:6]), signed(data[6:10]), signed(data[10:14]), to)
-    return Setting(kind, channel, signed(data[2:6]), to)
+        return SetSpeeds(channel, read_signed(data[2:6]), read_signed(data[6:10]), read_signed(data[10:14]), to)
+    return Setting(kind, channel, read_signed(data[2:6]), to)
 
 
 def speed_bytes(channel: int, minimum: int, acceleration: int, maximum: int) -> bytes:
     """Data of speeds, as they are set and as they are reported."""
-    return number_bytes(channel, 2) + b"".join(map(signed_bytes, (minimum, acceleration, maximum)))
+    return number_bytes(channel, 2) + b"".join(map(to_signed_bytes, (minimum, acceleration, maximum)))

@@ -58,7 +58,7 @@ class Command:
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return _addressed(self.address) + (" ".join([self.name, *self.arguments]) + "\n").encode("ascii")
+        return _with_address(self.address) + (" ".join([self.name, *self.arguments]) + "\n").encode("ascii")
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -84,7 +84,7 @@ class SingleByte:
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return _addressed(self.address) + bytes([self.code])
+        return _with_address(self.address) + bytes([self.code])
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -177,7 +177,7 @@ def parse_answer(raw: bytes) -> Answer:
     return Answer(tuple(text_of(line.rstrip(b"\r")) for line in raw[:-1].split(b" \n")), sender)
 
 
-def _addressed(address: int | None) -> bytes:
+def _with_address(address: int | None) -> bytes:
     return b"" if address is None else f"{address} ".encode("ascii")
 
 

@@ -166,7 +166,7 @@ def _with_checksum(body: str, checked: bool) -> str:
     return f"{body}:{checksum(body)}" if checked else body
 
 
-def _checked_body(line: bytes) -> tuple[str, bool]:
+def _verify_body(line: bytes) -> tuple[str, bool]:
     """First character and body of a line, after its checksum has been verified and cut off."""
     text = text_of(line)
     match = _CHECKSUM.fullmatch(text)
@@ -189,7 +189,7 @@ def parse_command(line: bytes) -> Command:
     ProtocolViolation
         It is no command.
     """
-    text, checked = _checked_body(line)
+    text, checked = _verify_body(line)
     if not text.startswith("/"):
         raise ProtocolViolation("a command starts with a slash", line)
     words = text[1:].split(" ")
@@ -208,7 +208,7 @@ def parse_answer(line: bytes) -> Answer:
     ProtocolViolation
         It is no reply, information or alert, or its checksum is wrong.
     """
-    text, checked = _checked_body(line)
+    text, checked = _verify_body(line)
     if match := _REPLY.fullmatch(text):
         device, axis, number, verdict, state, flag, data = match.groups()
         return Reply(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from daq.bench.bench_file import load_bench
-from daq.plans.forecast import frames_s, simulated_s
+from daq.plans.forecast import frames_s, simulation_s
 from daq.plans.plan import load_plan
 from ground.rows import thread_count
 from sim.bench import SimulatedBench
@@ -34,8 +34,8 @@ def test_pictures_take_what_was_expected(tmp_path, scene, simulation):
     (tmp_path / "plan.yaml").write_text(TARGET)
     bench = load_bench(path)
     (step,) = [step for step in load_plan(tmp_path / "plan.yaml", bench).steps if step.view == "glass"]
-    simulated_s(bench, [step])  # code is loaded once
-    expected_s = thread_count() * (sum(simulated_s(bench, [replace(step, frames=0)])) - STEP_S)
+    simulation_s(bench, [step])  # code is loaded once
+    expected_s = thread_count() * (sum(simulation_s(bench, [replace(step, frames=0)])) - STEP_S)
     simulation = SimulatedBench(bench)
     try:
         simulation.place(step.targets_mm)
@@ -52,4 +52,4 @@ def test_a_flow_is_seen_in_real_time(tmp_path):
     path, plan = write_flow(tmp_path, pairs=100, chunk=50)
     bench = load_bench(path)
     step = load_plan(plan, bench).steps[-1]
-    assert simulated_s(bench, [step])[0] > frames_s(bench, step) > 4.0
+    assert simulation_s(bench, [step])[0] > frames_s(bench, step) > 4.0

@@ -278,7 +278,7 @@ def test_a_port_never_waits_for_the_disk_of_a_recording(tmp_path, monkeypatch):
 def test_recordings_of_one_port_that_begin_at_once_are_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     with ThreadPoolExecutor(8) as pool:
-        files = list(pool.map(dialogue.recorded_file, ["/dev/ttyUSB0"] * 40))
+        files = list(pool.map(dialogue.recording_file, ["/dev/ttyUSB0"] * 40))
     for number, file in enumerate(files):
         file.line(f"> {number:02x}")
         file.close()

@@ -198,7 +198,7 @@ def test_a_box_that_just_does_nothing_holds_the_bench(bench, monkeypatch):
     monkeypatch.setattr(type(made.line.emulator.channel("bay1")), "move", lambda one, target: None)
     with pytest.raises(MotionStopped, match="at the box"):
         made.stage.move({"a": 50.0})
-    assert made.stage.held
+    assert made.stage.is_held
 
 
 def test_a_person_who_stops_while_answers_are_lost_has_stopped(bench, monkeypatch):
@@ -222,7 +222,7 @@ def test_a_person_who_stops_while_answers_are_lost_has_stopped(bench, monkeypatc
     made.clock.at(made.clock.now_s() + 2.0, press)
     with pytest.raises(MotionStopped, match="short of its target"):
         made.stage.move({"a": 110.0})
-    assert made.stage.held
+    assert made.stage.is_held
     assert made.world.true_mm("a") < 60.0
 
 
@@ -243,7 +243,7 @@ def test_a_person_who_stops_too_late_for_the_switch_has_stopped(bench, before_mm
     made.clock.at(made.clock.now_s() + 0.1, press)
     with pytest.raises(MotionStopped):
         made.stage.home()
-    assert made.stage.held
+    assert made.stage.is_held
     assert made.stage.where_mm()["a"] is None
 
 
@@ -350,7 +350,7 @@ def test_the_driver_reads_what_strangers_let_a_box_say():
         assert box._value("1", Kind.MOT_REQ_GENMOVEPARAMS) == -20_000
         assert box._speeds("1") == (0xCCCCCD, 0x35B0)
         assert not box.moving("1")
-        assert not box.referenced("1")  # it is homed, and has no mark of ours
+        assert not box.has_reference("1")  # it is homed, and has no mark of ours
     finally:
         box.close()
         LINES.pop("strangers")

@@ -20,7 +20,7 @@ def hands(bench):
 
     def make(firmware=None, **changes):
         made = bench("by_hand", firmware=EXACT if firmware is None else firmware, **changes)
-        made.stage.turned_by(made.world.turns)
+        made.stage.set_operator(made.world.turns)
         return made
 
     return make
@@ -86,7 +86,7 @@ def typed(bench):
 
     def make(*lines):
         typist = Typist(*lines)
-        made.stage.turned_by(typist)
+        made.stage.set_operator(typist)
         return made.stage, typist
 
     return make
@@ -121,7 +121,7 @@ def test_what_is_no_answer_is_said_in_a_sentence_and_asked_again(typed, wrong, s
 
 def test_a_scale_that_counts_the_other_way_is_asked_for_as_it_reads(bench):
     made = bench("by_hand", approach=None, sign=-1, offset_mm=125.0)
-    made.stage.turned_by(typist := Typist("100.0", "100.0", "85.0"))
+    made.stage.set_operator(typist := Typist("100.0", "100.0", "85.0"))
     made.stage.home()
     made.stage.move({"a": 40.0})
     assert typist.asked[-1].target_mm == 85.0
@@ -202,7 +202,7 @@ def test_while_somebody_is_asked_something_moves(typed):
         seen.append(stage.what_moves())
         return "20.0"
 
-    stage.turned_by(asked)
+    stage.set_operator(asked)
     stage.home()
     assert seen == ["an axis of the stage is being moved"] * 2
     assert stage.what_moves() is None
@@ -252,7 +252,7 @@ def test_a_question_that_raises_leaves_nothing_behind(typed):
     def broken(question, given_up):
         raise StageError("the window has gone")
 
-    stage.turned_by(broken)
+    stage.set_operator(broken)
     with pytest.raises(StageError, match="window"):
         stage.home()
     assert stage.what_moves() is None

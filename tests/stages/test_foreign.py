@@ -306,14 +306,14 @@ def test_a_person_says_where_it_stands(by_hand):
     before = list(by_hand.line.emulator.called)
     stage.home(ask=lambda name: by_hand.world.true_mm(name))
     assert by_hand.line.emulator.called == before  # nothing has moved
-    assert stage.said_mm == pytest.approx({"a": 37.0, "b": 37.0})
+    assert stage.operator_mm == pytest.approx({"a": 37.0, "b": 37.0})
     stage.move({"a": 60.0, "b": 10.0})
     assert by_hand.world.true_mm("a") == pytest.approx(60.0, abs=0.01)
     assert stage.where_mm() == pytest.approx({"a": 60.0, "b": 10.0}, abs=0.01)
     stage.home()  # their word still holds
     by_hand.line.power_cycle(0.0)
     assert stage.where_mm() == {"a": None, "b": None}
-    assert not stage.said_mm
+    assert not stage.operator_mm
 
 
 @pytest.mark.parametrize("mm", [4.9, 121.0, math.nan])
@@ -373,7 +373,7 @@ def test_a_stop_that_slips_in_behind_the_look_ends_the_motion(made, mocker):
     def stopped_first(channel, target_mm):
         stopper = threading.Thread(target=made.stage.stop)
         stopper.start()
-        while not made.stage.held:
+        while not made.stage.is_held:
             time.sleep(0.001)
         send(channel, target_mm)
 

@@ -248,7 +248,7 @@ def test_a_restart_in_motion_holds_the_bench():
         threading.Timer(0.2, stage.controllers["box"]._objects["x"].restart).start()
         with pytest.raises(MotionStopped, match="restarted"):
             stage.move({"a": 7.0})
-        assert stage.held
+        assert stage.is_held
         assert stage.where_mm() == {"a": None, "b": None}
 
 
@@ -278,7 +278,7 @@ def test_a_library_that_waits_is_stopped_at_the_end_of_the_leg(monkeypatch):
         with pytest.raises(MotionStopped):
             stage.move({"a": 4.0, "b": 1.0})
         assert (raw_mm(stage, "a"), raw_mm(stage, "b")) == (4.0, 0.0)
-        assert stage.held
+        assert stage.is_held
         stage.clear_stop()
         assert stage.where_mm() == pytest.approx({"a": 4.0, "b": 0.0})
 

@@ -87,7 +87,7 @@ def play(made, variant, do, place, what):
     assert made.world.witness.judge() == []
     if hand.has_stopped:
         assert heard != "nothing"
-        assert made.stage.held
+        assert made.stage.is_held
     return hand.has_stopped
 
 

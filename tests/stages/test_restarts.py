@@ -189,7 +189,7 @@ def test_a_person_who_stops_too_late_for_the_switch_has_stopped(bench, before_mm
     with pytest.raises(MotionStopped):
         made.stage.home()
     assert "WL" in box.axis(1, 1).flags
-    assert made.stage.held
+    assert made.stage.is_held
     assert made.stage.where_mm()["a"] is None
 
 
@@ -209,7 +209,7 @@ def test_a_jog_that_a_held_board_has_not_read_never_runs(bench):
     rests_mm = made.world.true_mm("a")
     with pytest.raises(MotionStopped, match="held"):
         made.stage.move({"a": 10.0})
-    assert made.stage.held
+    assert made.stage.is_held
     made.line.emulator.button(RESUME)
     made.clock.sleep_s(10.0)
     assert made.world.true_mm("a") == rests_mm
@@ -326,7 +326,7 @@ def test_a_board_that_reports_to_be_held_in_a_move_was_stopped_by_a_person(bench
     mocker.patch.object(made.controller, "_status", side_effect=held)
     with pytest.raises(MotionStopped, match="held at the board"):
         made.stage.move({"a": 110.0})
-    assert made.stage.held
+    assert made.stage.is_held
     mocker.stopall()
     with pytest.raises(MotionStopped, match="clear"):
         made.stage.move({"b": 50.0})

@@ -218,10 +218,10 @@ def test_an_axis_that_rests_a_millimetre_off_has_not_arrived(bench, mocker):
     made = bench("zaber_ascii", in_position_um=10.0, retries=1)
     made.stage.home()
     made.stage.move({"a": 40.0})
-    known = made.controller.known_mm
+    known = made.controller.rest_position_mm
     for off_mm, arrives in ((0.006, True), (0.014, False), (1.0, False)):
         mocker.patch.object(
-            made.controller, "known_mm", side_effect=lambda channel, off=off_mm: known(channel) + off
+            made.controller, "rest_position_mm", side_effect=lambda channel, off=off_mm: known(channel) + off
         )
         if arrives:
             assert made.stage.move({"a": 45.0})["a"].error_um == pytest.approx(6.0, abs=3.0)

@@ -96,7 +96,7 @@ def test_after_one_signal_the_axis_still_knows_where_it_is():
 try:
     {MOVE}
 except KeyboardInterrupt:
-    said(stage.held)
+    said(stage.is_held)
     where = stage.where_mm()["a"]
     try:
         stage.move({{"a": 20.0}})
@@ -226,7 +226,7 @@ stopper = __import__("threading").Timer(0.5, lambda: os.kill(pid, 15))
 stopper.start()
 stage.move({"a": 30.0})
 os.waitpid(pid, 0)
-said(stage.held)
+said(stage.is_held)
 """
     with served("zaber_ascii") as world:
         child = world.start(code)

@@ -69,7 +69,9 @@ def test_a_stop_between_two_moves_is_not_forgotten(bench, kind):
 def test_a_stop_ends_the_retries(bench, kind, mocker):
     made = bench(kind)
     made.stage.home()
-    mocker.patch.object(made.controller, "known_mm", side_effect=lambda channel: 1.0)  # never where it was sent
+    mocker.patch.object(
+        made.controller, "rest_position_mm", side_effect=lambda channel: 1.0
+    )  # never where it was sent
     begin, begun = made.controller.start_move, []
 
     def third_is_stopped(*motion):
@@ -268,7 +270,7 @@ def test_a_stop_at_a_mute_box_whose_one_word_is_lost_is_a_stop(bench, after_s):
     rests_mm = made.world.true_mm("a")
     made.clock.sleep_s(30.0)
     assert made.world.true_mm("a") == rests_mm
-    assert made.stage.held
+    assert made.stage.is_held
     made.stage.clear_stop()
     made.stage.move({"a": 20.0})
 
@@ -289,7 +291,7 @@ def test_a_question_unanswered_before_a_move_is_no_stop(bench, mocker):
     mocker.patch.object(made.controller, "confirm_reference", once_mute)
     made.stage.move({"a": 60.0})
     assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)
-    assert not made.stage.held
+    assert not made.stage.is_held
 
 
 def test_one_look_at_rest_after_a_stop_is_not_believed(bench, kind, mocker):

@@ -21,7 +21,7 @@ from daq.bench.bench_file import load_bench
 from daq.plans.plan import load_plan
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_check import check_run
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 from rtpiv.command_line.cli import DEVICE, INTERRUPTED
 from sim.frame_truth import misfiled
 from tests.daq.small_bench import write_bench
@@ -158,7 +158,7 @@ class Campaign:
         frames = frame_entries(entries)
         for entry in frames.values():
             read_raw(run.path / entry["file"], entry["crc32"])
-        self.kept.append((len(frames), len(finished_steps(entries))))
+        self.kept.append((len(frames), len(steps_on_disk(entries))))
 
     def end(self):
         for process in (self.runner, self.bench_process):

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from daq.runs.run_folder import RunFolder, finished_steps
+from daq.runs.run_folder import RunFolder, steps_on_disk
 from rtpiv.command_line.cli import INTERRUPTED
 from tests.daq.small_bench import write_frames
 from tests.system.served import end, served_bench
@@ -129,7 +129,7 @@ def test_acquire_between_its_steps(tmp_path, number, presses):
 
             def first_done():
                 run = next(iter(runs.glob("*_plan")), None)
-                return process.poll() is not None or (run and finished_steps(RunFolder(run).entries()))
+                return process.poll() is not None or (run and steps_on_disk(RunFolder(run).entries()))
 
             bench.wait_until(first_done, 300.0)
             bench.clock.set_speed(1.0)
@@ -148,7 +148,7 @@ def test_acquire_between_its_steps(tmp_path, number, presses):
             assert code == INTERRUPTED or (presses == 5 and code in (-number, 128 + number)), errors
             assert "go on with: rtpiv resume" in errors
             assert "Traceback" not in errors or presses == 5
-            done = finished_steps(RunFolder(run).entries())
+            done = steps_on_disk(RunFolder(run).entries())
             if presses == 1:
                 assert done == {0, 1}
             else:
@@ -178,13 +178,13 @@ def test_a_terminal_that_goes_away_lets_the_step_end(tmp_path):
                 with contextlib.suppress(BlockingIOError):
                     os.read(main, 65536)
                 run = next(iter(runs.glob("*_plan")), None)
-                return process.poll() is not None or (run and finished_steps(RunFolder(run).entries()))
+                return process.poll() is not None or (run and steps_on_disk(RunFolder(run).entries()))
 
             bench.wait_until(first_done, 300.0)
             os.close(main)
             process.send_signal(signal.SIGHUP)
             assert process.wait(120) == INTERRUPTED
-            done = finished_steps(RunFolder(next(runs.glob("*_plan"))).entries())
+            done = steps_on_disk(RunFolder(next(runs.glob("*_plan"))).entries())
             assert done in ({0}, {0, 1}, {0, 1, 2})
             ends = [entry for entry in RunFolder(next(runs.glob("*_plan"))).entries() if entry["kind"] == "end"]
             assert ends[-1]["why"] == "RunInterrupted"

@@ -10,7 +10,7 @@ import time
 import pytest
 import serial
 
-from daq.runs.run_folder import RunFolder, finished_steps
+from daq.runs.run_folder import RunFolder, steps_on_disk
 from rtpiv.command_line.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
 from tests.daq.small_bench import FILES_CAMERA, write_bench, write_frames
 
@@ -164,7 +164,7 @@ def test_ctrl_c_on_terminals(tmp_path, presses):
     runs, run = tmp_path / "runs", None
     while process.poll() is None:  # until the first step is in the journal; then the target moves by 20 mm
         run = next(iter(runs.glob("*_plan")), None)
-        if run is not None and finished_steps(RunFolder(run).entries()):
+        if run is not None and steps_on_disk(RunFolder(run).entries()):
             break
         time.sleep(0.01)
     assert process.poll() is None, process.communicate()[1]
@@ -178,11 +178,11 @@ def test_ctrl_c_on_terminals(tmp_path, presses):
     assert "Traceback" not in errors
     if presses == 2:
         assert "was stopped" in errors
-        assert finished_steps(RunFolder(run).entries()) == {0}
+        assert steps_on_disk(RunFolder(run).entries()) == {0}
         assert time.monotonic() - pressed_s < 10.0
     else:
-        assert finished_steps(RunFolder(run).entries()) == {0, 1}
+        assert steps_on_disk(RunFolder(run).entries()) == {0, 1}
     resumed = start(tmp_path, "resume", str(run), "--home")
     _, errors = resumed.communicate(timeout=240)
     assert resumed.returncode == DONE, errors
-    assert finished_steps(RunFolder(run).entries()) == set(range(6))
+    assert steps_on_disk(RunFolder(run).entries()) == set(range(6))

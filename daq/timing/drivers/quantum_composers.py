@@ -416,17 +416,17 @@ class QuantumComposersBox(TimingBox):
 
     def _flag(self, number: int, keyword: str) -> bool:
         """A boolean that two answers agree on."""
-        return self._checked(number, keyword, _BOOLEAN, "is neither 0 nor 1") == "1"
+        return self._read_checked(number, keyword, _BOOLEAN, "is neither 0 nor 1") == "1"
 
     def _seconds(self, number: int, keyword: str) -> float:
         """A time that two answers agree on, with all its digits."""
-        return float(self._checked(number, keyword, _SECONDS, "has not all the digits of a time"))
+        return float(self._read_checked(number, keyword, _SECONDS, "has not all the digits of a time"))
 
     def _whole(self, number: int, keyword: str) -> int:
         """A count that two answers agree on."""
-        return int(self._checked(number, keyword, _WHOLE, "is no count"))
+        return int(self._read_checked(number, keyword, _WHOLE, "is no count"))
 
-    def _checked(self, number: int, keyword: str, form: re.Pattern[str], wrong: str) -> str:
+    def _read_checked(self, number: int, keyword: str, form: re.Pattern[str], wrong: str) -> str:
         text = self._text(number, keyword)
         if not form.fullmatch(text):
             self._suspect = True

@@ -149,7 +149,7 @@ ANSWERS = (Done, Refused, Value, Echo)
 Answer = Done | Refused | Value | Echo
 
 
-def shortened(keyword: str) -> tuple[str, ...]:
+def short_forms(keyword: str) -> tuple[str, ...]:
     """Return the short forms of a keyword, the number of its pulse apart: ``:Pulse2:State`` is PULS, 2, STAT.
 
     Raises

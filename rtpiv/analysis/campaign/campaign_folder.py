@@ -30,7 +30,7 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 
 from daq.atomic_write import why
 from daq.errors import DiskError, RunUnsuitable
-from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Text
+from daq.runs.records import MAX_RECORD_BYTES, STRICT, Count, Sha, Text
 from ground.plain_file import open_plain, read_plain
 from piv.correlation.settings import settings_of
 from piv.errors import SeriesError
@@ -102,7 +102,7 @@ class CampaignFolder:
         """
         file = self.path / FILE
         try:
-            return _CAMPAIGN.validate_json(read_plain(file, MOST_BYTES))
+            return _CAMPAIGN.validate_json(read_plain(file, MAX_RECORD_BYTES))
         except FileNotFoundError:
             raise RunUnsuitable(
                 "holds no campaign", place=self.path, cure="begin with: rtpiv campaign run RUNS"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from daq.atomic_write import write_text
 from daq.errors import Unfinished
-from daq.runs.lab_readings import said_in_files, shown_together
+from daq.runs.lab_readings import merge_readings, readings_attribute
 from ground.plain_words import counted
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
@@ -90,7 +90,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     apart = {
         name: view.about["readings"] for name, view in zip(names, views, strict=True) if "readings" in view.about
     }
-    about |= said_in_files(shown_together(apart.values()))
+    about |= readings_attribute(merge_readings(apart.values()))
     if apart:
         about["readings_of_runs"] = json.dumps(apart)
     write_statistics(folder.path / STATISTICS, mean_vectors(merged.mean, about))

@@ -21,7 +21,7 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid
 from correction.maps.corrector import Corrector
 from daq.runs.acquired import full_scale, read_acquired
-from daq.runs.lab_readings import Shown, said_in_files
+from daq.runs.lab_readings import Shown, readings_attribute
 from ground.short_repr import short_repr
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
@@ -149,7 +149,7 @@ class Evaluation:
         """Where it comes from."""
         frames = ", ".join(path.name for path in self.task.frames)
         said = {"scene_hash": self.task.scene.content_hash(), "frames": frames, "rtpiv_version": version("rtpiv")}
-        said |= said_in_files(self.task.readings) | lengths_said(self.task.scene)
+        said |= readings_attribute(self.task.readings) | lengths_said(self.task.scene)
         return said if self.slant is None else {**said, "out_of_plane": self.slant.said}
 
     @property

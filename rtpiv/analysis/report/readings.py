@@ -5,7 +5,7 @@ from datetime import datetime
 from math import nan
 
 from daq.runs.journal_lines import ReadingRecord
-from daq.runs.lab_readings import shown_over
+from daq.runs.lab_readings import reading_statistics
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import readings_of
 from rtpiv.analysis.pictures.plane_axes import SOFT, Figure
@@ -30,7 +30,7 @@ def readings_chapter(page: Page, folder: RunFolder) -> None:
     page.heading("Readings of the lab")
     if (figure := readings_figure(found)) is not None:
         page.figure("readings", figure, CAPTION)
-    over = shown_over({name: reading} for name, shown in found.items() for _, reading in shown)
+    over = reading_statistics({name: reading} for name, shown in found.items() for _, reading in shown)
     rows: list[tuple[str, ...]] = []
     for name, shown in found.items():
         of_it = over[name]

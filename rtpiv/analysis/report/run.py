@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
-from daq.runs.frame_accounting import FrameAccounting, chunk_sentences, rejected_sentence
+from daq.runs.frame_accounting import FrameAccounting, chunk_sentences, rejection_sentence
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import notes_of
 from rtpiv.analysis.pairs.evaluation import Evaluation
@@ -61,7 +61,7 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
     said = books.sentence()
     said = said.replace("rejected", "dark or surplus") if chunks else said
     page.text(said + ("." if books.imbalance == 0 else f", out by {books.imbalance}."))
-    if said := rejected_sentence(folder.entries()):
+    if said := rejection_sentence(folder.entries()):
         page.text(f"{said[:1].upper()}{said[1:]}.")
     counts = [(name, str(count)) for name, count in books.to_dict().items()]
     page.table(("frames", "count"), counts)

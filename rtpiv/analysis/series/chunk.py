@@ -13,7 +13,7 @@ from pathlib import Path
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
-from daq.runs.lab_readings import said_in_files
+from daq.runs.lab_readings import readings_attribute
 from ground.whole_file import whole_file
 from piv.correlation.vector_field import ONE_PICTURE
 from piv.correlation.windows import WindowGrid
@@ -146,7 +146,7 @@ def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:
 def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
     """Write the file of a chunk from what became of its pairs, then its marker."""
     prepared = correction_of(job.maps, job.method)
-    about = {"key": job.key, "scene_hash": job.method.scene.content_hash()} | said_in_files(job.readings)
+    about = {"key": job.key, "scene_hash": job.method.scene.content_hash()} | readings_attribute(job.readings)
     about |= lengths_said(job.method.scene)
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
     slope = known_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)

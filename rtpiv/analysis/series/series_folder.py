@@ -28,7 +28,7 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 from daq.atomic_write import why, write_json
 from daq.errors import DiskError, RunUnsuitable
 from daq.runs.lab_readings import Shown
-from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
+from daq.runs.records import MAX_RECORD_BYTES, STRICT, Count, Sha, Tag, Text, Way
 from ground.file_lock import hold
 from ground.plain_file import read_plain
 from piv.errors import SeriesError
@@ -194,7 +194,7 @@ class SeriesFolder:
         """
         file = self.path / FILE
         try:
-            return _SERIES.validate_json(read_plain(file, MOST_BYTES))
+            return _SERIES.validate_json(read_plain(file, MAX_RECORD_BYTES))
         except FileNotFoundError:
             raise RunUnsuitable(
                 f"{self.path}: is no series (it has no {FILE}); evaluate a flow run first"

@@ -115,9 +115,9 @@ def tasks_of(
     frames = [path for pair in given.pairs for path in pair.frames] or paths
     lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
     seen = fitted.in_light_sheet() if lit else fitted
-    tasks = [replace(_task(pair, seen, out), readings=given.shown_during([pair])) for pair in given.pairs] or [
-        _two_frames(paths, seen, out, shift_mm, dt_us)
-    ]
+    tasks = [
+        replace(_task(pair, seen, out), readings=given.statistics_during([pair])) for pair in given.pairs
+    ] or [_two_frames(paths, seen, out, shift_mm, dt_us)]
     if lit:
         tasks = [replace(task, note=where_lit(fitted)) for task in tasks]
     for path in frames:
@@ -273,8 +273,8 @@ def _announce(run: Path, source: FrameSource) -> None:
     if files.is_sequence:
         require_pairs(run, source.pairs())
     said = [first_pairs(source.pairs())]
-    if source.alone():
-        said.append(f"{counted(source.alone(), 'frame')} without a partner, in no pair")
+    if source.count_unpaired():
+        said.append(f"{counted(source.count_unpaired(), 'frame')} without a partner, in no pair")
     if files.missing:
         where = ", ".join(f"between {before} and {after}" for before, after in files.gaps[:MOST_NAMED])
         more = ", ..." if len(files.gaps) > MOST_NAMED else ""

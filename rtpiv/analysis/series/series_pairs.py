@@ -128,8 +128,8 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None, time
     lit_by_pulses = any("dt_us" in step for step in RunFolder(run).about["steps"])
     background = len(pairs) > (1 if lit_by_pulses else FEW_PAIRS)
     place_mm = glass_place_mm(run, frames, found.lines)
-    apart = {pair.tag: found.shown_during([pair]) for pair in seeded} if found.readings else {}
-    shown = found.shown_during(seeded)
+    apart = {pair.tag: found.statistics_during([pair]) for pair in seeded} if found.readings else {}
+    shown = found.statistics_during(seeded)
     return PairsOfSeries(pairs, unseeded, len(found.alone), glass, place_mm, background, shown, apart)
 
 
@@ -215,7 +215,7 @@ def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float 
         )
     if now != known:
         write_text(out / CHECKSUMS, "".join(json.dumps([name, *facts]) + "\n" for name, facts in now.items()))
-    return PairsOfSeries(tuple(pairs), (), source.alone(), glass=True, usual_background=len(pairs) > 1)
+    return PairsOfSeries(tuple(pairs), (), source.count_unpaired(), glass=True, usual_background=len(pairs) > 1)
 
 
 def _fresh(source: FrameSource, frame: Path, known: Known, shape: tuple[int, int]) -> tuple[int, int, str]:

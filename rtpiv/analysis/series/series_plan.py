@@ -23,7 +23,7 @@ from correction.fitted.prepared import content_key
 from correction.grid import PlaneGrid
 from correction.maps.dewarp import Dewarp
 from daq.runs.journal_lines import ReadingRecord
-from daq.runs.lab_readings import Shown, shown_over
+from daq.runs.lab_readings import Shown, reading_statistics
 from ground.program_code import code_digest
 from piv.correlation.settings import PivSettings
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
@@ -170,7 +170,7 @@ class ChunkJob:
     def readings(self) -> dict[str, Shown]:
         """What gauges of the lab showed over the steps of its pairs, each step counted once."""
         steps = {number: records for pair in self.pairs for number, records in pair.gauges.items()}
-        return shown_over(steps[number] for number in sorted(steps))
+        return reading_statistics(steps[number] for number in sorted(steps))
 
     @cached_property
     def key(self) -> str:

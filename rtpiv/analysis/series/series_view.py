@@ -9,7 +9,7 @@ from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
-from daq.runs.lab_readings import said_in_files
+from daq.runs.lab_readings import readings_attribute
 from piv.correlation.settings import PivSettings, settings_of
 from piv.correlation.windows import WindowGrid
 from piv.errors import PairError, SeriesError
@@ -52,7 +52,7 @@ class SeriesView:
     @cached_property
     def readings(self) -> dict[str, Any]:
         """What gauges of the lab showed over the steps of its pairs, as an attribute of its mean."""
-        return said_in_files(self.about.get("readings", {}))
+        return readings_attribute(self.about.get("readings", {}))
 
     @cached_property
     def fitted(self) -> Scene:

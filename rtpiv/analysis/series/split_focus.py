@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, regions_of
-from daq.runs.lab_readings import said_in_files, shown_together
+from daq.runs.lab_readings import merge_readings, readings_attribute
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
@@ -92,8 +92,8 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     for name, each in views.items():
         about[f"{name}_run"] = each.about["run"]
         about[f"{name}_scene_hash"] = each.scene.content_hash()
-        about |= said_in_files(each.about.get("readings", {}), name)
-    about |= said_in_files(shown_together(each.about.get("readings", {}) for each in views.values()))
+        about |= readings_attribute(each.about.get("readings", {}), name)
+    about |= readings_attribute(merge_readings(each.about.get("readings", {}) for each in views.values()))
     write_statistics(out / MEAN, mean_vectors(joined.mean, about, {"source": joined.source.astype(np.int8)}))
     return joined
 

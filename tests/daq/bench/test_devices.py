@@ -131,8 +131,8 @@ def test_a_second_camera_is_another_one_and_sees_its_own_scene(tmp_path):
     (path.parent / "other.yaml").write_text(scene.replace("sensor_px: [96, 96]", "sensor_px: [64, 48]"))
     bench = load_bench(path)
     assert bench.devices["second"].section.backend == "files"
-    assert bench.seen_by("second").scene.camera.sensor_px == (64, 48)
-    assert bench.seen_by("camera").content_hash() == bench.content_hash()
+    assert bench.as_seen_by("second").scene.camera.sensor_px == (64, 48)
+    assert bench.as_seen_by("camera").content_hash() == bench.content_hash()
     with open_bench(bench, True, only={"camera", "second"}) as hardware:
         first, second = (hardware.devices[name] for name in ("camera", "second"))
         assert (first.info.serial, second.info.serial) == ("SIM-BENCH", "SIM-BENCH-second")

@@ -61,7 +61,7 @@ def test_lamps_are_off_while_somebody_reaches_in():
         asked.append((question.axis, laser.state, bool(box.lamps)))
         return "20.0"
 
-    stage.turned_by(reads)
+    stage.set_operator(reads)
     keep_apart(laser, stage)
     laser.warm(10.0)
     assert (laser.state, bool(box.lamps)) == (LaserState.WARM, True)
@@ -113,7 +113,7 @@ def test_a_hand_is_not_asked_to_turn_what_reads_right_already(tmp_path):
                 reads[question.axis] = question.target_mm
             return f"{reads[question.axis]:.3f}"
 
-        opened.stage.turned_by(person)
+        opened.stage.set_operator(person)
         opened.stage.home()
         home = bench.home_mm
         go_to(opened, home, {})

@@ -98,7 +98,7 @@ def test_a_stream_gives_what_flows_now_and_not_what_lay_in_the_buffer(meter):
     section = ReadingSection(unit="l/min", port=path, find=FOUND)
     gauge = PortGauge(section, SYSTEM_CLOCK)
     try:
-        gauge._opened().write(b"S1\r\n")
+        gauge._open_port().write(b"S1\r\n")
         assert gauge.reading().value == pytest.approx(5.2, rel=0.011)
         time.sleep(0.35)
         emulator.flow = 8.0
@@ -114,7 +114,7 @@ def test_a_stream_without_a_pause_is_read_at_once(monkeypatch):
     monkeypatch.setitem(LINES, "stream", Line(FlowMeter(clock), clock))
     gauge = PortGauge(ReadingSection(unit="l/min", port="sim://stream", find=FOUND), clock)
     try:
-        gauge._opened().write(b"S1\r\n")
+        gauge._open_port().write(b"S1\r\n")
         clock.sleep_s(1.0)
         begun_s = clock.now_s()
         assert gauge.reading().value == pytest.approx(5.2, rel=0.011)

@@ -274,7 +274,7 @@ def test_triggers_while_the_sensor_is_busy_are_counted(camera):
     counters = camera.disarm()
     camera.configure({"ExposureTime": 200.0})
     assert counters.ignored_triggers == 3
-    assert (counters.delivered, counters.lost) == (1, 0)
+    assert (counters.delivered, counters.losses) == (1, 0)
 
 
 def test_counters_that_were_configured_are_left_alone(rig):

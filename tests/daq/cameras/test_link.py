@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.cameras.link import USABLE, carried_bytes_s, told_bytes_s
+from daq.cameras.link import USABLE, link_capacity_bytes_s, link_speed_bytes_s
 from tests.loops import loop_over
 
 
@@ -18,23 +18,25 @@ def pixels_in_a_second(mbits, packet_bytes):
 def test_packets_on_an_ethernet_cable(link, mbits, packet_bytes):
     expected = USABLE * pixels_in_a_second(mbits, packet_bytes)
     settings = {"GevSCPSPacketSize": packet_bytes}
-    assert carried_bytes_s(settings, link) == pytest.approx(expected, rel=1e-4)
-    assert carried_bytes_s(settings | {"GevLinkSpeed": mbits}) == pytest.approx(expected, rel=1e-4)
-    assert carried_bytes_s(settings | {"DeviceLinkSpeed": mbits * 125_000}) == pytest.approx(expected, rel=1e-4)
+    assert link_capacity_bytes_s(settings, link) == pytest.approx(expected, rel=1e-4)
+    assert link_capacity_bytes_s(settings | {"GevLinkSpeed": mbits}) == pytest.approx(expected, rel=1e-4)
+    assert link_capacity_bytes_s(settings | {"DeviceLinkSpeed": mbits * 125_000}) == pytest.approx(
+        expected, rel=1e-4
+    )
 
 
 def test_the_slowest_of_what_is_told_counts():
     settings = {"GevSCPSPacketSize": 9000, "GevLinkSpeed": 1000}
-    slow = carried_bytes_s(settings)
-    assert carried_bytes_s(settings, "10GigE") == slow  # negotiated lower than the cable could
-    assert carried_bytes_s(settings | {"DeviceLinkThroughputLimit": 50_000_000}) == 50_000_000
+    slow = link_capacity_bytes_s(settings)
+    assert link_capacity_bytes_s(settings, "10GigE") == slow  # negotiated lower than the cable could
+    assert link_capacity_bytes_s(settings | {"DeviceLinkThroughputLimit": 50_000_000}) == 50_000_000
     off = {"DeviceLinkThroughputLimit": 50_000_000, "DeviceLinkThroughputLimitMode": "Off"}
-    assert carried_bytes_s(settings | off) == slow
-    assert 350e6 < carried_bytes_s({}, "USB3") < 400e6
+    assert link_capacity_bytes_s(settings | off) == slow
+    assert 350e6 < link_capacity_bytes_s({}, "USB3") < 400e6
 
 
 @pytest.mark.parametrize("settings", [{}, {"DeviceLinkSpeed": 1000}, {"GevLinkSpeed": 0}, {"GevLinkSpeed": "fast"},
                                       {"DeviceLinkSpeed": float("nan")}])  # fmt: skip
 def test_who_tells_nothing_of_use_is_not_judged(settings):
-    assert carried_bytes_s(settings) == 0.0
-    assert told_bytes_s(settings) == 0.0
+    assert link_capacity_bytes_s(settings) == 0.0
+    assert link_speed_bytes_s(settings) == 0.0

@@ -85,7 +85,7 @@ def test_schemes_of_names_give_the_right_pairs(tmp_path):
         folder = lay(tmp_path / name, pairs, others)
         assert is_source(folder), name
         assert found_in(folder, folder) == pairs, name
-        assert source_of(folder).alone() == 0, name
+        assert source_of(folder).count_unpaired() == 0, name
 
 
 def test_lost_frames_cost_their_own_pairs(tmp_path):
@@ -96,7 +96,7 @@ def test_lost_frames_cost_their_own_pairs(tmp_path):
         (folder / pairs[1][0]).unlink()
         left = [pair for pair in pairs if pair != pairs[1]]
         assert found_in(folder, folder) == left, name
-        assert source_of(folder).alone() == 1, name
+        assert source_of(folder).count_unpaired() == 1, name
 
 
 # Folders that can be read in several ways: what is right is among the commands that the refusal names

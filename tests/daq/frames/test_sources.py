@@ -113,7 +113,7 @@ def test_pairs_come_in_order_with_names_that_are_read_one_by_one(tmp_path, make,
     path = make(tmp_path, stack)
     assert is_source(path)
     source = source_of(path)
-    assert (len(source.pairs()), source.alone()) == (PAIRS, 0)
+    assert (len(source.pairs()), source.count_unpaired()) == (PAIRS, 0)
     for (number, *places), pair in zip(source.pairs(), stack, strict=True):
         assert number == source.pairs().index((number, *places))
         for place, frame in zip(places, pair, strict=True):
@@ -139,19 +139,19 @@ def test_a_missing_frame_costs_its_own_pair(tmp_path):
     source = source_of(path)
     assert [number for number, *_ in source.pairs()] == [0, 2]
     assert [place.name for place in source.pairs()[1][1:]] == ["im11.tif", "im12.tif"]
-    assert source.alone() == 1
+    assert source.count_unpaired() == 1
     (tmp_path / "letters").mkdir()
     path = letters(tmp_path / "letters", frames())
     (tmp_path / "letters" / "B00001_b.tif").unlink()
     source = source_of(path)
-    assert ([number for number, *_ in source.pairs()], source.alone()) == ([0, 2], 1)
+    assert ([number for number, *_ in source.pairs()], source.count_unpaired()) == ([0, 2], 1)
 
 
 @pytest.mark.parametrize("make", [pages, nexus])
 def test_the_last_frame_of_an_odd_number_is_alone(tmp_path, make):
     odd = np.stack([*frames().reshape(-1, *SHAPE), np.zeros(SHAPE, np.uint16)])
     source = source_of(make(tmp_path, odd))
-    assert (len(source.pairs()), source.alone()) == (PAIRS, 1)
+    assert (len(source.pairs()), source.count_unpaired()) == (PAIRS, 1)
 
 
 @pytest.mark.parametrize("make", [numbers, pages, nexus, video])
@@ -172,7 +172,7 @@ def test_a_sequence_is_paired_as_is_said_behind_its_name(tmp_path, make, said, p
     firsts = stack.reshape(-1, *SHAPE)[:, 0, 0].tolist()
     assert found == [[firsts[a - 1], firsts[b - 1]] for a, b in pairs]
     assert [number for number, *_ in source.pairs()] == list(range(len(pairs)))
-    assert source.alone() == alone
+    assert source.count_unpaired() == alone
 
 
 def test_a_missing_frame_of_a_time_resolved_series_costs_two_pairs(tmp_path):

@@ -38,7 +38,7 @@ def test_every_frame_is_found_by_its_number_to_the_bit(tmp_path, name, codec, pi
     assert [tuple(place.name for place in places) for _, *places in source.pairs()] == [
         (f"{name}@{n}", f"{name}@{n + 1}") for n in range(1, 13, 2)
     ]
-    assert source.alone() == 0
+    assert source.count_unpaired() == 0
     for number in IN_ANY_ORDER:
         found = read_named(frame(path, number), (H, W), checksum(shown[number - 1]))
         assert found.dtype == shown.dtype
@@ -122,7 +122,7 @@ def test_a_frame_that_the_camera_lost_costs_its_own_pairs(tmp_path):
     path = write_video(tmp_path / "a.mkv", moving(6), times=[0, 1, 2, 4, 5, 6])
     source = source_of(path)
     assert [first.name[-1] + second.name[-1] for _, first, second in source.pairs()] == ["12", "56"]
-    assert source.alone() == 2
+    assert source.count_unpaired() == 2
     assert np.array_equal(read_named(frame(path, 5)), moving(6)[3])
     every = source_of(Path(f"{path}@1-2,2-3"))
     assert [number for number, *_ in every.pairs()] == [0, 1, 4, 5]

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
-from daq.live.frame_quality import edge_map, histogram, middle_of, particle_maps, saturated_share
-from daq.live.picture import HEAD, NOTHING, SATURATED, Part, columns_of, sent
+from daq.live.frame_quality import edge_map, histogram, middle_of, particle_maps, share_of_saturated
+from daq.live.picture import HEAD, NOTHING, SATURATED, Part, columns_of, picture_bytes
 
 
 def particles(diameter_px: float, a_pixel: float, side: int = 512, noise: float = 3.0) -> np.ndarray:
@@ -68,9 +68,9 @@ def test_nothing_is_said_of_nothing() -> None:
 def test_saturation_survives_averaging() -> None:
     frame = np.full((2016, 2016), 10, np.uint16)
     frame[1001, 1003] = 4095
-    assert saturated_share(frame, 4095) == pytest.approx(1.0 / 2016**2)
+    assert share_of_saturated(frame, 4095) == pytest.approx(1.0 / 2016**2)
     assert histogram(frame[1:], 4095)[-1] == 1
-    message = sent("raw", 7, frame, 4095, Part())
+    message = picture_bytes("raw", 7, frame, 4095, Part())
     *numbers, name = HEAD.unpack_from(message)
     assert numbers == [b"rtp2", 7, 0, 0, 1008, 1008, 2.0, 0, 1008]
     assert name.rstrip(b"\0") == b"raw"
@@ -78,7 +78,9 @@ def test_saturation_survives_averaging() -> None:
     assert (pixels == SATURATED).sum() == 1
     assert pixels[500, 501] == SATURATED
     assert pixels[0, 0] == 11
-    right = sent("raw", 7, frame, 4095, Part(), 800, columns_of([0.4567, 1]))  # what is seen beside a slider
+    right = picture_bytes(
+        "raw", 7, frame, 4095, Part(), 800, columns_of([0.4567, 1])
+    )  # what is seen beside a slider
     *numbers, name = HEAD.unpack_from(right)
     assert numbers == [b"rtp2", 7, 0, 0, 672, 672, 3.0, 309, 363]
     seen = np.frombuffer(right, "<u2", offset=HEAD.size).reshape(672, 363)
@@ -95,7 +97,7 @@ def test_saturation_survives_averaging() -> None:
     ):
         assert columns_of(asked) == (0.0, 1.0), asked
     assert columns_of([0.999, 1]) == columns_of([1, 1e99]) == columns_of([0, 10**400]) == (0.0, 1.0)
-    part = sent("corrected", 8, np.array([[np.nan, 4.0], [0.0, -3.0]], np.float32), 255, Part(0, 0, 2))
+    part = picture_bytes("corrected", 8, np.array([[np.nan, 4.0], [0.0, -3.0]], np.float32), 255, Part(0, 0, 2))
     assert np.frombuffer(part, "<u2", offset=HEAD.size).tolist() == [NOTHING, 5, 1, 1]
     for asked in ([0, 0, 10**9], [10**9, 10**9, 5], [-1, -1, -1], None, ["a", 1, 2]):
-        assert len(sent("raw", 1, frame, 4095, Part.of(asked))) > HEAD.size
+        assert len(picture_bytes("raw", 1, frame, 4095, Part.of(asked))) > HEAD.size

@@ -10,7 +10,7 @@ def shown_of(rate_limiter: RateLimiter, times_s: np.ndarray, watched: bool = Tru
     count = 0
     for now_s in times_s.tolist():
         if rate_limiter.is_due(now_s, watched):
-            rate_limiter.shown(now_s, watched)
+            rate_limiter.note_shown(now_s, watched)
             count += 1
     return count
 

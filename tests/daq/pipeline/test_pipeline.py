@@ -9,7 +9,7 @@ import pytest
 
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import DiskError
-from daq.pipeline.corrections import correct_from_disk, uncorrected
+from daq.pipeline.corrections import correct_from_disk, frames_to_correct
 from daq.pipeline.job import Job
 from daq.pipeline.pipeline import Pipeline
 from daq.plans.steps import Step
@@ -92,12 +92,14 @@ def test_every_frame_is_written_whatever_the_live_lane_does(run):
     for entry in entries:
         assert entry["crc32"] == checksum(np.full((8, 8), entry["frame"], np.uint16))
 
-    left = uncorrected(folder, Doubler(), [a_step()])
+    left = frames_to_correct(folder, Doubler(), [a_step()])
     assert len(left) == FRAMES - live
     for step, number in left:
         correct_from_disk(folder, Doubler(), step, number)
     for number in range(FRAMES):
-        assert np.array_equal(read_frame(folder.corrected_path(number)), np.full((8, 8), 2.0 * number, np.float32))
+        assert np.array_equal(
+            read_frame(folder.correction_path(number)), np.full((8, 8), 2.0 * number, np.float32)
+        )
 
 
 def test_a_live_lane_that_falls_behind_skips_the_oldest(run):

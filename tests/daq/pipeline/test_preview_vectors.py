@@ -92,7 +92,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
         return LiveVectors(pair.number, 0.0)
 
     monkeypatch.setattr(preview_vectors, "MOST_PER_S", 1000.0)
-    monkeypatch.setattr(preview_vectors, "_measured", slow)
+    monkeypatch.setattr(preview_vectors, "_measure", slow)
     flow, frame = PipelineStats(), np.zeros((8, 8), np.float32)
     pairs, begun_s, elapsed_s = PreviewVectors(flow), time.monotonic(), 0.0
     number = 0
@@ -125,7 +125,7 @@ def test_a_newer_pair_takes_the_place_of_one_that_waits(monkeypatch):
         gate.wait(10.0)
         return LiveVectors(pair.number, 0.0)
 
-    monkeypatch.setattr(preview_vectors, "_measured", slow)
+    monkeypatch.setattr(preview_vectors, "_measure", slow)
     flow = PipelineStats()
     pairs = PreviewVectors(flow)
     frame, begun = np.zeros((8, 8), np.float32), time.monotonic()
@@ -144,7 +144,7 @@ def test_the_threads_lose_nothing_to_vectors_that_never_end(tmp_path, monkeypatc
     """Every raw frame is written and every frame corrected while the measurement of a pair hangs."""
     gate = threading.Event()
     monkeypatch.setattr(
-        preview_vectors, "_measured", lambda pair: gate.wait(60.0) and LiveVectors(pair.number, 0.0)
+        preview_vectors, "_measure", lambda pair: gate.wait(60.0) and LiveVectors(pair.number, 0.0)
     )
     folder = RunFolder.create(tmp_path, "p", about_run([planned(0, "t", frames=40)]))
     journal, memory, corrections = Journal(folder.journal_path), Memory(), Doubler()
@@ -165,7 +165,7 @@ def test_the_threads_lose_nothing_to_vectors_that_never_end(tmp_path, monkeypatc
 @pytest.mark.parametrize("live_queue", [1, 2, 4])
 def test_a_lane_at_half_the_needed_speed_still_gives_vectors(tmp_path, monkeypatch, live_queue):
     """What is left out is left out in pairs: nearly every frame that is corrected serves a vector."""
-    monkeypatch.setattr(preview_vectors, "_measured", lambda pair: LiveVectors(pair.number, 0.0))
+    monkeypatch.setattr(preview_vectors, "_measure", lambda pair: LiveVectors(pair.number, 0.0))
     monkeypatch.setattr(preview_vectors, "MOST_PER_S", 1000.0)
     folder = RunFolder.create(tmp_path, "p", about_run([planned(0, "t", frames=80)]))
     journal, memory, corrections = Journal(folder.journal_path), Memory(), Doubler(duration_s=0.02)

@@ -91,9 +91,9 @@ def train(section, pairs, faults, chance, start_ns=10**9):
 
 def chunks(section, letter, count):
     """What the marker says of an exposure; a counter counts the exposures since T0 reset it."""
-    if section.told_by == "line_status":
+    if section.effective_marker == "line_status":
         return {"LineStatusAll": (1 << section.line if letter == "A" else 0) | 0b1000_0000}
-    return {section.counter: count} if section.told_by == "counter" else {}
+    return {section.counter: count} if section.effective_marker == "counter" else {}
 
 
 def numbered(sent, one_buffer):

@@ -14,7 +14,7 @@ from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, reopen
 from daq.runs.run_check import check_run
-from daq.runs.run_folder import finished_steps
+from daq.runs.run_folder import steps_on_disk
 from tests.correction.alignment.drawn import drawn, moved
 from tests.daq.small_bench import FILES_CAMERA, files_bench, load, write_frames
 
@@ -114,7 +114,7 @@ def test_a_wrong_sign_or_a_loose_coupling_ends_it_after_one_move(run, follows, w
     carry_out, *_, folder = run(follows)
     with pytest.raises(MoveDoubted, match=words):
         carry_out()
-    assert finished_steps(folder.entries()) == {0, 1}
+    assert steps_on_disk(folder.entries()) == {0, 1}
     assert len(looks(folder)) == 2
 
 
@@ -123,7 +123,7 @@ def test_a_limit_in_the_way_is_said_before_the_move(run):
     carry_out, *_, folder = run(change=narrow)
     with pytest.raises(PlanError, match=r"cannot be brought to its place: glass_x.*nothing was moved"):
         carry_out()
-    assert finished_steps(folder.entries()) == {0}
+    assert steps_on_disk(folder.entries()) == {0}
 
 
 @pytest.mark.slow

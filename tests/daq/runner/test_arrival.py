@@ -10,7 +10,7 @@ from daq.runner.arrival import go_to, off_by_mm
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
-from daq.runs.run_folder import finished_steps, frame_entries
+from daq.runs.run_folder import frame_entries, steps_on_disk
 from stages.errors import MotionStopped, NotInPosition
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 from tests.slow_cases import slow
@@ -53,7 +53,7 @@ def test_an_axis_that_slips_while_frames_are_taken_fails_its_step(run, disturbed
         with pytest.raises(NotInPosition, match=r"target_x is \+6.0\d\d mm off its plan.*resume"):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     entries = folder.entries()
-    assert finished_steps(entries) == {0, 1}
+    assert steps_on_disk(entries) == {0, 1}
     assert sorted(frame_entries(entries)) == [0, 1, 2, 3]
     (miss,) = [entry for entry in entries if entry["kind"] == "miss"]
     assert miss["step"] == 2
@@ -82,7 +82,7 @@ def test_a_controller_that_restarts_while_frames_are_taken_fails_its_step(run, d
         disturbed.act = restart
         with pytest.raises(PlanError, match="do not know where they are"):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
-    assert finished_steps(folder.entries()) == {0, 1}
+    assert steps_on_disk(folder.entries()) == {0, 1}
     assert sorted(frame_entries(folder.entries())) == [0, 1, 2, 3]
 
 

@@ -72,7 +72,7 @@ def test_a_scan_out_of_limits_ends_before_it(bench, scanned):
     why = refused(scanned, bp.scan([], axes["target_z"], 0.0, 100.0, 3))
     assert isinstance(why, OutOfRange)
     assert bench.world.true_mm("target_z") == pytest.approx(0.0, abs=0.1)
-    assert not bench.stage.held
+    assert not bench.stage.is_held
 
 
 def test_a_scan_through_the_target_is_refused_whatever_the_engine_thinks(bench, scanned):
@@ -105,7 +105,7 @@ def test_a_stop_by_a_person_ends_the_scan_and_holds(bench, scanned):
     axes = axis_devices(bench.stage)
     bench.clock.after(0.4, bench.stage.stop)
     assert isinstance(refused(scanned, bp.scan([], axes["target_z"], 0.0, 20.0, 5)), MotionStopped)
-    assert bench.stage.held
+    assert bench.stage.is_held
     assert isinstance(refused(scanned, bp.scan([], axes["target_z"], 0.0, 20.0, 5)), MotionStopped)
     bench.stage.clear_stop()
     assert len(scanned(bp.scan([], axes["target_z"], 0.0, 20.0, 5))) == 5

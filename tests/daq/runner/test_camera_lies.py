@@ -87,7 +87,7 @@ def test_an_incomplete_frame_is_not_waited_for(rig):
     assert shown == [0, 3, 5, 6]
     assert exposures.counts.timeouts == 0
     books = exposures.conclude(4)
-    assert (books.triggered, books.incomplete, books.lost, books.imbalance) == (7, 3, 0, 0)
+    assert (books.triggered, books.incomplete, books.losses, books.imbalance) == (7, 3, 0, 0)
 
 
 @pytest.mark.parametrize("fault", ["reset_at", pytest.param("restart_at", marks=pytest.mark.slow)])

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from daq.runs.frame_accounting import rejected_sentence
+from daq.runs.frame_accounting import rejection_sentence
 from daq.runs.run_folder import RunFolder
 from rtpiv.command_line.cli import DONE, main
 from sim.world import World
@@ -40,7 +40,7 @@ def test_pictures_that_take_longer_than_the_timeout_are_taken_once(tmp_path, cap
     monkeypatch.setattr(World, "_light", slowly)
     folder, books, said = run_of(tmp_path, capsys, f"camera_transport: {transport}")
     assert (books["triggered"], books["written"], books["rejected"]) == (3, 3, 0)
-    assert rejected_sentence(folder.entries()) == ""
+    assert rejection_sentence(folder.entries()) == ""
     assert "frames rejected" not in said
 
 
@@ -51,5 +51,5 @@ def test_a_frame_that_is_late_on_its_way_is_rejected_and_explained(tmp_path, cap
     sentence = (
         "frames rejected: 1 came after timeout_s of the bench file had passed; nothing of the run shows them"
     )
-    assert rejected_sentence(folder.entries()) == sentence
+    assert rejection_sentence(folder.entries()) == sentence
     assert sentence in " ".join(said.split())

@@ -35,12 +35,12 @@ def wait_for(what):
 )
 def test_once_finishes_the_step_twice_stops_from_another_thread(interrupts, said, number):
     signal.raise_signal(number)
-    assert interrupts.wanted
-    assert not interrupts.stopped
+    assert interrupts.is_end_wanted
+    assert not interrupts.is_stopped
     time.sleep(0.3)
     assert said == []
     signal.raise_signal(number)
-    assert interrupts.stopped
+    assert interrupts.is_stopped
     wait_for(lambda: len(said) >= 4)  # at once, and three times more
     assert threading.main_thread() not in said
 
@@ -54,7 +54,7 @@ def test_different_signals_count_together(interrupts, said):
 def test_every_further_press_stops_again(interrupts, said):
     """A stop that came too early for a command is not the last one that a person may press."""
     for presses in range(2, 7):
-        while not interrupts.stopped:
+        while not interrupts.is_stopped:
             interrupts.press()
         before = len(said)
         interrupts.press()
@@ -65,7 +65,7 @@ def test_every_further_press_stops_again(interrupts, said):
 @pytest.mark.posix("SIGQUIT")
 def test_quit_stops_at_once(interrupts, said):
     signal.raise_signal(signal.SIGQUIT)
-    assert interrupts.stopped
+    assert interrupts.is_stopped
     wait_for(lambda: said)
 
 
@@ -78,7 +78,7 @@ def test_leaving_waits_until_everything_has_been_said(said):
 @pytest.mark.posix("SIGTSTP")
 def test_a_pause_ends_by_a_press_and_by_a_second_ctrl_z(interrupts):
     signal.raise_signal(signal.SIGTSTP)
-    assert interrupts.paused
+    assert interrupts.is_paused
     signal.raise_signal(signal.SIGTSTP)
     interrupts.wait()
     interrupts.pause()

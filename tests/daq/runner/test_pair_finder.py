@@ -131,7 +131,7 @@ EVEN = [name for name in SECTIONS if name in ("straddling, line", "straddling, c
 
 def wired_to_b(section, meta, shows):
     """The same frame, seen by a marker that is high during B, or by a counter that the trigger of B resets."""
-    if section.told_by == "counter":
+    if section.effective_marker == "counter":
         return _with(meta, chunks={section.counter: 1 if shows[1] == "B" else 2})
     return _with(meta, chunks={"LineStatusAll": (1 << section.line) * (shows[1] == "B")})
 

@@ -48,7 +48,7 @@ def test_a_run_that_began_before_there_were_seals_goes_on(tmp_path):
     folder = begin(Request(bench.path, plan.path, correct=False), bench, plan, tmp_path / "runs")
 
     def leave(progress):
-        if progress.step == 3 and not runner.interrupts.wanted:  # twice would stop the bench
+        if progress.step == 3 and not runner.interrupts.is_end_wanted:  # twice would stop the bench
             runner.interrupts.press()
 
     with files_bench(bench, files) as hardware:

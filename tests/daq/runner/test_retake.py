@@ -8,7 +8,7 @@ import pytest
 from daq.errors import ResumeRefused, RunDamaged
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
-from daq.runner.session import Request, Run, begin, damaged_steps, reopen, run_session
+from daq.runner.session import Request, Run, begin, reopen, run_session, steps_to_retake
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import frame_entries, remaining
 from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
@@ -66,7 +66,7 @@ def test_a_damaged_frame_takes_its_pair_with_it_and_the_books_say_so(run):
 def test_a_damaged_reference_takes_what_is_displaced_from_it_along(run):
     _, plan, folder, _ = run
     folder.frame_path(0).unlink()
-    assert damaged_steps(folder, plan.steps, folder.entries(), retake=True) == {0, 1}
+    assert steps_to_retake(folder, plan.steps, folder.entries(), retake=True) == {0, 1}
 
 
 def test_a_finished_run_is_taken_again_only_where_it_has_to_be(run):

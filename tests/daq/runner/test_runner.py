@@ -16,7 +16,7 @@ from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, check_disk, reopen
 from daq.runs.journal import Journal
 from daq.runs.raw_frame import checksum, read_raw, write_raw
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 from stages.errors import DeviceLost, MotionStopped
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 from tests.slow_cases import slow
@@ -96,7 +96,7 @@ def test_ctrl_c_once_finishes_the_step_and_resume_does_the_rest(bench_and_plan, 
     bench, plan = bench_and_plan
 
     def press(progress):
-        if progress.step == step and progress.doing == "exposing" and not runner.interrupts.wanted:
+        if progress.step == step and progress.doing == "exposing" and not runner.interrupts.is_end_wanted:
             runner.interrupts.press()
 
     with files_bench(bench, files) as hardware:
@@ -106,7 +106,7 @@ def test_ctrl_c_once_finishes_the_step_and_resume_does_the_rest(bench_and_plan, 
         else:
             with pytest.raises(RunInterrupted, match=f"{7 - step} of 8 steps left"):
                 runner.run()
-        assert finished_steps(folder.entries()) == set(range(step + 1))
+        assert steps_on_disk(folder.entries()) == set(range(step + 1))
         if step != 7:
             assert not folder.is_done
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
@@ -196,7 +196,7 @@ def test_camera_lost_for_good_ends_the_run_resumable(bench_and_plan, folder, fil
     with files_bench(bench, files, lambda folder: Flaky(folder, at=(6,), forever=True)) as hardware:
         with pytest.raises(CameraLost, match="stepped on the cable"):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
-        assert finished_steps(folder.entries()) == {0, 1}
+        assert steps_on_disk(folder.entries()) == {0, 1}
         assert folder.entries()[-1]["why"] == "CameraLost"
     with files_bench(bench, files) as hardware:
         Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
@@ -307,7 +307,7 @@ def test_unplugged_stage_ends_the_run_and_forgets_its_position(bench_and_plan, f
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert hardware.simulation.happened().faults == ["unplug of target at step 4"]
         assert hardware.stage.where_mm()["target_x"] is None
-        assert finished_steps(folder.entries()) == {0, 1, 2}
+        assert steps_on_disk(folder.entries()) == {0, 1, 2}
     with files_bench(bench, files) as hardware:
         Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert_complete(folder, plan)

@@ -16,7 +16,7 @@ from daq.runner.session import Request, begin, reopen
 from daq.runs.gaps import gap_sentence
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_check import check_run
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 from stages.errors import MotionStopped
 from tests.daq.small_bench import SIDE_PX, files_bench, load
 from tests.slow_cases import slow
@@ -237,7 +237,7 @@ def test_one_press_ends_a_stream_after_the_present_frame_and_keeps_it(run):
     with pytest.raises(RunInterrupted, match="which keeps its frames"):
         go(run, before=press)
     assert sorted(shown(run[2])) == list(range(17))
-    assert finished_steps(run[2].entries()) == set()
+    assert steps_on_disk(run[2].entries()) == set()
     done = go(run)
     assert kinds(run[2], "arm")[0]["frame"] == 18
     assert done["gaps"][0]["gaps"] == [[17, 17]]

@@ -20,7 +20,7 @@ def test_software_triggers_balance_whatever_happened(good, incomplete, underrun,
     accounting = books.close(Counters(good, incomplete, underrun, missing, ignored_triggers=ignored))
     assert accounting.imbalance == 0
     assert accounting.silent == 0
-    assert accounting.lost == underrun + missing + ignored
+    assert accounting.losses == underrun + missing + ignored
 
 
 @given(small, st.integers(1, 5), st.integers(0, 5))
@@ -48,7 +48,7 @@ def test_a_stream_is_counted_by_the_camera_and_checked_against_us():
     assert (accounting.triggered, accounting.imbalance) == (20, 0)
     assert of_arms(Counters(13), handed=10, rejected=2).imbalance == 1  # one was delivered and went nowhere
     surplus = of_arms(Counters(12, unused=2), handed=10, rejected=2)
-    assert (surplus.rejected, surplus.lost, surplus.imbalance) == (4, 0, 0)
+    assert (surplus.rejected, surplus.losses, surplus.imbalance) == (4, 0, 0)
 
 
 @pytest.mark.parametrize("told", ["in_doubt", "by_time"])
@@ -75,7 +75,7 @@ def test_a_frame_of_an_earlier_process_hides_no_silent_trigger():
 
 def test_ledgers_add_and_travel():
     total = FrameAccounting(triggered=3, written=2, silent=1) + FrameAccounting(triggered=1, incomplete=1)
-    assert (total.triggered, total.lost, total.imbalance) == (4, 1, 0)
+    assert (total.triggered, total.losses, total.imbalance) == (4, 1, 0)
     assert FrameAccounting.from_dict(total.to_dict()) == total
     assert total.sentence() == "4 triggered = 2 written + 1 incomplete + 1 lost"
     assert FrameAccounting(triggered=3, written=3).sentence() == "3 triggered = 3 written"
@@ -90,4 +90,4 @@ def test_ledgers_add_and_travel():
 def test_what_the_disk_did_not_take_is_lost(unwritten):
     accounting = FrameAccounting(triggered=5, written=5 - unwritten, unwritten=unwritten)
     assert accounting.imbalance == 0
-    assert accounting.lost == unwritten
+    assert accounting.losses == unwritten

@@ -17,7 +17,7 @@ from daq.runs.journal import Journal
 from daq.runs.raw_frame import write_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder
-from daq.runs.seal import sealed
+from daq.runs.seal import add_seal
 from rtpiv.command_line.cli import DEVICE, main
 from tests.daq.small_run import about_run, keep_frame, planned
 from tests.loops import loop_over
@@ -85,7 +85,7 @@ def test_a_spoilt_line_is_refused_with_its_number(open_run, sealing):
         spoil(lines[number], place, value)
         records = [json.dumps(line, separators=(",", ":")).encode() for line in lines]
         open_run.journal_path.write_bytes(
-            b"".join((sealed(record) if sealing else record) + b"\n" for record in records)
+            b"".join((add_seal(record) if sealing else record) + b"\n" for record in records)
         )
         with pytest.raises(RunDamaged) as caught:
             RunFolder(open_run.path).entries()
@@ -108,7 +108,7 @@ def test_a_line_that_is_no_record_is_refused(open_run, text):
 @pytest.mark.parametrize("digits", [400, 4000, 40_000])
 def test_numbers_of_any_length_are_refused_in_a_short_sentence(open_run, digits):
     lines = open_run.journal_path.read_bytes().splitlines(keepends=True)
-    line = sealed(b'{"kind":"discard","frames":[' + b"9" * digits + b"]}")
+    line = add_seal(b'{"kind":"discard","frames":[' + b"9" * digits + b"]}")
     open_run.journal_path.write_bytes(b"".join([lines[0], line + b"\n", *lines[1:]]))
     with pytest.raises(RunDamaged) as caught:
         open_run.entries()
@@ -117,7 +117,7 @@ def test_numbers_of_any_length_are_refused_in_a_short_sentence(open_run, digits)
 
 def test_a_discard_of_frames_that_the_plan_does_not_have(open_run):
     with open_run.journal_path.open("ab") as file:
-        file.write(sealed(b'{"kind":"discard","frames":[3,8]}') + b"\n")
+        file.write(add_seal(b'{"kind":"discard","frames":[3,8]}') + b"\n")
     with pytest.raises(RunDamaged, match="discards frame 8, and the plan has 8"):
         open_run.entries()
 
@@ -144,7 +144,7 @@ def test_a_spoilt_run_file_is_refused_with_its_line(open_run):
         tree = json.loads(original)
         tree.pop("seal")
         spoil(tree, place, value)
-        path.write_bytes(sealed(json.dumps(tree, indent=1).encode()))
+        path.write_bytes(add_seal(json.dumps(tree, indent=1).encode()))
         with pytest.raises(RunDamaged) as caught:
             _ = open_run.about
         if value is not GONE and place[0] != "layout" and place[-1] not in ("index", "first_frame", "reference"):
@@ -170,7 +170,7 @@ def test_a_spoilt_done_file_is_refused_with_its_line(done_run, place, value):
     tree = json.loads(path.read_text())
     tree.pop("seal")
     spoil(tree, place, value)
-    path.write_bytes(sealed(json.dumps(tree, indent=1).encode()))
+    path.write_bytes(add_seal(json.dumps(tree, indent=1).encode()))
     with pytest.raises(RunDamaged) as caught:
         read_done(done_run)
     one_sentence(caught, "done.json:", "restore the file from a copy")
@@ -192,7 +192,7 @@ def test_a_spoilt_displacement_is_refused_with_its_line(done_run, place, value, 
     tree = json.loads(lines[2].removesuffix(","))
     tree.pop("seal")
     spoil(tree, place, value)
-    lines[2] = sealed(json.dumps(tree).encode()).decode() + ","
+    lines[2] = add_seal(json.dumps(tree).encode()).decode() + ","
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(RunDamaged) as caught:
         read_displacements(done_run)

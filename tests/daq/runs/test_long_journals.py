@@ -10,7 +10,7 @@ from daq.runs.journal import read_journal
 from daq.runs.journal_lines import FrameEntry
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder, frame_entries
-from daq.runs.seal import sealed
+from daq.runs.seal import add_seal
 from tests.daq.small_run import about_run, planned
 
 PLACES = {"target_x": 1.0, "target_y": 2.0, "target_z": 3.0, "rail_z": 500.0}
@@ -32,7 +32,7 @@ def long_run(parent, frames):
     folder = RunFolder.create(parent, "flow", about_run([step]))
     with folder.journal_path.open("wb") as file:
         for number in range(frames):
-            file.write(sealed(json.dumps(frame_line(number), separators=(",", ":")).encode()) + b"\n")
+            file.write(add_seal(json.dumps(frame_line(number), separators=(",", ":")).encode()) + b"\n")
     return folder
 
 

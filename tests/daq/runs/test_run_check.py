@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from daq.runs.run_check import check_run
-from daq.runs.seal import sealed, write_record
+from daq.runs.seal import add_seal, write_record
 from rtpiv.command_line.cli import DEVICE, DONE, main
 from tests.daq.small_run import make_old
 
@@ -151,11 +151,11 @@ def test_corrected_frames_are_there_where_the_run_says_so(done_run):
     write_record(done_run.path / "run.json", about)
     on_plane = [step["first_frame"] for step in about["steps"] if step["on_plane"]]
     for number in on_plane[1:]:
-        done_run.corrected_path(number).write_bytes(b"made")
+        done_run.correction_path(number).write_bytes(b"made")
     found = check_run(done_run.path)
     assert parts(found) == {"hash", "corrected"}
     assert f"000000.tif of {len(on_plane)} are missing" in said(found, "corrected")
-    done_run.corrected_path(0).write_bytes(b"made")
+    done_run.correction_path(0).write_bytes(b"made")
     assert parts(check_run(done_run.path)) == {"hash"}
 
 
@@ -193,7 +193,7 @@ def test_frames_that_a_session_says_it_wrote_are_counted_in_the_journal(done_run
         if entry["kind"] == "counts":
             entry.pop("seal")
             entry["books"] = {**entry["books"], "triggered": 8 + more, "written": 8 + more}
-            lines[number] = sealed(json.dumps(entry, separators=(",", ":")).encode()) + b"\n"
+            lines[number] = add_seal(json.dumps(entry, separators=(",", ":")).encode()) + b"\n"
     done_run.journal_path.write_bytes(b"".join(lines))
     found = check_run(done_run.path)
     assert "books" in parts(found)

@@ -15,7 +15,7 @@ from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs import raw_frame
 from daq.runs.journal import Journal, read_journal
 from daq.runs.raw_frame import checksum, read_raw, write_raw
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 
 
 def test_torn_last_line_is_ignored_and_cut_off(tmp_path):
@@ -77,19 +77,19 @@ def test_discarded_frames_do_not_count(tmp_path):
         {"kind": "frame", "frame": 1, "step": 0, "again": True}, {"kind": "step", "step": 0},
     ]  # fmt: skip
     assert frame_entries(entries)[1]["again"]
-    assert finished_steps(entries) == {0}
+    assert steps_on_disk(entries) == {0}
 
 
 def test_a_step_of_which_a_frame_was_discarded_later_is_not_finished_until_it_was_taken_again():
     first = [{"kind": "frame", "frame": n, "step": n // 2} for n in range(4)]
     entries = [*first, {"kind": "step", "step": 0}, {"kind": "step", "step": 1}]
-    assert finished_steps(entries) == {0, 1}
+    assert steps_on_disk(entries) == {0, 1}
     entries.append({"kind": "discard", "frames": [2, 3]})
-    assert finished_steps(entries) == {0}
+    assert steps_on_disk(entries) == {0}
     entries += first[2:]
-    assert finished_steps(entries) == {0}
+    assert steps_on_disk(entries) == {0}
     entries.append({"kind": "step", "step": 1})
-    assert finished_steps(entries) == {0, 1}
+    assert steps_on_disk(entries) == {0, 1}
 
 
 def test_checksum_is_that_of_the_bytes_row_by_row():

@@ -273,7 +273,7 @@ class Player:
 
     def _forget_press(self) -> None:
         """Nothing tells a person's stop any more, if the program has not heard of it by now."""
-        if self._pressed_at and not self.bench.stage.held:
+        if self._pressed_at and not self.bench.stage.is_held:
             self._cleared()
 
     def _start_program(self) -> None:

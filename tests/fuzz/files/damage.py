@@ -17,7 +17,7 @@ import zipfile
 
 import numpy as np
 
-from daq.runs.seal import sealed
+from daq.runs.seal import add_seal
 
 WORDS = (b"NaN", b"-1", b"1e999", b"null", b"true", b'"x"', b"[]", b"{}", b"\0", b"\xff", b"9" * 30, b"\n", b"../")
 VALUES = (
@@ -79,7 +79,7 @@ def damaged_record(record, rng):
     """Damage the text of a sealed record, and seal what has come of it."""
     body = re.sub(rb',\s*"seal":\s*"[0-9a-f]{8}"\s*\}\s*\Z', b"}", record)
     text = damaged_text(body.decode(), rng).encode()
-    return sealed(text) if text.rstrip().endswith(b"}") and len(text) > 4 else text
+    return add_seal(text) if text.rstrip().endswith(b"}") and len(text) > 4 else text
 
 
 def damaged_lines(data, rng):

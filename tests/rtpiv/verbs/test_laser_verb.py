@@ -231,15 +231,16 @@ def test_off_reaches_what_a_running_process_has_open(tmp_path, box, monkeypatch,
 
 
 def test_what_a_killed_process_has_left_is_no_laser_in_use(tmp_path, monkeypatch, capsys):
-    write = "import sys; from daq.timing.in_use import noted; from daq.timing.timing_table import TimingTable\n"
-    write += "with noted(TimingTable.model_validate_json(sys.argv[1])): print('noted', flush=True); input()"
+    write = "import sys; from daq.timing import in_use, timing_table\n"
+    write += "table = timing_table.TimingTable.model_validate_json(sys.argv[1])\n"
+    write += "with in_use.register_laser(table): print('noted', flush=True); input()"
     table = bench_with(tmp_path / "elsewhere").devices["laser"].section.model_dump_json(exclude_unset=True)
     child = subprocess.Popen(
         [sys.executable, "-c", write, table], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     monkeypatch.chdir(tmp_path)
     try:
-        assert child.stdout.readline() == b"noted\n"
+        assert child.stdout.readline() == b"register_laser\n"
         assert main(["laser", "off"]) == DEVICE
         assert f"laser of process {child.pid} (/dev/one): NOT reached" in capsys.readouterr().out
     finally:

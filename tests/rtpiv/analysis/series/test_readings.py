@@ -8,7 +8,7 @@ import pytest
 
 from daq.runs.displacement import Displacement, write_displacements
 from daq.runs.journal import Journal
-from daq.runs.lab_readings import shown_over, shown_together
+from daq.runs.lab_readings import merge_readings, reading_statistics
 from daq.runs.run_folder import RunFolder
 from piv.files.vector_file import read_vectors
 from rtpiv.analysis.campaign.campaign_plan import planned_runs
@@ -98,7 +98,7 @@ def test_where_there_are_no_gauges_nothing_is_said(tmp_path):
 
 
 def test_a_gauge_that_was_silent_at_some_steps_is_averaged_over_the_others():
-    shown = shown_over([{"flow": showed(5.0)}, {"flow": showed(None)}, {}, {"flow": showed(6.0)}])
+    shown = reading_statistics([{"flow": showed(5.0)}, {"flow": showed(None)}, {}, {"flow": showed(6.0)}])
     assert shown["flow"] == {
         "unit": "l/min",
         "steps": 2,
@@ -131,14 +131,18 @@ def test_several_runs_together_are_as_one():
     rng = np.random.default_rng(1)
     steps = [{"flow": showed(None if n % 5 == 0 else float(rng.normal(5.0, 1.0)))} for n in range(40)]
     for cuts in ((3, 4, 30), (1, 2, 3), (6, 16, 26)):
-        parts = [shown_over(part) for part in np.split(np.array(steps, object), cuts)]
-        whole = shown_over(steps)["flow"]
-        assert shown_together(parts)["flow"] == whole | {
+        parts = [reading_statistics(part) for part in np.split(np.array(steps, object), cuts)]
+        whole = reading_statistics(steps)["flow"]
+        assert merge_readings(parts)["flow"] == whole | {
             "mean": pytest.approx(whole["mean"], rel=1e-12), "std": pytest.approx(whole["std"], rel=1e-12),
         }  # fmt: skip
-    assert shown_together([]) == {}
-    assert shown_together([shown_over([{"flow": showed(None)}])]) == shown_over([{"flow": showed(None)}])
-    two = shown_together([shown_over([{"flow": showed(1.0)}]), shown_over([{"flow": showed(2.0, "m3/h")}])])
+    assert merge_readings([]) == {}
+    assert merge_readings([reading_statistics([{"flow": showed(None)}])]) == reading_statistics(
+        [{"flow": showed(None)}]
+    )
+    two = merge_readings(
+        [reading_statistics([{"flow": showed(1.0)}]), reading_statistics([{"flow": showed(2.0, "m3/h")}])]
+    )
     assert {name: shown["mean"] for name, shown in two.items()} == {"flow [l/min]": 1.0, "flow [m3/h]": 2.0}
 
 
