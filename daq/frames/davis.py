@@ -10,7 +10,7 @@ camera) tells: packed pixels that are cut short or damaged leave none of it, and
 
 import re
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
 from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in, require_size
-from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
+from daq.frames.pairing import NEIGHBOURS, PairedFrames, Pairing
 from ground.memory import MOST_PX, require_memory
 from ground.plain_file import open_plain
 from piv.errors import FrameError
@@ -32,7 +32,7 @@ ITS_OWN = {"LoadFile", "LoadSet", "LoadSetIndex", "LoadSetType", "_Header_Minima
 _CAMERA = re.compile(r"\s*([0-9]+)")  # of "1A: Imager Intense", its number
 
 
-class DavisImages:
+class DavisImages(PairedFrames):
     """Frames of a set, or of an image that holds several.
 
     Parameters
@@ -57,8 +57,7 @@ class DavisImages:
                 f"{path}: holds frames of cameras {', '.join(cameras)}; name two of one camera, such as"
                 f" {path.name}@{first} {path.name}@{first + 1}, or export one camera from DaVis"
             )
-        numbers = range(1, opened.count + 1)
-        self._pairs, self._alone = pairing.pairs({n: path.with_name(f"{path.name}@{n}") for n in numbers})
+        self._keep_numbered(range(1, opened.count + 1), pairing)
 
     @classmethod
     def takes(cls, path: Path) -> bool:
@@ -71,14 +70,6 @@ class DavisImages:
             return _open(as_it_is(path)).count != 1
         except (FrameError, RunUsageError):
             return True
-
-    def pairs(self) -> Sequence[FramePlaces]:
-        """Pairs of frames."""
-        return self._pairs
-
-    def count_unpaired(self) -> int:
-        """Frames that are in no pair."""
-        return self._alone
 
     def file_of(self, place: Path) -> Path:
         """The image that a frame lies in, which of a set is in the folder beside it."""

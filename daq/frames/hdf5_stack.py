@@ -9,7 +9,6 @@ second frames (A and B) are pairs, image by image.  Reading needs h5py (extra `h
 """
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from daq.errors import RunUsageError
 from daq.frames.frame_in_file import require_size
 from daq.frames.name_schemes import schemes_of
-from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
+from daq.frames.pairing import NEIGHBOURS, PairedFrames, Pairing
 from piv.errors import FrameError, PairError
 from piv.files.numbers import NEEDED, as_grey_levels
 
@@ -31,7 +30,7 @@ MATLAB = "MATLAB_class"  # attribute of all that MATLAB writes
 ONE_NUMBER = "_000.h5"  # behind a name, so that another number in it may tell first from second frames
 
 
-class Hdf5Stack:
+class Hdf5Stack(PairedFrames):
     """Images of a data set.
 
     Parameters
@@ -52,44 +51,34 @@ class Hdf5Stack:
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         found = _STACK.fullmatch(str(path))
         assert found is not None
-        self._file = Path(found[1])
-        with _open(self._file) as file:
+        self._path = Path(found[1])
+        with _open(self._path) as file:
             names = _dataset_names(file, found[2], path)
             counts = [_Images(file[name]).count for name in names]
             is_paired = _Images(file[names[0]]).is_paired
         if len(names) == 1 and not is_paired:
-            self._pairs, self._alone = pairing.pairs({n + 1: self._image(names[0], n) for n in range(counts[0])})
+            self._pairs, self._unpaired = pairing.pairs(
+                {n + 1: self._image(names[0], n) for n in range(counts[0])}
+            )
             return
         if pairing != NEIGHBOURS:
             raise PairError(f"{path}: its images are pairs already; leave the numbers behind @ out")
         if is_paired:
             (name,) = names
             self._pairs = [(n, self._image(name, 2 * n), self._image(name, 2 * n + 1)) for n in range(counts[0])]
-            self._alone = 0
+            self._unpaired = 0
         else:
             first, second = names
             self._pairs = [(n, self._image(first, n), self._image(second, n)) for n in range(min(counts))]
-            self._alone = max(counts) - min(counts)
+            self._unpaired = max(counts) - min(counts)
 
     @classmethod
     def takes(cls, path: Path) -> bool:
         """Return whether the name is that of such a file, and of no single image in it."""
         return _STACK.fullmatch(str(path)) is not None and not is_image(path)
 
-    def pairs(self) -> Sequence[FramePlaces]:
-        """Pairs in their order; images are numbered as if those of pairs stood one behind the other."""
-        return self._pairs
-
-    def count_unpaired(self) -> int:
-        """Images that are in no pair."""
-        return self._alone
-
-    def file_of(self, place: Path) -> Path:
-        """The file."""
-        return self._file
-
     def _image(self, name: str, number: int) -> Path:
-        return Path(f"{self._file}@{name}@{number}")
+        return Path(f"{self._path}@{name}@{number}")
 
 
 class _Images:

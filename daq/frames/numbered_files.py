@@ -24,7 +24,7 @@ from daq.frames.name_schemes import (
     sequences_of,
     skeleton,
 )
-from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
+from daq.frames.pairing import NEIGHBOURS, FramePlaces, PairedFrames, Pairing
 from daq.frames.tiff_pages import page_count
 from piv.errors import PairError
 from piv.files.frame_file import FRAME_ENDINGS, page_of
@@ -36,11 +36,9 @@ MOST_NUMBER = 10**9  # of a pair; larger ones are times
 LISTED = 3  # pairs that are named before anything is computed
 
 
-class FoundFiles:
+class FoundFiles(PairedFrames):
     """Frames that were found, and which of them are pairs."""
 
-    _pairs: list[FramePlaces]
-    _alone: int
     is_sequence = False  # whose pairs no name tells
     set_aside: Sequence[str] = ()  # frames of another name
     missing = 0  # frames of a sequence, by its numbers
@@ -53,7 +51,7 @@ class FoundFiles:
             (number, folder / first, folder / second)
             for number, (first, second) in zip(numbers, pairs, strict=True)
         ]
-        self._alone = count - len({name for pair in pairs for name in pair})
+        self._unpaired = count - len({name for pair in pairs for name in pair})
 
     def _keep_sequence(self, folder: Path, frames: dict[Fraction, str], pairing: Pairing) -> None:
         """Keep the pairs of a sequence, or of each file that holds both frames as pages."""
@@ -70,15 +68,7 @@ class FoundFiles:
         steps = [(a, b) for a, b in pairwise(sorted(numbered)) if b > a + 1]
         self.missing = sum(b - a - 1 for a, b in steps)
         self.gaps = [(numbered[a].name, numbered[b].name) for a, b in steps]
-        self._pairs, self._alone = pairing.pairs(numbered)
-
-    def pairs(self) -> Sequence[FramePlaces]:
-        """Pairs in their order; their numbers are those of the files, or of pairs of files."""
-        return self._pairs
-
-    def count_unpaired(self) -> int:
-        """Frames without a partner."""
-        return self._alone
+        self._pairs, self._unpaired = pairing.pairs(numbered)
 
     def file_of(self, place: Path) -> Path:
         """The frame's own, or the file that holds it as a page."""
@@ -173,7 +163,7 @@ class PatternPair(FoundFiles):
             (number, first.parent / firsts[text], second.parent / seconds[text])
             for number, text in zip(numbers, both, strict=True)
         ]
-        self._alone = len(firsts) + len(seconds) - 2 * len(both)
+        self._unpaired = len(firsts) + len(seconds) - 2 * len(both)
 
     @classmethod
     def takes(cls, path: Path) -> bool:

@@ -12,7 +12,7 @@ It stands behind the name of the frames, ``day1@1-2,2-3``.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,6 +52,31 @@ class Pairing:
 
 
 NEIGHBOURS = Pairing()
+
+
+class PairedFrames:
+    """Pairs of frames that were found in `_path`, and how many frames are in none; base of the sources."""
+
+    _path: Path
+    _pairs: Sequence[FramePlaces]
+    _unpaired: int
+
+    def _keep_numbered(self, numbers: Iterable[int], pairing: Pairing) -> None:
+        """Pair frames of one file, which are named by their numbers."""
+        path = self._path
+        self._pairs, self._unpaired = pairing.pairs({n: path.with_name(f"{path.name}@{n}") for n in numbers})
+
+    def pairs(self) -> Sequence[FramePlaces]:
+        """Return the pairs in their order, with the numbers of the files or of pairs."""
+        return self._pairs
+
+    def count_unpaired(self) -> int:
+        """Return the number of frames that are in no pair."""
+        return self._unpaired
+
+    def file_of(self, place: Path) -> Path:
+        """Return the file that a frame lies in."""
+        return self._path
 
 
 def pairing_of(path: Path) -> tuple[Path, Pairing]:

@@ -1,11 +1,10 @@
 """A TIFF of many pages, which follow each other."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import tifffile
 
-from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
+from daq.frames.pairing import NEIGHBOURS, PairedFrames, Pairing
 from ground.plain_file import open_plain
 from piv.errors import FrameError
 from piv.files.frame_file import MOST_PAGES, TIFF_ENDINGS, page_of
@@ -22,7 +21,7 @@ def page_count(path: Path) -> int:
         return 1
 
 
-class TiffPages:
+class TiffPages(PairedFrames):
     """Pages of a stack.
 
     Parameters
@@ -47,7 +46,7 @@ class TiffPages:
             raise FrameError(f"{path}: is no TIFF that can be read ({str(error)[:100]})") from None
         if self._pages > MOST_PAGES:
             raise FrameError(f"{path}: has {self._pages} pages, and {MOST_PAGES} are read; cut it")
-        self._pairs, self._alone = pairing.pairs({n: self._page(n) for n in range(1, self._pages + 1)})
+        self._keep_numbered(range(1, self._pages + 1), pairing)
 
     @classmethod
     def takes(cls, path: Path) -> bool:
@@ -58,18 +57,3 @@ class TiffPages:
             return cls(path)._pages != 1
         except FrameError:
             return True
-
-    def pairs(self) -> Sequence[FramePlaces]:
-        """Pairs of pages."""
-        return self._pairs
-
-    def count_unpaired(self) -> int:
-        """Pages that are in no pair."""
-        return self._alone
-
-    def file_of(self, place: Path) -> Path:
-        """The stack."""
-        return self._path
-
-    def _page(self, number: int) -> Path:
-        return self._path.with_name(f"{self._path.name}@{number}")

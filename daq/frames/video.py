@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
 from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in, require_size
-from daq.frames.pairing import NEIGHBOURS, FramePlaces, Pairing
+from daq.frames.pairing import NEIGHBOURS, PairedFrames, Pairing
 from ground.memory import MOST_PX, require_memory
 from ground.plain_file import open_plain
 from ground.terminal import say_once
@@ -48,7 +48,7 @@ class _Packed(NamedTuple):
     alone: bool
 
 
-class Video:
+class Video(PairedFrames):
     """Frames of a video.
 
     Parameters
@@ -66,25 +66,12 @@ class Video:
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         self._path = path
-        numbers = _open(as_it_is(path)).numbers
-        self._pairs, self._alone = pairing.pairs({n: path.with_name(f"{path.name}@{n}") for n in numbers})
+        self._keep_numbered(_open(as_it_is(path)).numbers, pairing)
 
     @classmethod
     def takes(cls, path: Path) -> bool:
         """Return whether the name is that of a video as a whole."""
         return path.suffix.lower() in FORMATS
-
-    def pairs(self) -> Sequence[FramePlaces]:
-        """Pairs of frames."""
-        return self._pairs
-
-    def count_unpaired(self) -> int:
-        """Frames that are in no pair."""
-        return self._alone
-
-    def file_of(self, place: Path) -> Path:
-        """The video."""
-        return self._path
 
 
 def is_image(place: Path) -> bool:

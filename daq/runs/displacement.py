@@ -25,14 +25,13 @@ from typing import (
     NotRequired,  # that of typing cannot be checked before Python 3.12
 )
 
-from pydantic import Field, TypeAdapter, with_config
-from typing_extensions import TypedDict
+from pydantic import Field, TypeAdapter
 
 from daq.atomic_write import write_text
 from daq.bench.elements import DIRECTIONS, TARGET, Vector
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.journal import Entry
-from daq.runs.records import CURE, MAX_RECORD_BYTES, STRICT, Count, Tag, Way, parse_record, read_record
+from daq.runs.records import CURE, MAX_RECORD_BYTES, Count, Record, Tag, Way, parse_record, read_record
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
 from daq.runs.seal import add_seal
@@ -49,8 +48,7 @@ SigmaMm = Annotated[float, Field(ge=0.0, le=100.0)]
 Sigmas = tuple[float | None, float | None, float | None]
 
 
-@with_config(STRICT)
-class Moved(TypedDict):
+class Moved(Record):
     """An entry of displacements.json."""
 
     tag: Tag

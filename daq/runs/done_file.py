@@ -20,12 +20,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NotRequired
 
-from pydantic import Field, TypeAdapter, with_config
-from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+from pydantic import Field, TypeAdapter
 
 from daq.errors import RunDamaged
 from daq.runs.journal_lines import AccountRecord, FlowFigures, Gap
-from daq.runs.records import CURE, STRICT, Count, Sha, Tag, Text, read_record
+from daq.runs.records import CURE, Count, Record, Sha, Tag, Text, read_record
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
 from ground.plain_file import open_plain
@@ -34,8 +33,7 @@ FILE = "done.json"
 Signed = Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]
 
 
-@with_config(STRICT)
-class SessionEnd(TypedDict):
+class SessionEnd(Record):
     """End of a session, and its account: below 0 where it discarded what an earlier one had written."""
 
     utc: Text
@@ -44,8 +42,7 @@ class SessionEnd(TypedDict):
     conservation: dict[Text, Signed]
 
 
-@with_config(STRICT)
-class StepGaps(TypedDict):
+class StepGaps(Record):
     """Frames that a step never got."""
 
     step: Count
@@ -53,8 +50,7 @@ class StepGaps(TypedDict):
     gaps: list[Gap]
 
 
-@with_config(STRICT)
-class DoneFile(TypedDict):
+class DoneFile(Record):
     """A whole done.json."""
 
     utc: Text

@@ -11,16 +11,14 @@ the line was.
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, NotRequired
 
-from pydantic import ConfigDict, Field, TypeAdapter, with_config
-from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+from pydantic import ConfigDict, Field, TypeAdapter
 
-from daq.runs.records import STRICT, Count, Crc, Positions, Tag, Text, Way, Wide
+from daq.runs.records import Count, Crc, Positions, Record, Tag, Text, Way, Wide
 
 Entry = Mapping[str, Any]
 
 
-@with_config(STRICT)
-class SessionLine(TypedDict):
+class SessionLine(Record):
     """A process began to work on the run."""
 
     kind: Literal["session"]
@@ -34,8 +32,7 @@ class SessionLine(TypedDict):
 Microseconds = Annotated[float, Field(gt=0.0, le=1e9)]
 
 
-@with_config(STRICT)
-class PairRecord(TypedDict):
+class PairRecord(Record):
     """Exposure and pair of light pulses of a frame, and the marker that identified it."""
 
     exposure: Literal["A", "B"]
@@ -47,8 +44,15 @@ class PairRecord(TypedDict):
     background: NotRequired[bool]  # taken before the seeding was opened
 
 
-@with_config(STRICT)
-class FrameLine(TypedDict):
+class StepRecord(Record):
+    """A line about a step, and when it was written; of a chunk, when the camera was armed."""
+
+    step: Count
+    tag: Tag
+    utc: Text
+
+
+class FrameLine(Record):
     """A frame is on the disk under its final name."""
 
     kind: Literal["frame"]
@@ -71,8 +75,7 @@ class FrameLine(TypedDict):
     chunks: NotRequired[dict[Text, Wide | float]]  # what the camera sent with the frame, by SFNC name
 
 
-@with_config(STRICT)
-class ReadingRecord(TypedDict):
+class ReadingRecord(Record):
     """Reading of a gauge of the lab, or the reason why there is none."""
 
     utc: Text
@@ -84,14 +87,10 @@ class ReadingRecord(TypedDict):
 Gap = Annotated[list[Count], Field(min_length=2, max_length=2)]  # first and last frame that never came
 
 
-@with_config(STRICT)
-class StepLine(TypedDict):
+class StepLine(StepRecord):
     """All frames of a step are on the disk, but for the gaps of one that may have some."""
 
     kind: Literal["step"]
-    step: Count
-    tag: Tag
-    utc: Text
     planned_mm: Positions
     measured_mm: Positions
     true_mm: NotRequired[Positions]
@@ -100,8 +99,7 @@ class StepLine(TypedDict):
     gaps: NotRequired[list[Gap]]
 
 
-@with_config(STRICT)
-class CameraLine(TypedDict):
+class CameraLine(Record):
     """State of the camera when a session or a step had begun or ended; see runs.clock_map."""
 
     kind: Literal["camera"]
@@ -111,26 +109,18 @@ class CameraLine(TypedDict):
     celsius: NotRequired[float]
 
 
-@with_config(STRICT)
-class ArmLine(TypedDict):
+class ArmLine(StepRecord):
     """A step that keeps what it has goes on with a further arm of the camera, from this frame."""
 
     kind: Literal["arm"]
-    step: Count
-    tag: Tag
     frame: Count
-    utc: Text
     why: Text
 
 
-@with_config(STRICT)
-class ChunkLine(TypedDict):
+class ChunkLine(StepRecord):
     """Pairs that were fired in one go, and what became of them and of their frames."""
 
     kind: Literal["chunk"]
-    step: Count
-    tag: Tag
-    utc: Text  # when the camera was armed
     chunk: Count
     fired: Count  # pairs of pulses, counted by the timing unit
     triggers: Count  # pairs of frames that the camera was triggered for
@@ -141,14 +131,10 @@ class ChunkLine(TypedDict):
     never_came: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]  # frames
 
 
-@with_config(STRICT)
-class LookLine(TypedDict):
+class LookLine(StepRecord):
     """Offsets from the scene file that the frames of a step of an alignment show."""
 
     kind: Literal["look"]
-    step: Count
-    tag: Tag
-    utc: Text
     glass_mm: Way
     glass_sigma_mm: Way
     camera_mm: NotRequired[Way]  # where a board says it
@@ -156,20 +142,15 @@ class LookLine(TypedDict):
     remarks: list[Text]
 
 
-@with_config(STRICT)
-class MissLine(TypedDict):
+class MissLine(StepRecord):
     """Axes stood elsewhere than a step had sent them; the step has failed."""
 
     kind: Literal["miss"]
-    step: Count
-    tag: Tag
-    utc: Text
     planned_mm: Positions
     measured_mm: Positions
 
 
-@with_config(STRICT)
-class DiscardLine(TypedDict):
+class DiscardLine(Record):
     """Frames that do not count any more, and whose files are gone."""
 
     kind: Literal["discard"]
@@ -177,8 +158,7 @@ class DiscardLine(TypedDict):
     why: NotRequired[str]
 
 
-@with_config(STRICT)
-class AccountRecord(TypedDict):
+class AccountRecord(Record):
     """An account, see runs.frame_accounting; the sides may differ, so only the imbalance may be below 0."""
 
     triggered: Count
@@ -194,16 +174,14 @@ class AccountRecord(TypedDict):
     imbalance: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]
 
 
-@with_config(STRICT)
-class Percentiles(TypedDict):
+class Percentiles(Record):
     """Of a latency."""
 
     p50: float
     p99: float
 
 
-@with_config(STRICT)
-class FlowFigures(TypedDict):
+class FlowFigures(Record):
     """Statistics of the threads of a session, see pipeline.stats."""
 
     corrected_live: Count
@@ -211,8 +189,7 @@ class FlowFigures(TypedDict):
     latency_ms: Percentiles | None
 
 
-@with_config(STRICT)
-class CountsLine(TypedDict):
+class CountsLine(Record):
     """Account of every triggered frame of a session."""
 
     kind: Literal["counts"]
@@ -222,8 +199,7 @@ class CountsLine(TypedDict):
     doubt: NotRequired[Text]
 
 
-@with_config(STRICT)
-class EndLine(TypedDict):
+class EndLine(Record):
     """A session ended by itself."""
 
     kind: Literal["end"]
@@ -233,8 +209,7 @@ class EndLine(TypedDict):
     doubt: NotRequired[Text]
 
 
-@with_config(STRICT)
-class AmbiguityLine(TypedDict):
+class AmbiguityLine(Record):
     """A frame of this session may not show what its line says; see runs.frame_accounting."""
 
     kind: Literal["doubt"]

@@ -10,17 +10,13 @@ from math import fsum, sqrt
 from statistics import fmean, stdev
 from typing import Any, NotRequired
 
-from pydantic import with_config
-from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
-
 from daq.runs.journal_lines import ReadingRecord
-from daq.runs.records import STRICT, Count
+from daq.runs.records import Count, Record
 
 ATTRIBUTE = "readings"  # of a file of vectors
 
 
-@with_config(STRICT)
-class Shown(TypedDict):
+class Shown(Record):
     """Statistics of a gauge over some steps; `std` of two or more, `mean` of one or more."""
 
     unit: str

@@ -12,7 +12,8 @@ from json.decoder import scanstring  # type: ignore[attr-defined]  # the half of
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from daq.errors import RunDamaged
 from daq.runs.seal import SealBroken, check_seal
@@ -34,6 +35,11 @@ Crc = Annotated[str, Field(pattern=r"^[0-9a-f]{8}$")]
 Sha = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(min_length=1)]
 Tag = Annotated[str, Field(pattern=r"^\w[\w.+-]*$", max_length=200)]  # names folders of results
+
+
+@with_config(STRICT)
+class Record(TypedDict):
+    """Base of all records: strict types, and keys that are not known are kept."""
 
 
 def parse_record(adapter: TypeAdapter[T], record: bytes, path: Path, line: int, sealed: bool) -> T:

@@ -13,7 +13,7 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.runs.names import FILE
-from daq.runs.records import CURE, MAX_RECORD_BYTES, STRICT, Count, Tag, Text, read_record
+from daq.runs.records import CURE, MAX_RECORD_BYTES, Count, Record, Tag, Text, read_record
 from daq.runs.seal import SealBroken, check_seal
 from ground.plain_file import read_plain
 
@@ -42,8 +42,7 @@ class AskedFor(TypedDict):
     seed: NotRequired[Annotated[int, Field(ge=0, le=2**31)] | None]
 
 
-@with_config(STRICT)
-class PlannedStep(TypedDict):
+class PlannedStep(Record):
     """A step of the plan, as far as those who work on finished runs need it."""
 
     index: Count
@@ -70,8 +69,7 @@ def _in_order(steps: list[PlannedStep]) -> list[PlannedStep]:
     return steps
 
 
-@with_config(STRICT)
-class RunFile(TypedDict):
+class RunFile(Record):
     """A whole run.json."""
 
     layout: Literal[1, 2]
