@@ -1,16 +1,14 @@
-"""A campaign on this machine: what engines and chunks cost, and whether all of them write the same bytes.
+"""A campaign on this machine: what executors and chunks cost, and whether all of them write the same bytes.
 
-    python -m benchmarks.campaign [--pairs 64] [--side 1008] [--engines local:1 local:2 dask:2 slurm:2]
+    python -m benchmarks.campaign [--pairs 64] [--side 1008] [--executors local:1 local:2 dask:2 slurm:2]
                                   [--chunks 16] [-o FOLDER]
 
 A flow run is written once (`benchmarks.series`: particles behind two balls), its map traced and its kernels
-compiled before any clock runs; then a new campaign of it is carried out by every engine with every length of
+compiled before any clock runs; then a new campaign of it is carried out by every executor with every length of
 chunk.  Said are
 
     wall_s       from the call to the last chunk, processes started and ended, Dask's workers too
     processor_s  of all processes that took part
-    pairs_s      of it, spent on chunks by their own books: the arithmetic, with reading and writing
-    idle_pct     of the workers' time in which they had no chunk, in percent: start, hand-out, the end
     largest_MB   resident memory of the largest process
     content      hash of all files but provenance: the same for all lines of one length of chunk
 
@@ -26,20 +24,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.series import written_run
 from correction.fitted.prepared import prepare
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, read_progress
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
-from rtpiv.analysis.campaign.engines import DaskWorkers, Engine, LocalProcesses, SlurmArrays
+from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import piv_choice
-from rtpiv.analysis.series.chunk import results_of
+from rtpiv.analysis.series.chunk import evaluate_chunk
+from rtpiv.analysis.series.workers import worker_processes
 
-PROVENANCE = {"books.jsonl", ".lock", "kernels.zip", "slurm"}
+PROVENANCE = {".lock", "slurm"}
 
 
 def main() -> None:
@@ -47,9 +47,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
     parser.add_argument("--pairs", type=int, default=64)
     parser.add_argument("--side", type=int, default=1008)
-    parser.add_argument("--engines", nargs="+", default=["local:1", "local:2"])
+    parser.add_argument("--executors", nargs="+", default=["local:1", "local:2"])
     parser.add_argument("--chunks", type=int, nargs="+", default=[16])
-    parser.add_argument("--once", nargs=3, metavar=("FOLDER", "ENGINE", "CHUNK"), help=argparse.SUPPRESS)
+    parser.add_argument("--once", nargs=3, metavar=("FOLDER", "EXECUTOR", "CHUNK"), help=argparse.SUPPRESS)
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     if options.once:
@@ -60,8 +60,16 @@ def main() -> None:
         run = next(folder.glob("*_flow"), None) or written_run(folder, options.pairs, options.side)
         _prepare(folder / "warm", run)
         for chunk in options.chunks:
-            for engine in options.engines:
-                command = [sys.executable, "-m", "benchmarks.campaign", "--once", str(folder), engine, str(chunk)]
+            for executor in options.executors:
+                command = [
+                    sys.executable,
+                    "-m",
+                    "benchmarks.campaign",
+                    "--once",
+                    str(folder),
+                    executor,
+                    str(chunk),
+                ]
                 one = {"RTPIV_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
                 said = subprocess.run(command, check=True, stdout=subprocess.PIPE, env=os.environ | one).stdout
                 print(said.decode().strip().splitlines()[-1], flush=True)
@@ -74,8 +82,7 @@ def _prepare(out: Path, run: Path) -> None:
     planned = next(planned_runs(folder))
     prepare(planned.given.method.scene, maps=planned.jobs[0].maps)
     planned.given.still()
-    for _ in results_of(planned.jobs[0], 1):
-        pass
+    evaluate_chunk(planned.jobs[0])
 
 
 def _once(folder: Path, words: str, chunk: int) -> None:
@@ -91,44 +98,37 @@ def _once(folder: Path, words: str, chunk: int) -> None:
     for _ in planned_runs(campaign):
         pass
     wall_s = time.perf_counter()
-    with _engine(kind, int(count), out) as engine:
-        books = run_campaign(campaign, engine)
+    with _executor(kind, int(count), out) as executor:
+        run_campaign(campaign, executor, evaluate_chunk if kind == "local" else evaluate_elsewhere)
     wall_s = time.perf_counter() - wall_s
-    assert not books.failed, books
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    chunks_s = sum(line["seconds"] for line in read_progress(campaign.books))
     found = {
-        "engine": words,
+        "executor": words,
         "chunk": chunk,
         "wall_s": round(wall_s, 2),
         "processor_s": round(sum(each.ru_utime + each.ru_stime for each in used), 2),
-        "pairs_s": round(chunks_s, 2),
-        "idle_pct": round(100.0 * (1.0 - chunks_s / (int(count) * wall_s)), 1),
         "largest_MB": round(max(each.ru_maxrss for each in used) / 1024),
         "content": _content(out)[:12],
     }
     print(json.dumps(found))
 
 
-def _engine(kind: str, count: int, out: Path) -> AbstractContextManager[Engine]:
-    """An engine by its name."""
+def _executor(kind: str, count: int, out: Path) -> AbstractContextManager[Executor]:
+    """Return an executor by its name."""
     if kind == "dask":
         return _dask(count)
-    here: dict[str, Engine] = {
-        "local": LocalProcesses(count),
-        "slurm": SlurmArrays(out / "slurm", count, cluster="local"),
-    }
-    return nullcontext(here[kind])
+    return worker_processes(count) if kind == "local" else slurm_jobs(out / "slurm", count, {}, cluster="local")
 
 
 @contextmanager
-def _dask(count: int) -> Iterator[Engine]:
+def _dask(count: int) -> Iterator[Executor]:
     """Worker processes of a cluster on this computer, by TCP."""
     from distributed import LocalCluster
 
     where = {"host": "127.0.0.1", "dashboard_address": None, "worker_dashboard_address": None}
-    with LocalCluster(count, threads_per_worker=1, processes=True, protocol="tcp", **where) as cluster:
-        yield DaskWorkers(cluster.scheduler_address)
+    cluster = LocalCluster(count, threads_per_worker=1, processes=True, protocol="tcp", **where)
+    with cluster, dask_workers(cluster.scheduler_address) as executor:
+        yield executor
 
 
 def _content(out: Path) -> str:

@@ -6,9 +6,7 @@ of it here.
 
 # isort: split
 import gc
-import glob
 import inspect
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -191,20 +189,6 @@ def _type_integers_once(compiled: Any) -> None:  # noqa: ANN401
 def _int64(kind: types.Type) -> types.Type:
     """Return the type of the integer where that is one written in the code, else the type itself."""
     return kind.literal_type if isinstance(kind, types.IntegerLiteral) else kind
-
-
-def files_in_use() -> list[Path]:
-    """Files of the cache that hold what this process has called so far; none of a numba with another cache."""
-    found: set[Path] = set()
-    for module in list(sys.modules.values()):
-        for kernel in list(vars(module).values()):
-            if not isinstance(kernel, Kernel) or kernel._compiled is None or not kernel.compiled.signatures:
-                continue
-            cache = kernel.compiled._cache
-            if folder := getattr(cache, "cache_path", None):  # None: this one is not kept
-                with suppress(AttributeError):
-                    found.update(Path(folder).glob(f"{glob.escape(cache._impl.filename_base)}.*"))
-    return sorted(file for file in found if file.suffix in (".nbi", ".nbc"))
 
 
 @typeof_impl.register(Kernel)

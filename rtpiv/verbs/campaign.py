@@ -1,7 +1,8 @@
 """`rtpiv campaign`: many runs, evaluated chunk by chunk on whatever computers there are, and averaged."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,12 +15,14 @@ from ground.terminal import console
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunStatus, campaign_status
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, ask_for
 from rtpiv.analysis.campaign.campaign_trial import adopt, trial
-from rtpiv.analysis.campaign.engines import DaskWorkers, Engine, LocalProcesses, SlurmArrays
+from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
 from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, said_missing
-from rtpiv.analysis.campaign.run_campaign import PATIENCE_S, run_campaign
+from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
+from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.series_folder import SeriesFolder
-from rtpiv.options.numbers import Count, Positive
+from rtpiv.analysis.series.workers import worker_processes
+from rtpiv.options.numbers import Count
 from rtpiv.verbs.paths import Named, paths_of
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_campaign, show_forecasts
@@ -45,8 +48,6 @@ class Workers:
         NAME=VALUE, of `submitit.AutoExecutor.update_parameters`, such as slurm_partition=long timeout_min=600.
     slurm_here : bool
         Processes of this computer in place of Slurm's jobs, to try it.
-    patience_s : float
-        After which a worker that finishes no pair is given up and its chunk made by another.
     """
 
     workers: Count | None = None
@@ -54,20 +55,25 @@ class Workers:
     slurm: Count | None = None
     slurm_options: Sequence[str] = ()
     slurm_here: bool = False
-    patience_s: Positive = PATIENCE_S
 
-    def engine(self, folder: CampaignFolder) -> Engine:
-        """Return them; RunUsageError if they exclude each other."""
+    def executor(self, folder: CampaignFolder) -> AbstractContextManager[Executor | None]:
+        """Return the executor of these workers; RunUsageError if options exclude each other."""
         if sum(each is not None for each in (self.workers, self.scheduler, self.slurm)) > 1:
             raise RunUsageError("--workers, --scheduler and --slurm exclude each other; give one")
         if self.slurm is None and (self.slurm_options or self.slurm_here):
             raise RunUsageError("--slurm-set and --slurm-here belong to --slurm; say how many jobs")
         if self.scheduler is not None:
-            return DaskWorkers(self.scheduler)
+            return dask_workers(self.scheduler)
         if self.slurm is not None:
-            given = dict(_option(text) for text in self.slurm_options)
-            return SlurmArrays(folder.path / "slurm", self.slurm, given, "local" if self.slurm_here else "slurm")
-        return LocalProcesses(self.workers or thread_count())
+            options = dict(_option(text) for text in self.slurm_options)
+            return slurm_jobs(folder.path / "slurm", self.slurm, options, "local" if self.slurm_here else "slurm")
+        count = self.workers or thread_count()
+        return nullcontext() if count < 2 else worker_processes(count)
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether the workers are processes that this program does not start."""
+        return self.scheduler is not None or self.slurm is not None
 
 
 def campaign(
@@ -82,9 +88,9 @@ def campaign(
     """Evaluate many runs on this computer or on others, and average them.
 
     ``plan`` says what it costs and writes nothing, ``run`` makes what is missing, ``status`` says how it stands,
-    ``merge`` averages.  Each may be ended at any time and given again.  Every file but ``books.jsonl`` has the
-    same bytes whoever works and however often it was interrupted.  In a folder with finished chunks another
-    recipe, another scene or fewer runs are refused.
+    ``merge`` averages.  Each may be ended at any time and given again.  Every file has the
+    same bytes for any executor and any number of interruptions.  In a folder with finished chunks another recipe,
+    another scene or fewer runs are refused.
 
     Parameters
     ----------
@@ -117,7 +123,7 @@ def campaign(
     DiskError
         The folder of the campaign cannot be written to.
     RunInterrupted
-        Workers were killed again and again.
+        A worker was killed; the same command resumes.
     """
     folder, screen = CampaignFolder(Path(out)), console()
     asked = settings != AS_EACH_RUN or any(value is not None for value in options.values())
@@ -148,11 +154,11 @@ def campaign(
             _show_merged(folder, merged)
             return merged
         if action == "run":
-            books = run_campaign(folder, workers.engine(folder), workers.patience_s)
-            were = "was" if books.kept == 1 else "were"
-            screen.print(f"{counted(books.made, 'chunk')} made, {books.kept} {were} there")
-            if books.stopped:
-                screen.print(f"ended early: {books.stopped}", style="bold red")
+            with workers.executor(folder) as executor:
+                evaluate = evaluate_elsewhere if workers.is_elsewhere else evaluate_chunk
+                chunks = run_campaign(folder, executor, evaluate)
+            were = "was" if chunks.kept == 1 else "were"
+            screen.print(f"{counted(chunks.made, 'chunk')} made, {chunks.kept} {were} there")
         states = campaign_status(folder)
         show_campaign(screen, states)
         missing = sum(state.chunks - state.done for state in states)

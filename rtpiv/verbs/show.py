@@ -125,33 +125,21 @@ def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
 
 
 def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
-    """Say how a campaign stands."""
+    """Print the state of a campaign."""
     table = Table(title="campaign")
-    for number, column in enumerate(
-        ("run", "chunks", "done", "running", "failed", "pairs done", "without vectors")
-    ):
+    for number, column in enumerate(("run", "chunks", "done", "pairs done", "without vectors")):
         table.add_column(column, justify="right" if number else "left")
     for state in states:
-        counts = (state.chunks, state.done, len(state.running), len(state.failed))
         pairs = f"{state.done_pairs} of {state.pairs}", str(sum(state.without_vectors.values()))
-        table.add_row(state.name, *[str(n) for n in counts], *pairs)
+        table.add_row(state.name, str(state.chunks), str(state.done), *pairs)
     screen.print(table)
-    said = [
+    lines = [
         f"{s.name}: {counted(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
     ]
-    said += [
-        f"{s.name}, chunk {w.chunk}: {w.host or 'somebody'}, process {w.pid}, last pair {w.silent_s:.0f} s ago"
-        for s in states
-        for w in s.running
-    ]
-    for line in said[:SHOWN]:
+    for line in lines[:SHOWN]:
         screen.print(line)
-    failed = [f"{state.name}, chunk {n} failed: {why}" for state in states for n, why in state.failed.items()]
-    for line in failed[:SHOWN]:
-        screen.print(line, style="bold red")
-    more = max(0, len(said) - SHOWN) + max(0, len(failed) - SHOWN)
-    if more:
-        screen.print(f"and {more} more; books.jsonl and the markers of the chunks have them")
+    if len(lines) > SHOWN:
+        screen.print(f"and {len(lines) - SHOWN} more in the markers of the chunks")
 
 
 def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) -> None:

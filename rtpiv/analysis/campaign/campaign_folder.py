@@ -1,26 +1,19 @@
-"""The folder of a campaign: what was asked, the series of each run, who is at work, and how it stands.
+"""The folder of a campaign: its request, the series of each run, and its state.
 
-campaign.json    what was asked, by `run`: its runs and how their pairs are evaluated
+campaign.json    the request, written by `run`: its runs and how their pairs are evaluated
 runs/NAME/       the series of each run, as `rtpiv evaluate` makes it (`rtpiv.analysis.series.series_folder`)
-leases/          who works on which chunk (`chunk_task`)
-books.jsonl      what was done when, by whom, in how many seconds, a line for each try of a chunk: not the same
-                 whoever works; nothing is computed from it, and a line that a crash has torn is passed over
-kernels.zip      compiled code for workers elsewhere (`worker_setup`); of this kind of computer
-slurm/           scripts, logs, tasks and answers of Slurm jobs
+slurm/           scripts, logs, tasks and results of Slurm jobs
 index.csv        every chunk with its key and hash, and campaign.nc, the statistics of all runs, by `merge`
 
-Runs are named by where they lie; once they have been moved, `run` is given them again: keys of chunks know no
-place, so what was done is kept.  Finished chunks are never replaced by those of another recipe (`campaign_trial`).
+Runs are found by their paths; once they have been moved, `run` is given them again: keys of chunks do not depend
+on places, so finished chunks are kept.  They are never replaced by those of another recipe (`campaign_trial`).
 
-How it stands is read from markers, leases and records alone; no run is read and no file hashed.  A chunk is done
-if its marker is of the key that was planned and as long as its file.  `run` and `merge` compare hashes as well;
-that takes as long as reading the files.
+The state is read from markers alone; no run is read and no file hashed.  A chunk is done if its marker has the
+planned key and the length of its file.  `run` and `merge` compare hashes as well; that takes as long as reading
+the files.
 """
 
-import json
-import tempfile
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, NotRequired
@@ -28,15 +21,13 @@ from typing import Annotated, Literal, NotRequired
 from pydantic import Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
-from daq.atomic_write import why
-from daq.errors import DiskError, RunUnsuitable
-from daq.runs.records import MAX_RECORD_BYTES, STRICT, Count, Sha, Text
-from ground.plain_file import open_plain, read_plain
+from daq.errors import RunUnsuitable
+from daq.runs.records import MAX_RECORD_BYTES, STRICT, Text
+from ground.plain_file import read_plain
 from piv.correlation.settings import settings_of
 from piv.errors import SeriesError
 from piv.preprocessing.preparation import Preparation
 from piv.statistics.out_of_plane import OutOfPlane
-from rtpiv.analysis.campaign.chunk_task import read_lease
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of
 from rtpiv.analysis.series.series_plan import chunk_path
@@ -45,7 +36,6 @@ from rtpiv.options.numbers import DewarpOrder
 FILE = "campaign.json"
 LAYOUT: Literal[1] = 1
 CHUNK_PAIRS = 128  # a minute or more of one core, 40 MB; a power of two, see series_plan
-LONGEST_LINE = 100_000  # of the record
 Positive = Annotated[float, Field(gt=0.0)]
 
 
@@ -119,15 +109,6 @@ class CampaignFolder:
         """Folder of the series of a run."""
         return SeriesFolder(self.path / "runs" / name)
 
-    def lease(self, name: str, number: int) -> Path:
-        """File that says who works on a chunk."""
-        return self.path / "leases" / f"{name}-{number:05d}.json"
-
-    @property
-    def books(self) -> Path:
-        """What was done, a line each."""
-        return self.path / "books.jsonl"
-
 
 def choice_of(how: HowAsked) -> PivChoice:
     """How pairs are evaluated, as it was asked; SeriesError if that cannot be."""
@@ -141,64 +122,9 @@ def choice_of(how: HowAsked) -> PivChoice:
         ) from None
 
 
-@with_config(STRICT)
-class ProgressLine(TypedDict):
-    """One try of one chunk."""
-
-    utc: str
-    run: str
-    chunk: Count
-    key: Sha
-    what: Literal["made", "failed"]
-    pairs: Annotated[int, Field(ge=1)]
-    seconds: Annotated[float, Field(ge=0.0)]
-    host: str
-    pid: Count
-    reason: str
-
-
-_LINE: TypeAdapter[ProgressLine] = TypeAdapter(ProgressLine)
-
-
-def read_progress(path: Path) -> Iterator[ProgressLine]:
-    """Lines that can be read, in the order in which they were written."""
-    try:
-        with open_plain(path) as stream:
-            while line := stream.readline(LONGEST_LINE):
-                try:
-                    yield _LINE.validate_json(line)
-                except ValidationError:
-                    continue
-    except OSError:
-        return
-
-
-def write_progress(path: Path, line: ProgressLine) -> None:
-    """Append a line; DiskError if it cannot be written."""
-    try:
-        with path.open("ab+") as stream:
-            if stream.tell() > 0:
-                stream.seek(-1, 2)
-                if stream.read(1) != b"\n":  # torn by a crash
-                    stream.write(b"\n")
-            stream.write(json.dumps(line).encode() + b"\n")
-    except OSError as error:
-        raise DiskError(why(error), place=path, cure="make room, then give the same command again") from error
-
-
-@dataclass(frozen=True)
-class AtWork:
-    """Somebody who works on a chunk."""
-
-    chunk: int
-    host: str
-    pid: int
-    silent_s: float  # since the last pair that was ready
-
-
 @dataclass(frozen=True)
 class RunStatus:
-    """How a run of a campaign stands.
+    """State of a run of a campaign.
 
     Parameters
     ----------
@@ -207,13 +133,9 @@ class RunStatus:
     pairs, chunks : int
         Of its series.
     done_pairs, done : int
-        Of these, those in chunks that are done, and these chunks.
-    running : tuple of AtWork
-        Chunks that somebody works on.
-    failed : dict of int to str
-        Chunks that could not be made when they were tried last, and why.
+        Pairs in finished chunks, and these chunks.
     without_vectors : dict of str to int
-        Why pairs of chunks that are done have no vectors, and how many.
+        Reasons why pairs of finished chunks have no vectors, each with the number of pairs.
     """
 
     name: str
@@ -221,13 +143,11 @@ class RunStatus:
     chunks: int
     done_pairs: int
     done: int
-    running: tuple[AtWork, ...]
-    failed: dict[int, str]
     without_vectors: dict[str, int]
 
 
 def campaign_status(folder: CampaignFolder) -> list[RunStatus]:
-    """How each run of a campaign stands.
+    """Return the state of each run of a campaign.
 
     Raises
     ------
@@ -236,42 +156,14 @@ def campaign_status(folder: CampaignFolder) -> list[RunStatus]:
     SeriesError
         A file of it is damaged.
     """
-    names = [asked["name"] for asked in folder.about["runs"]]
-    failed: dict[str, dict[int, str]] = {name: {} for name in names}
-    for line in read_progress(folder.books):
-        of_run = failed.get(line["run"], {})
-        of_run.pop(line["chunk"], None)
-        if line["what"] == "failed":
-            of_run[line["chunk"]] = line["reason"]
-    now_ns = _now_ns(folder.path)
-    return [_of_run(folder, name, failed[name], now_ns) for name in names]
+    return [_run_status(folder, asked["name"]) for asked in folder.about["runs"]]
 
 
-def _of_run(folder: CampaignFolder, name: str, failed: dict[int, str], now_ns: int) -> RunStatus:
+def _run_status(folder: CampaignFolder, name: str) -> RunStatus:
     series = folder.series(name)
     about = series.about
-    done, done_pairs, running = set[int](), 0, list[AtWork]()
-    reasons: Counter[str] = Counter()
-    for number, key in enumerate(about["keys"]):
-        marker = marker_of(chunk_path(series.path, number), key)
-        if marker is not None:
-            done.add(number)
-            done_pairs += marker.pairs
-            reasons.update(marker.failed.values())
-            continue
-        held = read_lease(folder.lease(name, number))
-        if held is not None and not held.is_gone:
-            running.append(AtWork(number, held.host, held.pid, max(0.0, (now_ns - held.beat_ns) * 1e-9)))
-    left = {number: why for number, why in failed.items() if number not in done and number < len(about["keys"])}
-    return RunStatus(
-        name, about["pairs"], len(about["keys"]), done_pairs, len(done), tuple(running), left, dict(reasons)
-    )
-
-
-def _now_ns(folder: Path) -> int:
-    """The time of the disk on which leases are touched, which need not be that of this computer."""
-    try:
-        with tempfile.NamedTemporaryFile(dir=folder) as probe:
-            return Path(probe.name).stat().st_mtime_ns
-    except OSError:  # of somebody else, whom we may only look at
-        return folder.stat().st_mtime_ns
+    markers = [marker_of(chunk_path(series.path, number), key) for number, key in enumerate(about["keys"])]
+    done = [marker for marker in markers if marker is not None]
+    reasons = Counter(reason for marker in done for reason in marker.failed.values())
+    pairs = sum(marker.pairs for marker in done)
+    return RunStatus(name, about["pairs"], len(markers), pairs, len(done), dict(reasons))

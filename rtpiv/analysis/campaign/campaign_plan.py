@@ -31,7 +31,6 @@ from rtpiv.analysis.campaign.campaign_folder import (
     CampaignFolder,
     HowAsked,
     choice_of,
-    read_progress,
 )
 from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.piv_file import PivChoice
@@ -47,7 +46,7 @@ from rtpiv.analysis.series.workers import worker_processes
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.scene.scene_file import load_scene
 
-S_PER_MPX = 0.5  # of one core for a pair, before this campaign has shown its own: 2 s at 4 million pixels
+S_PER_MPX = 0.5  # of one core for a pair: 2 s at 4 million pixels
 VECTOR_BYTES = 34  # of a chunk's file: 8 float32 and 2 int8 of each pair
 PLACE_BYTES = 8  # the same for all its pairs: 2 float32
 PIXEL_BYTES = 2
@@ -295,7 +294,7 @@ def would_be_lost(folder: Path, chunks: int, differences: Sequence[str]) -> str:
 
 
 def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
-    """What is there of a run, and what the rest will cost; by what this campaign has shown, if it has."""
+    """Count the finished chunks of a run, and estimate the cost of the others."""
     scene, settings = planned.given.method.scene, planned.given.method.settings
     shape = (planned.given.method.grid or grid_of(scene.camera)).shape
     vectors = int(np.prod(settings.result_grid(shape).shape))
@@ -307,15 +306,13 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
     left = [job for job in planned.jobs if finished.get(job.number) != job.key]
     pairs = sum(len(job.pairs) for job in left)
     reads = sum(len(job.pairs) + len(job.before) + len(job.after) for job in left)
-    known = [line["seconds"] / line["pairs"] for line in read_progress(folder.books) if line["what"] == "made"]
-    each_s = float(np.median(known)) if known else S_PER_MPX * 1e-6 * pixels
     return Forecast(
         planned.name,
         len(planned.given.given.pairs),
         len(planned.jobs),
         len(planned.jobs) - len(left),
         sum(job.number in finished for job in left),
-        each_s * pairs,
+        S_PER_MPX * 1e-6 * pixels * pairs,
         2.0 * PIXEL_BYTES * pixels * reads,
         float(vectors * (VECTOR_BYTES * pairs + PLACE_BYTES * len(left))) + map_bytes * bool(left),
     )

@@ -4,10 +4,9 @@
 is asked of each pair than its vectors, `evaluate_chunk_closely` says that too, from the same correlation.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
@@ -28,7 +27,7 @@ from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair, vers
 from rtpiv.analysis.series.still_frames import still_in
 
 
-def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None) -> Marker:
+def evaluate_chunk(job: ChunkJob) -> Marker:
     """Evaluate the pairs of a chunk; write its file, then its marker.
 
     A pair that cannot be evaluated is a row with a reason.
@@ -37,8 +36,6 @@ def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None)
     ----------
     job : ChunkJob
         What to do.
-    each_pair : callable, optional
-        Called when the correction is there, and after each pair: whoever waits sees that somebody is at work.
 
     Raises
     ------
@@ -49,14 +46,7 @@ def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None)
     SeriesError
         This process has other code than the one that planned the chunk.
     """
-    beat = each_pair or (lambda: None)
-    correction_of(job.maps, job.method)
-    results = []
-    beat()
-    for result in results_of(job, len(job.pairs)):
-        results.append(result)
-        beat()
-    return _kept(job, results)
+    return _kept(job, [_result(pair, seen) for pair, seen in _correlated(job)])
 
 
 Detailed = Evaluation | PairError  # all that was asked of a pair, or why it cannot be had
@@ -98,11 +88,6 @@ def evaluate_chunk_closely(job: ChunkJob, how: PairMethod) -> list[tuple[str, De
     if sound_content(job.path, job.key) is None:
         _kept(job, results)
     return found
-
-
-def results_of(job: ChunkJob, most: int) -> Iterator[PairResult]:
-    """What becomes of the first `most` pairs of a chunk, one after the other; nothing is written."""
-    return (_result(pair, seen) for pair, seen in islice(_correlated(job), most))
 
 
 def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:

@@ -4,14 +4,14 @@ Whatever ends this program, the same command goes on where it stopped: chunks th
 the others come out with the same bytes as if nothing had happened.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeVar
 
 from ground.plain_words import counted
-from ground.terminal import console, progress
+from ground.terminal import console
 from piv.errors import PairError, SeriesError
 from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import SLIDING_MINIMUM
@@ -25,7 +25,7 @@ from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_pairs import PairsOfSeries
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method
 from rtpiv.analysis.series.series_view import SeriesView
-from rtpiv.analysis.series.workers import carried_out, workers_for
+from rtpiv.analysis.series.workers import carry_out_with_progress, workers_for
 
 R = TypeVar("R")
 
@@ -188,17 +188,8 @@ def _carry_out(
         return
     correction_of(jobs[0].maps, jobs[0].method)  # traced once, before any worker asks for it
     with workers_for(len(jobs), workers, executor) as pool:
-        done = _pair_by_pair(carried_out(work, jobs, pool))
-        for result in progress(done, sum(len(job.pairs) for job in jobs), "pairs"):
-            if result is not None:
-                take(result)
-
-
-def _pair_by_pair(done: Iterator[tuple[ChunkJob, R]]) -> Iterator[R | None]:
-    """What each job gives, and None for each further pair of it."""
-    for job, result in done:
-        yield result
-        yield from [None] * (len(job.pairs) - 1)
+        for result in carry_out_with_progress(work, jobs, pool):
+            take(result)
 
 
 def _announce(folder: SeriesFolder, about: SeriesFile) -> None:

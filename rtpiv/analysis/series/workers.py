@@ -20,6 +20,8 @@ from typing import TypeVar
 from daq.errors import RunInterrupted
 from ground.errors import RtpivWarning
 from ground.rows import thread_count
+from ground.terminal import progress
+from rtpiv.analysis.series.series_plan import ChunkJob
 
 Job = TypeVar("Job")
 R = TypeVar("R")
@@ -75,6 +77,22 @@ def carried_out(
     finally:
         for future in futures:
             future.cancel()
+
+
+def carry_out_with_progress(
+    work: Callable[[ChunkJob], R], jobs: Sequence[ChunkJob], executor: Executor | None
+) -> Iterator[R]:
+    """Yield the result of each chunk as `carried_out`, with a bar over pairs."""
+    results = _padded_to_pairs(carried_out(work, jobs, executor))
+    for result in progress(results, sum(len(job.pairs) for job in jobs), "pairs"):
+        yield from result
+
+
+def _padded_to_pairs(done: Iterator[tuple[ChunkJob, R]]) -> Iterator[tuple[R, ...]]:
+    """Yield (result,) of each chunk, and () for each further pair of it."""
+    for job, result in done:
+        yield (result,)
+        yield from [()] * (len(job.pairs) - 1)
 
 
 @contextmanager

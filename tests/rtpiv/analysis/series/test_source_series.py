@@ -1,18 +1,18 @@
 """Frames of other people through correction and evaluation: the vectors of a run with the same frames."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import tifffile
 from scipy.io import netcdf_file
 
-from rtpiv.analysis.campaign.engines import LocalProcesses
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.command_line.cli import DONE, USAGE, main
-from tests.rtpiv.analysis.campaign.small_campaign import Threads
+from rtpiv.verbs import campaign
 from tests.rtpiv.analysis.series.small_series import DT_US, SCENE, flow_run
 
 PAIRS = 4
@@ -80,7 +80,7 @@ def test_a_folder_is_evaluated_and_a_pattern_averaged(recorded, tmp_path, monkey
 
 
 def test_a_frame_that_changes_is_read_again_and_its_chunk_made_anew(recorded, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(LocalProcesses, "opened", lambda self: Threads(self.slots).opened())
+    monkeypatch.setattr(campaign, "worker_processes", ThreadPoolExecutor)
     for path in recorded.glob("B*.tif"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     scene, out = ("--scene", str(recorded / "scene.yaml")), tmp_path / "out"
