@@ -36,7 +36,7 @@ class TargetNotFound(CorrectionError):  # noqa: N818 - says what it is
 
 
 class MapUsageError(CorrectionError, ValueError):
-    """What is asked of a correction map makes no sense; the message says what would."""
+    """A correction map is asked for that cannot be; the message names one that can."""
 
 
 class DewarpError(CorrectionError):

@@ -1,4 +1,4 @@
-"""What is masked of a scene (`tracer.masked`), by pixels, branches and nodes.
+"""Masked parts of a scene (`tracer.masked`), as pixels, branches and nodes.
 
 Every correction map is made without them: without pixels and branches while it is inverted, without nodes of the
 plane when that is done (`correction.maps.correction_map`).  Who looks at raw pixels asks `masked_pixels`.
@@ -25,7 +25,7 @@ STATUS = {
 
 
 def masked_pixels(scene: Scene, ray_map: RayMap | None = None) -> NDArray[np.uint8]:
-    """Why pixels (H, W) of a scene's camera are masked: a NodeStatus, 0 where they are not.
+    """Reasons (H, W) for which pixels of a scene's camera are masked: a NodeStatus, 0 where they are not.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ def pixels_in(part: MaskedPart, shape: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def nodes_in(part: MaskedPart, nodes_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of the nodes x, y (..., 2) of the plane are inside the outline of a part there; none without one."""
+    """Mask of the nodes x, y (..., 2) of the plane inside the outline of a part there; none without one."""
     if not part.outline_mm:
         return np.zeros(nodes_mm.shape[:-1], np.bool_)
     return points_in(part.outline_mm, nodes_mm)
 
 
 def points_in(outline: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points (..., 2) are inside a polygon: a ray to the right crosses it an odd number of times."""
+    """Mask of the points (..., 2) inside a polygon: a ray to the right crosses it an odd number of times."""
     x, y, corners = points[..., 0], points[..., 1], np.asarray(outline)
     odd = np.zeros(x.shape, np.bool_)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):

@@ -1,4 +1,4 @@
-"""Why a node of the plane is recovered, or is not."""
+"""Status of the nodes of the plane: recovered, or the reason for which not."""
 
 from enum import IntEnum
 

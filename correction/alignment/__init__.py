@@ -1,1 +1,1 @@
-"""Where camera and spheres stand, from one frame: what a bench needs to bring them to their places."""
+"""Positions of camera and spheres, from one frame: the input of a bench that aligns itself."""

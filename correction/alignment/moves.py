@@ -1,4 +1,4 @@
-"""Which way to move what, from looks at the glass; and whether a move did what it should.
+"""Moves that align the glass, from successive frames, and a check that each did what it should.
 
 A look says where glass and camera stand, p, while their axes have carried them by a from their places in the
 scene file. What is left, e = p - a, is how they were put up; it does not change with a move. So looks are averaged
@@ -58,7 +58,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Wanted:
-    """Where axes shall carry glass and camera next.
+    """Places to which axes are to carry glass and camera next.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Wanted:
 
     @property
     def sideways_mm(self) -> float:
-        """How far the glass is off sideways."""
+        """Distance of the glass from its place, sideways."""
         return float(np.hypot(*self.glass_left_mm[:2]))
 
 
@@ -122,7 +122,7 @@ def wanted(looks: Sequence[Look], axes: Mapping[str, str], free_mm: float) -> Wa
 
 
 def _camera(looks: Sequence[Look], last: Look, directions: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the camera shall be carried, and how far off it was put up."""
+    """Place to which the camera is to be carried, and its distance from its nominal one."""
     offs, sigmas = [], []
     for look in looks:
         if look.seen.camera_mm is not None and look.seen.camera_sigma_mm is not None:

@@ -64,7 +64,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Votes:
-    """How much of a rim agrees on each of some places.
+    """Share of a rim that agrees on each of some places.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def in_deviations(votes: NDArray[np.float64]) -> NDArray[np.float64]:
 def crossings(
     strip: Strip, expected_px: NDArray[np.float64], sign: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Where each profile is steepest near the expected place: offsets (N,) [px] or NaN, slopes (N,), and width.
+    """Find the steepest place of each profile near the expected one: offsets (N,) [px] or NaN, slopes (N,), width.
 
     The width is that of the edges, the median standard deviation [px] of the step that was blurred.
 

@@ -1,4 +1,4 @@
-"""Where camera and glass of a bench stand, from one frame, against where the scene file has them.
+"""Positions of a bench's camera and glass, from one frame, against the scene file.
 
 With the board in sight the world is the board's: its lattice says where the camera stands, and the rims, seen from
 there, where the spheres do. Without it the camera is taken to stand where the scene and its axes have it, and all
@@ -99,7 +99,7 @@ class CameraSeen:
     levels: tuple[float, float]
 
     def shade(self, pixel: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What the board shows directly at pixels (..., 2): 1 bright, 0 dark."""
+        """Brightness of the directly seen board at pixels (..., 2): 1 bright, 0 dark."""
         return self.board.shade(self._on_board(pixel))
 
     def blurred(self, pixel: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
@@ -209,7 +209,7 @@ def _some_of(patch: Patch) -> Patch:
 
 
 def square_px(camera: Camera, board: Chessboard, board_mm: NDArray[np.float64]) -> float:
-    """How large a square is in the frame."""
+    """Side of a square in the frame."""
     return camera.focal_px * board.square_mm / abs(camera.position_mm[2] - float(board_mm[2]))
 
 
@@ -276,7 +276,7 @@ def _beside(scene: Scene, reach_mm: float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Arrangement:
-    """Where glass and camera stand, from their places in the scene file, in the world [mm].
+    """Offsets of glass and camera from their places in the scene file, in the world [mm].
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ class Arrangement:
 
 @dataclass(frozen=True)
 class Expected:
-    """Where glass, camera and board are before a look, from their places in the scene file [mm], (3,) each."""
+    """Expected offsets of glass, camera and board from the scene file, before a frame is taken [mm], (3,) each."""
 
     glass_mm: NDArray[np.float64]
     camera_mm: NDArray[np.float64]

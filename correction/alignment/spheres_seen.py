@@ -1,4 +1,4 @@
-"""Where the spheres of a scene stand, by their rims in one frame.
+"""Positions of the spheres of a scene, by their rims in one frame.
 
 The rim of each sphere is looked for around its place (`rim`), then its centre is fitted to the crossings of
 the rim with its normals. Per crossing i, with the outward normal's rates (`rim`),
@@ -67,7 +67,7 @@ GAS = 0.01  # by which gases differ in n, and no liquid
 
 
 class Behind(Protocol):
-    """What stands behind the glass, as it would be seen directly."""
+    """Background of the glass, as it would be seen directly."""
 
     def shade(self, pixel: NDArray[np.float64]) -> NDArray[np.float64]:
         """Bright (1) or dark (0) at pixels (..., 2)."""
@@ -276,7 +276,7 @@ def _around(reach_mm: float, step_mm: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class _Ballot:
-    """What one rim votes by: profiles (N, M) from an offset on, and how far the rim moves on them."""
+    """Evidence of one rim: profiles (N, M) from an offset on, and the motion of the rim along them."""
 
     vote: NDArray[np.float32]
     first_px: float

@@ -155,7 +155,7 @@ def _at_height(frame: MeasuredFrame, unknowns: Unknowns, height_mm: float) -> Me
 
 
 def _reach(work: Progress) -> float:
-    """How many squares the nominal camera's view of the board may be off."""
+    """Squares by which the nominal camera's view of the board may be off."""
     known, away = work.priors.camera, np.linalg.norm(work.nominal.camera.position_mm)
     off_mm = np.hypot(known.position_mm, np.deg2rad(known.rotation_deg) * away)
     return float(SURE * off_mm / work.board.square_mm)
@@ -280,7 +280,7 @@ def cause_on_bare(work: Progress) -> str:
 
 
 def _lens_freed(work: Progress) -> Unknowns:
-    """What is free on the bare target if any term of the lens may be."""
+    """Return the unknowns of the bare target with every term of the lens free."""
     far = lens_reach(work.nominal.camera)
     sizes = {name: max(size, DISTORTED * far.get(name, 0.0)) for name, size in LENS_FREED.items()}
     free = {name: max(size, getattr(work.priors.camera, name)) for name, size in sizes.items()}

@@ -156,7 +156,7 @@ def _measure(work: Progress, only_behind: bool) -> None:
 
 
 def _why_none(work: Progress, scene: Scene) -> str:
-    """Why no corner behind glass could be measured, as far as the scene tells, as given and as it is now."""
+    """Explain that no corner behind glass could be measured, as far as the scene shows, nominal and present."""
     pose = work.unknowns.pose(work.full, work.height_number(work.glass_frames[0]))
     given, _ = legal_scene(work.unknowns, work.unknowns.start)
     widths = [square_behind_px(one, pose, work.board) for one in (given, scene)]

@@ -1,4 +1,4 @@
-"""Whether dots stand on the levels that their board names, told by the bare target.
+"""Levels of the dots of a plate, checked on the bare target.
 
 A level d behind the plane is seen aside by d times the slant of the rays, in every second row, column or field: no
 camera does that, nor lens.  With r the residuals of the bare target in sigmas, g how they change with the step of
@@ -75,7 +75,7 @@ def levels_shown(work: Progress, limit_px: float) -> str:
 
 
 def look_like_levels(work: Progress, unknowns: Unknowns, x: NDArray[np.float64]) -> bool:
-    """Whether a pattern of levels, in dots that were told to be on one, explains much of what is left of them."""
+    """Return whether a pattern of levels explains much of the residuals of dots described as on one level."""
     if work.board.dots is None or work.board.dots.levels:
         return False
     full, share = unknowns.full(x), 0.0
@@ -123,5 +123,5 @@ def _tried(work: Progress, levels: str) -> _Tried:
 
 
 def _said(dots: Dots) -> str:
-    """What a board file says of its levels."""
+    """Describe the levels of a board file."""
     return f"levels: {dots.levels}, step_mm: {dots.step_mm:g}" if dots.levels else "nothing of levels"

@@ -1,4 +1,4 @@
-"""What a fit knows between its stages."""
+"""State of a fit between its stages."""
 
 from collections.abc import Callable, Sequence
 
@@ -28,7 +28,7 @@ BESIDE = 0.8  # squares: rims are seen to a few tenths of one
 
 
 class Progress:
-    """What a fit knows between its stages: what is free, what was measured, and how far it has come."""
+    """State of a fit between its stages: free numbers, measured corners, steps so far."""
 
     def __init__(
         self,

@@ -181,7 +181,7 @@ def _balls_in_words(work: Progress) -> str:
 
 
 def _rivals(fit: SceneFit, priors: FitTable, light: Light | None) -> list[Rival]:
-    """What the told light may be instead, and how far that is left open."""
+    """List the lights that fit.light may stand for instead, and the share of the difference that is left open."""
     if light is None or priors.light is None:
         return []
     if fit.verdict.many_colours:

@@ -1,4 +1,4 @@
-"""How sure the correction is: the scene's covariance carried through the map, to nodes and to vectors.
+"""Uncertainty of the correction: the scene's covariance carried through the map, to nodes and to vectors.
 
 Node X is shown by pixel u.  If the scene is off by dx, u really shows X + (dX/dx) dx, so the picture of X
 stands that far from where it should: with C the covariance of x,
@@ -56,7 +56,7 @@ STEP = 4  # nodes between those computed; sigma is smooth
 
 
 class SigmaHeader(Table):
-    """What the header of a stored map sigma holds."""
+    """Header of a stored map sigma."""
 
     scene_hash: Hash
     px_mm: Annotated[float, Field(gt=0.0)]

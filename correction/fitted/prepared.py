@@ -37,7 +37,7 @@ KEPT = 2  # through the glass and without it: 0.3 GB each at 4 million pixels
 
 @dataclass(frozen=True, eq=False)
 class PreparedCorrection:
-    """What turns frames of one scene into frames without its glass.
+    """A correction that turns frames of one scene into frames without its glass.
 
     Parameters
     ----------

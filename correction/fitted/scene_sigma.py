@@ -1,4 +1,4 @@
-"""How unsure a fitted scene is, in the tracer's own numbers, and what that does to points of the plane.
+"""Uncertainty of a fitted scene, in the tracer's own numbers, and of the points of the plane.
 
 A fit gives a root of the covariance of its full vector, of what was free and of what was held (`doubted`); the
 tracer gives the derivative G of a landing point by the numbers of the scene (`tracer.strategies.sensitivity`;
@@ -48,7 +48,7 @@ BLOCK, ORDINARY_DRAWS = 65536, 64  # pixels at a time, fewer of beds: some 60 MB
 
 
 class FitHeader(Table):
-    """What the header of a fit file holds; a newer version may have written more."""
+    """Header of a fit file; a newer version may have written more."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -154,7 +154,7 @@ class SceneSigma(SceneBound):
         return replace(self, plane_root=np.zeros((len(TARGET), 0)))
 
     def _vectors(self) -> list[int]:
-        """Where three numbers in a row are the parts of one vector."""
+        """Columns at which three numbers in a row are the parts of one vector."""
         if self.numbers:
             return [at for at, name in enumerate(self.numbers) if name.endswith("x") and self._is_vector(at)]
         spheres = range(len(CAMERA), len(self.root), len(SPHERE))
@@ -254,7 +254,7 @@ class SceneSigma(SceneBound):
 
 
 class VerdictHeader(FitHeader):
-    """What the header of a fit file says of the model."""
+    """Verdict in the header of a fit file."""
 
     right: bool
     verdict: Annotated[list[str], Field(max_length=1000)]
@@ -264,7 +264,7 @@ class VerdictHeader(FitHeader):
 @short_repr
 @dataclass(frozen=True)
 class StoredVerdict:
-    """What a fit file says of the model.
+    """Verdict of a stored fit.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ class StoredVerdict:
 
     @classmethod
     def of(cls, fit: "SceneFit") -> "StoredVerdict":
-        """What `save_fit` stores of it."""
+        """Return the part of a verdict that `save_fit` stores."""
         ways, way = np.unique(fit.corners.branch_name, return_inverse=True)
         verdict, scene_hash = fit.verdict, fit.measured_scene.content_hash()
         names = tuple(map(str, ways.tolist()))

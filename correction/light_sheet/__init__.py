@@ -1,1 +1,1 @@
-"""Where the light sheet is, from the particles in it: what is seen twice tells its height."""
+"""Position of the light sheet from its particles: those seen twice give its height."""

@@ -1,4 +1,4 @@
-"""How far two views of the particles lie apart: correlation over many frames, cell by cell.
+"""Disparity of two views of the particles: correlation over many frames, cell by cell.
 
 Frames become the deviation of each pixel from its own mean over the frames of its pulse, so what stands still is
 gone.  A place counts by the standard deviations around its two pixels, so glints that flicker count little.  They
@@ -52,7 +52,7 @@ MODELLED_TO = 0.3  # of what bend and fading make of a height; flows behind two 
 
 @dataclass(frozen=True)
 class Light:
-    """What stands still: mean and 1 / standard deviation (2, H, W) of the pixels at pulse A and B."""
+    """Static light: mean and 1 / standard deviation (2, H, W) of the pixels at pulse A and B."""
 
     mean: NDArray[np.float32]
     scale: NDArray[np.float32]
@@ -84,7 +84,7 @@ class Light:
         return np.ascontiguousarray(np.minimum(frame - self.mean[pulse], most), np.float32)
 
     def weight(self, views: DoubleViews, pulse: int) -> NDArray[np.float64]:
-        """What places (N,) count by."""
+        """Weights of places (N,)."""
         weight = np.ones(len(views.kind))
         for pixel in (views.first_px, views.second_px):
             column, row = np.rint(pixel).astype(np.int64).T
@@ -275,7 +275,7 @@ Kinds = dict[int, tuple[Model, NDArray[np.float64], Match]]
 
 
 def _common(kinds: Kinds, number: int, usual: tuple[float, float]) -> tuple[float, float]:
-    """What all kinds say together of a number that they share, and its standard deviation.
+    """Combine the estimates of a number that all kinds share; return it with its standard deviation.
 
     Kinds that differ by more than they may are all less sure (Birge).
     """
@@ -312,7 +312,7 @@ def _models(
     reach: int,
     reach_mm: float,
 ) -> list[Model]:
-    """What layers make of the planes of cells; some places of each are enough."""
+    """Predicted correlation planes of cells by layers; some places of each are enough."""
     chosen = some_of_each(cell, max(MODELLED // (int(cell.max()) + 1), LEAST_MODELLED))
     some, cells = views.at(chosen), cell[chosen]
     planes = []

@@ -108,7 +108,7 @@ class DoubleViews:
         return out
 
     def room_px(self, reach: int) -> NDArray[np.float64]:
-        """How far (N, 2) lags of `reach` along and ACROSS lead from the second pixel, along u and v."""
+        """Reach (N, 2) along u and v, from the second pixel, of lags of `reach` along and ACROSS."""
         units = self.units()
         return np.asarray(
             np.abs(self.along_px) * units[:, :1] * reach + np.abs(self.across_px) * units[:, 1:] * ACROSS
@@ -222,7 +222,7 @@ def _with_pictures(
     pitch_mm: float,
     step: int,
 ) -> DoubleViews:
-    """What two views make of particles; places where a picture is too blurred are left out."""
+    """Return predicted pictures of particles in two views; places where a picture is too blurred are left out."""
     across = np.stack((-pair.along[:, 1], pair.along[:, 0]), axis=-1)
     shift, spread = np.zeros(pair.pixel.shape), np.zeros(pair.rate.shape)
     good = np.ones(len(pair.kind), bool)
@@ -260,7 +260,7 @@ def _followed(
     step: NDArray[np.float64],
     along: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Whether a view goes on BESIDE_PX to either side; `step` (N, 2) is d pixel for one `along`."""
+    """Return whether a view goes on BESIDE_PX to either side; `step` (N, 2) is d pixel for one `along`."""
     length = np.hypot(*step.T)
     here = trace(scene, pixel)
     good = here.recovered & (length > 0.0)

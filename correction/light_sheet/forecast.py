@@ -1,4 +1,4 @@
-"""What a scene's glass will tell of its light sheet, before there is a frame.
+"""Forecast of the light sheet's uncertainty from a scene's glass, before there is a frame.
 
 A particle seen twice tells the disparity to about the width w of the peak that its two pictures and a sheet of
 1 mm make.  Where pictures overlap, products of different particles are noise: with lambda particles on the area of
@@ -35,7 +35,7 @@ LITTLE_MM, LITTLE_DEG = 0.3 * UNMEASURED_MM, 0.3 * UNMEASURED_DEG
 
 @dataclass(frozen=True)
 class SheetForecast:
-    """What 50 pairs would tell.
+    """Forecast for 50 pairs.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def sheet_forecast(
 
 
 def _bend_mm(scene: Scene, views: DoubleViews, kind: NDArray[np.int64], kinds: int) -> list[tuple[float, float]]:
-    """What bend and fading make of the height of a sheet at z = 0, of each kind, by some of its places.
+    """Bias of the height of a sheet at z = 0 from bend and fading, of each kind, by some of its places.
 
     Also of one that is deeper by what is not known of its depth.
     """

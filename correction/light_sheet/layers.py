@@ -1,4 +1,4 @@
-"""What particles in thin layers make of the products of two views, and which layers products say there are.
+"""Correlation of two views of particles in thin layers, and the layers that a correlation shows.
 
 The particles that a pixel u of the first view shows lie on its ray: those of the layer at height z at X(u; z).
 The second view shows them at the pixel U(X; z), found by Newton's method on traced rays, and as brightly as it is
@@ -183,7 +183,7 @@ def _finer(coarse: Layers) -> Layers:
 
 @dataclass(frozen=True)
 class Match:
-    """What a plane of lags tells.
+    """Fit of layers to a correlation plane.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ class Model:
         return values
 
     def _design(self, match: Match, free: list[int]) -> NDArray[np.float64]:
-        """What a change of background, of light and of the numbers makes of the plane (R * K, 2 + len(free))."""
+        """Derivatives of the plane (R * K, 2 + len(free)) by background, light and the numbers."""
         bell = self.plane(match.values)
         return np.column_stack((np.ones_like(bell), bell, *(match.light * self.rates(match.values, free))))
 

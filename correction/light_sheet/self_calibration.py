@@ -85,7 +85,7 @@ class PlaneFit:
 
     @property
     def kinds_disagree(self) -> bool:
-        """Whether some kind of views sees another height than the plane of all."""
+        """True if some kind of views disagrees with the plane of all on the height."""
         limit = float(np.sqrt(scipy.special.chdtri(1, FALSE_ALARMS / max(len(self.kinds_mm), 1))))
         return len(self.kinds_mm) > 1 and any(
             abs(off) > max(limit * sigma, LEAST_APART_MM) for off, sigma in self.kinds_mm.values()
@@ -279,7 +279,7 @@ def _nothing(known: LightSheet, views: DoubleViews, count: int, rounds: int) -> 
 
 
 def _untold(now: LightSheet, known: LightSheet) -> list[str]:
-    """What the frames do not tell, in words."""
+    """List in words what the frames do not determine."""
     parts = (
         ("height", now.sigma_mm > TELLS * known.sigma_mm),
         ("tilt", now.tilt_sigma_deg > TELLS * known.tilt_sigma_deg),
@@ -292,7 +292,7 @@ def _untold(now: LightSheet, known: LightSheet) -> list[str]:
 
 
 def _moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
-    """What speaks for a body that is not in its place, in words."""
+    """Describe the evidence for a body that is not in its place."""
     said = []
     if fit.across_px:
         said.append(
@@ -312,7 +312,7 @@ def _moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
 
 
 def _far(now: LightSheet, known: LightSheet) -> list[str]:
-    """What speaks against a plane that was not expected: along the view a moved body looks like another height."""
+    """Describe the evidence against an unexpected plane: along the view a moved body looks like another height."""
     off = (_numbers(now) - _numbers(known)) / np.sqrt(np.diag(_covariance(known)))
     parts = (
         f"{now.z_mm:+.2f} mm high",

@@ -87,7 +87,7 @@ def code_here() -> str:
 
 
 class CorrectionHeader(RayHeader):
-    """What the header of a stored correction map holds."""
+    """Header of a stored correction map."""
 
     origin_mm: Pair
     pitch_mm: Annotated[float, Field(gt=0.0)]
@@ -249,7 +249,7 @@ class CorrectionMap(SceneBound):
         return made
 
     def _sound(self) -> bool:
-        """Whether all numbers are such as `build_correction_map` makes: nothing outside its range is looked up."""
+        """Return whether all numbers are such as `build_correction_map` makes: no look-up leaves its range."""
         seen, shares = self.weight > 0.0, self.weight.sum(axis=0)
         right, bottom = self.sensor_px[0] - 1, self.sensor_px[1] - 1
         u, v = self.pixel[..., 0][seen], self.pixel[..., 1][seen]
@@ -280,7 +280,7 @@ def _last(field: NDArray[np.float64], kind: str) -> NDArray[Any]:
 
 
 def _each(seen: NDArray[np.bool_], trailing: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Where fields of so many components, the first axis, are seen."""
+    """Mask of fields of so many components, the first axis, that are seen."""
     return np.broadcast_to(seen, (*trailing, *seen.shape))
 
 

@@ -1,4 +1,4 @@
-"""How steeply each view looks at the plane, and what a vector owes to that.
+"""Viewing slopes of each branch at the plane, and their part in a vector.
 
 A camera ray does not meet the plane at a right angle.  Where it crosses z = 0 it goes on by
 

@@ -1,1 +1,1 @@
-"""Whether the glass still stands where it was calibrated, told by the particles of a flow alone."""
+"""Check by the particles of a flow alone that the glass still stands where it was calibrated."""

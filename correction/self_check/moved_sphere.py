@@ -1,4 +1,4 @@
-"""Which sphere has moved, by how much, and how sure that is: a test with a stated rate of false alarms.
+"""Test for a sphere that has moved, with its displacement and uncertainty, at a stated rate of false alarms.
 
 For each sphere by itself, its move d (three numbers) and the light sheet (height, two tilts; known as the scene
 says) are fitted to what particles seen twice are apart (`seen_twice`), by weighted least squares in which outliers
@@ -68,13 +68,13 @@ class Move:
 
     @property
     def is_told(self) -> bool:
-        """Whether particles tell anything of it."""
+        """True if particles determine it."""
         return bool((self.sigma_mm[:2] < TOLD * LOOSE_MM).all())
 
 
 @dataclass(frozen=True)
 class SelfCheck:
-    """What particles seen twice say of the spheres.
+    """Result of the self-check by particles seen twice.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class RunningCheck:
 
     @property
     def found(self) -> SelfCheck:
-        """What the last pairs say."""
+        """Result from the last pairs."""
         parts = [replace(seen, frame_pair=np.full(len(seen), n)) for n, seen in enumerate(self._seen)]
         if not parts:
             return SelfCheck((), 0, 0)

@@ -1,4 +1,4 @@
-"""Where on the board a patch of lattice lies when no mark says it: by its edges, its size, and the view.
+"""Place of a patch of lattice on a board without marks: by its edges, its size, and the view.
 
 A plain chessboard looks the same wherever it is moved by whole squares.  Of all such places those are left where
 
@@ -163,7 +163,7 @@ def _extent(patch: Patch) -> NDArray[np.int64]:
 
 
 def _odd_bright(patch: Patch, placing: Placing) -> bool:
-    """Whether squares with i + j odd are bright, if a patch lies there."""
+    """Return whether squares with i + j odd are bright, if a patch lies there."""
     odd = placing.board_index(patch.index).sum(axis=1) % 2 == 1
     turned = 1 if placing.turn[0][0] else -1  # after a quarter turn the square towards +x, +y is another
     return bool(np.sum(np.where(odd, patch.sign, -patch.sign)) * turned > 0)

@@ -1,4 +1,4 @@
-"""Where a board ends in a frame: a plain chessboard has no other mark, and one of its corners is as good as one.
+"""Ends of a board in a frame: a plain chessboard has no other mark, and one of its corners is as good as one.
 
 The frame is sampled in the middle of squares, on past a patch of lattice by the smooth map of its corners.
 Along a column of squares each differs from the two beside it by the full contrast, the way a chessboard has it;
@@ -120,7 +120,7 @@ def _shade_of(frame: NDArray[Any], patch: Patch) -> Seen:
 
 
 def _brightness(patch: Patch, back: NDArray[np.float64]) -> Shade:
-    """Whether squares with their middles at turned places (..., 2) should be bright: +1, or -1."""
+    """Expected brightness of squares with their middles at turned places (..., 2): +1 or -1."""
     even = 1.0 if np.sum(np.where(patch.index.sum(axis=1) % 2 == 0, patch.sign, -patch.sign)) >= 0 else -1.0
 
     def bright(places: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -178,7 +178,7 @@ class PrintedBoard(Table):
 
     @property
     def scale(self) -> tuple[float, float]:
-        """How much larger than drawn it is on paper, in x and in y."""
+        """Scale of the paper print against its drawing, in x and in y."""
         if self.measured_mm is None or self.bars_mm is None:
             return 1.0, 1.0
         x, y = (real / drawn for real, drawn in zip(self.measured_mm, self.bars_mm, strict=True))

@@ -1,4 +1,4 @@
-"""Where on the board a patch of lattice lies: the three discs, or a prediction.
+"""Place of a patch of lattice on the board: by the three discs, or a prediction.
 
 Discs: every square with four known corners is sampled in its own bilinear frame.  A plain square is as
 bright in the middle as towards its corners; a disc square is not.  The pattern of discs fits the lattice in

@@ -171,7 +171,7 @@ def track_board(
 
 
 def _is_mirrored(board: Chessboard, predict: Predict) -> bool:
-    """Whether a prediction shows the board in a mirror; where its origin is not in view, any corner that is."""
+    """Return whether a prediction shows the board in a mirror: at its origin, or else at any corner in view."""
     grid = np.arange(-16, 17)
     index = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
     step = (predict(board.place_mm(index + move)) for move in ((0, 0), (1, 0), (0, 1)))

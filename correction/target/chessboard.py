@@ -129,7 +129,7 @@ class Chessboard(Board):
 
     @property
     def is_mirror_symmetric(self) -> bool:
-        """Whether its marks look the same in a mirror, but for a turn: three discs do, `CHIRAL` do not."""
+        """True if its marks look the same in a mirror, but for a turn: three discs do, `CHIRAL` do not."""
         return self._shape(((-1, 0), (0, 1))) in {self._shape(turn) for turn in QUARTER_TURNS}
 
     def is_bright(self, squares: ArrayLike) -> NDArray[np.bool_]:
@@ -156,11 +156,11 @@ class Chessboard(Board):
 
     @property
     def depths_mm(self) -> tuple[float, ...]:
-        """How far each of its levels lies behind its plane: that of the origin first, and mostly alone."""
+        """Depth of each of its levels behind its plane: that of the origin first, and mostly alone."""
         return (0.0,) if self.dots is None or not self.dots.levels else (0.0, self.dots.step_mm)
 
     def depth_mm(self, index: ArrayLike) -> NDArray[np.float64]:
-        """How far (...) [mm] marks with index (..., 2) int lie behind the plane of the board."""
+        """Depth (...) [mm] of marks with index (..., 2) int behind the plane of the board."""
         index = np.asarray(index)
         if self.dots is None or not self.dots.levels:
             return np.zeros(index.shape[:-1])
@@ -235,7 +235,7 @@ class Chessboard(Board):
         return node, away - 0.5 * self.square_mm * self.dot_share(node)
 
     def from_edges_mm(self, points_mm: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """How far (N, 2) points (N, 2) of the board [mm] are from its nearest edges along x and y."""
+        """Distances (N, 2) of points (N, 2) of the board [mm] from its nearest edges along x and y."""
         if self.dots is not None:
             beside = self._beside_dots(np.asarray(points_mm, np.float64) / self.scale)[1]
             return np.asarray(np.abs(beside)[:, None] * np.array(self.scale))
@@ -244,7 +244,7 @@ class Chessboard(Board):
 
     @property
     def origin_marks(self) -> str:
-        """What marks the origin, in words."""
+        """The marks of the origin, in words."""
         return "large dots" if self.dots is not None else "discs"
 
     def shade(self, points_mm: ArrayLike) -> NDArray[np.float64]:

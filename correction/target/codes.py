@@ -68,7 +68,7 @@ def marker_squares(board: Chessboard) -> dict[int, tuple[int, int]]:
 
 
 def marked(board: Chessboard, places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether dark cells of markers are at places (..., 2) of a board, in squares from its origin."""
+    """Mask of the dark cells of markers at places (..., 2) of a board, in squares from its origin."""
     squares, codes, origin = _coded(board)
     number, dark = _markers(board)
     square = np.floor(places).astype(np.int64) + origin

@@ -33,7 +33,7 @@ SATURATED_LEVELS = (255, 1023, 4095, 16383, 65535, 65520)  # full scale of 8, 10
 
 
 class CornerReason(IntEnum):
-    """Why a corner is not valid."""
+    """Reason for which a corner is not valid."""
 
     OK = corner_model.OK
     EDGE = corner_model.EDGE  # the smallest window leaves the frame
@@ -48,7 +48,7 @@ class CornerReason(IntEnum):
 
 @dataclass(frozen=True)
 class CornerSearch:
-    """Where a corner may be, seen from its start.
+    """Search range of a corner, seen from its start.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def found_smeared(
     steps_px: NDArray[np.float64],
     share: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How `refine_corners` finds corners that parts of the light show side by side.
+    """Find corners as `refine_corners` does where parts of the light show them side by side.
 
     It wishes both edges of a corner to be blurred alike, and where squares are small has its way; a wide smear
     goes into the shape of the edge as well, and an uneven one draws it aside.  How much, the fit itself says:

@@ -152,7 +152,7 @@ class _Batch:
         self.inside, self.clear = inside, clear
 
     def fitted(self, max_shift: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """What `refine_dots` keeps of each dot (n, 11), and what came of it (n,)."""
+        """Return the rows (n, 11) that `refine_dots` keeps of each dot, and the outcome (n,)."""
         count = len(self.free)
         verdict = np.full(count, int(CornerReason.LOST), np.uint8)
         limit = max_shift * np.linalg.norm(self.axes, axis=1).min(axis=1)

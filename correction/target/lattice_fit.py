@@ -217,7 +217,7 @@ def _deep(board: Chessboard, index: NDArray[np.int64]) -> NDArray[np.bool_] | No
 def _beside(
     board: Chessboard, index: NDArray[np.int64], position_px: NDArray[np.float64], at: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """How far marks `at` (M, 2) are seen beside the lattice of the origin's level (M, 2) [px], by N known ones."""
+    """Offset (M, 2) [px] of marks `at` (M, 2) from the lattice of the origin's level, by N known ones."""
     deep = _deep(board, index)
     if deep is None or not 0 < np.count_nonzero(deep) < len(deep):
         return np.zeros((len(at), 2))

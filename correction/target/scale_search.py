@@ -68,7 +68,7 @@ def crossing_corners(
     axes_px: NDArray[np.float64],
     sign: NDArray[np.int8],
 ) -> NDArray[np.bool_]:
-    """Whether corners lie between four squares of alternating shade.
+    """Return whether corners lie between four squares of alternating shade.
 
     Parameters
     ----------

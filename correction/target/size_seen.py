@@ -1,4 +1,4 @@
-"""How large the board is in a frame against how large the camera should see it: a wrong size, or a wrong camera.
+"""Apparent size of the board against the camera's prediction: a wrong size, or a wrong camera.
 
 A square is as large as the longer of its sides: one that leans is narrower one way, and as long the other.  Every
 corner is compared with what is expected nearest to it, whichever that is: where a board is told with squares of
@@ -42,16 +42,16 @@ class SizeSeen:
 
     @property
     def times(self) -> float:
-        """How many times as large as told."""
+        """Ratio of apparent to described size."""
         return self.seen_px / self.expected_px
 
     def differs(self, by: float) -> bool:
-        """Whether it is not as large as told, by more than so much of it and what the corners leave open."""
+        """True if it differs from the described size by more than this share and what the corners leave open."""
         return abs(self.times - 1.0) > by + SURE * self.sigma
 
     @property
     def sentence(self) -> str:
-        """What is seen, what should be, and what to correct."""
+        """Describe apparent and expected size, and what to correct."""
         told_mm = self.board.square_mm
         what, wide, key = (
             ("squares", "wide", "square_mm")

@@ -1,4 +1,4 @@
-"""Which corners lie on one smooth view of a flat target: those seen through something bent do not.
+"""Selection of corners on one smooth view of a flat target: those seen through something bent do not lie on it.
 
 Seen through air, board and image are joined by a smooth map: a polynomial of order 5 follows any tilt and
 any usable lens to a fraction of a pixel.  Corners seen through something that bends the view (glass left in

@@ -1,4 +1,4 @@
-"""Whether a frame with glass is turned or mirrored against the one of the bare target.
+"""Check that a frame with glass is not turned or mirrored against the one of the bare target.
 
 Beside the glass both show the same board, at the same height by the same camera.  Where the frames hardly
 agree as they are, and agree once one is turned or mirrored, only the other was: a file flipped by a viewer, or a

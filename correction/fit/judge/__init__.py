@@ -1,1 +1,1 @@
-"""Whether the fitted model is right, and which cause explains best what is left."""
+"""Test of the fitted model, and the cause that best explains its residuals."""

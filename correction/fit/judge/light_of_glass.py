@@ -1,4 +1,4 @@
-"""What the glass says of the light of the target frames.
+"""Light of the target frames, as the glass shows it.
 
 No edge tells the wavelength of a single colour.  But glass that is called by its name has the index of its
 catalogue, but for what melts differ by (`MELTS`), and in another light it has another.  With y_g how far the index
@@ -31,7 +31,7 @@ ALARM = 3.3  # sigmas: one right lab in a thousand
 
 @dataclass(frozen=True)
 class LightOfGlass:
-    """How far the mean wavelength of the light seems to be off.
+    """Apparent error of the light's mean wavelength.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class LightOfGlass:
 
     @property
     def alarm(self) -> bool:
-        """Whether it cannot be the told light."""
+        """True if the light cannot be the specified one."""
         return bool(abs(self.off_nm) > ALARM * np.hypot(self.sigma_nm, self.told.unsure_nm))
 
     @property
@@ -103,6 +103,6 @@ def light_of_glass(fit: SceneFit, nominal: Scene, told: Light, is_believed: bool
 
 
 def _melt(medium: Medium, prior: float) -> float:
-    """How well the index of a glass is known without frames: by its name, or as well as its file says."""
+    """Prior sigma of a glass's index: by its name, or from its file."""
     by_name = MELTS.get(medium.name) if MEDIA.get(medium.name) == medium else None
     return prior if by_name is None else min(by_name, prior)

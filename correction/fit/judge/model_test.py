@@ -34,7 +34,7 @@ DEGREES = ((6, 112), (4, 60), (3, 40), (2, 24), (1, 12))  # of the polynomials, 
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is left of the corners of one frame, N of them.
+    """Residuals of the corners of one frame, N of them.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ class PriorPull:
 
     @property
     def reason(self) -> str:
-        """What the numbers do, and what to check."""
+        """Describe the pulls and what to check."""
         both, least = zip(self.names, self.pulls, strict=True), min(NAMED, max(map(abs, self.pulls)))
         each = ", ".join(f"{name} {pull:+.1f}" for name, pull in both if abs(pull) >= least)
         if self.kind == LENGTHS:

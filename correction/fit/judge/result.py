@@ -1,4 +1,4 @@
-"""What a scene fit hands back, and the gates that it must pass."""
+"""Result of a scene fit, and the gates that it must pass."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""What is most likely wrong with a model that the test has found wrong.
+"""Likely errors of a model that the residual test rejects.
 
 Every suspect is a change that the fit was not free to make: a ball that is no sphere, a number that was held, a
 board that is bent or has moved between bare and glass frames.  With K the derivatives of the residuals r by its
@@ -168,13 +168,13 @@ class _Candidate:
 
     @property
     def is_linear(self) -> bool:
-        """Whether it moves residuals by its columns alone: the full vector cannot say it."""
+        """True if it moves residuals by its columns alone: the full vector cannot express it."""
         return self.is_shape or (self.since is not None and self.board is None)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What a candidate is worth: gain less what its numbers cost, values (q,) and sigmas (q,) in ordinary sizes.
+    """Worth of a candidate: gain less the cost of its numbers, values (q,) and sigmas (q,) in ordinary sizes.
 
     `change`, `of_own` (q, 1 + q) of its own numbers, `left` and `unsaid_px` as in `Suspect`.
     """
@@ -259,7 +259,7 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
 
 
 def _rank(found: _Found) -> float:
-    """What suspects are sorted by, the most likely first."""
+    """Sort key: the most likely first."""
     return -found.gain if found.one.by_hand else -UNTOUCHED * found.gain
 
 
@@ -449,14 +449,14 @@ def _given_numbers(
 
 
 def _moved_ways(seen: Evidence) -> Columns:
-    """How a board that has moved before the frames with glass stands in each frame (N, 6, 6)."""
+    """Return the moves (N, 6, 6) of each frame's corners with a board that moved before the frames with glass."""
     moved = [frame.corners.height_number == 0 and frame.corners.glass for frame in seen.frames]
     every = np.eye(len(TARGET))
     return [np.tile(every * is_so, (len(frame), 1, 1)) for is_so, frame in zip(moved, seen.frames, strict=True)]
 
 
 def _bent_ways(seen: Evidence) -> Columns:
-    """How corners (N, 6, 3) move by a, b, c of a board at z = (a x^2 + b x y + c y^2) / reach^2."""
+    """Return the moves (N, 6, 3) of corners by a, b, c of a board at z = (a x^2 + b x y + c y^2) / reach^2."""
     reach = max(float(np.abs(frame.corners.node_mm).max(initial=1.0)) for frame in seen.frames)
     bent = []
     for frame in seen.frames:

@@ -45,7 +45,7 @@ DIRECT = "the view beside the glass"
 
 @dataclass(frozen=True)
 class Verdict:
-    """What residuals say about the model.
+    """Verdict of the residual test on the model.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ class Verdict:
 
     @property
     def able_px(self) -> float:
-        """What corners are good to beside the glass, raw px per axis: the rough part of their residuals."""
+        """Corner noise beside the glass, raw px per axis: the rough part of the residuals."""
         return next((way.rough_px for way in self.ways if not way.way), 0.0)
 
     @property
     def cause(self) -> Suspect | None:
-        """What most likely is wrong, if anything on the list explains it."""
+        """The most likely error, if anything on the list explains the residuals."""
         return likely_cause(self.suspects)
 
     @property
@@ -126,7 +126,7 @@ class Verdict:
 
     @property
     def _likely(self) -> list[tuple[float, Suspect]]:
-        """What may be wrong, with its share."""
+        """Possible errors, each with its share."""
         return [(1.0, self.cause)] if self.cause is not None else [(one.share, one) for one in self.suspects]
 
     @property
@@ -165,7 +165,7 @@ class Verdict:
 
     @property
     def is_right(self) -> bool:
-        """Whether nothing speaks against the model."""
+        """True if no test speaks against the model."""
         balls = any(one.is_ball for one in self.unconfirmed)
         bodies = any(not one.rim_of for one in self.unlisted)
         glass = balls or self.misfits or self.rims_off or self.strained
@@ -174,7 +174,7 @@ class Verdict:
 
     @property
     def masked(self) -> tuple[MaskedPart, ...]:
-        """What no map is to use."""
+        """Parts that no map is to use."""
         unlisted = [part for one in self.unlisted for part in one.masked]
         unconfirmed = [part for one in self.unconfirmed for part in one.masked]
         hidden, rims = [one.masked for one in self.hidden], [one.masked for one in self.rims]
@@ -184,11 +184,11 @@ class Verdict:
 
     @property
     def many_colours(self) -> bool:
-        """Whether the light of the target frames has more colours than fit.light gives."""
+        """True if the light of the target frames has more colours than fit.light gives."""
         return self.smear is not None and self.smear.alarm
 
     def _of_residuals(self) -> tuple[str, ...]:
-        """What residuals say."""
+        """Sentences on the residuals."""
         if self.strained and not self.alarms:
             cause = f"{self.cause.sentence}. With that as given, " if self.cause is not None else ""
             return (f"{cause}{self.strained}; the map's sigma holds it",)
@@ -261,7 +261,7 @@ def unlike_noise(ways: Sequence[WayTest]) -> list[WayTest]:
 
 @dataclass(frozen=True)
 class Left:
-    """What is left of all corners, as the covariance takes them to err: once the cause is known, if one is named.
+    """Residuals of all corners as the covariance takes them: given the cause, if one is named.
 
     Parameters
     ----------
@@ -368,7 +368,7 @@ def _left(
     values: Sequence[NDArray[np.float64]],
     factors: dict[bool, float],
 ) -> Left:
-    """What is left, of remainders in multiplied sigmas and derivatives in those of the fit."""
+    """Assemble residuals from remainders in multiplied sigmas and derivatives in those of the fit."""
     lattices = [
         Lattice(
             frame.index, frame.branch_name, rest.clipped, rate / by_region(frame.behind, factors)[:, None, None]

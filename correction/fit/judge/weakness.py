@@ -1,4 +1,4 @@
-"""What the frames cannot tell apart, in words, with the frames that would.
+"""Combinations that the frames leave open, in words, with the frames that would determine them.
 
 In units of the prior's sigmas the data's normal matrix N has eigenvalues lambda: along its eigenvector the
 data know a number lambda times as well (in variance) as the prior did.  Where lambda is below LEARNED, the
@@ -56,7 +56,7 @@ class Weakness:
 
 
 def _of_light(fit: SceneFit) -> list[Weakness]:
-    """What is not known of the light; a light that cannot be the told one is in the verdict, and said once."""
+    """Describe an uncertain light; one that contradicts fit.light is in the verdict, and is not repeated."""
     said = fit.light.sentence
     return [Weakness((), said)] if said and not fit.verdict.wrong_light else []
 

@@ -1,1 +1,1 @@
-"""What the frames of a target show: corners, outlines, which corner is which, what is smeared or hidden."""
+"""Observations in frames of a target: corners, outlines, pairing, smear and hidden parts."""

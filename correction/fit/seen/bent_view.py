@@ -1,4 +1,4 @@
-"""Where a corner is found in a view that bends more than the corner fit can follow.
+"""Bias of a corner in a view that bends more than the corner fit can follow.
 
 The fit knows straight and evenly curved edges.  Next to a fold, and behind chains of balls, edges twist as well,
 and what no model of an edge follows draws the corner aside, all corners alike that are seen so.  How far, the fit
@@ -53,7 +53,7 @@ def taken_aside(
     expected: Expected,
     blur_px: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far corners (N, 2) [px] are found from where they are, and what is not known of that, all alike.
+    """Return the bias of corners (N, 2) [px], and its standard deviation, common to all.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def taken_aside(
 def found_bent(
     scene: Scene, pose: TargetPose, board: Chessboard, expected: Expected, blur_px: float
 ) -> NDArray[np.float64]:
-    """How far corners (N, 2) [px] are found from where the scene shows them; NaN where the fit gives up.
+    """Find corners (N, 2) [px] in drawn windows, from their places; NaN where the fit gives up.
 
     Arguments are those of `taken_aside`, with one blur for all.
     """
@@ -165,7 +165,7 @@ def drawn(
 def _shade(
     squares: NDArray[np.float64], between: NDArray[np.float64], board: Chessboard, index: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """What is printed, dark -1 and bright 1, between the pixels (N, M, M); arguments are those of `drawn`."""
+    """Draw the print, dark -1 and bright 1, between the pixels (N, M, M); arguments are those of `drawn`."""
     fine = np.einsum("av,nvuk,bu->nabk", between, squares, between, optimize=True)
     if board.dots is not None:
         node = np.rint(fine).astype(np.int64)
@@ -190,12 +190,12 @@ def _edge(field: NDArray[np.float64], level: NDArray[np.float64] | float = 0.0) 
 
 @cache
 def _between(size: int) -> NDArray[np.float64]:
-    """What stands between n places one apart (M, n), by what stands there."""
+    """Interpolation matrix (M, n) between n places one apart."""
     return np.asarray(scipy.interpolate.CubicSpline(np.arange(size), np.eye(size))(_places(size)))
 
 
 def _spread(size: int, blur_px: float) -> NDArray[np.float64]:
-    """What n places show (n, M) of what is drawn between them."""
+    """Weights (n, M) by which n places receive what is drawn between them."""
     off = np.arange(size)[:, None] - _places(size)
     weight = np.exp(-0.5 * off**2 / max(blur_px**2 - DRAWN_PX**2, DRAWN_PX**2))
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))

@@ -1,4 +1,4 @@
-"""Where the picture of a dot has its middle, which is not where its centre is seen.
+"""Offset of the middle of a dot's picture from the picture of its centre.
 
 Perspective, a lens and above all balls show the far half of a circle smaller than the near one.  So the rim is
 traced: RIM points of it, each seen at the pixel u_k with X(u_k) = c + r (cos k, sin k), found by Newton's method
@@ -33,7 +33,7 @@ def off_centre(
     pixel: NDArray[np.float64],
     axes_px: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """How far dots (N, 2) [px] are found from where their centres are seen; NaN where a rim is no whole ellipse.
+    """Return the offset (N, 2) [px] of dots from the pictures of their centres; NaN if a rim is no whole ellipse.
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ def _squares_without(
 
 
 def _on_corners(square: NDArray[np.float64], frame: Candidates) -> int:
-    """How many candidates lie on a corner that the bare lattice does not explain."""
+    """Count the candidates that lie on a corner which the bare lattice does not explain."""
     return int(np.count_nonzero((square < SHARP_PX**2) & ~frame.bare))  # False for NaN
 
 

@@ -329,7 +329,7 @@ def pair(
 
 
 def _same(unknowns: Unknowns, one: Start, other: Start) -> bool:
-    """Whether two starts ended with the spheres, or most of many, at the same places seen from the camera."""
+    """Return whether two starts led to the same places of the spheres, or most of many, seen from the camera."""
     off = np.abs(unknowns.sigma * (one.solution.x - other.solution.x))
     apart = {sphere.name: 0.0 for sphere in unknowns.scene.spheres}
     for name, by in zip(unknowns.names, off.tolist(), strict=True):

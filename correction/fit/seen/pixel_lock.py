@@ -53,7 +53,7 @@ ARMS = 0.84  # length of an edge in a window, squares
 
 
 def believed_px(frame: MeasuredFrame) -> NDArray[np.float64]:
-    """What is believed of every term (2 TERMS,) in a frame, beside the glass if corners are seen there."""
+    """Prior sigma (2 TERMS,) of every term in a frame, beside the glass if corners are seen there."""
     beside, variance = ~frame.behind, frame.spread.variance_px2
     measured = variance[beside if beside.any() else ~beside] if len(variance) else variance
     known = np.isfinite(measured).any()
@@ -63,7 +63,7 @@ def believed_px(frame: MeasuredFrame) -> NDArray[np.float64]:
 
 
 def fade_of(axes_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How much of the lock is left where edges lean: sinc(m L) (N, 2, M) along u and v, for every harmonic m.
+    """Fraction of the lock that remains where edges lean: sinc(m L) (N, 2, M) along u and v, for every harmonic m.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def lock_terms(
 
 @dataclass(frozen=True)
 class PixelLock:
-    """What of the lock of a frame with N corners stays as it is while the scene is fitted.
+    """Part of the lock of a frame with N corners that stays constant while the scene is fitted.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where a scene shows every corner of the target, on every sheet, and the measurement there.
+"""Predicted corners of the target, on every branch, and the measurement there.
 
 The inverse of the ray map on a raster whose nodes are the lattice corners gives each corner's pixel on
 every sheet, exactly, with the local derivative: one square along the board's +x and +y as it appears in the

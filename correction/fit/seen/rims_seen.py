@@ -1,4 +1,4 @@
-"""How far the rims of the listed balls are seen from where a fitted scene puts them, to a fraction of a pixel.
+"""Offsets of the rims of the listed balls from a fitted scene, to a fraction of a pixel.
 
 Corners tell a ball by what is seen through it.  Its outline is told by what is seen beside it: a bright square of
 the board goes on up to the rim and ends there, where no light passes.  Of the pixels that show a bright square of
@@ -71,7 +71,7 @@ class RimSeen:
     pixel_mm: float
 
     def is_off(self, place_mm: float, size_mm: float) -> bool:
-        """Whether it is elsewhere, or of another size, by more than chance and what is known of both explain."""
+        """True if place or size differ by more than chance and the uncertainty of both explain."""
         size_px, place_px = size_mm / self.pixel_mm, np.hypot(place_mm, size_mm) / self.pixel_mm
         return bool(
             self.off_px > CERTAIN_PX + SURE * np.hypot(self.sigma_px, place_px)

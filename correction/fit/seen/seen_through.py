@@ -1,4 +1,4 @@
-"""What a listed ball may really be, by the squares that are seen through it.
+"""Identification of a listed ball by the squares that are seen through it.
 
 Where no corner is where the scene shows it, corners cannot say it.  The picture can: a pixel of the ball shows a
 bright square or a dark one, and for each change of the ball (another index, a core of air or none, another radius)

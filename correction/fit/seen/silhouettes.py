@@ -1,4 +1,4 @@
-"""Where the balls stand by their outlines, before a single corner is paired.
+"""Places of the balls by their outlines, before a single corner is paired.
 
 A ball of radius R whose centre is D from the pinhole hides everything within the angle a = asin(R / D) of the
 direction d of its centre: its rim is an ellipse in the frame, whose place gives two coordinates and whose size the
@@ -44,7 +44,7 @@ DEPTH_MM = 4.0  # what the outlines may be off in depth whatever their sigma: ri
 
 @dataclass(frozen=True)
 class Outlines:
-    """What the outlines say of the balls, B of them.
+    """Outlines of the balls, B of them.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Outlines:
 
     @property
     def sideways_mm(self) -> NDArray[np.float64]:
-        """How far each ball stands beside its place (B,)."""
+        """Offset of each ball from its place, sideways (B,)."""
         return np.asarray(np.hypot(self.move_mm[:, 0], self.move_mm[:, 1]))
 
     def surely_off(self, least_mm: float) -> NDArray[np.bool_]:

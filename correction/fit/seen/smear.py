@@ -1,4 +1,4 @@
-"""Where a corner seems to stand that is smeared: by the colours of its light, by the pupil of the lens.
+"""Bias of smeared corners: by the colours of the light, by the pupil of the lens.
 
 Behind glass each colour shows a corner elsewhere, and so does each part of the pupil (`tracer.strategies.blur`).
 
@@ -49,7 +49,7 @@ UNEVEN_COLOURS = 0.2  # of one by colours: no camera's blur is Gaussian, and ren
 
 @dataclass(frozen=True)
 class Dispersion:
-    """How the glass of a scene differs from its mean index, colour by colour.
+    """Difference of the glass of a scene from its mean index, colour by colour.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def joined(parts: Sequence[Smear]) -> Smear:
 def uneven_blur(
     index: NDArray[np.int64], branch: NDArray[np.integer[Any]], axes_px: NDArray[np.float64], smear: Smear
 ) -> NDArray[np.float64]:
-    """How far corners (N, 2) [px] may be drawn aside by a blur that is not the same all over their windows.
+    """Return the bias (N, 2) [px] of corners from a blur that is not uniform over their windows.
 
     Where the variance of a blur rises, an edge is drawn aside by a share of its slope that depends on how the blur
     lies to slope and edge: up to a half.  That is a measure, no correction: corners rendered behind two balls at
@@ -131,7 +131,7 @@ def uneven_blur(
 def colour_steps(
     scene: Scene, pose: TargetPose, dispersion: Dispersion, pixels: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where each of K colours shows corners, and its share; nothing where a ray does not land.
+    """Return places of corners in each of K colours, and its share; nothing where a ray does not land.
 
     Parameters
     ----------

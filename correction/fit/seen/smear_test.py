@@ -1,4 +1,4 @@
-"""Whether corners behind glass are smeared by the colours that are told, by more of them, or by fewer.
+"""Test of the colours that smear corners behind glass: as specified, more of them, or fewer.
 
 A lamp of many colours, taken for one, leaves no residual: every corner stands where the mean index shows it.  What
 it does is to smear edges behind glass along the way on which glass spreads colours.  With b_k^2 the variance of
@@ -51,7 +51,7 @@ KNEE = 2.0  # sigmas
 
 @dataclass(frozen=True)
 class EdgeSpread:
-    """How wide the edges of N corners are drawn; N = 0 where that was not measured.
+    """Measured edge widths of N corners; N = 0 where they were not measured.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class SmearedView:
 
 @dataclass(frozen=True)
 class ColourSmear:
-    """What smears corners as colours do.
+    """Smear of corners as by colours.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class ColourSmear:
 
     @property
     def alarm(self) -> bool:
-        """Whether the light cannot be what it is told to be; a line cannot have too many colours."""
+        """True if the light cannot be the specified one; a line cannot have too many colours."""
         off = abs(self.share) if self.told else self.share
         return off > LEAST + UNCERTAIN * self.told + SURE * self.sigma
 

@@ -244,7 +244,7 @@ def _beside_edges(
     board: Chessboard,
     everywhere: float,
 ) -> bool:
-    """Whether what disagrees in a view lies nearer to edges of squares than half of it, and is not in one place.
+    """Return whether disagreeing pixels of a view lie nearer to edges than half of it, in more than one place.
 
     Squares that are seen a little aside differ there, all over the view; a body hides them anywhere, or in one
     place.
@@ -275,7 +275,7 @@ def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float], whole: 
 
 
 def _unsure(part: Pixels, rays: RayMap, board: Chessboard, view: View) -> NDArray[np.bool_]:
-    """Which pixels (N,) of a part may as well show the next square."""
+    """Pixels (N,) of a part that may as well show the next square."""
     assert view.sigma_mm is not None
     apart = board.from_edges_mm(rays.plane_mm[part[:, 0], part[:, 1]])
     sigma = view.sigma_mm(part[:, ::-1].astype(np.float64))

@@ -71,7 +71,7 @@ def unsure_rims(scene: Scene, root: NDArray[np.float64], but: Collection[str] = 
 
 
 def beside_rim(rims: Sequence[UnsureRim], pixels: ArrayLike) -> NDArray[np.bool_]:
-    """Which pixels u, v (..., 2) may lie on either side of a rim."""
+    """Pixels u, v (..., 2) that may lie on either side of a rim, as a mask."""
     at = np.asarray(pixels, np.float64)
     inside = [points_in(rim.masked.outline_px, at) for rim in rims]
     return np.any(inside, axis=0) if inside else np.zeros(at.shape[:-1], np.bool_)

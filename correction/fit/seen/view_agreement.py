@@ -1,4 +1,4 @@
-"""Whether a frame of the target shows, pixel by pixel, the squares that a fitted scene shows there.
+"""Pixel-wise agreement of a frame of the target with the squares of a fitted scene.
 
 A traced pixel shows a bright square or a dark one.  With I the frame divided by the transmittance of the pixel's
 ray, W and B its means nearby, over pixels of the same branch that should show bright and dark squares, and
@@ -40,7 +40,7 @@ Bounds = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Shown:
-    """What a scene shows of a board at each pixel.
+    """Predicted view of a board at each pixel.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Shown:
         return cls(rays, passed, bright, _clear(rays, there, bright), width, side)
 
     def agreement(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """How far each pixel (H, W) of a frame shows the square that it should; NaN where it is not asked."""
+        """Agreement of each pixel (H, W) of a frame with the square predicted there; NaN where none is."""
         import cv2
 
         light = cv2.blur(image.astype(np.float32), (3, 3))
@@ -137,7 +137,7 @@ def mean_nearby(light: NDArray[Any], where: NDArray[np.bool_], side: int) -> NDA
 
 
 def _clear(rays: RayMap, there: NDArray[np.bool_], bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where all pixels around show one square on one branch."""
+    """Pixels around which one square is shown on one branch, as a mask."""
     import cv2
 
     kind = np.where(there, 2.0 * rays.branch + bright + 1.0, 0.0).astype(np.float32)

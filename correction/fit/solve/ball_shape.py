@@ -1,4 +1,4 @@
-"""How a landing point moves when a ball on its way is not round.
+"""Shift of a landing point by a ball on its way that is not round.
 
 A ball of radius R + h(e) in direction e, h = e.S e with S symmetric and traceless (five numbers, an ellipsoid to
 first order), meets a ray that would meet the sphere at R e, with direction d, at a path longer by
@@ -74,7 +74,7 @@ class ShapeRates:
     rate: Points
 
     def by(self, ball: int) -> tuple[NDArray[np.bool_], Points]:
-        """Which rays (N,) cross a ball, and their derivatives (M, 2, 5) by its shape."""
+        """Rays (N,) that cross a ball, as a mask, and their derivatives (M, 2, 5) by its shape."""
         mine = self.row == ball
         here = mine.any(axis=1)
         return here, np.asarray((self.rate[here] * mine[here][:, None, :, None]).sum(axis=2))

@@ -126,7 +126,7 @@ def walls(
 
 
 def reach_down_mm(number: int, sphere: NDArray[np.float64], shapes: Shapes) -> float:
-    """How far a sphere of the table, or ball out of round, reaches down from its centre."""
+    """Lowest point of a sphere of the table, or ball out of round, below its centre."""
     if number not in shapes:
         return float(sphere[3])
     return reach_mm(float(sphere[3]), tuple((1e3 * shapes[number]).tolist()), -1.0)

@@ -1,4 +1,4 @@
-"""How many corners are independent, and what those that are not do to the covariance.
+"""Effective number of independent corners, and the covariance with correlated ones.
 
 Neighbouring corners err alike: edges meet the rows of pixels alike, and where the model is wrong the error is one
 field.  Residuals r (in sigmas) of corners that lie h squares apart correlate by
@@ -71,7 +71,7 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Correlation:
-    """How corners of a region err alike.
+    """Correlation of the errors of a region's corners.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a fit does not move though nobody said how well it is known, as numbers that are doubted.
+"""Consider parameters (Schmidt): numbers that a fit holds although their uncertainty was not given.
 
 HELD.  A 0 in the fit section holds a number of the glass, be it a ball's or a wall's; nobody said how well it is
 known. The fit does not move it, but the map is not better for that: with J the derivatives of the residuals r by
@@ -88,7 +88,7 @@ def _held(unknowns: Unknowns) -> Iterator[tuple[str, NDArray[np.float64]]]:
 
 @dataclass(frozen=True)
 class ShapeRoot:
-    """What is not known of the shapes of balls, B of them.
+    """Uncertainty of the shapes of B balls.
 
     Parameters
     ----------
@@ -138,14 +138,14 @@ def doubted_shapes(unknowns: Unknowns) -> tuple[str, ...]:
 
 
 def likely_scale(normal: NDArray[np.float64], slope: NDArray[np.float64] | None, numbers: int) -> float:
-    """How large the shapes are, as a share of LARGEST_UM; arguments are those of `likely_scales`."""
+    """Likely size of the shapes, as a share of LARGEST_UM; arguments are those of `likely_scales`."""
     return float(np.exp(likely_scales(normal, slope, numbers) @ np.log(SCALES))) if numbers else 1.0
 
 
 def likely_scales(
     normal: NDArray[np.float64], slope: NDArray[np.float64] | None, numbers: int
 ) -> NDArray[np.float64]:
-    """How likely each of SCALES (S,) is to be the size of numbers of one kind, in sum 1.
+    """Probability of each of SCALES (S,) as the size of numbers of one kind; their sum is 1.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ LAMPS_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # white LEDs as they are sol
 
 @dataclass(frozen=True)
 class LightDoubt:
-    """What is not known of the light of the target frames.
+    """Uncertainty of the light of the target frames.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def back_from_light(fitted: Scene, nominal: Scene, light: Light | None) -> Scene
 def doubt_of(
     nominal: Scene, light: Light | None, rivals: Sequence[Rival] = (), particles_unsure_nm: float = 0.0
 ) -> LightDoubt:
-    """What a fit with this light leaves open, for the numbers of the scene's camera, spheres and walls.
+    """Return the uncertainty that this light leaves, in the numbers of the scene's camera, spheres and walls.
 
     Parameters
     ----------
@@ -139,12 +139,12 @@ def doubt_of(
 
 
 def _nm(light: Light) -> str:
-    """How well its mean wavelength is known, in digits that mean something."""
+    """Format the uncertainty of a mean wavelength with significant digits only."""
     return f"{light.unsure_nm:.0f}" if light.unsure_nm >= 10.0 else f"{light.unsure_nm:.1f}"
 
 
 def _of_numbers(nominal: Scene) -> str:
-    """What is said of glass whose index is a number, if there is any, in a light that nobody tells."""
+    """Describe the glass whose index is a number, if there is any, where no light is specified."""
     glass = [
         sphere.name
         for sphere in nominal.spheres

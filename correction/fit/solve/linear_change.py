@@ -30,7 +30,7 @@ ROUNDS = 12  # of weights by how far pixels are off
 def as_linear(
     unknowns: Unknowns, full: NDArray[np.float64], other: NDArray[np.float64], moving: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[float, float]]:
-    """What is to be added to a change, from a full vector to another, that derivatives say what it does.
+    """Return the addition to a change of the full vector with which derivatives give the true difference of maps.
 
     All of the view is asked, since what fits corners may go anywhere beside them.
 

@@ -25,7 +25,7 @@ RISE = TARGET.index("z")
 
 
 def moved_as_board(unknowns: Unknowns, full: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How a full vector (F,) changes where camera and balls move as a board would by its six numbers: (F, 6).
+    """Return the change (F, 6) of a full vector where camera and balls move as a board would by its six numbers.
 
     Frames show camera and board against each other.  Where a board seems to have moved by v, the camera may have
     moved by -v, and the balls, whose place behind it is seen, with it.

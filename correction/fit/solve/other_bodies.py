@@ -31,7 +31,7 @@ class Side(NamedTuple):
     side: int
 
     def gap_mm(self, table: NDArray[np.float64], walls: Mapping[str, Body]) -> float:
-        """How far the ball of a table (N, 4 or more) is from one of the walls; negative where it is cut."""
+        """Distance of the ball of a table (N, 4 or more) from one of the walls; negative where it is cut."""
         room = walls.get(self.wall.name, self.wall).room
         assert room is not None
         row = table[self.ball]
@@ -75,7 +75,7 @@ class OtherBodies:
 
     @cached_property
     def sides(self) -> tuple[Side, ...]:
-        """Which ball stands on which side of which wall."""
+        """Pairs of a ball and a wall, with the side on which it stands."""
         return sides_of(self.scene)
 
     @property
@@ -89,7 +89,7 @@ class OtherBodies:
         return [number.value for _, numbers in self.bodies for number in numbers]
 
     def spread(self, priors: FitTable) -> list[float]:
-        """What is known of them (K,) before any frame is seen."""
+        """Prior sigmas (K,)."""
         return [_sigma(body, number, priors) for body, numbers in self.bodies for number in numbers]
 
     def moved(self, values: NDArray[np.float64]) -> dict[str, Body]:

@@ -1,4 +1,4 @@
-"""What corners have in common because lines and points of the print are not where they were drawn.
+"""Common errors of corners because lines and points of the print are not where they were drawn.
 
 A printer sets whole dots.  At 600 dpi each line of a board is moved to the nearest dot, by up to 21 um, with all
 its corners, and every frame shows the same board: a thousand corners in five frames then err as some fifty
@@ -75,7 +75,7 @@ class OnPrint:
 
 @dataclass(frozen=True)
 class PrintErrors:
-    """How far a print is off, in squares.
+    """Errors of a print, in squares.
 
     Parameters
     ----------

@@ -157,7 +157,7 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a minimisation ended.
+    """Result of a minimisation.
 
     Parameters
     ----------

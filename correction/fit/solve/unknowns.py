@@ -1,4 +1,4 @@
-"""What a scene fit may change, as one vector of numbers measured in their own sigmas.
+"""Unknowns of a scene fit, as one vector of numbers measured in their own sigmas.
 
 All numbers of the bench stand in one FULL vector:
 
@@ -112,11 +112,11 @@ class Unknowns:
         return slice(first, first + 2)
 
     def stretch(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How many times wider, higher, and a plate deeper (2 or 3,), the print is than it was measured."""
+        """Scale (2 or 3,) of the print against its measured size: in width, height, and a plate's depth."""
         return np.asarray(1.0 + full[self.printed.start :])
 
     def deeper(self, full: NDArray[np.float64]) -> float:
-        """How many times deeper the step of a plate is than it was measured; 1 of all else."""
+        """Scale of the step of a plate against its measured one; 1 of all else."""
         return float(self.stretch(full)[2:].prod())
 
     def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:

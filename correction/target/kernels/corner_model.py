@@ -1,4 +1,4 @@
-"""What the neighbourhood of a chessboard corner looks like: two blurred edges that cross.
+"""Model of the neighbourhood of a chessboard corner: two blurred edges that cross.
 
 Around the corner p, with d = x - p + s1 s2 g and for each edge k = 1, 2 its direction t_k, its normal n_k:
 
