@@ -86,6 +86,13 @@ def test_a_board_file_that_contradicts_the_picture_is_refused(told, words):
         track_board(seen(), replace(GRID, **told), predict, reach=4.0)
 
 
+def test_a_frame_without_dots_is_refused_and_found_once_there_is_light():
+    dark = np.full_like(seen(), 20)
+    with pytest.raises(TargetNotFound, match=r"no grid of dots in the frame \(largest: 0 dots"):
+        track_board(dark, GRID, predict, reach=4.0)
+    assert len(track_board(seen(), GRID, predict, reach=4.0)) > 120
+
+
 def test_a_chessboard_is_not_taken_for_dots_nor_dots_for_a_chessboard():
     squares = render(Scene(NOMINAL, ()), Print(PITCH_MM), Sensor(), samples=2, seed=1)
     with pytest.raises(TargetNotFound, match="describe this one"):

@@ -166,6 +166,13 @@ def test_a_wrong_dictionary_is_named():
         find_board(image, told(9, 8, dictionary="DICT_4X4_1000"))
 
 
+def test_markers_that_are_too_soft_to_be_read_are_refused_and_read_once_they_are_sharp():
+    image, _ = drawn(9, 8, False)
+    with pytest.raises(TargetNotFound, match=r"^0 markers of the board could be read.*check focus"):
+        find_board(cv2.GaussianBlur(image, (0, 0), 5.0), told(9, 8))
+    assert len(find_board(image, told(9, 8))) == 56
+
+
 @pytest.mark.parametrize("turn", [lambda image: image[:, ::-1], lambda image: image[::-1], lambda image: image.T])
 def test_markers_show_a_mirror_image(turn):
     image, _ = drawn(9, 8, True)

@@ -8,7 +8,11 @@ import pytest
 from correction.errors import BoardError, TargetNotFound
 from correction.target import Chessboard
 from correction.target.board_file import PrintedBoard, board_text
+from correction.target.board_origin import Placing
 from correction.target.board_search import find_board, track_board
+from correction.target.chessboard import QUARTER_TURNS
+from correction.target.lattice_fit import measure_lattice
+from correction.target.lattice_growth import Patch
 from sim.renderer.patterns import Plate
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -73,6 +77,19 @@ def test_without_its_large_dots_a_plate_is_refused():
     covered[:, 150:] = covered[0, 0]
     with pytest.raises(TargetNotFound, match="not the 3 large dots"):
         track_board(covered, told(levels="rows"), NOMINAL.project, reach=4.0)
+
+
+def test_a_plate_whose_large_dot_cannot_be_measured_is_refused_and_measured_once_it_is_clear():
+    clear, board = seen(levels="rows"), told(levels="rows")
+    found = find_board(clear, board)
+    patch = Patch(found.index, found.position_px, found.axes_px, board.corner_sign(found.index))
+    placed = [(patch, Placing(QUARTER_TURNS[0], (0, 0)))]
+    u, v = np.rint(NOMINAL.project(np.zeros(3))).astype(int)
+    hidden = clear.copy()
+    hidden[v - 7 : v + 8, u - 7 : u + 8] = clear[0, 0]
+    with pytest.raises(TargetNotFound, match=r"large dots of the plate do not lie on one smooth view.*take away"):
+        measure_lattice(hidden, board, placed, None)
+    assert len(measure_lattice(clear, board, placed, None)) == len(found)
 
 
 def test_of_some_drawn_plates_none_is_wrong():
