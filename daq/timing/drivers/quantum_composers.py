@@ -52,10 +52,7 @@ INSISTS = 6  # how often off is said again to such a box, before anything is ask
 MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
 UNKNOWN_WORD = (2, 3)  # refusals
-STOPPED = (
-    "was stopped at its keys or by another program, or its power failed (T0 does not run):"
-    " look at the laser, then safe()"
-)
+STOPPED = "was stopped at its keys or by another program, or lost power (T0 is off): see the laser, then safe()"
 _CLOCKS = re.compile(r"INT|EXT|XPL|SYS|EXT\d{2,3}")  # a mode, or one word; XPL? is a loop that is not locked
 _SECONDS = re.compile(r"-?\d+\.\d{9,12}")
 _WHOLE = re.compile(r"\d{1,8}")
@@ -347,7 +344,7 @@ class QuantumComposersBox(TimingBox):
         """Begin a burst in one string, of which the first line asks whether T0 was stopped.
 
         An exchange more would be time in which a STOP is undone.  A box that refuses to stop T0 gives pulses while
-        its outputs come on, at most the counted ones, until the off that follows.
+        its outputs come on, until the reset that follows at once.
         """
         lines = [(T0, "0"), *((number, "1") for number in [*burst, T0])]
         words = [Command(f":PULSE{T0}:STAT", asks=True), *(Command(f":PULSE{n}:STAT", v) for n, v in lines)]
@@ -364,7 +361,12 @@ class QuantumComposersBox(TimingBox):
             unanswered.pop(0)
             return None if unanswered else True
 
-        self._transact(b"".join(word.to_bytes() for word in words), accept, moves=True)
+        try:
+            self._transact(b"".join(word.to_bytes() for word in words), accept, moves=True)
+        except CommandRejected:  # T0 may run on with the outputs on: a reset is the quickest end
+            self.drop()
+            self.port.write(Command("*RST").to_bytes())
+            raise
 
     def _start_slowly(self, burst: Sequence[int]) -> None:
         """Begin a burst line by line, and see before and after RUN that no other program has switched off."""

@@ -24,7 +24,7 @@ def test_a_box_that_refuses_to_stop_t0_is_off_before_fire_returns(times):
         given = d.pulses(Role.Q_SWITCH_1)
         assert d.clock.now_s() - begun_s < (1.0 if times < 10 else 3.0)
         d.clock.sleep_s(10.0)
-        assert d.pulses(Role.Q_SWITCH_1) == given < 30
+        assert d.pulses(Role.Q_SWITCH_1) == given <= 1  # reset at once
         d.emulator.refuses_off.clear()
         d.laser.safe()
         d.laser.warm(10.0)
