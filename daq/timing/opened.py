@@ -1,10 +1,10 @@
-"""A laser that is open, and everybody who switches it off.
+"""A laser that is open, and everything that switches it off.
 
-    end of the process                   who switches it off -----------------------------------
-    -------------------------------------------------------------------------- end of the block, exception
-    `Laser.close` SIGINT, SIGTERM, SIGHUP, SIGQUIT     this file: a thread of its own, at the first one and at
-    every further one kill -9, segfault, no memory         the watchdog (`stages.watchdog`), a process of its
-    own; and the box itself,
+    end of the process                   switched off by
+    -----------------------------------  --------------------------------------------------------------------------
+    end of the block, exception          `Laser.close`
+    SIGINT, SIGTERM, SIGHUP, SIGQUIT     this file: a thread of its own, at the first one and at every further one
+    kill -9, segfault, no memory         the watchdog (`stages.watchdog`), a process of its own; and the box,
                                          which has counted to the end of the chunk
     SIGSTOP, power failure               the box itself
     the cable                            the box itself; as soon as it is plugged in again `Laser.confirm_off`
