@@ -81,10 +81,10 @@ def test_every_verb_that_writes_is_tried():
 # A process of its own, whose files may not grow beyond some kB: as a disk that is full, with any user.
 # Started with -B: Python 3.11 keeps half of a compiled module there, and every later process fails on it.
 SMALL_FILES = """
-import resource, sys
+import importlib, resource, sys
 from rtpiv.command_line.cli import main
 limit, verb = int(sys.argv[1]), sys.argv[2:]
-import rtpiv.verbs.trace, rtpiv.verbs.correct, rtpiv.verbs.evaluate, rtpiv.verbs.examples
+importlib.import_module("rtpiv.verbs." + verb[0])
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 sys.exit(main(verb))
 """
@@ -164,7 +164,7 @@ LITTLE_MEMORY = """
 import resource, sys
 from pathlib import Path
 from rtpiv.command_line.cli import main
-import rtpiv.verbs.trace, rtpiv.verbs.correct
+import rtpiv.verbs.trace
 main(["trace", sys.argv[1], "-o", sys.argv[2] + "_small", "--no-pictures"])
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000, used + 300_000_000))

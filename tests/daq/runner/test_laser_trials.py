@@ -93,11 +93,15 @@ def is_certified(d, **hands):
     d.laser.open("sim://desk")
     counter = AtPlug(d)
     trials = BoxTrials(d.laser, TIMING, EXPOSURES, counter, Hands(d, counter, **hands), d.clock)
+    seen = []
     try:
-        seen = tuple(trials.run())
+        for trial in trials.run():
+            seen.append(trial)
+            if not trial.is_right:  # no later trial makes up for it
+                break
     except (DaqError, StageError):
         return False
-    return Proof("it", wired(d), True, "me", "now", seen, trials.counted).holds
+    return Proof("it", wired(d), True, "me", "now", tuple(seen), trials.counted).holds
 
 
 FIRMWARE = [{}, {"arms": "run all"}, {"arms": "state"}, {"echo": True}, {"needs_s": 0.03}, {"model": "BNC,575-8"}]
@@ -147,8 +151,7 @@ def test_what_a_person_did_not_do_is_not_observed_and_certifies_nothing(hands, u
         found = tried(d, **hands)
         (said, *_) = [trial.said for trial in found if trial.is_right is None]
         assert unseen in said
-    with desk() as d:
-        assert not is_certified(d, **hands)
+        assert not Proof("it", wired(d), True, "me", "now", tuple(found), tuple(wired(d).values())).holds
 
 
 def test_a_link_that_comes_back_before_the_end_is_not_out():

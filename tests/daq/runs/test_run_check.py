@@ -29,7 +29,7 @@ def test_a_whole_run_is_sound(whole_run, capsys):
     assert found.is_sound, found.findings
     assert (found.is_done, found.frames, found.faults) == (True, 8, ())
     assert {finding.part for finding in found.findings} == {
-        "run.json", "journal", "frames", "other files", "books", "camera", "hash", "displacements"
+        "run.json", "journal", "frames", "other files", "account", "camera", "hash", "displacements"
     }  # fmt: skip
     assert main(["check", str(whole_run.path)]) == DONE
     shown = capsys.readouterr().out
@@ -166,8 +166,8 @@ def test_books_that_do_not_balance_and_doubts_are_faults(done_run):
     journal.append("doubt", doubt="a frame cannot be given to its trigger")
     journal.close()
     found = check_run(done_run.path)
-    assert parts(found) == {"books", "hash"}
-    assert "cannot be given to its trigger" in said(found, "books")
+    assert parts(found) == {"account", "hash"}
+    assert "cannot be given to its trigger" in said(found, "account")
 
 
 def test_nothing_is_changed_by_looking(done_run):
@@ -192,9 +192,9 @@ def test_frames_that_a_session_says_it_wrote_are_counted_in_the_journal(done_run
         entry = json.loads(line)
         if entry["kind"] == "counts":
             entry.pop("seal")
-            entry["books"] = {**entry["books"], "triggered": 8 + more, "written": 8 + more}
+            entry["account"] = {**entry["account"], "triggered": 8 + more, "written": 8 + more}
             lines[number] = add_seal(json.dumps(entry, separators=(",", ":")).encode()) + b"\n"
     done_run.journal_path.write_bytes(b"".join(lines))
     found = check_run(done_run.path)
-    assert "books" in parts(found)
-    assert "with 8 frames in the journal" in said(found, "books")
+    assert "account" in parts(found)
+    assert "with 8 frames in the journal" in said(found, "account")
