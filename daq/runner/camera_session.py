@@ -219,7 +219,7 @@ class CameraSession:
         self.end()
         accounting = self.accounting(written)
         if accounting.imbalance:
-            self.ambiguities.append(f"the account does not balance ({accounting.sentence()})")
+            self.ambiguities.append(f"the frame counts do not balance ({accounting.sentence()})")
         if self.match.first_is_unconfirmed:
             self.ambiguities.append(UNCONFIRMED)
         return accounting

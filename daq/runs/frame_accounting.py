@@ -200,7 +200,7 @@ def ambiguities(entries: Sequence[Entry]) -> list[str]:
         elif entry["kind"] == "counts":
             account = FrameAccounting.from_dict(entry["books"])
             if account.imbalance:
-                found.append(f"the account of a session does not balance ({account.sentence()})")
+                found.append(f"the frame counts of a session do not balance ({account.sentence()})")
     return list(dict.fromkeys(found))
 
 
