@@ -163,7 +163,7 @@ class Axis:
             try:
                 self._run_guarded(lambda: self.controller.confirm_reference(self.settings.channel))
             except (PortError, DeviceError):  # silence and nonsense confirm nothing
-                return AxisState.LOST if self.controller.lost else AxisState.UNREFERENCED
+                return AxisState.LOST if self.controller.is_lost else AxisState.UNREFERENCED
             except StageUsageError:  # not referenced any more, or mute because another of its axes moves
                 return self._state_without_asking()
         return self._state
@@ -358,7 +358,7 @@ class Axis:
 
     def _state_without_asking(self) -> AxisState:
         """State as far as it is known without asking."""
-        if self.controller.lost:
+        if self.controller.is_lost:
             self._happens(Event.CUT)
         elif self._state in (AxisState.READY, AxisState.MOVING) and not self.controller.has_reference(
             self.settings.channel
@@ -384,7 +384,7 @@ class Axis:
         try:
             return action()
         except (DeviceLost, LimitHit, AxisStalled, NotReferenced):
-            self._happens(Event.CUT if self.controller.lost else Event.FORGET)
+            self._happens(Event.CUT if self.controller.is_lost else Event.FORGET)
             raise
         except MotionStopped as stopped:
             self._rests_at_mm = None

@@ -46,7 +46,7 @@ class ByHand(MotionController):
         self._forget_references()
 
     @property
-    def lost(self) -> bool:
+    def is_lost(self) -> bool:
         """True if it was not opened."""
         return not self._is_open
 

@@ -140,7 +140,7 @@ class Controller(Link, MotionController):
         self._reset_state()
         self.port.drain(QUIET_S)
         try:
-            identity = self._agreed(self._woken)
+            identity = self._ask_until_equal(self._woken)
         except (NoReply, ProtocolViolation) as error:
             raise NoReply(self._unheard()) from error
         if not first_time and identity != self.identity:
@@ -167,7 +167,7 @@ class Controller(Link, MotionController):
         """Stop every channel now; harmless when nothing moves; does not wait for other threads."""
         self._stopped = True
         port = self._port
-        if port is not None and not port.lost:
+        if port is not None and not port.is_lost:
             for data in self._stop_bytes():
                 port.write(data)
         self._stopped = True  # again: another thread may have consumed the first while the bytes were on their way
@@ -233,10 +233,10 @@ class Controller(Link, MotionController):
         suspect since: a controller at rest answers the same again.
         """
         if key in self._at_rest:
-            now = self._repeated(ask)
+            now = self._ask_again(ask)
             if key in self._at_rest and same(self._at_rest[key], now):
                 return now
-        found = self._agreed(ask, same)
+        found = self._ask_until_equal(ask, same)
         self._at_rest[key] = found
         return found
 

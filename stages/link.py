@@ -18,7 +18,7 @@ from typing import Protocol, TypeVar
 from stages.clock import Clock
 from stages.errors import DeviceLost, NoReply, PortUnavailable, ProtocolViolation, WrongDevice
 from stages.port import Port
-from stages.who_answers import instead_of
+from stages.who_answers import describe_reply
 
 QUIET_S = 0.12  # silence that ends draining
 LOOK_UP_S = 0.03  # how long a wait for an answer takes notice of nothing else
@@ -94,7 +94,7 @@ class Link(ABC):
             )
         sent = [chunk.data for chunk in port.trace if chunk.sent]
         own = type(self).__module__.rpartition(".")[2]
-        words = [f"{where} {instead_of(port.heard(), sent, own)}", self.first_day]
+        words = [f"{where} {describe_reply(port.heard(), sent, own)}", self.first_day]
         return " ".join([*filter(None, words), f"rtpiv probe {port.url} tries other rates and boxes"])
 
     def close(self) -> None:
@@ -104,9 +104,9 @@ class Link(ABC):
             self._port = None
 
     @property
-    def lost(self) -> bool:
+    def is_lost(self) -> bool:
         """True if the box cannot be reached until `connect` is called again."""
-        return self._port is None or self._port.lost
+        return self._port is None or self._port.is_lost
 
     @abstractmethod
     def _identify(self) -> str:
@@ -116,11 +116,11 @@ class Link(ABC):
     def _stream(self) -> Stream:
         """Decoder for the next answer."""
 
-    def _drained(self, data: bytes) -> None:  # noqa: B027 - most protocols have no alarms
+    def _take_drained(self, data: bytes) -> None:  # noqa: B027 - most protocols have no alarms
         """Look at what was swallowed before a fence; alarms must not get lost there."""
 
-    def _unsolicited(self, data: bytes) -> None:
-        """Judge bytes that came when nothing was asked; nobody may take them for an answer later."""
+    def _take_unsolicited(self, data: bytes) -> None:
+        """Judge bytes that came when nothing was asked; they must not be taken for an answer later."""
         self._suspect = True
 
     def _transact(
@@ -148,7 +148,7 @@ class Link(ABC):
                 self.port.write(data)
 
     def _gate(self, moves: bool) -> AbstractContextManager[None]:
-        """What bytes that move have to pass; nothing for a device that moves nothing."""
+        """Gate for bytes that start a motion; none for a device that moves nothing."""
         return nullcontext()
 
     def _clear_line(self) -> None:
@@ -156,7 +156,7 @@ class Link(ABC):
         if self._suspect:
             self._resynchronise()
         if early := self.port.pending():
-            self._unsolicited(early)
+            self._take_unsolicited(early)
             if self._suspect:
                 self._resynchronise()
 
@@ -208,7 +208,7 @@ class Link(ABC):
         """Drain, then make the controller identify itself; afterwards no older answer can be under way."""
         identity = self.identity
         for _ in range(FENCES):
-            self._drained(self.port.drain(QUIET_S))
+            self._take_drained(self.port.drain(QUIET_S))
             self._suspect = False
             try:
                 identity = self._identify()
@@ -223,7 +223,7 @@ class Link(ABC):
             raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
         raise NoReply(self._unheard())
 
-    def _repeated(self, ask: Callable[[], T]) -> T:
+    def _ask_again(self, ask: Callable[[], T]) -> T:
         """Ask a question again when its answer was late or damaged; never for commands that move."""
         for _ in range(REPEATS - 1):
             try:
@@ -232,11 +232,11 @@ class Link(ABC):
                 continue
         return ask()
 
-    def _agreed(self, ask: Callable[[], T], same: Callable[[T, T], bool] = lambda a, b: a == b) -> T:
+    def _ask_until_equal(self, ask: Callable[[], T], same: Callable[[T, T], bool] = lambda a, b: a == b) -> T:
         """Ask until two readings in a row agree: one damaged answer is then never believed."""
-        before = self._repeated(ask)
+        before = self._ask_again(ask)
         for _ in range(2 * REPEATS):
-            now = self._repeated(ask)
+            now = self._ask_again(ask)
             if same(before, now):
                 return now
             before = now

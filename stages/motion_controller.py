@@ -113,7 +113,7 @@ class MotionController(ABC):
 
     @property
     @abstractmethod
-    def lost(self) -> bool:
+    def is_lost(self) -> bool:
         """True if the box cannot be reached until `open` is called again."""
 
     def register_watchdog(  # noqa: B027 - most libraries give no second way to the box
@@ -134,7 +134,7 @@ class MotionController(ABC):
 
     def has_reference(self, channel: str) -> bool:
         """True if the position of a channel meant something when the controller was last asked; asks nothing."""
-        return not self.lost and channel in self._referenced
+        return not self.is_lost and channel in self._referenced
 
     def confirm_reference(self, channel: str) -> None:
         """Ask whether the reference of a channel still holds now.

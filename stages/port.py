@@ -113,7 +113,7 @@ class Port:
         self._record()
 
     @property
-    def lost(self) -> bool:
+    def is_lost(self) -> bool:
         """True once the device behind the port has gone; open a new port then."""
         return self._lost
 

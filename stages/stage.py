@@ -186,7 +186,7 @@ class Stage:
         for name in self._axes if only is None else only:
             axis = self.axis(name)
             try:
-                where[name] = None if axis.controller.lost else axis.position_mm
+                where[name] = None if axis.controller.is_lost else axis.position_mm
             except StageUsageError:  # not referenced (any more), or moving
                 where[name] = None
         return where
@@ -403,7 +403,7 @@ class Stage:
     def _refuse_beside_lost_motion(self) -> None:
         """DeviceLost where something may move unnoticed: a reference run is not checked."""
         for name, box in self._controllers.items():
-            if box.lost and box.under_way:
+            if box.is_lost and box.under_way:
                 raise DeviceLost(f"{name} was lost while it moved and may move still; open it again first")
 
     def halt_quietly(self) -> None:

@@ -27,7 +27,7 @@ def kind_of_box(said: bytes) -> str | None:
     return next((kind for pattern, kind in HANDS if re.search(pattern, said)), None)
 
 
-def instead_of(said: bytes, sent: Iterable[bytes] = (), own: str = "") -> str:
+def describe_reply(said: bytes, sent: Iterable[bytes] = (), own: str = "") -> str:
     """Describe an unexpected reply and the cure, as the end of a sentence that begins with the device asked.
 
     Parameters

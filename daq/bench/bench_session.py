@@ -151,7 +151,7 @@ class BenchSession:
         if unknown:
             known = ", ".join(self.stage.controllers)
             raise RunUsageError(f"there is no controller {', '.join(sorted(unknown))}; there are {known}")
-        lost = controllers or [name for name, box in self.stage.controllers.items() if box.lost]
+        lost = controllers or [name for name, box in self.stage.controllers.items() if box.is_lost]
         for name in lost:
             self.stage.connect(name)
         return list(lost)

@@ -141,7 +141,7 @@ class PortGauge:
         try:
             line = self._line(self._open_port())
         except StageError as error:
-            if self._port is not None and self._port.lost:
+            if self._port is not None and self._port.is_lost:
                 self.close()
             return missing(section, str(error)[:200])
         if line is None:

@@ -22,7 +22,7 @@ from stages.dialogue import Dialogue
 from stages.errors import NoReply, ProtocolViolation
 from stages.port import Port
 from stages.protocols import apt_words, grbl, isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
-from stages.who_answers import OLD_GRBL, instead_of, kind_of_box
+from stages.who_answers import OLD_GRBL, describe_reply, kind_of_box
 
 RATES = (115_200, 38_400, 19_200, 9600, 57_600)
 QUIET_S, LONGEST_S = 0.25, 1.5  # silence that ends an answer; how long one may last
@@ -142,7 +142,7 @@ def no_reply_reason(asked: Probe) -> str:
     """Say, as a sentence, what came from a port on which nothing answers as it should."""
     rates = ", ".join(str(baud) for baud in RATES)
     kind = None if re.search(OLD_GRBL, asked.heard) else kind_of_box(asked.heard)
-    what = f"sounds like {kind}, and gives no whole answer" if kind else instead_of(asked.heard)
+    what = f"sounds like {kind}, and gives no whole answer" if kind else describe_reply(asked.heard)
     return f"{asked.url} was asked by every grammar at {rates} baud and {what}"
 
 

@@ -146,7 +146,7 @@ def panel(progress: Progress) -> Table:
         ("skipped", f"{len(progress.stats.skipped)} not corrected live (done after the run)"),
         ("vectors", progress.stats.vectors.sentence() if progress.stats.vectors else "-"),
         ("positions", "  ".join(f"{name} {mm:.3f}" for name, mm in progress.positions_mm.items()) or "-"),
-        ("books", account_sentence(progress)),
+        ("account", account_sentence(progress)),
     ]
     if progress.readings:
         rows.append(("readings", "  ".join(f"{name} {shown}" for name, shown in progress.readings.items())))

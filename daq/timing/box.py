@@ -84,7 +84,7 @@ class TimingBox(Link):
                 self.port.drain(QUIET_S)
                 self._suspect = False
                 try:
-                    identity = self._agreed(self._identify)
+                    identity = self._ask_until_equal(self._identify)
                 except (NoReply, ProtocolViolation) as error:
                     raise NoReply(self._unheard()) from error
                 if self.identity and identity != self.identity:
@@ -103,7 +103,7 @@ class TimingBox(Link):
     def answers(self) -> bool:
         """Return whether the box says who it is when it is asked once; a port that is lost is not opened again."""
         with self._lock:
-            if self.lost:
+            if self.is_lost:
                 return False
             try:
                 self.port.drain(QUIET_S)
@@ -128,7 +128,7 @@ class TimingBox(Link):
 
     def _write_off(self, strings: Sequence[bytes]) -> None:
         port = self._port
-        if port is None or port.lost:
+        if port is None or port.is_lost:
             raise DeviceLost(f"{self.name} is not connected; nothing could be said to it")
         self._suspect = True
         for data in strings:

@@ -125,7 +125,7 @@ class LaserShutdown:
         """
         box = self._box
         try:
-            if not box.lost or box.may_be_on:
+            if not box.is_lost or box.may_be_on:
                 self.try_send_off("the program has left the bench")
                 end_s, tries = self._clock.now_s() + LEAVING_S, 1
                 while not self.confirm():
@@ -160,5 +160,5 @@ class LaserShutdown:
 
     def _reach(self) -> None:
         """Open a port again that was lost."""
-        if self._box.lost:
+        if self._box.is_lost:
             self._box.reconnect()

@@ -106,7 +106,7 @@ class AptQuestions(Controller):
     def _stream(self) -> Stream:
         return apt.AnswerStream()
 
-    def _unsolicited(self, data: bytes) -> None:
+    def _take_unsolicited(self, data: bytes) -> None:
         """Take unsolicited messages, which answer no question; only whole ones leave the link in order."""
         stream = apt.AnswerStream()
         self._surplus(stream.feed(data), stream.rest)

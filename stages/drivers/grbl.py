@@ -119,7 +119,7 @@ class GrblController(Controller):
             if self._homing:
                 return self._homing_goes_on()
             self._raise_alarm()
-            status = self._repeated(self._status)
+            status = self._ask_again(self._status)
             if _drives(status):
                 return True
             if status.state == "Alarm":
@@ -132,7 +132,7 @@ class GrblController(Controller):
             if status.state != "Idle":
                 raise DeviceError(f"{self.name} is in state {status.state}; bring it to Idle")
             if self._is_short(channel, status):
-                status = self._repeated(self._status)  # had it only not begun when it was asked?
+                status = self._ask_again(self._status)  # had it only not begun when it was asked?
                 if status.state != "Idle":
                     return True
                 if self._is_short(channel, status):
@@ -171,8 +171,8 @@ class GrblController(Controller):
 
     def _still_referenced(self, channel: str) -> bool:
         if self._mark is not None:
-            return self._repeated(self._tool) == self._mark or self._agreed(self._tool) == self._mark
-        return self._repeated(self._status).state != "Alarm"
+            return self._ask_again(self._tool) == self._mark or self._ask_until_equal(self._tool) == self._mark
+        return self._ask_again(self._status).state != "Alarm"
 
     def _forget_references(self) -> None:
         super()._forget_references()
@@ -183,7 +183,7 @@ class GrblController(Controller):
         number = MARKS[int(1e6 * self.clock.now_s()) % len(MARKS)]  # other programs have come at other times
         try:
             self._line(f"T{number}")
-            self._mark = number if self._agreed(self._tool) == number else None
+            self._mark = number if self._ask_until_equal(self._tool) == number else None
         except (CommandRejected, NoReply, ProtocolViolation):
             self._mark = None  # not every descendant keeps a tool
 
@@ -242,7 +242,7 @@ class GrblController(Controller):
         return identity
 
     def _set_up(self) -> None:
-        self._settings = self._agreed(self._read_settings)
+        self._settings = self._ask_until_equal(self._read_settings)
         if self._settings[REPORT_INCHES]:
             raise WrongDevice(f"{self.name} reports inches; set $13=0 on the board")
         if not int(self._settings.get(REPORTS, MACHINE_POSITIONS)) & MACHINE_POSITIONS:
@@ -283,7 +283,7 @@ class GrblController(Controller):
     def _stream(self) -> Stream:
         return self._input
 
-    def _unsolicited(self, data: bytes) -> None:
+    def _take_unsolicited(self, data: bytes) -> None:
         """Reports, messages and alarms may come at any time; a late ok or half a line may not."""
         answers = self._input.feed(data)
         self._surplus(answers, self._input.rest)
@@ -302,7 +302,7 @@ class GrblController(Controller):
         elif isinstance(answer, grbl.Banner):
             self._forget_references()
 
-    def _drained(self, data: bytes) -> None:
+    def _take_drained(self, data: bytes) -> None:
         suspect = self._suspect
         self._surplus(self._input.feed(data), b"")
         self._input = grbl.AnswerStream()  # what has no end after such a silence will have none
@@ -316,7 +316,7 @@ class GrblController(Controller):
 
     def _raise_alarm(self) -> None:
         if early := self.port.pending():
-            self._unsolicited(early)
+            self._take_unsolicited(early)
         if self._alarm is None:
             return
         reason = grbl.ALARMS.get(self._alarm, "locked")
@@ -393,7 +393,7 @@ class GrblController(Controller):
             ask = grbl.RealTime(grbl.STATUS).to_bytes()
             self._unread = True
             with suppress(NoReply, ProtocolViolation):
-                if self._repeated(lambda: self._converse(ask, accept)).state in ("Hold", "Door"):
+                if self._ask_again(lambda: self._converse(ask, accept)).state in ("Hold", "Door"):
                     self._reset()
                     self._forget_references()
                     raise MotionStopped(f"{self.name} is held at the board; release it there, then home it")

@@ -156,7 +156,7 @@ class IselController(Controller):
         self._initialise()
 
     def _initialise(self) -> None:
-        self._repeated(lambda: self._acknowledge(dnc.Initialise((1 << self._axes) - 1)))
+        self._ask_again(lambda: self._acknowledge(dnc.Initialise((1 << self._axes) - 1)))
         self._initialised = True
 
     def rest_position_mm(self, channel: str) -> float:
@@ -182,9 +182,9 @@ class IselController(Controller):
         return not self._has_restarted()
 
     def _has_restarted(self) -> bool:
-        if self._repeated(self._steps_once) is not None:
+        if self._ask_again(self._steps_once) is not None:
             return False
-        return self._agreed(self._steps_once) is None  # one damaged answer is no restart
+        return self._ask_until_equal(self._steps_once) is None  # one damaged answer is no restart
 
     def _forget_references(self) -> None:
         super()._forget_references()
@@ -220,7 +220,7 @@ class IselController(Controller):
     def _set_ramp(self, scale: float, acceleration_mm_s2: float) -> None:
         ramp = max(1, round(acceleration_mm_s2 * scale / 1000))
         if self.identity != C142 and ramp != self._ramp:
-            self._repeated(lambda: self._acknowledge(dnc.Numbered("J", ramp)))
+            self._ask_again(lambda: self._acknowledge(dnc.Numbered("J", ramp)))
             self._ramp = ramp
 
     def _acknowledge(self, command: dnc.Initialise | dnc.Numbered) -> None:

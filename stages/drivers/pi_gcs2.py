@@ -58,8 +58,8 @@ class PiController(Controller):
         profile = (f"{speed_mm_s:.6f}", f"{acceleration_mm_s2:.6f}")
         if self._profile.get(channel) != profile:
             self._profile.pop(channel, None)
-            self._repeated(lambda: self._command("SVO", channel, "1"))
-            self._repeated(lambda: self._command("VEL", channel, profile[0]))
+            self._ask_again(lambda: self._command("SVO", channel, "1"))
+            self._ask_again(lambda: self._command("VEL", channel, profile[0]))
             for name in ("ACC", "DEC"):
                 self._if_known(name, channel, profile[1])
             self._profile[channel] = profile
@@ -70,7 +70,7 @@ class PiController(Controller):
         self._referenced.discard(channel)
         self._profile.pop(channel, None)
         how = self._how_referenced(channel)
-        self._repeated(lambda: self._command("SVO", channel, "1"))
+        self._ask_again(lambda: self._command("SVO", channel, "1"))
         self._homing.add(channel)
         # without ERR? behind it, which not every firmware answers meanwhile
         self._send(_command_for(how, channel).to_bytes(), moves=True)
@@ -79,7 +79,7 @@ class PiController(Controller):
         """FRF, or at a limit switch where there is no reference switch; StageUsageError where there is neither."""
         for question, answer in (("TRS?", "FRF"), ("LIM?", self.at_limit)):
             try:
-                if self._repeated(lambda question=question: self._value(question, channel)) == 1:  # type: ignore[misc]
+                if self._ask_again(lambda question=question: self._value(question, channel)) == 1:  # type: ignore[misc]
                     return answer
             except NoReply:
                 if self._error_of(channel) != gcs.UNKNOWN_COMMAND:
@@ -92,19 +92,19 @@ class PiController(Controller):
 
     def moving(self, channel: str) -> bool:
         """Ask by byte 5, twice if the answer is no; then for errors, of which 10 is MotionStopped."""
-        if self._repeated(lambda: self._moves(channel)) or self._repeated(lambda: self._moves(channel)):
+        if self._ask_again(lambda: self._moves(channel)) or self._ask_again(lambda: self._moves(channel)):
             return True
         homing = channel in self._homing
-        if homing and not self._repeated(lambda: self._ready(channel)):
+        if homing and not self._ask_again(lambda: self._ready(channel)):
             return True
         self._homing.discard(channel)
-        code = self._repeated(lambda: self._error_of(channel))
+        code = self._ask_again(lambda: self._error_of(channel))
         if self._stopped or code == gcs.STOPPED:
             self._stopped = False
             raise MotionStopped(f"{self.name} axis {channel} was stopped")
         if code:
             self._raise(code, f"axis {channel} moving")
-        if homing and self._repeated(lambda: self._value("FRF?", channel)) == 1:
+        if homing and self._ask_again(lambda: self._value("FRF?", channel)) == 1:
             self._referenced.add(channel)
         return False
 
@@ -164,14 +164,14 @@ class PiController(Controller):
         for address in self._addresses:
             self._require_command_set(address)
         self._axes = {
-            address: self._repeated(lambda a=address: self._ask("SAI?", address=a)).lines  # type: ignore[misc]
+            address: self._ask_again(lambda a=address: self._ask("SAI?", address=a)).lines  # type: ignore[misc]
             for address in self._addresses
         }
         for channel in self._channels:
             there = self._axes[_address_of(channel)]
             if _axis_of(channel) not in there:
                 raise WrongDevice(f"{self.name} has axes {', '.join(there)}, not {channel}")
-            self._repeated(lambda c=channel: self._error_of(c))  # type: ignore[misc]  # whatever stands there is not ours
+            self._ask_again(lambda c=channel: self._error_of(c))  # type: ignore[misc]  # whatever stands there is not ours
 
     def _require_command_set(self, address: int | None) -> None:
         """WrongDevice if a controller has another one than GCS 2; older ones do not know the question."""
@@ -185,7 +185,7 @@ class PiController(Controller):
                 raise
 
         try:
-            said = self._repeated(ask)
+            said = self._ask_again(ask)
         except NoReply:
             return
         if said > COMMAND_SET:
@@ -202,7 +202,7 @@ class PiController(Controller):
         self._profile = {}
 
     def _remembers_reference(self, channel: str) -> bool:
-        return self._repeated(lambda: self._value("FRF?", channel)) == 1
+        return self._ask_again(lambda: self._value("FRF?", channel)) == 1
 
     def _stop_bytes(self) -> Sequence[bytes]:
         stops = [gcs.SingleByte(gcs.STOP_ALL, address).to_bytes() for address in self._addresses]
@@ -272,7 +272,7 @@ class PiController(Controller):
         """Send a command about a channel and ask at once whether it went well."""
         if self._stopped:  # the 10 of an earlier stop is not this command's
             for each in self._channels:
-                self._repeated(lambda c=each: self._error_of(c))  # type: ignore[misc]
+                self._ask_again(lambda c=each: self._error_of(c))  # type: ignore[misc]
             self._stopped = False
         address = _address_of(channel)
         data = _command_for(name, channel, *arguments).to_bytes() + gcs.Command("ERR?", address=address).to_bytes()
@@ -281,7 +281,7 @@ class PiController(Controller):
 
     def _if_known(self, name: str, channel: str, *arguments: str) -> None:
         try:
-            self._repeated(lambda: self._command(name, channel, *arguments))
+            self._ask_again(lambda: self._command(name, channel, *arguments))
         except CommandRejected as refused:
             if refused.code != gcs.UNKNOWN_COMMAND:
                 raise

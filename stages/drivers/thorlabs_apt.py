@@ -111,11 +111,11 @@ class AptController(AptQuestions):
 
     def moving(self, channel: str) -> bool:
         """Ask for the state until two answers say that the channel rests, or one that it moves."""
-        if self._drives(channel, self._repeated(lambda: self._bits(channel))):
+        if self._drives(channel, self._ask_again(lambda: self._bits(channel))):
             return True
         if not self._stopped:
             self._rested.add(channel)
-        bits = self._agreed(lambda: self._bits(channel))
+        bits = self._ask_until_equal(lambda: self._bits(channel))
         if self._drives(channel, bits):
             return True
         was_homing = channel in self._homing
@@ -127,7 +127,7 @@ class AptController(AptQuestions):
         self._not_begun.pop(channel, None)
         if self._stopped:
             raise MotionStopped(f"{self.name} channel {channel} was stopped")
-        if was_homing and not arrived and self._agreed(lambda: self._mark(channel)) != UNTRUSTED_MARK:
+        if was_homing and not arrived and self._ask_until_equal(lambda: self._mark(channel)) != UNTRUSTED_MARK:
             raise NotReferenced(f"{self.name} channel {channel} has restarted while it was homed; home it again")
         if was_homing and bits & words.HOMED and not has_begun:  # from an older run: who knows with what offset
             raise DeviceError(f"{self.name} channel {channel} did not begin its reference run; home it again")
@@ -149,7 +149,7 @@ class AptController(AptQuestions):
 
         def ask() -> int:
             moves = words.MOVES | words.HOMING
-            if self._bits(channel) & moves and self._agreed(lambda: self._bits(channel)) & moves:
+            if self._bits(channel) & moves and self._ask_until_equal(lambda: self._bits(channel)) & moves:
                 # at its wheel, or for another program: two readings may agree by chance
                 raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
             return self._count(channel)
@@ -194,9 +194,9 @@ class AptController(AptQuestions):
         self._family = known[0]
         for name in self._channels:
             self._send(apt.Order(Kind.HW_STOP_UPDATEMSGS, to=place_of(name)).to_bytes())
-            if self._is_rack and self._repeated(lambda name=name: self._bay(name)).second != words.ON:  # type: ignore[misc]
+            if self._is_rack and self._ask_again(lambda name=name: self._bay(name)).second != words.ON:  # type: ignore[misc]
                 raise WrongDevice(f"{self.name}: there is no card in {name} of this {model}; check the channel")
-            self._repeated(lambda name=name: self._bits(name))  # type: ignore[misc]  # it answers
+            self._ask_again(lambda name=name: self._bits(name))  # type: ignore[misc]  # it answers
 
     def _bay(self, channel: str) -> apt.Reply:
         bay = place_of(channel) - words.FIRST_BAY
@@ -212,11 +212,11 @@ class AptController(AptQuestions):
         self._profile.pop(channel, None)
         self._tell(channel, Kind.MOD_SET_CHANENABLESTATE, words.ON)
         self._set(channel, Kind.MOT_SET_GENMOVEPARAMS, 0)
-        if self._agreed(lambda: self._value(channel, Kind.MOT_REQ_GENMOVEPARAMS)) != 0:
+        if self._ask_until_equal(lambda: self._value(channel, Kind.MOT_REQ_GENMOVEPARAMS)) != 0:
             raise DeviceError(f"{self.name} channel {channel} keeps its own backlash correction; switch it off")
         speed, acceleration = profile
         self._send(apt.SetSpeeds(ident_of(channel), 0, acceleration, speed, place_of(channel)).to_bytes())
-        taken = self._agreed(lambda: self._speeds(channel))
+        taken = self._ask_until_equal(lambda: self._speeds(channel))
         if taken != (speed, acceleration):
             fastest, steepest = (
                 number / self._scale(channel) / unit for number, unit in zip(taken, self._family[1:3], strict=True)
@@ -238,10 +238,10 @@ class AptController(AptQuestions):
 
     def _still_referenced(self, channel: str) -> bool:
         def vouches() -> bool:
-            is_homed = self._repeated(lambda: self._bits(channel)) & words.HOMED
+            is_homed = self._ask_again(lambda: self._bits(channel)) & words.HOMED
             return bool(is_homed) and self._mark(channel) == self._marks.get(channel)
 
-        return vouches() or self._agreed(vouches)
+        return vouches() or self._ask_until_equal(vouches)
 
     def _remembers_reference(self, channel: str) -> bool:
         self._marks[channel] = self._right_mark(channel)
@@ -252,16 +252,16 @@ class AptController(AptQuestions):
         self._profile, self._marks = {}, {}
 
     def _mark(self, channel: str) -> int:
-        return self._repeated(lambda: self._value(channel, Kind.MOT_REQ_MOVERELPARAMS))
+        return self._ask_again(lambda: self._value(channel, Kind.MOT_REQ_MOVERELPARAMS))
 
     def _right_mark(self, channel: str) -> int:
         """The number that stands for a reference run as it is set now."""
-        how = self._repeated(lambda: self._homing_settings(channel))
+        how = self._ask_again(lambda: self._homing_settings(channel))
         return MARKS[crc32(repr((how.direction, how.switch, how.offset)).encode()) % len(MARKS)]
 
     def _leave_mark(self, channel: str, mark: int) -> None:
         self._set(channel, Kind.MOT_SET_MOVERELPARAMS, mark)
-        if self._agreed(lambda: self._mark(channel)) != mark:
+        if self._ask_until_equal(lambda: self._mark(channel)) != mark:
             raise DeviceError(
                 f"{self.name} channel {channel} keeps no number for us, so its restarts could not be noticed; "
                 "this box cannot be used"
@@ -296,7 +296,7 @@ class AptController(AptQuestions):
         """A box that is not homed any more counts from somewhere else, and what it drives to is nowhere."""
         if bits & words.HOMED or channel not in self._referenced:
             return
-        if not self._agreed(lambda: self._bits(channel)) & words.HOMED:
+        if not self._ask_until_equal(lambda: self._bits(channel)) & words.HOMED:
             self.stop()
             self._forget_references()
             raise NotReferenced(f"{self.name} channel {channel} has restarted; stopped at once, home it")
@@ -304,7 +304,7 @@ class AptController(AptQuestions):
     def _is_there(self, channel: str) -> bool:
         if channel not in self._sent_to:
             return True
-        count = self._agreed(lambda: self._count(channel), self._near(channel, self._scale(channel)))
+        count = self._ask_until_equal(lambda: self._count(channel), self._near(channel, self._scale(channel)))
         return abs(count - self._sent_to[channel]) <= ARRIVAL_TOLERANCE_MM * self._scale(channel) + 1
 
     def _raise_why(self, channel: str, bits: int, was_homing: bool) -> None:
@@ -331,7 +331,7 @@ class AptController(AptQuestions):
         """Return whether the target lies away from the switch: then something else than our motion went there."""
         if channel not in self._sent_to:
             return False
-        count = self._agreed(lambda: self._count(channel), self._near(channel, self._scale(channel)))
+        count = self._ask_until_equal(lambda: self._count(channel), self._near(channel, self._scale(channel)))
         return bool(bits & (words.LOWER_SWITCH if self._sent_to[channel] > count else words.UPPER_SWITCH))
 
     def _stop_bytes(self) -> Sequence[bytes]:

@@ -76,8 +76,8 @@ class ZaberController(Controller):
         own = f" {speed} {acceleration}" if self._firmware >= MOTION_HAS_PROFILE else ""
         if not own and self._profile.get(channel) != (speed, acceleration):
             self._profile.pop(channel, None)
-            self._repeated(lambda: self._tell(channel, f"set maxspeed {speed}"))
-            self._repeated(lambda: self._tell(channel, f"set accel {acceleration}"))
+            self._ask_again(lambda: self._tell(channel, f"set maxspeed {speed}"))
+            self._ask_again(lambda: self._tell(channel, f"set accel {acceleration}"))
             self._profile[channel] = (speed, acceleration)
         self._stopped = False
         self._pressed = None
@@ -89,7 +89,7 @@ class ZaberController(Controller):
     def start_home(self, channel: str) -> None:
         """Begin to home, after the reasons of older faults have been cleared."""
         self._referenced.discard(channel)
-        self._repeated(lambda: self._tell(channel, "warnings clear"))
+        self._ask_again(lambda: self._tell(channel, "warnings clear"))
         self._stopped = False
         self._pressed = None
         self._tell(channel, "home", moves=True)
@@ -101,7 +101,7 @@ class ZaberController(Controller):
         A flag says what ended the motion: AxisStalled for any that begins with F, LimitHit for WL, MotionStopped
         for NI and NC, also where a person's stop has only led to one of the others: a stop is to hold.
         """
-        reply = self._repeated(lambda: self._tell(channel, ""))
+        reply = self._ask_again(lambda: self._tell(channel, ""))
         ended_badly = reply.flag.startswith("F") or reply.flag in LIMITS
         if reply.busy and not ended_badly:
             if reply.flag in INTERRUPTED and not self._stopped:  # it brakes: our own halt would hide whose it was
@@ -189,7 +189,7 @@ class ZaberController(Controller):
         self._firmware = min((int(major) for major in versions), default=0)
         for name in self._channels:
             device, axis = _address(name)
-            count = self._repeated(partial(self._reply, device, 0, "get system.axiscount")).data
+            count = self._ask_again(partial(self._reply, device, 0, "get system.axiscount")).data
             if not (count.isdecimal() and axis <= int(count)):
                 raise WrongDevice(
                     f"{self.name}: channel {name} is not there: the axis count of {device} is {count}"
@@ -203,7 +203,7 @@ class ZaberController(Controller):
 
     def _flags(self, channel: str) -> set[str]:
         """Return every flag that is set, whatever its rank."""
-        reply = self._repeated(lambda: self._tell(channel, "warnings"))
+        reply = self._ask_again(lambda: self._tell(channel, "warnings"))
         return {reply.flag, *reply.data.split()}
 
     def _stop_bytes(self) -> Sequence[bytes]:
@@ -213,7 +213,7 @@ class ZaberController(Controller):
     def _stream(self) -> AnswerStream:
         return AnswerStream()
 
-    def _unsolicited(self, data: bytes) -> None:
+    def _take_unsolicited(self, data: bytes) -> None:
         """Late answers and alerts are recognised by their number and address; nothing to do."""
 
     def _surplus(self, answers: Sequence[object], rest: bytes) -> None:

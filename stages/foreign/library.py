@@ -115,7 +115,7 @@ class ForeignLibrary(MotionController):
         self._forget_references()
 
     @property
-    def lost(self) -> bool:
+    def is_lost(self) -> bool:
         """True if the library has failed, has not come back from a call, or is not loaded."""
         return self._calls is None or self._failed or self._calls.has_ended or bool(self._calls.stuck)
 

@@ -206,7 +206,7 @@ def test_a_person_who_stops_while_answers_are_lost_has_stopped(bench, monkeypatc
     made = bench("thorlabs_apt")
     made.stage.home()
     made.stage.move({"a": 10.0})
-    agreed, lost = made.controller._agreed, []
+    agreed, lost = made.controller._ask_until_equal, []
 
     def nothing_heard(*arguments):
         if lost and len(lost) < 3:
@@ -218,7 +218,7 @@ def test_a_person_who_stops_while_answers_are_lost_has_stopped(bench, monkeypatc
         made.line.emulator.person_stops()
         lost.append(1)
 
-    monkeypatch.setattr(made.controller, "_agreed", nothing_heard)
+    monkeypatch.setattr(made.controller, "_ask_until_equal", nothing_heard)
     made.clock.at(made.clock.now_s() + 2.0, press)
     with pytest.raises(MotionStopped, match="short of its target"):
         made.stage.move({"a": 110.0})

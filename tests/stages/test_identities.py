@@ -98,7 +98,7 @@ def test_a_box_exchanged_while_it_was_lost_is_refused(tmp_path):
             stage.controllers["right"].close()
             with pytest.raises(WrongDevice):
                 stage.connect("left")
-            assert stage.controllers["left"].lost
+            assert stage.controllers["left"].is_lost
 
 
 @pytest.mark.parametrize("driver_that_tells", ["zaber_ascii", "pi_gcs2", "thorlabs_apt"])
@@ -110,9 +110,9 @@ def test_a_box_that_answers_instead_of_the_first_is_refused_although_no_file_nam
             left.connect(stage.config.controllers["right"].port)
         assert left.identity in str(refused.value)
         assert right.identity in str(refused.value)
-        assert left.lost
+        assert left.is_lost
         left.connect(stage.config.controllers["left"].port)
-        assert not left.lost
+        assert not left.is_lost
 
 
 def tables(*rows):

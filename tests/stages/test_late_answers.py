@@ -61,7 +61,7 @@ def test_the_schedules_do_make_questions_time_out(bench, driver):
     made = bench(driver)
     made.stage.home()
     felt = 0
-    made.controller._repeated = lambda ask: ask()
+    made.controller._ask_again = lambda ask: ask()
     for seed in range(20):
         made.line.faults = schedule(seed)
         for _ in range(6):

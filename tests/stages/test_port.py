@@ -147,7 +147,7 @@ def test_every_way_to_vanish_is_one_error(mocker, failure):
     mocker.patch.object(type(port._serial), "in_waiting", property(mocker.Mock(side_effect=failure)))
     with pytest.raises(DeviceLost, match="loop://"):
         port.pending()
-    assert port.lost
+    assert port.is_lost
     mocker.stopall()
     with pytest.raises(DeviceLost):  # once lost, lost
         port.write(b"x")
@@ -162,6 +162,6 @@ def test_the_driver_of_nobody_gives_up_in_time():
     with pytest.raises(StageError):
         controller.connect("loop://")  # answers everything with an echo
     assert time.monotonic() - begun_s < 10.0
-    assert controller.lost
+    assert controller.is_lost
     with pytest.raises((DeviceLost, NotReferenced)):
         stage.move({"a": 50.0})

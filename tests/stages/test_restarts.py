@@ -79,7 +79,7 @@ def test_while_homing(bench, kind):
     with pytest.raises(StageError):
         made.stage.home()
     assert made.stage.where_mm()["b"] is None
-    if made.controller.lost:  # a library that has failed
+    if made.controller.is_lost:  # a library that has failed
         made.clock.sleep_s(1.0)
         made.stage.connect("box")
     made.stage.home()

@@ -1,16 +1,17 @@
 """Drivers for the synchronisers of PIVlab: oltSync and xmSync, which trigger modulated diodes and cameras.
 
 **Neither box counts.** A chunk is ended by us, by the clock, and after our death by the watchdog, some tenths of
-a second later; if that is gone too, the box goes on until somebody turns its key. So `pairs` is a wish here, a
+a second later; if that is gone too, the box goes on until its key is turned. So `pairs` is a wish here, a
 few more may leave, and a bench file has to say ``uncounted: true`` before such a box is armed at all.
 
 **Neither box can be read.** An oltSync takes a sequence as a whole or refuses it, and says what its laser is
 when it is started and stopped; an xmSync says the latter after every line. So what is confirmed is that it is
-off, and that it has taken the numbers; they are sent again before it is armed, because nobody can ask for them.
+off, and that it has taken the numbers; they are sent again before it is armed, because they cannot be asked for.
 Times are whole microseconds.
 
-**An off of another program** is found by its answer, which comes to whoever holds the port: an answer "off" to
-nothing that was sent here, before a burst or in it, ends the run. The key of the laser is not seen by the box.
+**An off of another program** is found by its answer, which comes to the program that holds the port: an answer
+"off" to nothing that was sent here, before a burst or in it, ends the run. The key of the laser is not seen by the
+box.
 
 Off is said to the box by its name (`address`, the bench file's `identity`): a box that has not said who it is
 would not take it from a stranger.
@@ -39,14 +40,14 @@ from daq.timing.protocols.pivlab_synchroniser import (
 from daq.timing.pulses import LAMPS, Pulse, Role, Schedule
 from stages.errors import CommandRejected, ProtocolViolation
 
-SPOILS = b"!\r\n"  # ends a line that somebody has left half written, and makes it one that nobody obeys
+SPOILS = b"!\r\n"  # ends a line that was left half written, and makes it one that no box obeys
 PINS = ("1", "2", "3", "4")
 MARK = "oltSync:"
 START_REPLY_S = 0.2  # a start that is not answered by then is followed by off: light ends 0.3 s after any off
 
 
 class _Synchroniser(TimingBox):
-    """What both have in common."""
+    """Common part of both."""
 
     default_baud = 9600
     counts = False
@@ -75,7 +76,7 @@ class _Synchroniser(TimingBox):
         """Say off until the box says that it is."""
         with self._lock:
             self.drop()
-            if self._repeated(lambda: self._switched(self._off_line())):
+            if self._ask_again(lambda: self._switch(self._off_line())):
                 raise LaserDoubt(f"{self.name} says that its laser is still on")
 
     def start_lamps(self) -> None:
@@ -83,7 +84,7 @@ class _Synchroniser(TimingBox):
         raise WrongBox(f"{self.name} has no outputs for lamps")
 
     def confirm(self, schedule: Schedule, lamps: bool) -> None:
-        """Send everything again, laser off: nobody can ask for it."""
+        """Send everything again, laser off: it cannot be asked for."""
         with self._lock:
             self.load(schedule)
             self._require_untouched()
@@ -138,14 +139,14 @@ class _Synchroniser(TimingBox):
             self._offs_due -= 1
             self._was_stopped |= self._offs_due < 0
 
-    def _unsolicited(self, data: bytes) -> None:
+    def _take_unsolicited(self, data: bytes) -> None:
         self._hear(data)
 
-    def _drained(self, data: bytes) -> None:
+    def _take_drained(self, data: bytes) -> None:
         self._hear(data)
         self._offs_due = 0
 
-    def _switched(self, line: bytes, moves: bool = False) -> bool:
+    def _switch(self, line: bytes, moves: bool = False) -> bool:
         """Send what is answered by the state of the laser; return it."""
 
         def accept(answer: object) -> bool | None:
@@ -187,7 +188,7 @@ class OltSyncBox(_Synchroniser):
         """Round to microseconds, send, and believe the verdict."""
         with self._lock:
             self.silence()
-            rounded = _rounded(schedule)
+            rounded = _round_schedule(schedule)
             pins = {pin: self._moments(rounded, pin) for pin in PINS}
             last = max((number for number, pin in enumerate(PINS, 1) if pins[pin]), default=0)
             for pin in PINS[:last]:  # a pin has to have something; who is not armed takes no notice
@@ -200,7 +201,7 @@ class OltSyncBox(_Synchroniser):
                     return answer.accepted
                 raise ProtocolViolation(f"{self.name}: {answer!r} is no verdict on a sequence")
 
-            if not self._repeated(lambda: self._transact(sequence.to_bytes(), accept)):
+            if not self._ask_again(lambda: self._transact(sequence.to_bytes(), accept)):
                 raise CommandRejected(f"{self.name} refused the sequence as a whole", "Sequence:Error")
             self._sequence = sequence
             return rounded
@@ -211,12 +212,12 @@ class OltSyncBox(_Synchroniser):
             if self._sequence is None:
                 raise LaserDoubt(f"{self.name} has nothing to start")
             self._require_untouched()
-            if not self._switched(Switch(self.address, True).to_bytes(), moves=True):
+            if not self._switch(Switch(self.address, True).to_bytes(), moves=True):
                 self._require_untouched()
                 raise LaserDoubt(f"{self.name} does not start")
 
     def _moments(self, schedule: Schedule, pin: str) -> tuple[int, ...]:
-        """When a pin goes on and off, in order; pulses of a role without a pin of its own join its partner's."""
+        """Switching times of a pin, in order; pulses of a role without a pin of its own join its partner's."""
         partners = {Role.Q_SWITCH_2: Role.Q_SWITCH_1, Role.CAMERA_B: Role.CAMERA}
         pulses = []
         for role, pulse in schedule.pulses.items():
@@ -252,9 +253,9 @@ class XmSyncBox(_Synchroniser):
             if not 1 <= energy <= 100:
                 raise PulsesRefused(f"{self.name}: light must last 1 to 100 % of dt, not {energy} %")
             self._settings = Settings(self.address, round(frames_hz), 0, 0, energy, 0, dt_us, 0, 0, False)
-            if self._repeated(lambda: self._switched(self._line(False))):
+            if self._ask_again(lambda: self._switch(self._line(False))):
                 raise LaserDoubt(f"{self.name} says that its laser is on")
-            return _rounded(schedule)
+            return _round_schedule(schedule)
 
     def begin(self, pairs: int, camera: bool = True) -> None:
         """Send the same with the laser on."""
@@ -262,7 +263,7 @@ class XmSyncBox(_Synchroniser):
             if self._settings is None:
                 raise LaserDoubt(f"{self.name} has nothing to start")
             self._require_untouched()
-            if not self._switched(self._line(True), moves=True):
+            if not self._switch(self._line(True), moves=True):
                 self._require_untouched()
                 raise LaserDoubt(f"{self.name} does not start")
 
@@ -276,7 +277,7 @@ class XmSyncBox(_Synchroniser):
         return Settings(self.address, 1, 1, 0, 0, 100, 1234, -1, 0, False).to_bytes()
 
 
-def _rounded(schedule: Schedule) -> Schedule:
+def _round_schedule(schedule: Schedule) -> Schedule:
     """Whole microseconds; dt is kept to its nearest one, whatever the pulses before it are rounded to."""
     pulses = {
         role: Pulse(float(round(pulse.delay_us)), float(max(1, round(pulse.width_us))))

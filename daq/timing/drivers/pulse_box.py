@@ -53,7 +53,7 @@ class PulseBox(Link):
                 self._suspect = False
                 self.port.drain(QUIET_S)
                 try:
-                    self.identity = self._agreed(self._identify)
+                    self.identity = self._ask_until_equal(self._identify)
                 except (NoReply, ProtocolViolation) as error:
                     raise NoReply(self._unheard()) from error
                 if self.identity != str(KNOWN_VERSION):

@@ -184,7 +184,7 @@ class QuantumComposersBox(TimingBox):
             if not 1 <= pairs <= LARGEST_COUNT:
                 raise PulsesRefused(f"{self.name} counts to {LARGEST_COUNT}, not to {pairs}")
             for number in burst:
-                self._repeated(lambda n=number: self._set(n, "BCO", str(pairs)))  # type: ignore[misc]
+                self._ask_again(lambda n=number: self._set(n, "BCO", str(pairs)))  # type: ignore[misc]
                 if self._whole(number, "BCO") != pairs:
                     raise LaserDoubt(f"{self.name}: {_name(number)} does not take its count")
             for role in self.wiring:
@@ -227,7 +227,7 @@ class QuantumComposersBox(TimingBox):
         return self._transact(Command("*IDN", asks=True).to_bytes(), accept)
 
     def _set_up(self) -> None:
-        catalogue = self._agreed(lambda: self._ask(":INST:CAT"))
+        catalogue = self._ask_until_equal(lambda: self._ask(":INST:CAT"))
         self._outputs = sum(1 for word in catalogue.split(",") if word.strip().upper().startswith("CH"))
         if not 1 <= self._outputs <= len(OUTPUTS):
             raise WrongBox(f"{self.name}: no pulse generator has the outputs {catalogue!r}")
@@ -235,7 +235,7 @@ class QuantumComposersBox(TimingBox):
             if output not in OUTPUTS[: self._outputs]:
                 raise WrongBox(f"{self.name}: {role} hangs on output {output}, and the box has {catalogue}")
         try:
-            runs_by_itself = self._agreed(lambda: self._ask(":SYST:AUT"))
+            runs_by_itself = self._ask_until_equal(lambda: self._ask(":SYST:AUT"))
         except CommandRejected as refused:
             if refused.code not in UNKNOWN_WORD:  # a box that does not know the word does not do it
                 raise
@@ -379,11 +379,11 @@ class QuantumComposersBox(TimingBox):
         self._require(witness, "STAT", "1")
 
     def _off(self, number: int) -> None:
-        self._repeated(lambda: self._set(number, "STAT", "0"))
+        self._ask_again(lambda: self._set(number, "STAT", "0"))
 
     def _require(self, number: int, keyword: str, value: str) -> None:
         """Raise if something has not (any more) the value that it must have."""
-        if self._repeated(lambda: self._ask(f":PULSE{number}:{keyword}")) == value:
+        if self._ask_again(lambda: self._ask(f":PULSE{number}:{keyword}")) == value:
             return
         if (found := self._text(number, keyword)) != value:
             what = f"{_name(number)} {keyword} is {found}, not {value}"
@@ -398,7 +398,7 @@ class QuantumComposersBox(TimingBox):
         """See that something has a value, and write it only if it has not."""
         if self._text(number, keyword) == value:
             return
-        self._repeated(lambda: self._set(number, keyword, value))
+        self._ask_again(lambda: self._set(number, keyword, value))
         if (found := self._text(number, keyword)) != value:
             raise LaserDoubt(f"{self.name}: {_name(number)} {keyword} was set to {value} and reads {found}")
 
@@ -407,7 +407,7 @@ class QuantumComposersBox(TimingBox):
         step_s = max(1.01 * self.least_step_us * 1e-6, 10.0**-digits)
         before_s = self._seconds(number, keyword)
         if abs(before_s - seconds) > 10.0**-digits:
-            self._repeated(lambda: self._set(number, keyword, f"{seconds:.{digits}f}"))
+            self._ask_again(lambda: self._set(number, keyword, f"{seconds:.{digits}f}"))
             before_s = self._seconds(number, keyword)
             if abs(before_s - seconds) > step_s:
                 was = f"was set to {seconds} s and reads {before_s} s"
@@ -437,7 +437,7 @@ class QuantumComposersBox(TimingBox):
 
     def _text(self, number: int, keyword: str) -> str:
         """A value that two answers agree on."""
-        return self._agreed(lambda: self._ask(f":PULSE{number}:{keyword}"))
+        return self._ask_until_equal(lambda: self._ask(f":PULSE{number}:{keyword}"))
 
     def _ask(self, keyword: str) -> str:
         def accept(answer: object) -> str | None:
@@ -476,7 +476,7 @@ class QuantumComposersBox(TimingBox):
         self.clock.sleep_s(max(0.0, self._wrote_s + self._pause_s - self.clock.now_s()))
         self._wrote_s = self.clock.now_s()
 
-    def _repeated(self, ask: Callable[[], T]) -> T:
+    def _ask_again(self, ask: Callable[[], T]) -> T:
         """Ask again, and slower from then on if no answer came."""
         try:
             return ask()
@@ -484,7 +484,7 @@ class QuantumComposersBox(TimingBox):
             self._pause_s = PAUSE_S
         except ProtocolViolation:
             pass
-        return super()._repeated(ask)
+        return super()._ask_again(ask)
 
     def _stream(self) -> AnswerStream:
         return AnswerStream()

@@ -199,7 +199,7 @@ class Dg645Box(TimingBox):
             self.clock.sleep_s(IDLE_POLL_S)
 
     def _is_busy(self) -> bool:
-        return bool(self._agreed(lambda: self._registers("*STB") & (IS_BUSY | IS_IN_BURST)))
+        return bool(self._ask_until_equal(lambda: self._registers("*STB") & (IS_BUSY | IS_IN_BURST)))
 
     def _require_idle(self) -> None:
         if self._is_busy():
@@ -244,19 +244,19 @@ class Dg645Box(TimingBox):
 
     def _delay(self, channel: int) -> tuple[int, float]:
         """Reference and delay [s] of a channel, that two answers agree on."""
-        match = _DELAY.fullmatch(text := self._agreed(lambda: self._ask("DLAY", str(channel))))
+        match = _DELAY.fullmatch(text := self._ask_until_equal(lambda: self._ask("DLAY", str(channel))))
         if match is None:
             raise self._unreadable(f"DLAY? {channel}", text)
         return int(match[1]), float(match[2])
 
     def _number(self, word: str) -> float:
-        text = self._agreed(lambda: self._ask(word))
+        text = self._ask_until_equal(lambda: self._ask(word))
         if not _NUMBER.fullmatch(text):
             raise self._unreadable(f"{word}?", text)
         return float(text)
 
     def _whole(self, word: str, values: str = "") -> int:
-        text = self._agreed(lambda: self._ask(word, values))
+        text = self._ask_until_equal(lambda: self._ask(word, values))
         if not text.isdecimal():
             raise self._unreadable(f"{word}?", text)
         return int(text)

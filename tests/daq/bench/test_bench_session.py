@@ -162,7 +162,7 @@ def test_closing_is_harmless_when_repeated(path):
     session = open_session(path, simulate=True, home=True)
     session.close()
     session.close()
-    assert all(box.lost for box in session.stage.controllers.values())
+    assert all(box.is_lost for box in session.stage.controllers.values())
 
 
 def test_what_cannot_be_homed_leaves_nothing_open(path, mocker):

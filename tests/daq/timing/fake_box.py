@@ -26,7 +26,7 @@ class FakeBox(TimingBox):
         self.said = []
 
     @property
-    def lost(self):
+    def is_lost(self):
         return self.is_lost
 
     def connect(self, url, baud=None):

@@ -172,7 +172,7 @@ class LightStory(laser.Story):
         self.rest()
         self.stage.clear_stop()
         for name, box in self.stage.controllers.items():
-            if box.lost:
+            if box.is_lost:
                 self.bench.lines[name].plug_in()
                 self.stage.connect(name)
         if any(mm is None for mm in self.stage.where_mm().values()):
