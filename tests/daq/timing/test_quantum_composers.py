@@ -312,7 +312,7 @@ def test_a_stop_while_the_outputs_of_an_alignment_are_read_is_seen():
                 return answer
 
             d.box._flag = press
-            with pytest.raises(LaserDoubt, match="was stopped at the keys"):
+            with pytest.raises(LaserDoubt, match="was stopped at its keys"):
                 d.laser.wait()
             assert d.laser.state is not LaserState.SAFE
 
@@ -359,7 +359,7 @@ def test_a_restart_while_it_fires_is_not_taken_for_the_end(off_s):
         d.clock.sleep_s(1.0)
         d.line.power_cycle(off_s)
         d.clock.sleep_s(6.0)
-        with pytest.raises(LaserDoubt, match=r"stopped at the keys .* or lost power"):
+        with pytest.raises(LaserDoubt, match=r"stopped at its keys .* or lost power"):
             d.laser.wait()
         assert d.laser.state is LaserState.UNKNOWN
 
