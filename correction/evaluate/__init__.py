@@ -1,1 +1,1 @@
-"""What judges the correction: routes, regions, shifts, targets, and the vectors on disk."""
+"""Judgement of the correction: errors by region, claims of sigma, targets, and tracks of particles."""

@@ -124,19 +124,9 @@ class Scatter:
     sigma_px: tuple[float, float]
 
     @property
-    def rms_px(self) -> float:
-        """Root mean square error of a component, bias included."""
-        return float(np.sqrt(np.mean(np.square(self.std_px) + np.square(self.bias_px))))
-
-    @property
     def total_px(self) -> tuple[float, float]:
         """Root mean square error along u and v, bias included."""
         return float(np.hypot(self.bias_px[0], self.std_px[0])), float(np.hypot(self.bias_px[1], self.std_px[1]))
-
-    @property
-    def rms_sigma_px(self) -> float:
-        """Root mean square of the estimated uncertainty of a component."""
-        return float(np.sqrt(np.mean(np.square(self.sigma_px))))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Particles that a frame shows twice, directly and through glass or in two ways through it; how far they differ.
 
 Each particle is fitted in the raw frame and carried to the light sheet by the ray of its pixel (as tracks are,
-`correction.evaluate.carried_vectors`). Two pictures of one particle must meet there. What is left between
+`correction.evaluate.particle_tracks`). Two pictures of one particle must meet there. What is left between
 them is
 
     r = X_b - X_a = (J_a - J_b) d + (p_a - p_b) h + noise,

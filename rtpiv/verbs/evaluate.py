@@ -81,7 +81,7 @@ def evaluate(
     Pairs that are a time apart, one or many, become a series (`rtpiv.analysis.series`): files of chunks and one
     page; the same call goes on where an earlier one stopped.  Two frames, and pairs that a stage moved by a
     measured way, are each evaluated with their errors; so is every pair of a series where that is asked for
-    (shift_mm, route, vtk, tracking), into a folder named after it.
+    (shift_mm, vtk, tracking), into a folder named after it.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def evaluate(
     out : path, optional
         Folder, on the command line by default ``evaluation`` (or ``evaluation-2`` ... where that has other
         results): ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
-        ``vectors.vtk``, ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.  Of a series
+        ``vectors.vtk`` and ``tracks.nc``; for a run one such folder a pair.  Of a series
         ``chunks`` with the vectors and one ``report.html``.
     scene : path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
@@ -125,10 +125,8 @@ def evaluate(
     """
     paths, scene = paths_of(paths), path_of(scene)
     choice = piv_choice(**options)
-    if recipe.target_clear is not None and details.traces_raw_pixels:
-        raise PairError(
-            f"{details.traces_raw_pixels} traces raw pixels; give the camera's lens terms in the scene, no dewarp"
-        )
+    if recipe.target_clear is not None and details.tracking:
+        raise PairError("tracking traces raw pixels; give the camera's lens terms in the scene, no dewarp")
     paths = recipe.frames_of(paths)
     run = paths[0] if len(paths) == 1 and (is_run(paths[0]) or is_source(paths[0])) else None
     preparation = choice.preparation or Preparation()

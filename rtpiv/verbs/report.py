@@ -17,7 +17,7 @@ from daq.runs.run_views import first_view, scene_file
 from ground.terminal import console
 from piv.errors import PairError
 from rtpiv.analysis.fit_beside import FIT_FILE
-from rtpiv.analysis.pairs.evaluation import Evaluation, PairDetails, Route
+from rtpiv.analysis.pairs.evaluation import IMAGE_ROUTE, Evaluation, PairDetails
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.pictures.before_after import before_after
 from rtpiv.analysis.recipe import CorrectionRecipe
@@ -42,7 +42,7 @@ def report(
     target_clear: Named | None = None,
     dewarp_order: DewarpOrder = 2,
     stage_sigma_um: Positive = 10.0,
-    route: Route = "compare",
+    route: str = IMAGE_ROUTE,
     **options: Unpack[PivOptions],
 ) -> Path:
     """Evaluate a run and write its page.
@@ -92,7 +92,7 @@ def report(
         loaded = load_scene(scene)
         page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
         if (run / MOVED).is_file():
-            asked = PairDetails(stage_sigma_um=stage_sigma_um, route=route if target_clear is None else "image")
+            asked = PairDetails(stage_sigma_um=stage_sigma_um, route=route)
             found = evaluate([run], out, scene, recipe, asked, **options).details
             shown = _most_telling(found)
             pair_summary(page, shown)

@@ -37,14 +37,12 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
     """Say how well a pair was measured, and where the page will be."""
     from rtpiv.analysis.report.tables import (
         CLAIM_HEAD,
-        ROUTE_HEAD,
         SHIFT_HEAD,
         SIGMA_HEAD,
         TRACK_HEAD,
         claim_rows,
         moved_head,
         moved_rows,
-        route_rows,
         shift_rows,
         sigma_rows,
         track_rows,
@@ -74,8 +72,6 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         tables.append(
             ("errors against their total sigma; it claims 68 and 95 %", CLAIM_HEAD, claim_rows(evaluation))
         )
-    if evaluation.routes is not None:
-        tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
     if evaluation.tracks is not None:
         tables.append(("single particles [px]", TRACK_HEAD, track_rows(evaluation)))
     if worst := worst_claim(evaluation):

@@ -56,7 +56,7 @@ def campaign(tmp_path_factory):
     target = acquire(EXAMPLES / "plan-target-by-hand.yaml", bench, place / "runs", True, home=True, frames=raw)
     calibrate(target, out=place / "fit", pictures=False)
     moved = acquire(plan, bench, place / "runs", True, home=True, frames=raw)
-    page = report(moved, place / "report", place / "fit" / "scene.yaml", route="image")
+    page = report(moved, place / "report", place / "fit" / "scene.yaml")
     entries = read_displacements(RunFolder.open(moved))
     found = {
         entry["tag"]: json.loads((place / "report" / entry["tag"] / "evaluation.json").read_text())["shift"]

@@ -7,14 +7,13 @@ from dataclasses import field as made_by
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.carried_vectors import PlaneVectors, raw_settings, track_through_glass, velocity_route
+from correction.evaluate.particle_tracks import PlaneVectors, track_radius, track_through_glass
 from correction.evaluate.regions import Regions, ShiftResult, evaluate_shift, regions_of
-from correction.evaluate.routes import Routes, compare_routes, joined, radius_of
 from correction.fitted.map_sigma import VectorMapSigma, vector_map_sigma
 from correction.fitted.prepared import PreparedCorrection
 from correction.fitted.scene_sigma import SceneSigma
@@ -38,7 +37,7 @@ from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from rtpiv.options.numbers import Positive
 from tracer.scene.scene import Scene
 
-Route = Literal["image", "compare", "best"]
+IMAGE_ROUTE = "image"
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class Evaluation:
     seen : BeforeAfter or None
         Frame A as acquired and corrected, for a page.
     field : VectorField
-        Vectors on the corrected image, of the image route unless the better routes were asked for.
+        Vectors on the corrected image.
     regions : Regions
         Where each belongs.
     shift : ShiftResult or None
@@ -112,12 +111,6 @@ class Evaluation:
         What the fitted scene is unsure of, if its fit lies beside it.
     no_map_sigma : str
         Why `map_sigma` is None.
-    traced : PlaneVectors or None
-        Vectors of the velocity route, if asked for.
-    routes : Routes or None
-        Both routes against each other.
-    by_velocity : (ny, nx) bool or None
-        Vectors of `field` that come from the velocity route.
     settings : PivSettings
         How it was correlated.
     tracks : Tracked or None
@@ -136,9 +129,6 @@ class Evaluation:
     shift: ShiftResult | None
     map_sigma: VectorMapSigma | None
     no_map_sigma: str
-    traced: PlaneVectors | None
-    routes: Routes | None
-    by_velocity: NDArray[np.bool_] | None
     settings: PivSettings
     tracks: Tracked | None
     no_tracks: str
@@ -189,9 +179,7 @@ class Evaluation:
         """The pair as a series of one, with all that is known of its quality."""
         task, field, settings = self.task, self.field, self.settings
         windows = settings.result_grid(self.grid.shape)
-        more = quality_of(
-            field, self.grid, self.total_sigma_px, self.map_sigma, self.by_velocity, task.dt_s, self.slant
-        )
+        more = quality_of(field, self.grid, self.total_sigma_px, self.map_sigma, task.dt_s, self.slant)
         slope = None if self.slant is None else self.slant.through.slope
         result = PairResult(task.name, field, task.dt_s)
         return vectors_of_pairs([result], windows, self.grid, self.about, more, slope)
@@ -218,27 +206,28 @@ class PairDetails:
     stage_sigma_um : float
         Standard error of a position of the motor that moved the printed particles, for the error budget; along an
         axis that a hand moved, how well its scale is read counts, as the bench file says it.
-    route : {"image", "compare", "best"}
-        Correct, then correlate; also carry raw vectors through the glass and compare; or take in each region the
-        better of both (the scene must hold the camera's true pose; no dewarp).
+    route : str
+        Deprecated: "image", as frames are always corrected before they are correlated.
     tracking : bool
         Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
     """
 
     shift_mm: tuple[float, float] | None = None
     stage_sigma_um: Positive = 10.0
-    route: Route = "image"
+    route: str = IMAGE_ROUTE
     tracking: bool = False
+
+    def __post_init__(self) -> None:
+        if self.route != IMAGE_ROUTE:
+            raise PairError(
+                f"route {self.route}: the velocity route was removed (the image route is better in every region)",
+                cure="leave route out",
+            )
 
     @property
     def ask_more(self) -> bool:
         """Whether any of them is asked for."""
         return self != PairDetails(stage_sigma_um=self.stage_sigma_um)
-
-    @property
-    def traces_raw_pixels(self) -> str:
-        """What of it looks at raw frames through the scene's own camera; "" if nothing does."""
-        return "the velocity route" if self.route != "image" else "tracking" if self.tracking else ""
 
 
 @dataclass(frozen=True)
@@ -345,7 +334,7 @@ def evaluate_task(task: Task, prepared: PreparedCorrection, how: PairMethod) -> 
 
 
 def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: Correlated) -> Evaluation:
-    """Say all that is asked of a pair which is correlated: errors, sigma of the map, routes, tracks.
+    """Say all that is asked of a pair which is correlated: errors, sigma of the map, tracks.
 
     Parameters
     ----------
@@ -357,11 +346,6 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
         How it was correlated, and what is asked.
     pair : Correlated
         Its frames and vectors.
-
-    Raises
-    ------
-    PairError
-        The velocity route finds no vectors.
     """
     scene, settings, sigma, asked = task.scene, how.settings, how.sigma, how.details
     (frame_a, frame_b), field = pair.raw, pair.field
@@ -375,15 +359,9 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
     if asked.tracking:
         try:
             found = track_through_glass(frame_a, frame_b, scene, prepared.ray_map, field, grid)
-            tracks = Tracked(found, radius_of(found, corrector.map, scene))
+            tracks = Tracked(found, track_radius(found, corrector.map, scene))
         except PairError as error:
             no_tracks = str(error)
-    traced = routes = by_velocity = None
-    if asked.route != "image":
-        traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map, raw_settings(settings, frame_a.shape))
-        routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
-        if asked.route == "best":
-            field, by_velocity = joined(field, regions, traced, corrector.map, routes)
     stage_px = _stage_px(task, asked.stage_sigma_um, grid.px_per_mm)
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
@@ -394,10 +372,7 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
     seen = None
     if how.pictures:
         seen = before_after(frame_a, pair.first, corrector, scene, full_scale(task.frames[0], frame_a))
-    return Evaluation(
-        task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
-        no_tracks, slant,
-    )  # fmt: skip
+    return Evaluation(task, grid, seen, field, regions, result, unsure, why, settings, tracks, no_tracks, slant)
 
 
 def _stage_px(task: Task, motor_um: float, px_per_mm: float) -> tuple[float, float]:

@@ -22,7 +22,6 @@ of a pair that is evaluated alone, with more of its quality:
     vorticity, divergence, shear, swirling_strength; sigma_vorticity ...
                                   of u, v [s-1], or of displacements [mm per mm] (`piv.statistics.derived`)
     peak_ratio, valid_fraction    of the highest peaks; share of valid pixels in the window
-    route                         1 = the vector was traced (velocity route), only where routes were mixed
 
 By place: dxdz, dydz, the slopes of the rays: measured are u - w dxdz, v - w dydz (`correction.maps.slant`).
 
@@ -37,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.carried_vectors import PlaneVectors
+from correction.evaluate.particle_tracks import PlaneVectors
 from correction.fitted.map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
 from daq.runs.run_views import length_unit
@@ -231,7 +230,6 @@ def quality_of(
     grid: PlaneGrid,
     total_sigma_px: Floats,
     map_sigma: VectorMapSigma | None = None,
-    by_velocity: NDArray[np.bool_] | None = None,
     dt_s: float | None = None,
     slant: Slanted | None = None,
 ) -> dict[str, NDArray[Any]]:
@@ -245,8 +243,6 @@ def quality_of(
         for number, (along, place) in enumerate((("u", "x"), ("v", "y"))):
             found[f"map_sigma_{along}"] = map_sigma.displacement_px[..., number] * per_px(grid.pitch_mm, dt_s)
             found[f"map_sigma_{place}"] = map_sigma.position_px[..., number] * grid.pitch_mm
-    if by_velocity is not None:
-        found["route"] = by_velocity.astype(np.int8)
     return {name: values[::-1][None] for name, values in (found | _rates_of(field, grid, dt_s, slant)).items()}
 
 
@@ -267,14 +263,14 @@ def _rates_of(
     return found
 
 
-def columns_of(traced: PlaneVectors, dt_s: float | None) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+def columns_of(tracks: PlaneVectors, dt_s: float | None) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     """Columns of vectors that lie on no grid, x, y, u, v, their sigma and branch, and the units of these."""
     per_mm = per_px(1.0, dt_s)
-    columns: dict[str, NDArray[Any]] = {"x": traced.place_mm[:, 0], "y": traced.place_mm[:, 1]}
+    columns: dict[str, NDArray[Any]] = {"x": tracks.place_mm[:, 0], "y": tracks.place_mm[:, 1]}
     for number, name in enumerate("uv"):
-        columns[name] = (traced.shift_mm[:, number] * per_mm).astype(np.float32)
-        columns[f"sigma_{name}"] = (traced.sigma_mm[:, number] * per_mm).astype(np.float32)
-    columns["branch"] = traced.branch.astype(np.int32)
+        columns[name] = (tracks.shift_mm[:, number] * per_mm).astype(np.float32)
+        columns[f"sigma_{name}"] = (tracks.sigma_mm[:, number] * per_mm).astype(np.float32)
+    columns["branch"] = tracks.branch.astype(np.int32)
     return columns, UNITS | dict.fromkeys(PER_TIME, LENGTH if dt_s is None else SPEED)
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
-from correction.evaluate.carried_vectors import PlaneVectors
+from correction.evaluate.particle_tracks import PlaneVectors
 from correction.evaluate.regions import Scatter
 from correction.grid import PlaneGrid
 from daq.runs.run_views import length_unit
@@ -127,20 +127,15 @@ def colour_limit(colour: Floats) -> float:
     return max(float(np.percentile(known, 99)), 1e-6) if len(known) else 1.0
 
 
-def radius_figure(
-    image: Mapping[tuple[float, float], Scatter], velocity: Mapping[tuple[float, float], Scatter]
-) -> Figure:
-    """Draw the errors of both routes behind the glass against r / R, u and v apart; `velocity` may be empty."""
+def radius_figure(rings: Mapping[tuple[float, float], Scatter]) -> Figure:
+    """Draw errors behind the glass, u and v apart, against r / R."""
     figure, panels = _side_by_side(3.4)
+    radius = [0.5 * (low + high) for low, high in rings]
     for component, axes in enumerate(panels):
-        for rings, name, colour in ((image, "image route", SERIES[0]), (velocity, "velocity route", SERIES[1])):
-            if not rings:
-                continue
-            radius = [0.5 * (low + high) for low, high in rings]
-            rms = [scatter.total_px[component] for scatter in rings.values()]
-            axes.plot(radius, rms, "o-", color=colour, markersize=4, label=f"{name}, rms error")
-            sigma = [scatter.sigma_px[component] for scatter in rings.values()]
-            axes.plot(radius, sigma, "--", color=colour, linewidth=1.0, label="its own sigma")
+        rms = [scatter.total_px[component] for scatter in rings.values()]
+        axes.plot(radius, rms, "o-", color=SERIES[0], markersize=4, label="rms error")
+        sigma = [scatter.sigma_px[component] for scatter in rings.values()]
+        axes.plot(radius, sigma, "--", color=SERIES[0], linewidth=1.0, label="random sigma")
         axes.set(xlabel="r / R", xlim=(0.0, None), title=COMPONENTS[component])
         axes.grid(True, which="both", color=NOTHING, linewidth=0.5)
     panels[0].set_ylabel("error [px]")

@@ -1,4 +1,4 @@
-"""The chapters of one evaluated pair: pictures, vectors, errors, uncertainty, both routes, images."""
+"""The chapters of one evaluated pair: pictures, vectors, errors, uncertainty, images."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from rtpiv.analysis.report.tables import (
     CLAIM_HEAD,
     IMAGE_HEAD,
     RESPONSE_HEAD,
-    ROUTE_HEAD,
     SHIFT_HEAD,
     SIGMA_HEAD,
     TRACK_HEAD,
@@ -44,7 +43,6 @@ from rtpiv.analysis.report.tables import (
     offset_said,
     region_masks,
     response_rows,
-    route_rows,
     shift_rows,
     sigma_rows,
     totals_of,
@@ -130,8 +128,6 @@ def pair_chapters(page: Page, evaluation: Evaluation) -> None:
     if evaluation.shift is not None:
         _errors(page, evaluation)
     _uncertainty(page, evaluation)
-    if evaluation.routes is not None:
-        _routes(page, evaluation)
     if evaluation.tracks is not None or evaluation.no_tracks:
         _tracks(page, evaluation)
     _images(page, evaluation)
@@ -268,8 +264,8 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
     errors = shift_errors(field, result.shift_px)
     spread = {name: errors[where] for name, where in region_masks(evaluation).items()}
     page.figure("errors", error_histogram(spread), "Errors by region, with the number of vectors.")
-    if result.rings and evaluation.routes is None:
-        page.figure("radius", radius_figure(result.rings, {}), "Behind the glass, by radius on the plane.")
+    if result.rings:
+        page.figure("radius", radius_figure(result.rings), "Behind the glass, by radius on the plane.")
 
 
 def _px(evaluation: Evaluation) -> str:
@@ -315,28 +311,6 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
         "through the traced rays. A position can be off by more than a displacement, because what both ends of a "
         "vector share cancels; the map's share is the same in every pair and does not average out."
     )
-
-
-def _routes(page: Page, evaluation: Evaluation) -> None:
-    routes = evaluation.routes
-    assert routes is not None
-    page.heading("Image route and velocity route")
-    unit = "rms error [px]" if routes.known else "rms of its own sigma [px]"
-    page.text(
-        "Image route: correct the frames, then correlate. Velocity route: correlate the raw frames, then trace "
-        "both ends of every vector through the glass."
-    )
-    rule = (
-        "better: by 5 % at least, and by more than chance does in 95 of 100 cases to vectors whose windows do not"
-        " overlap; else equal"
-        if routes.known
-        else "better: by 5 % at least; else equal"
-    )
-    page.table(ROUTE_HEAD, route_rows(routes), f"Behind glass by radius, {unit}; {rule}")
-    if evaluation.by_velocity is not None:
-        page.text(f"{int(evaluation.by_velocity.sum())} vectors of the field are of the velocity route.")
-    if routes.known and routes.image:
-        page.figure("radius", radius_figure(routes.image, routes.velocity), "Behind the glass, by radius.")
 
 
 def _tracks(page: Page, evaluation: Evaluation) -> None:

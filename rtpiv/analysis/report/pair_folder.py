@@ -14,10 +14,8 @@ from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import columns_of
 from rtpiv.analysis.report.tables import (
     CLAIM_HEAD,
-    ROUTE_HEAD,
     SIGMA_HEAD,
     claim_rows,
-    route_rows,
     sigma_rows,
     track_summary,
 )
@@ -37,8 +35,6 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
     out.mkdir(parents=True, exist_ok=True)
     vectors, timed = evaluation.vectors, {**about, "delta_t": np.float64(task.dt_s or 0.0)}
     write_vectors(out / "vectors.nc", vectors)
-    if evaluation.traced is not None:
-        write_list(out / "vectors_velocity.nc", *columns_of(evaluation.traced, task.dt_s), timed)
     if evaluation.tracks is not None:
         write_list(out / "tracks.nc", *columns_of(evaluation.tracks.vectors, task.dt_s), timed)
     if vtk:
@@ -61,8 +57,6 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
         summary["sigma_verdict"] = claim_said(*worst)
     if evaluation.shift is not None:
         summary["shift"] = evaluation.shift.to_dict()
-    if evaluation.routes is not None:
-        summary["routes"] = [dict(zip(ROUTE_HEAD, row, strict=True)) for row in route_rows(evaluation.routes)]
     if evaluation.tracks is not None:
         summary["tracks"] = track_summary(evaluation)
     if evaluation.no_tracks:
@@ -80,7 +74,7 @@ def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     page = Page(f"PIV{behind_glass(task.scene)}: {task.name}", about["frames"], twice=figures)
     pair_summary(page, evaluation)
     pair_chapters(page, evaluation)
-    names = ("vectors.nc", "vectors_velocity.nc", "tracks.nc", "vectors.vtk", "evaluation.json")
+    names = ("vectors.nc", "tracks.nc", "vectors.vtk", "evaluation.json")
     page.heading("Files")
     page.links([Link(name, name) for name in names if (out / name).is_file()])
     page.heading("Provenance")

@@ -88,7 +88,7 @@ def shown_pair(given: SeriesInput, books: Evaluated) -> Preview | None:
     """The pair nearest to the middle of the series that has vectors."""
     jobs = given.jobs(1)
     middle = len(jobs) // 2
-    known = {one.task.name: one.field for one in books.details if one.by_velocity is None}
+    known = {one.task.name: one.field for one in books.details}
     for job in sorted(jobs, key=lambda job: abs(job.number - middle)):
         if (tag := job.pairs[0].tag) not in books.failed:
             return preview(job, known.get(tag))

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.evaluate.claims import Claim, claim_of, independent_share
 from correction.evaluate.regions import MIDDLE, Region, shift_errors
-from correction.evaluate.routes import Claim, Routes, claim_of, independent_share
 from correction.node_status import MEANING, NodeStatus
 from daq.runs.run_views import length_unit
 from piv.correlation.response import response_of
@@ -207,7 +207,6 @@ CLAIM_HEAD = (
     "rms of error / sigma u, v",
     "sigma is",
 )
-ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
 TRACK_HEAD = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
 IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
 BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
@@ -308,20 +307,6 @@ def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:
         "across a rim": regions.region == Region.RIM,
     }
     return {name: where & field.valid for name, where in chosen.items() if (where & field.valid).any()}
-
-
-def route_rows(routes: Routes) -> list[Row]:
-    """Rows under ROUTE_HEAD: rms error of each route, or its own sigma where no error is known."""
-    rows: list[Row] = []
-    for name, one, two, better in routes.rows():
-        cells = [
-            (str(s.count), f"{s.rms_px if routes.known else np.sqrt(np.mean(np.square(s.sigma_px))):.4f}")
-            if s is not None and s.count
-            else ("0", "-")
-            for s in (one, two)
-        ]
-        rows.append((name, *cells[0], *cells[1], better))
-    return rows
 
 
 def track_summary(evaluation: Evaluation) -> list[dict[str, Any]]:

@@ -42,7 +42,7 @@ class Evaluated:
         Those without vectors by name, and why.
     details : tuple of Evaluation
         What is known of single pairs beyond their vectors: of two frames, of pairs that a stage moved, and of
-        every pair where that was asked for (routes, tracks, a known shift).
+        every pair where that was asked for (tracks, a known shift).
     series : SeriesFolder, optional
         Where the vectors of pairs that are a time apart lie.
     kept : int

@@ -1,19 +1,16 @@
-"""Regions, statistics against a known shift, and both routes, on frames of the independent renderer."""
+"""Regions, and statistics against a known shift, on frames of the independent renderer."""
 
 import numpy as np
 import pytest
 
-from correction.evaluate.carried_vectors import raw_settings, velocity_route
 from correction.evaluate.regions import Region, evaluate_shift, regions_of, shift_errors
 from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
-from piv.errors import PairError
 from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render_irradiance
 from tests.correction.small_scenes import small_scene
-from tracer.errors import StaleMap
 from tracer.strategies.ray_map import build_ray_map
 
 SETTINGS = PivSettings(windows_px=(32, 32, 32))
@@ -73,24 +70,6 @@ def test_regions_do_not_mix_pictures(seen):
     assert np.allclose(regions.radius[some], np.linalg.norm(places - centre, axis=1) / 50.0)
 
 
-def test_the_velocity_route_agrees_in_the_middle(seen):
-    scene, ray_map, cmap, frames = seen
-    vectors = velocity_route(*frames, scene, ray_map, PivSettings(windows_px=(64, 32, 32)))
-    error_px = (vectors.shift_mm - SHIFT_MM) / cmap.grid.pitch_mm
-    radius = np.hypot(*vectors.place_mm.T) / 50.0
-    direct, middle = vectors.branch == 0, (vectors.branch > 0) & (radius < 0.15)
-    for where, limit in ((direct, 0.08), (middle, 0.15)):
-        assert where.sum() > 10
-        assert np.abs(np.median(error_px[where], axis=0)).max() < 0.03
-        assert np.median(np.abs(error_px[where])) < limit
-
-
-def test_a_map_of_another_scene_is_refused(seen):
-    _, ray_map, _, frames = seen
-    with pytest.raises(StaleMap):
-        velocity_route(*frames, small_scene("two_spheres_500", 504), ray_map)
-
-
 def test_errors_are_only_stated_for_measured_vectors(seen):
     _, _, cmap, frames = seen
     corrector = Corrector(cmap)
@@ -98,15 +77,3 @@ def test_errors_are_only_stated_for_measured_vectors(seen):
     errors = shift_errors(field, (1.0, 2.0))
     assert np.isnan(errors[~field.valid]).all()
     assert np.array_equal(errors[field.valid][:, 1], field.v_px[field.valid] - 2.0)
-
-
-def test_frames_without_texture_are_no_pair(seen):
-    scene, ray_map, _, _ = seen
-    flat = np.full(scene.camera.shape, 100, np.uint16)
-    with pytest.raises(PairError):
-        velocity_route(flat, flat, scene, ray_map)
-
-
-def test_raw_frames_get_a_larger_first_window_where_it_fits():
-    assert raw_settings(SETTINGS, (500, 400)).windows_px == (64, *SETTINGS.windows_px)
-    assert raw_settings(SETTINGS, (500, 50)) == SETTINGS

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.evaluate.carried_vectors import usable_branches
+from correction.evaluate.particle_tracks import usable_branches
 from correction.fitted.prepared import content_key, prepare
 from correction.light_sheet.double_views import double_views
 from correction.maps.correction_map import build_correction_map

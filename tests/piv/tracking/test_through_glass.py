@@ -6,9 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from correction.evaluate.carried_vectors import track_through_glass
+from correction.evaluate.particle_tracks import track_radius, track_through_glass
 from correction.evaluate.regions import Region, regions_of
-from correction.evaluate.routes import radius_of
 from correction.fitted.prepared import prepare
 from correction.grid import grid_of
 from piv.errors import PairError
@@ -74,7 +73,7 @@ def measured(per_px, seed, name="uniform", low=0.75, high=1.0):
     ring = field.valid & (regions.region != Region.DIRECT) & (regions.radius >= low) & (regions.radius < high)
     of_windows = np.stack((field.u_px, field.v_px), axis=-1) - truth_px(name, grid.to_mm(field.grid_px))
     windows = of_windows[ring]
-    radius = radius_of(tracks, correction, SCENE)
+    radius = track_radius(tracks, correction, SCENE)
     return tracks, errors, errors / (tracks.sigma_mm / grid.pitch_mm), radius, windows
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from correction.evaluate.carried_vectors import PlaneVectors
+from correction.evaluate.particle_tracks import PlaneVectors
 from correction.fitted.map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
 from piv.correlation.vector_field import VectorField, VectorFlag
@@ -50,7 +50,7 @@ def field():
 
 
 def of_pair(field, dt_s=None, *more, **about):
-    """A pair as a series of one; `more` are sigmas of the map and the route."""
+    """A pair as a series of one; `more` are sigmas of the map."""
     parts = [field.total_sigma_px, *(each.displacement_px for each in more[:1] if each is not None)]
     total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))
     quality = quality_of(field, GRID, np.where(np.isnan(parts[0]), np.nan, total), *more, dt_s=dt_s)
@@ -99,11 +99,10 @@ def test_what_is_written_is_read(tmp_path, field):
     assert "u [m s-1]" in vectors._repr_html_()
 
 
-def test_the_map_s_sigmas_and_the_route_stand_beside_the_vectors(tmp_path, field):
+def test_the_map_s_sigmas_stand_beside_the_vectors(tmp_path, field):
     place, way = (scale * np.ones((3, 4, 2)) * (1.0, 2.0) for scale in (0.1, 0.01))
     place[0, 0] = np.nan
-    traced = np.arange(12).reshape(3, 4) > 8
-    write_vectors(tmp_path / "vectors.nc", of_pair(field, None, VectorMapSigma(place, way), traced))
+    write_vectors(tmp_path / "vectors.nc", of_pair(field, None, VectorMapSigma(place, way)))
     with netcdf_file(tmp_path / "vectors.nc", mmap=False) as file:
         read = {
             name: variable[0, ::-1] for name, variable in file.variables.items() if variable.shape == (1, 3, 4)
@@ -112,7 +111,6 @@ def test_the_map_s_sigmas_and_the_route_stand_beside_the_vectors(tmp_path, field
     for name, expected in (("u", 0.001), ("v", 0.002), ("x", 0.01), ("y", 0.02)):
         assert read[f"map_sigma_{name}"][2, 3] == pytest.approx(expected)
     assert np.isnan(read["map_sigma_x"][0, 0])
-    assert np.array_equal(read["route"], traced)
 
 
 @pytest.mark.parametrize(("dt_s", "unit", "scale"), [(0.25, b"s-1", 4.0), (None, b"1", 1.0)])

@@ -76,9 +76,15 @@ def test_what_is_no_pair_is_one_sentence(good, tmp_path, capsys, kind):
 
 def test_what_cannot_go_together_is_named(good, tmp_path, capsys):
     scene, frames = good
-    options = ("--target-clear", str(tmp_path / "a.tif"), "--route", "best")
+    options = ("--target-clear", str(tmp_path / "a.tif"), "--tracking")
     assert evaluate(tmp_path, scene, frames, *options) == USAGE
     assert "traces raw pixels" in capsys.readouterr().err
+
+
+def test_the_removed_route_is_one_sentence(good, tmp_path, capsys):
+    scene, frames = good
+    assert evaluate(tmp_path, scene, frames, "--route", "velocity") == USAGE
+    assert "the velocity route was removed" in capsys.readouterr().err
 
 
 def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):

@@ -60,16 +60,8 @@ def test_shift_behind_the_glass_with_the_fitted_scene(name, tmp_path):
     scene, fit = ROOT / "examples" / f"{NOMINAL[name]}.yaml", tmp_path / "fit"
     assert main(["calibrate", str(tmp_path / "target"), "--scene", str(scene), "-o", str(fit)]) == DONE
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
-    (found,) = evaluate(
-        pair, tmp_path / "out", fit / "scene.yaml", details=PairDetails(frames.shift_mm, route="compare")
-    ).details
+    (found,) = evaluate(pair, tmp_path / "out", fit / "scene.yaml", details=PairDetails(frames.shift_mm)).details
     check(found, name)
-    assert found.routes is not None
-    better = [better for *_, better in found.routes.rows()]
-    assert "velocity" not in better
-    assert set(better[-4:]) == {
-        "image"
-    }  # towards the rim; further in both may be as good, as far as anybody can say
     with netcdf_file(tmp_path / "out" / "vectors.nc", mmap=False) as file:
         place, way = (np.nanmedian(file.variables[f"map_sigma_{axis}"][:]) for axis in "xu")
     assert 0.0 < way < 0.2 * place < 0.01

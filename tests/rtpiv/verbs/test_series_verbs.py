@@ -101,7 +101,7 @@ def test_every_pair_of_a_series_can_be_asked_for_more(run, tmp_path):
     words = [str(run), *WINDOWS, "--workers", "1", "--no-pictures"]
     assert main(["evaluate", *words, "-o", str(tmp_path / "plain")]) == DONE
     shift_mm = ("2.5", "1.25")  # 2 px right, 1 px up
-    more = ("--shift-mm", *shift_mm, "--tracking", "--vtk", "--route", "compare")
+    more = ("--shift-mm", *shift_mm, "--tracking", "--vtk")
     assert main(["evaluate", *words, "-o", str(tmp_path / "out"), *more]) == DONE
     assert content_of(tmp_path / "out") == content_of(tmp_path / "plain")
     folders = sorted(path for path in (tmp_path / "out").glob("flow_*"))

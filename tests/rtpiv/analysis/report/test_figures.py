@@ -108,5 +108,5 @@ def test_u_and_v_have_a_panel_each():
     one, other = error_histogram(errors).axes
     assert (one.get_title(), other.get_title()) == ("u, to the right", "v, down")
     rings = {(0.0, 0.1): Scatter(9, (0.01, 0.0), (0.0, 0.03), (0.02, 0.02))}
-    one, other = radius_figure(rings, {}).axes[:2]
+    one, other = radius_figure(rings).axes[:2]
     assert [float(axes.lines[0].get_ydata()[0]) for axes in (one, other)] == pytest.approx([0.01, 0.03])

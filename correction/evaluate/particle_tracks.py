@@ -1,29 +1,19 @@
-"""Vectors of raw frames carried through the glass: correlated (the velocity route), or particles tracked.
+"""Single particles tracked between two raw frames, each traced through the glass to the investigation plane.
 
-Kang et al. (2004) compared two ways: correct the images and correlate (the image route), or correlate the
-distorted images and correct the vectors.  Their vector formula uses the map's gradient and is exact for small
-displacements only; Minor et al. (2007) found terms missing in it.  Here neither is needed: the raw vector
-(u - d/2 -> u + d/2) is traced at both ends, and
-
-    plane displacement = X(u + d/2) - X(u - d/2),      plane position = midpoint of the two,
-
-is exact for any displacement and any glass (of a camera with a pupil, between the chief rays of what the ends
-show: `correction.maps.aperture`).  The route keeps windows of constant size on the sensor: it
-resolves more where the view is magnified and less where it shrinks, and never resamples the frames.
-
-TRACKS.  A particle's place in a raw frame is fitted where nobody has resampled it, and one traced ray carries it
-to the plane, exactly, however strong the lens; the ray's derivative by the pixel carries its sigma along:
+The place of a particle is fitted in the raw frame, which has not been resampled, and one traced ray projects it
+onto the plane, exactly, however strong the lens (with a pupil, the chief ray: `correction.maps.aperture`).
+The ray's derivative by the pixel propagates its sigma:
 
     sigma_i^2 = sum_j (dX_i / du_j)^2 sigma_j^2
 
 There particles of A and B are matched.  On the sensor glass bends and stretches the flow, and a wrong partner may
 well fit its neighbours; on the plane the flow is smooth, whatever stands before it.  So the correlation of the
 corrected frames predicts, neighbours judge each other across the rims of balls, and distances are corrected pixels
-everywhere.  Both ends of a track are seen the same way (one branch): between two ways lies a jump that is no flow.
-An image at a rim, whose 5 x 5 px show two ways, is left out, and so is what the view squeezes below a half.
+everywhere.  Both ends of a track belong to one branch: between two branches lies a jump that is no flow.  An image
+at a rim, whose 5 x 5 px show two branches, is left out, and so is what the view demagnifies below a half.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,29 +22,21 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.maps.aperture import chief_pixels
+from correction.maps.correction_map import CorrectionMap
 from correction.masked import masked_pixels
-from piv.correlation.outliers import outliers
-from piv.correlation.pair import evaluate_pair
-from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
 from piv.errors import PairError
 from piv.tracking.particles import SIDE, Particles, find_particles
 from piv.tracking.tracks import track_particles
 from tracer.scene.scene import Scene
+from tracer.strategies.branches import last_sphere
 from tracer.strategies.ray_map import RayMap
 from tracer.strategies.sensitivity import landings
-from tracer.strategies.trace import trace
 
 LEAST_MAGNIFICATION = 0.5  # of the view, sensor px a corrected px: the limit of the correction map
 SMALLEST_VIEW_PX = 64  # pixels of a branch that is worth looking at
 BLOCK = 8192  # particles traced at once: the derivatives of their rays are by every number of the scene
 Floats = NDArray[np.float64]
-
-
-def raw_settings(settings: PivSettings, shape: tuple[int, ...]) -> PivSettings:
-    """Return settings for raw frames: displacements are larger, so a larger window goes first if it fits."""
-    first = 2 * settings.windows_px[0]
-    return replace(settings, windows_px=(first, *settings.windows_px)) if first <= min(shape) else settings
 
 
 @dataclass(frozen=True)
@@ -68,9 +50,9 @@ class PlaneVectors:
     shift_mm : (N, 2) float64
         Plane displacement.
     sigma_mm : (N, 2) float64
-        Standard uncertainty of the displacement, from that of the raw vector through the map's gradient.
+        Standard uncertainty of the displacement.
     pixel : (N, 2) float64
-        Raw window centre.
+        Middle between both raw images.
     branch : (N,) uint16
         Branch of the ray map.
     """
@@ -80,51 +62,6 @@ class PlaneVectors:
     sigma_mm: NDArray[np.float64]
     pixel: NDArray[np.float64]
     branch: NDArray[np.uint16]
-
-
-def velocity_route(
-    frame_a: NDArray[Any],
-    frame_b: NDArray[Any],
-    scene: Scene,
-    ray_map: RayMap,
-    settings: PivSettings | None = None,
-) -> PlaneVectors:
-    """Correlate two raw frames and trace the vectors onto the plane.
-
-    Parameters
-    ----------
-    frame_a, frame_b : (H, W)
-        Frames as acquired.
-    scene : Scene
-        The scene, with the camera's true pose and lens terms (a dewarp has no place here).
-    ray_map : RayMap
-        Its ray map.
-    settings : PivSettings, optional
-        Of the correlation; default those for raw frames.
-
-    Returns
-    -------
-    PlaneVectors
-        Vectors whose two ends stay on one branch, where the view is not squeezed below 0.5.
-
-    Raises
-    ------
-    StaleMap
-        The map belongs to another scene.
-    PairError
-        The frames do not make a pair.
-    """
-    ray_map.check(scene)
-    if not ray_map.recovered.any():
-        raise PairError("no ray of this scene reaches the plane; look at the scene with rtpiv trace")
-    settings = settings or raw_settings(PivSettings(), frame_a.shape)
-    parts = [
-        _on_plane(evaluate_pair(frame_a, frame_b, mask, settings=settings), number, scene, settings)
-        for number, mask in usable_branches(ray_map, scene, 8 * settings.windows_px[-1] ** 2)
-    ]
-    if not parts:
-        raise PairError("no branch of this scene fills a window; look at the scene with rtpiv trace")
-    return PlaneVectors(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def usable_branches(ray_map: RayMap, scene: Scene, least_px: int) -> list[tuple[int, NDArray[np.bool_]]]:
@@ -150,37 +87,7 @@ def usable_branches(ray_map: RayMap, scene: Scene, least_px: int) -> list[tuple[
     return found
 
 
-def _on_plane(
-    field: VectorField, number: int, scene: Scene, settings: PivSettings
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint16]]:
-    """Trace both ends of every measured vector of a branch; what then does not fit its neighbours is left out.
-
-    Glass distorts raw displacements so much that a wrong one may well fit its neighbours on the sensor; on the
-    plane the flow is smooth and it does not.
-    """
-    centre = field.grid_px[field.valid]
-    shift = np.stack((field.u_px, field.v_px), axis=-1)[field.valid]
-    sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[field.valid]
-    glass = np.full(len(centre), number != 0)
-    ends = [chief_pixels(scene, centre + half * shift, glass) for half in (-0.5, 0.5)]
-    first, last = (trace(scene, pixels) for pixels, _ in ends)
-    rate = landings(scene, centre).pixel_rate
-    good = ends[0][1] & ends[1][1] & first.recovered & last.recovered & (first.rays["key"] == last.rays["key"])
-    good &= np.isfinite(rate).all(axis=(1, 2)) & np.isfinite(sigma).all(
-        axis=1
-    )  # without sigma, no peak to speak of
-    step = last.plane_mm - first.plane_mm
-    scale_px_mm = scene.camera.focal_px / scene.camera.position_mm[2]
-    plane, measured = np.full((*field.flags.shape, 2), np.nan), np.zeros(field.flags.shape, bool)
-    plane[field.valid], measured[field.valid] = scale_px_mm * step, good
-    wrong = outliers(plane, measured, settings.outlier_threshold, settings.outlier_epsilon_px)
-    good &= ~wrong[field.valid]
-    sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate[good] ** 2, sigma[good] ** 2))
-    middle = 0.5 * (first.plane_mm + last.plane_mm)[good]
-    return middle, step[good], sigma_mm, centre[good], np.full(int(good.sum()), number, np.uint16)
-
-
-class Carried(NamedTuple):
+class PlaneParticles(NamedTuple):
     """Particles of a raw frame on the plane.
 
     `raw_px` (N, 2), `on_plane` in corrected pixels, `way` (N,): key of the branch, and `branch` (N,): its number.
@@ -233,7 +140,7 @@ def track_through_glass(
         views[mask] = number + 1
     if not views.any():
         raise PairError("no ray of this scene reaches the plane; look at the scene with rtpiv trace")
-    a, b = (_carried(frame, views, scene, grid) for frame in (frame_a, frame_b))
+    a, b = (_project_particles(frame, views, scene, grid) for frame in (frame_a, frame_b))
     tracks = track_particles(a.on_plane, b.on_plane, guide, a.way, b.way)
     first, last = tracks.first, tracks.last
     pitch = grid.pitch_mm
@@ -246,7 +153,9 @@ def track_through_glass(
     )
 
 
-def _carried(frame: NDArray[Any], views: NDArray[np.int32], scene: Scene, grid: PlaneGrid) -> Carried:
+def _project_particles(
+    frame: NDArray[Any], views: NDArray[np.int32], scene: Scene, grid: PlaneGrid
+) -> PlaneParticles:
     """Particles of a raw frame whose images lie in one view, on the plane."""
     found = find_particles(frame, views > 0)
     column, row = np.rint(found.place_px).astype(int).T
@@ -265,4 +174,16 @@ def _carried(frame: NDArray[Any], views: NDArray[np.int32], scene: Scene, grid: 
     lands &= usable & np.isfinite(rate).all(axis=(1, 2))
     sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate**2, sigma_px**2))
     on_plane = Particles(grid.to_px(point), sigma_mm / grid.pitch_mm, height)
-    return Carried(raw[lands], Particles(*(part[lands] for part in on_plane)), way[lands], branch[lands])
+    return PlaneParticles(raw[lands], Particles(*(part[lands] for part in on_plane)), way[lands], branch[lands])
+
+
+def track_radius(tracks: PlaneVectors, correction_map: CorrectionMap, scene: Scene) -> NDArray[np.float64]:
+    """Return r / R of tracks behind glass, NaN in the direct view."""
+    radius = np.full(len(tracks.branch), np.nan)
+    for number in np.unique(tracks.branch[tracks.branch > 0]):
+        last = last_sphere(scene, correction_map.branches[int(number)])
+        if last is None:
+            continue
+        here = tracks.branch == number
+        radius[here] = np.linalg.norm(tracks.place_mm[here] - last.centre_mm[:2], axis=1) / last.radius_mm
+    return radius
