@@ -5,7 +5,7 @@
 Whoever corrects takes it from here: the lanes of a run, `correct`, `evaluate`, `report`, the figures of a fit.
 `PreparedCorrections` keeps the latest: what is asked for again, by what it is made of (`content_key`), is at hand.
 
-The ray map is not kept: once inverted, only the velocity route asks for it, and tracing it once more (`ray_map`)
+The ray map is not kept: once inverted, only tracking asks for it, and tracing it once more (`ray_map`)
 costs less than its 80 MB.
 """
 
