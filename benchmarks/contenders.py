@@ -62,7 +62,7 @@ def ours(scene: Scene) -> Tasks:
 def march(scene: Scene) -> Tasks:
     """Our tracer ray by ray, every body asked at every step."""
     from ground.rows import run_rows
-    from tracer.kernels.march import trace_rows
+    from tracer.kernels.rays import trace_rows
     from tracer.kernels.world import World
     from tracer.strategies.trace import NO_CELLS, pack_camera
 

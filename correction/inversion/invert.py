@@ -187,7 +187,7 @@ class Inversion:
         self.size = scene.camera.sensor_px
         self.tables = (way.camera, way.world)
         self.events = event_numbers(scene)
-        self.window = way.lone_window
+        self.window = way.single_window
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
         lead, kind = (layers, height, width), ray_map.branch.dtype
@@ -294,7 +294,7 @@ class Inversion:
         walled = not self.way.scene.arrangement.is_one_room
         least = 0 if walled and self.window is None else 1
         sensor = self.ray_map, self.grid, self.tables, self.longest_mm, least
-        if self.way.seeks is Kind.BUNDLES:
+        if self.way.inverse_kind is Kind.BUNDLES:
             ways = self._ways()
             self._solve_many(Sheets(*sensor, ways), ways)
             return
@@ -327,7 +327,7 @@ class Inversion:
         """Solve the nodes of one sheet and keep the best views."""
         sequence = np.array(self._sequence(sheet.branch), np.int64)
         key = key_of(sequence)
-        trip = chain_trip(self.way.scene, sequence) if self.way.seeks is Kind.LOCKSTEP else -1
+        trip = chain_trip(self.way.scene, sequence) if self.way.inverse_kind is Kind.LOCKSTEP else -1
         world = self.tables[1]
         solid = self.way.in_blocks and not world.shapes and bool((sequence < len(world.spheres)).all())
         balls, maps = self.way.chain, self.maps

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.scenes import bench_scene
 from tracer.bodies import Body, Core, Sphere
 from tracer.camera import Camera, Lens, look_at
-from tracer.kernels.march import march, trace_trails
+from tracer.kernels.rays import trace_to_plane, trace_trails
 from tracer.kernels.world import World
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
@@ -143,8 +144,18 @@ def random_scene(rng: np.random.Generator, most: int = 8, cores: bool = False) -
 def one_ray(
     *numbers: float, table: NDArray[np.float64], trail: NDArray[np.int32] | None = None
 ) -> tuple[float, ...]:
-    """`march` from a point along a direction past every sphere of a table; its events go to `trail` (64,)."""
+    """`trace_to_plane` from a point along a direction past the spheres of a table; its events in `trail` (64,)."""
     world = World(table, *NO_CELLS)
     if trail is not None:
         trace_trails(np.array([numbers[:3]]), np.array([numbers[3:]]), world, trail[None])
-    return march(*numbers, world)
+    return flat(trace_to_plane(numbers[:3], numbers[3:], world))
+
+
+def flat(result: Any) -> tuple[float, ...]:
+    """The numbers of what a kernel returns, vectors taken apart."""
+    return tuple(number for part in result for number in (part if isinstance(part, tuple) else (part,)))
+
+
+def halves(numbers: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Two vectors of six numbers, as kernels take them."""
+    return tuple(numbers[:3].tolist()), tuple(numbers[3:].tolist())

@@ -186,7 +186,7 @@ def test_only_spheres_go_by_the_fast_ways() -> None:
         scene = Scene(CAMERA, tuple(several))
         assert choose(scene).kind is (Kind.LOCKSTEP if len(several) == 1 else Kind.BUNDLES)
         uneven = scene.with_bodies([replace(one, shape_um=(1.0,) + (0.0,) * 44), *several[1:]])
-        assert choose(uneven).kind is Kind.MARCH
+        assert choose(uneven).kind is Kind.RAYS
 
 
 def test_a_shape_of_nothing_is_a_sphere() -> None:

@@ -1,4 +1,4 @@
-"""Bundles of rays through many spheres against `march`: same branch, status and plane point for every pixel."""
+"""Bundles of rays through many spheres against single rays: branch, status and plane point of every pixel."""
 
 from dataclasses import replace
 from functools import cache
@@ -135,7 +135,7 @@ def one_uneven() -> Scene:
 
 
 def test_a_bed_with_a_ball_out_of_round_goes_no_fast_way() -> None:
-    assert choose(one_uneven()).kind is Kind.MARCH
+    assert choose(one_uneven()).kind is Kind.RAYS
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from correction.maps.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
 from tracer.bodies import Rod
-from tracer.kernels.march import trace_rows
+from tracer.kernels.rays import trace_rows
 from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.world import World, next_in_bed, next_sphere
 from tracer.scene.scene import Scene
@@ -86,8 +86,9 @@ def test_rays_from_anywhere_meet_the_same_sphere(kind: str, seed: int) -> None:
             way = spheres[rng.integers(len(spheres)), :3] - start
         way = way / np.linalg.norm(way)
         last = int(rng.integers(-1, len(spheres)))
-        expected = next_sphere(*start, *way, last, spheres, 0, ONE_ROOM.home)
-        assert next_in_bed(*start, *way, last, spheres, frame, begin, items, 0, ONE_ROOM.home) == expected
+        expected = next_sphere(tuple(start), tuple(way), last, spheres, 0, ONE_ROOM.home)
+        cells = frame, begin, items
+        assert next_in_bed(tuple(start), tuple(way), last, spheres, cells, 0, ONE_ROOM.home) == expected
         met += expected[0] >= 0
     assert met > 1000
 

@@ -10,14 +10,21 @@ from scipy.optimize import minimize_scalar
 
 from benchmarks.reference import follow, pixel_direction
 from benchmarks.scenes import PAPER, aimed_pixels
-from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, random_scene, scene
+from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, flat, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.bodies.rod import meets_rod
 from tracer.camera import Lens
 from tracer.kernels.camera import ideal_xy, pixel_ray, pixel_ray_tangents
-from tracer.kernels.march import MAX_EVENTS, march, march_pixel_tangents, trace_rays, trace_rows, trace_trails
+from tracer.kernels.rays import (
+    MAX_EVENTS,
+    trace_pixel_tangents,
+    trace_rays,
+    trace_rows,
+    trace_to_plane,
+    trace_trails,
+)
 from tracer.kernels.sensor import sensor_rows
-from tracer.kernels.sphere import angles, foot, through, transmittance, turned
+from tracer.kernels.sphere import angles, foot, rotate, through, transmittance
 from tracer.kernels.world import next_body
 from tracer.scene.scene import Scene
 from tracer.strategies.lockstep import find_mirrors, pack_chain, row_scratch
@@ -26,7 +33,12 @@ from tracer.strategies.trace import RAY, RayStatus, pack_camera, trace, trace_fr
 
 def both(kernel: Any, *arguments: object) -> tuple[np.ndarray, np.ndarray]:
     """A kernel's numbers, compiled and as plain Python."""
-    return np.atleast_1d(np.array(kernel(*arguments))), np.atleast_1d(np.array(kernel.py_func(*arguments)))
+    one, other = kernel(*arguments), kernel.py_func(*arguments)
+    return (
+        (np.array(flat(one)), np.array(flat(other)))
+        if isinstance(one, tuple)
+        else (np.array([one]), np.array([other]))
+    )
 
 
 def test_small_kernels_compiled_and_interpreted() -> None:
@@ -40,14 +52,21 @@ def test_small_kernels_compiled_and_interpreted() -> None:
         cos_i, cos_t = angles(b2, radius, n)
         cosine, q = through(b2, radius, n, cos_i, cos_t)
         for kernel, arguments in (
-            (foot, (*w, *d)),
+            (foot, (tuple(w.tolist()), tuple(d.tolist()))),
             (angles, (b2, radius, n)),
             (through, (b2, radius, n, cos_i, cos_t)),
             (transmittance, (cos_i, cos_t, n)),
-            (turned, (*w, *d, b2, cosine, q)),
-            (meets_rod, (*w, *d, rng.normal(size=7) * 20.0 + np.array([0, 0, 0, 0, 0, 0, 40.0]))),
+            (rotate, (tuple(w.tolist()), tuple(d.tolist()), b2, (cosine, q))),
+            (
+                meets_rod,
+                (
+                    tuple(w.tolist()),
+                    tuple(d.tolist()),
+                    rng.normal(size=7) * 20.0 + np.array([0, 0, 0, 0, 0, 0, 40.0]),
+                ),
+            ),
         ):
-            compiled, plain = both(kernel, *(a if isinstance(a, np.ndarray) else float(a) for a in arguments))
+            compiled, plain = both(kernel, *arguments)
             # A fused multiply-add rounds once where Python rounds twice.
             np.testing.assert_allclose(compiled, plain, rtol=1e-12, atol=1e-12 * max(1.0, np.abs(w).max()))
 
@@ -61,10 +80,11 @@ def test_ray_kernels_compiled_and_interpreted(name: str) -> None:
         for kernel in (ideal_xy, pixel_ray, pixel_ray_tangents):
             np.testing.assert_allclose(*both(kernel, u, v, camera), rtol=1e-12, atol=1e-15)
         d = pixel_ray(u, v, camera)
-        assert next_body(*camera[:3], *d, -1, 0, world) == next_body.py_func(*camera[:3], *d, -1, 0, world)
-        compiled, plain = both(march, *camera[:3], *d, world)
+        eye = tuple(camera[:3].tolist())
+        assert next_body(eye, d, -1, 0, world) == next_body.py_func(eye, d, -1, 0, world)
+        compiled, plain = both(trace_to_plane, eye, d, world)
         np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)
-        compiled, plain = both(march_pixel_tangents, u, v, camera, world)
+        compiled, plain = both(trace_pixel_tangents, u, v, camera, world)
         np.testing.assert_allclose(compiled, plain, rtol=1e-7, atol=1e-9)
 
 
@@ -134,7 +154,7 @@ def test_analytic_derivatives(name: str) -> None:
     eye = tuple(mpf(x) for x in where.camera.position_mm)
     compared = glass = 0
     for u, v in aimed_pixels(where, np.random.default_rng(5), 160).tolist():
-        status, _, _, xu, xv, yu, yv, _, _, events = march_pixel_tangents(u, v, camera, world)
+        status, _, _, xu, xv, yu, yv, _, _, events = trace_pixel_tangents(u, v, camera, world)
         seen = follow(where, eye, pixel_direction(where.camera, u, v))
         if status != RayStatus.RECOVERED or seen.worst > 0.99 or abs(seen.direction[2]) < 0.05:
             continue
@@ -155,7 +175,7 @@ def test_lens_terms_alone() -> None:
         )
         packed = pack_camera(where.camera)
         for u, v in ((0.0, 0.0), (2000.0, 100.0), (1007.5, 1007.5), (1500.0, 1900.0)):
-            status, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(u, v, packed, world_of(where))
+            status, x, y, xu, xv, yu, yv, _, _, _ = trace_pixel_tangents(u, v, packed, world_of(where))
             assert status == RayStatus.RECOVERED
             np.testing.assert_allclose(
                 [[xu, xv], [yu, yv]], exact_derivatives(where, u, v), rtol=1e-11, atol=1e-14
@@ -193,7 +213,7 @@ def test_rods_against_a_minimiser() -> None:
         distance = nearest_on_ray(start, way, rod)
         if abs(distance - rod[6]) < 1e-6:
             continue
-        t = meets_rod(*start.tolist(), *way.tolist(), rod)
+        t = meets_rod(tuple(start.tolist()), tuple(way.tolist()), rod)
         assert np.isfinite(t) == (distance < rod[6])
         if np.isfinite(t):
             met += 1
@@ -267,7 +287,7 @@ def test_fermat() -> None:
     for index in np.flatnonzero(chosen):
         if any(rays["key"][index] != base.rays["key"][index] for rays in (*ahead, *behind)):
             continue
-        _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(*pixels[index].tolist(), camera, world)
+        _, _, _, xu, xv, yu, yv, _, _, _ = trace_pixel_tangents(*pixels[index].tolist(), camera, world)
         slope = [
             (a["path_mm"][index] - b["path_mm"][index]) / (2.0 * step) for a, b in zip(ahead, behind, strict=True)
         ]

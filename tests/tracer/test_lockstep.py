@@ -1,4 +1,4 @@
-"""The lockstep form of the tracer against `march`: same branch, same status, same plane point for every pixel."""
+"""The lockstep form of the tracer against single rays: same branch, status and plane point for every pixel."""
 
 import mpmath
 import numpy as np
@@ -11,7 +11,7 @@ from ground.rows import run_rows
 from tests.loops import loop_over
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens
-from tracer.kernels.march import march_pixel_tangents, trace_rows
+from tracer.kernels.rays import trace_pixel_tangents, trace_rows
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.strategy import Kind, choose
@@ -180,7 +180,7 @@ def test_tangents_go_with_the_map() -> None:
     pixels = np.random.default_rng(4).uniform(0.0, 1800.0, (2000, 2))
     rays = trace(where, pixels)
     for (u, v), ray in zip(pixels.tolist(), rays.rays, strict=True):
-        status, x, y, *_, passed, key, events = march_pixel_tangents(u, v, packed, world)
+        status, x, y, *_, passed, key, events = trace_pixel_tangents(u, v, packed, world)
         assert (status, key, events) == (ray["status"], ray["key"], ray["events"])
         if status == RayStatus.RECOVERED:
             assert passed == pytest.approx(float(ray["transmittance"]), abs=1e-9)

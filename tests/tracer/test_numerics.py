@@ -81,7 +81,7 @@ def digits(
             continue
         if (
             result[0] != RayStatus.MISSED_PLANE
-        ):  # leaving upwards: `march` returns the foot point, not a plane point
+        ):  # leaving upwards: `trace_ray` returns the foot point, not a plane point
             continue
         compared += 1
         foot = tuple((mpf(float(x)) - y) / mpf(radius_mm) for x, y in zip(result[1:4], c, strict=True))
@@ -107,7 +107,7 @@ def _sixty_digits() -> Iterator[None]:
 def textbook(
     x: float, y: float, z: float, u: float, v: float, w: float, table: np.ndarray, *_: object
 ) -> list[float]:
-    """What `march` returns for one sphere, by roots and normals in float64: the formulas not used here."""
+    """What `trace_ray` returns for one sphere, by roots and normals in float64: the formulas not used here."""
     o, d, c, (radius, n) = np.array([x, y, z]), np.array([u, v, w]), table[0, :3], table[0, 3:5]
     for index in (1.0 / n, n):
         half = (o - c) @ d

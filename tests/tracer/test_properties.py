@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from benchmarks.scenes import PAPER, aimed_pixels
 from tests.loops import loop_over
-from tests.tracer.scenes import TILTED, ball, camera_at, random_scene, scene
+from tests.tracer.scenes import TILTED, ball, camera_at, flat, random_scene, scene
 from tracer.bodies import Sphere
-from tracer.kernels.march import march, trace_rays, trace_trails
+from tracer.kernels.rays import trace_rays, trace_to_plane, trace_trails
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
@@ -71,7 +71,7 @@ def leaves_at(
     where: Scene, start: NDArray[np.float64], way: NDArray[np.float64]
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Point and direction of the last straight piece, and the transmittance."""
-    result = march(*start.tolist(), *way.tolist(), world_of(where))
+    result = flat(trace_to_plane(tuple(start.tolist()), tuple(way.tolist()), world_of(where)))
     return np.array(result[1:4]), np.array(result[4:7]), float(result[8])
 
 
@@ -134,14 +134,16 @@ def test_angular_momentum_about_a_sphere_is_kept(seed: int) -> None:
     table = where.sphere_table()
     for _ in range(20):
         way = rng.normal(size=3)
-        way[2] = abs(way[2])  # upwards: `march` then returns the foot point of the last piece, not a plane point
+        way[2] = abs(
+            way[2]
+        )  # upwards: `trace_ray` then returns the foot point of the last piece, not a plane point
         way /= np.linalg.norm(way)
         side = np.cross(way, rng.normal(size=3))
         side /= np.linalg.norm(side)
         aside = radius * (1.0 - 10.0 ** rng.uniform(-12.0, 0.0))
         # From the foot point's neighbourhood: the start is exact to an ulp of the radius, not of the distance.
         start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
-        result = march(*start.tolist(), *way.tolist(), world_of(where))
+        result = flat(trace_to_plane(tuple(start.tolist()), tuple(way.tolist()), world_of(where)))
         if result[-1] != 1 or result[6] < 0.0:
             continue
         before = np.cross(start - table[0, :3], way)

@@ -13,12 +13,18 @@ from sim.demo.scenes import named_scene
 from tests.loops import loop_over
 from tracer.bodies import Core
 from tracer.camera import Lens
-from tracer.kernels.landing import STATE, trace_landings
-from tracer.kernels.march import MAX_EVENTS
-from tracer.kernels.world import MOST_NUMBERS
+from tracer.kernels.landing import LandingArrays, trace_landings
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose, landings, parameter_names
+from tracer.strategies.sensitivity import (
+    CAMERA,
+    SPHERE,
+    TARGET,
+    TargetPose,
+    landings,
+    parameter_names,
+    sweep_scratch,
+)
 from tracer.strategies.trace import pack_camera, world_of
 
 STEP = mpf(10) ** -16  # of 50 digits: truncation and rounding both below 1e-30
@@ -136,7 +142,7 @@ def test_compiled_and_interpreted_agree_and_lost_rays_are_nan():
     assert np.isnan(found.rate[~found.recovered]).all()
     assert np.isfinite(found.rate[found.recovered]).all()
     count = len(found.names)
-    out = (
+    out = LandingArrays(
         np.empty(3, np.uint8),
         np.empty(3, np.int64),
         np.empty((3, 2)),
@@ -144,10 +150,8 @@ def test_compiled_and_interpreted_agree_and_lost_rays_are_nan():
         np.empty((3, 2, count)),
         np.empty((0, 2, 2, 50)),
     )
-    directions, camera = scene.camera.directions(pixels), pack_camera(scene.camera)
-    world = (world_of(scene), POSE.packed(), scene.n_ambient)
-    scratch = (np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE)), np.zeros(MOST_NUMBERS))
-    trace_landings.py_func(pixels, directions, camera, *world, 0, 3, *scratch, *out)
+    rays, tables = (pixels, scene.camera.directions(pixels)), (pack_camera(scene.camera), world_of(scene))
+    trace_landings.py_func(rays, tables, POSE.packed(), scene.n_ambient, 0, 3, sweep_scratch(), out)
     np.testing.assert_array_equal(out[0], found.status)
     np.testing.assert_allclose(out[4], found.rate, rtol=1e-9, atol=1e-12)
     assert count == len(CAMERA) + 2 * len(SPHERE) + len(TARGET)

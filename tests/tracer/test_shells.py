@@ -17,7 +17,7 @@ from benchmarks.reference import Glass, Vector, along, cross, dot, roots
 from benchmarks.scenes import aimed_pixels
 from rtpiv.analysis.views.field_of_view import field_of_view
 from tests.slow_cases import one_in_three
-from tests.tracer.scenes import HOLLOW, ball, camera_at, one_ray, random_scene, scene
+from tests.tracer.scenes import HOLLOW, ball, camera_at, flat, one_ray, random_scene, scene
 from tests.tracer.second_formulation import inside
 from tests.tracer.second_formulation import met as meet
 from tracer.bodies import Core, Sphere
@@ -102,7 +102,7 @@ def digits(
             continue
         assert not sure or WAYS[trail[0]] == exact[1]
         ways.add(exact[1])
-        if result[0] != RayStatus.MISSED_PLANE:  # upwards: `march` returns the foot point
+        if result[0] != RayStatus.MISSED_PLANE:  # upwards: `trace_ray` returns the foot point
             continue
         foot = [(mpf(float(p)) - c) / RADIUS_MM for p, c in zip(result[1:4], centre.tolist(), strict=True)]
         found = (*foot, *(mpf(float(x)) for x in result[4:7]))
@@ -136,7 +136,7 @@ def test_digits_lost(ratio: float, n: float) -> None:
 
 
 def textbook(*numbers: float, table: Any, trail: Any) -> Any:
-    """What `march` returns for one sphere, by roots and normals in float64: the formulas not used here."""
+    """What `trace_ray` returns for one sphere, by roots and normals in float64: the formulas not used here."""
     p, d = np.array(numbers[:3]), np.array(numbers[3:])
     _, _, root = meet(table[0], table[0, 3], p, d)
     p += root * d
@@ -236,7 +236,7 @@ def test_bouguer(seed: int) -> None:
         aside = radius * (1.0 - 10.0 ** rng.uniform(-12.0, 0.0)) / np.linalg.norm(side)
         start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
         result = one_ray(*start.tolist(), *way.tolist(), table=table)
-        if result[0] != RayStatus.MISSED_PLANE or result[-1] != 1:  # upwards: `march` returns the foot point
+        if result[0] != RayStatus.MISSED_PLANE or result[-1] != 1:  # upwards: `trace_ray` returns the foot point
             continue
         before = np.cross(start - table[0, :3], way)
         after = np.cross(np.array(result[1:4]) - table[0, :3], np.array(result[4:7]))
@@ -298,14 +298,16 @@ def test_kernels_compiled_and_interpreted() -> None:
         way = way_through(b2, row)
         assert way_through.py_func(b2, row) == way
         met.add(way)
-        cosine, q = through(b2, row[3], row[4], *angles(b2, row[3], row[4]))
+        turn = through(b2, row[3], row[4], *angles(b2, row[3], row[4]))
         for kernel, arguments in (
-            (with_cores, (b2, row, way, cosine, q)),
-            (with_cores_rates, (b2, row, way, cosine, q, 0.3, -0.2, 0.7, 0.1)),
+            (with_cores, (b2, row, way, turn)),
+            (with_cores_rates, (b2, row, way, turn, (0.3, -0.2), 0.7, 0.1)),
             (core_turn, (b2, 26.0, 0.8, b2 > 430.0)),
             (core_turn_rates, (b2, 26.0, 0.8, b2 > 430.0, 0.1, 0.2, 0.3)),
         ):
-            np.testing.assert_allclose(kernel(*arguments), kernel.py_func(*arguments), rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(
+                flat(kernel(*arguments)), flat(kernel.py_func(*arguments)), rtol=1e-9, atol=1e-12
+            )
     assert len(met) >= 3
 
 
@@ -327,7 +329,7 @@ def test_only_solid_spheres_travel_the_fast_way() -> None:
     assert where.sphere_table().shape == (5, SOLID + 6)
     assert scene("pyramid_500").sphere_table().shape == (5, SOLID)
     hollow = Scene(camera_at(), (ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (20.0, 1.0)),))
-    assert choose(hollow).kind is Kind.MARCH
+    assert choose(hollow).kind is Kind.RAYS
     with pytest.raises(SceneError, match="field of view is for solid spheres"):
         field_of_view(hollow)
 

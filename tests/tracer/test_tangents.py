@@ -5,7 +5,7 @@ import numpy as np
 from mpmath import mpf
 
 from tracer.kernels.landing import STATE, trace_states
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.rays import MAX_EVENTS
 from tracer.kernels.world import RECOVERED, World
 from tracer.strategies.trace import NO_CELLS
 
@@ -33,12 +33,14 @@ def test_tangents_pass() -> None:
         while found < 60:
             numbers, table = grazing(rng)
             radius = float(table[0, 3])
-            status, *_, dx, dy, dz, _, events = trace_states(*numbers, World(table, *NO_CELLS), trail, state)
+            status, _, d_behind, _, events = trace_states(
+                tuple(numbers[:3]), tuple(numbers[3:]), World(table, *NO_CELLS), trail, state
+            )
             if events == 0 or state[0, 7] < radius * radius:
                 continue
             found += 1
             assert status == RECOVERED
-            assert [dx, dy, dz] == numbers[3:]
+            assert list(d_behind) == numbers[3:]
             w = [mpf(x) - mpf(float(c)) for x, c in zip(numbers[:3], table[0, :3], strict=True)]
             d = list(map(mpf, numbers[3:]))
             along = sum(a * b for a, b in zip(w, d, strict=True))

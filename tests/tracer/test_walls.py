@@ -27,7 +27,7 @@ from tests.tracer.drawn_walls import (
     tube,
     window,
 )
-from tests.tracer.scenes import camera_at
+from tests.tracer.scenes import camera_at, flat, halves
 from tracer.bodies import Body, Sphere, Window
 from tracer.errors import SceneError
 from tracer.kernels.dome import cross_dome, dome_rates, leave_dome
@@ -164,8 +164,8 @@ def test_landing_points_follow_every_row() -> None:
 
 def behind(cross: Callable[..., tuple[float, ...]], ray: np.ndarray, row: np.ndarray) -> tuple[int, np.ndarray]:
     """Fate, and point and direction behind a wall (6,)."""
-    fate, *numbers = cross(*ray.tolist(), row)
-    return int(fate), np.array(numbers[:6])
+    fate, *numbers = cross(*halves(ray), row)
+    return int(fate), np.array(flat(numbers)[:6])
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_rays_follow_every_number_of_a_wall(
             rate[axis : axis + 3] -= row[number] * row[axis : axis + 3]
         ahead, back = (behind(cross, ray, row + s * rate[: len(row)])[1] for s in (step, -step))
         numeric = (ahead - back) / (2.0 * step)
-        found = np.array(rates(*ray.tolist(), *[0.0] * 6, row, rate, way))
+        found = np.array(flat(rates(*halves(ray), *halves(np.zeros(6)), row, rate, way)))
         np.testing.assert_allclose(found, numeric, rtol=1e-6, atol=2e-7, err_msg=f"{what} {number}")
 
 

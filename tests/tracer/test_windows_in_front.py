@@ -180,7 +180,7 @@ def test_what_else_stands_there_goes_by_the_march() -> None:
     before = Sphere("before", (0.0, 0.0, 250.0), 9.0, GLASS)
     tank = replace(one, behind=WATER)
     for bodies in ((one, *balls(), beside), (one, *balls(), before)):
-        assert choose(Scene(CAMERA, bodies)).kind is Kind.MARCH
+        assert choose(Scene(CAMERA, bodies)).kind is Kind.RAYS
     assert choose(Scene(CAMERA, (tank, bubble))).kind is Kind.BUNDLES
     assert choose(Scene(CAMERA, (one, *balls()))).kind is Kind.LOCKSTEP
     assert len(choose(Scene(CAMERA, balls())).windows) == 0
@@ -197,11 +197,11 @@ def test_its_map_is_inverted_in_blocks_as_node_by_node(kind: str, monkeypatch: p
     )
     blocks = build_correction_map(scene, build_ray_map(scene), layers=2)
 
-    def by_march(where: Scene) -> Strategy:
-        return replace(choose(where), kind=Kind.MARCH, in_blocks=False)
+    def trace_numbered(where: Scene) -> Strategy:
+        return replace(choose(where), kind=Kind.RAYS, in_blocks=False)
 
-    monkeypatch.setattr("tracer.strategies.ray_map.choose", by_march)
-    monkeypatch.setattr("correction.maps.correction_map.choose", by_march)
+    monkeypatch.setattr("tracer.strategies.ray_map.choose", trace_numbered)
+    monkeypatch.setattr("correction.maps.correction_map.choose", trace_numbered)
     single = build_correction_map(scene, build_ray_map(scene), layers=2, skip=False)
     assert blocks.recovered.sum() > 4000
     if kind != "one window":  # there alone it is known why a node is not seen past the glass

@@ -12,25 +12,22 @@ from ground.jit import Array, kernel
 from tracer.bodies.body import Body, BodySection, Capsule, Index, vector3
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
+from tracer.kernels.vectors import Vector, dot, move, subtract, vector_at
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium
 from tracer.medium_table import Positive
 
 
 @kernel
-def meets_rod(px: float, py: float, pz: float, dx: float, dy: float, dz: float, rod: Array) -> float:
+def meets_rod(p: Vector, d: Vector, rod: Array) -> float:
     """Distance along the half-line p + t d, t >= 0, to its closest approach if that lies in the rod, else inf.
 
     Closest approach of a half-line and a segment: minimise |w + t d - s e|^2, w = p - start, e the axis,
     over t >= 0 and 0 <= s <= 1.  The function is convex, so clamping s and solving for t again suffices.
     """
-    x, y, z, end_x, end_y, end_z, radius = rod[0], rod[1], rod[2], rod[3], rod[4], rod[5], rod[6]
-    ex, ey, ez = end_x - x, end_y - y, end_z - z
-    wx, wy, wz = px - x, py - y, pz - z
-    ee = ex * ex + ey * ey + ez * ez
-    de = dx * ex + dy * ey + dz * ez
-    wd = wx * dx + wy * dy + wz * dz
-    we = wx * ex + wy * ey + wz * ez
+    start, radius = vector_at(rod, 0), rod[6]
+    e, w = subtract(vector_at(rod, 3), start), subtract(p, start)
+    ee, de, wd, we = dot(e, e), dot(d, e), dot(w, d), dot(w, e)
     across = ee - de * de
     s = 0.0
     if across > 1e-14 * ee:  # else parallel: either end will do
@@ -41,10 +38,8 @@ def meets_rod(px: float, py: float, pz: float, dx: float, dy: float, dz: float, 
         t = 0.0
         if ee > 0.0:
             s = min(max(we / ee, 0.0), 1.0)
-    gx, gy, gz = wx + t * dx - s * ex, wy + t * dy - s * ey, wz + t * dz - s * ez
-    if gx * gx + gy * gy + gz * gz < radius * radius:
-        return float(t)
-    return math.inf
+    g = move(move(w, t, d), -s, e)
+    return float(t) if dot(g, g) < radius * radius else math.inf
 
 
 class Rods(NamedTuple):

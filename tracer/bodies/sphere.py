@@ -14,7 +14,7 @@ from tracer.bodies.shape import Shape, ShapeTable, reach_mm, written_shape
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.harmonics import COUNT, bending_mm, largest_mm, turned, values
-from tracer.kernels.sphere import INDEX, SOLID
+from tracer.kernels.sphere import REFRACTIVE_INDEX, SOLID
 from tracer.media import Medium
 from tracer.medium_table import OPAQUE, MediumTable, Positive, medium_of, written
 
@@ -186,7 +186,7 @@ class Sphere(Body):
         for row, sphere in zip(table, spheres, strict=True):
             row[:SOLID] = (*sphere.centre_mm, sphere.radius_mm, 1.0, float(sphere.medium is None))
             if sphere.medium is not None:
-                row[INDEX] = index(sphere, sphere.medium)
+                row[REFRACTIVE_INDEX] = index(sphere, sphere.medium)
             for k, core in enumerate(sphere.cores):
                 row[SOLID + 2 * k :][:2] = core.radius_mm, index(sphere, core.medium)
         return table

@@ -32,89 +32,78 @@ from typing import Any
 
 from ground.jit import OVERLOADED, Array, kernel, overload
 from tracer.kernels.branches import NOTHING
-from tracer.kernels.refraction import on_plane_rates, refracted, refracted_rates
-from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, INDEX, RADIUS, foot, transmittance
+from tracer.kernels.refraction import plane_point_rates, refract, refract_rates
+from tracer.kernels.sphere import RADIUS, REFRACTIVE_INDEX, foot, transmittance
+from tracer.kernels.vectors import Vector, add, divide, dot, move, scale, subtract, vector_at
 
 MEAN, EVEN, ODD, SHAPE_NUMBERS = 0, 1, 29, 50  # of a row: R, and where coefficients of degree 6, 5 begin
 BESIDE, BENT, REFLECTED = range(3)  # of a ray at a ball
 MOST_STEPS = 60  # of Newton, for tangents; else three or four
 ROUNDING = 1e-15  # of the radius
+Hit = tuple[Vector, Vector, float]  # point of a surface, direction of the ray to it and its length
 
 
 @kernel
-def next_of_shaped(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, spheres: Array, shapes: Array,
-    room: int, home: Array,
-) -> tuple[int, float]:  # fmt: skip
+def next_among_shapes(
+    p: Vector, d: Vector, last: int, spheres: Array, shapes: Array, room: int, home: Array
+) -> tuple[int, float]:
     """Number of the sphere or ball in a room met next, or NOTHING, and the distance to a point in it."""
     best, nearest = NOTHING, math.inf
     for i in range(spheres.shape[0]):
         if i != last and (home.shape[0] == 0 or home[i] == room):
-            wx, wy, wz = px - spheres[i, CENTRE_X], py - spheres[i, CENTRE_Y], pz - spheres[i, CENTRE_Z]
-            m = -(wx * dx + wy * dy + wz * dz)
-            radius = spheres[i, RADIUS]
+            w = subtract(p, vector_at(spheres[i], 0))
+            m, radius = -dot(w, d), spheres[i, RADIUS]
             if m + radius > 0.0 and m - radius < nearest:
-                ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
-                if ax * ax + ay * ay + az * az < radius * radius:
+                a = move(w, m, d)
+                if dot(a, a) < radius * radius:
                     if shapes[i, MEAN] > 0.0:
-                        m = meets_ball(px, py, pz, dx, dy, dz, spheres[i], shapes[i])
+                        m = meets_ball(p, d, spheres[i], shapes[i])
                     if 0.0 < m < nearest:
                         best, nearest = i, m
     return best, nearest
 
 
 def is_shaped(shapes: tuple[Any, ...], body: int) -> bool:
-    """Whether a sphere is out of round."""
+    """Return whether a sphere is out of round."""
     return len(shapes) > 0 and bool(shapes[0][body, MEAN] > 0.0)
 
 
 def next_shaped(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int,
-    spheres: Array, shapes: tuple[Any, ...], room: int, home: Array,
-) -> tuple[int, float]:  # fmt: skip
-    """`next_of_shaped` where there are shapes."""
+    p: Vector, d: Vector, last: int, spheres: Array, shapes: tuple[Any, ...], room: int, home: Array
+) -> tuple[int, float]:
+    """`next_among_shapes` where there are shapes."""
     if not len(shapes):
         return NOTHING, math.inf
-    return next_of_shaped(px, py, pz, dx, dy, dz, last, spheres, shapes[0], room, home)
+    return next_among_shapes(p, d, last, spheres, shapes[0], room, home)
 
 
 def cross_shaped(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    body: int, spheres: Array, shapes: tuple[Any, ...],
-) -> tuple[int, float, float, float, float, float, float, float, float]:  # fmt: skip
+    p: Vector, d: Vector, body: int, spheres: Array, shapes: tuple[Any, ...]
+) -> tuple[int, Vector, Vector, float, float]:
     """`cross_ball` where there are shapes."""
     if not len(shapes):
-        return BESIDE, px, py, pz, dx, dy, dz, 0.0, 1.0
-    return cross_ball(px, py, pz, dx, dy, dz, spheres[body], shapes[0][body])
+        return BESIDE, p, d, 0.0, 1.0
+    return cross_ball(p, d, spheres[body], shapes[0][body])
 
 
-def shaped_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
-    body: int, spheres: Array, shapes: tuple[Any, ...],
-) -> tuple[float, ...]:  # fmt: skip
+def shape_rates(
+    p: Vector, d: Vector, f: Vector, u: Vector, body: int, spheres: Array, shapes: tuple[Any, ...]
+) -> tuple[Vector, Vector]:
     """`ball_rates` where there are shapes."""
     if not len(shapes):
-        return fx, fy, fz, ux, uy, uz
-    return ball_rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, spheres[body], shapes[0][body])
+        return f, u
+    return ball_rates(p, d, f, u, spheres[body], shapes[0][body])
 
 
 def back_through_shaped(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, state: Array,
-    body: int, spheres: Array, shapes: tuple[Any, ...], out: Array, by_shape: Array,
-) -> tuple[float, ...]:  # fmt: skip
+    f: Vector, g: Vector, state: Array, body: int, spheres: Array, shapes: tuple[Any, ...], out: Array,
+    by_shape: Array,
+) -> tuple[Vector, Vector]:  # fmt: skip
     """`back_through_ball` where there are shapes, from a state as ``tracer.kernels.landing`` keeps it."""
     if not len(shapes):
-        return fx, fy, fz, gx, gy, gz
-    px, py, pz = (
-        state[0] + spheres[body, CENTRE_X],
-        state[1] + spheres[body, CENTRE_Y],
-        state[2] + spheres[body, 2],
-    )
-    return back_through_ball(
-        fx, fy, fz, gx, gy, gz, px, py, pz, state[3], state[4], state[5], spheres[body], shapes[0][body],
-        out, by_shape,
-    )  # fmt: skip
+        return f, g
+    p = add(vector_at(state, 0), vector_at(spheres[body], 0))
+    return back_through_ball(f, g, p, vector_at(state, 3), spheres[body], shapes[0][body], out, by_shape)
 
 
 @overload(is_shaped, jit_options=OVERLOADED)
@@ -125,47 +114,36 @@ def _is_shaped(shapes, body):  # type: ignore[no-untyped-def]  # noqa: ANN001, A
 
 
 @overload(next_shaped, jit_options=OVERLOADED)
-def _next_shaped(px, py, pz, dx, dy, dz, last, spheres, shapes, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _next_shaped(p, d, last, spheres, shapes, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     if not len(shapes):
-        return lambda px, py, pz, dx, dy, dz, last, spheres, shapes, room, home: (NOTHING, math.inf)
-    return lambda px, py, pz, dx, dy, dz, last, spheres, shapes, room, home: next_of_shaped(
-        px, py, pz, dx, dy, dz, last, spheres, shapes[0], room, home
+        return lambda p, d, last, spheres, shapes, room, home: (NOTHING, math.inf)
+    return lambda p, d, last, spheres, shapes, room, home: next_among_shapes(
+        p, d, last, spheres, shapes[0], room, home
     )
 
 
 @overload(cross_shaped, jit_options=OVERLOADED)
-def _cross_shaped(px, py, pz, dx, dy, dz, body, spheres, shapes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _cross_shaped(p, d, body, spheres, shapes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     if not len(shapes):
-        return lambda px, py, pz, dx, dy, dz, body, spheres, shapes: (BESIDE, px, py, pz, dx, dy, dz, 0.0, 1.0)
-    return lambda px, py, pz, dx, dy, dz, body, spheres, shapes: cross_ball(
-        px, py, pz, dx, dy, dz, spheres[body], shapes[0][body]
-    )
+        return lambda p, d, body, spheres, shapes: (BESIDE, p, d, 0.0, 1.0)
+    return lambda p, d, body, spheres, shapes: cross_ball(p, d, spheres[body], shapes[0][body])
 
 
-@overload(shaped_rates, jit_options=OVERLOADED)
-def _shaped_rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, body, spheres, shapes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@overload(shape_rates, jit_options=OVERLOADED)
+def _shape_rates(p, d, f, u, body, spheres, shapes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     if not len(shapes):
-        return lambda px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, body, spheres, shapes: (
-            fx, fy, fz, ux, uy, uz,
-        )  # fmt: skip
-    return lambda px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, body, spheres, shapes: ball_rates(
-        px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, spheres[body], shapes[0][body]
-    )
+        return lambda p, d, f, u, body, spheres, shapes: (f, u)
+    return lambda p, d, f, u, body, spheres, shapes: ball_rates(p, d, f, u, spheres[body], shapes[0][body])
 
 
 @overload(back_through_shaped, jit_options=OVERLOADED)
-def _back_through_shaped(fx, fy, fz, gx, gy, gz, state, body, spheres, shapes, out, by_shape):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _back_through_shaped(f, g, state, body, spheres, shapes, out, by_shape):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     if not len(shapes):
-        return lambda fx, fy, fz, gx, gy, gz, state, body, spheres, shapes, out, by_shape: (
-            fx, fy, fz, gx, gy, gz,
-        )  # fmt: skip
+        return lambda f, g, state, body, spheres, shapes, out, by_shape: (f, g)
 
-    def back(fx, fy, fz, gx, gy, gz, state, body, spheres, shapes, out, by_shape):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-        ball = spheres[body]
-        return back_through_ball(
-            fx, fy, fz, gx, gy, gz, state[0] + ball[0], state[1] + ball[1], state[2] + ball[2],
-            state[3], state[4], state[5], ball, shapes[0][body], out, by_shape,
-        )  # fmt: skip
+    def back(f, g, state, body, spheres, shapes, out, by_shape):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+        p = add(vector_at(state, 0), vector_at(spheres[body], 0))
+        return back_through_ball(f, g, p, vector_at(state, 3), spheres[body], shapes[0][body], out, by_shape)
 
     return back
 
@@ -219,222 +197,187 @@ def curvature(
 
 
 @kernel
-def height(ux: float, uy: float, uz: float, shape: Array) -> tuple[float, float, float, float]:
+def height(u: Vector, shape: Array) -> tuple[float, Vector]:
     """H(u) and its gradient along the unit sphere."""
-    a, ax, ay, az = polynomial(ux, uy, uz, shape, EVEN, 6)
-    b, bx, by, bz = polynomial(ux, uy, uz, shape, ODD, 5)
-    radial = 6.0 * a + 5.0 * b
-    return a + b, ax + bx - radial * ux, ay + by - radial * uy, az + bz - radial * uz
+    a, ax, ay, az = polynomial(u[0], u[1], u[2], shape, EVEN, 6)
+    b, bx, by, bz = polynomial(u[0], u[1], u[2], shape, ODD, 5)
+    return a + b, move(add((ax, ay, az), (bx, by, bz)), -(6.0 * a + 5.0 * b), u)
 
 
 @kernel
-def excess(x: float, y: float, z: float, shape: Array) -> tuple[float, float, float, float]:
+def excess(q: Vector, shape: Array) -> tuple[float, Vector]:
     """Rho / r(u) - 1 at a point, negative inside, and its gradient."""
-    rho = math.sqrt(x * x + y * y + z * z)
-    ux, uy, uz = x / rho, y / rho, z / rho
-    h, hx, hy, hz = height(ux, uy, uz, shape)
+    rho = math.sqrt(dot(q, q))
+    u = divide(q, rho)
+    h, gradient = height(u, shape)
     r = shape[MEAN] + h
-    return (rho - r) / r, (ux - hx / r) / r, (uy - hy / r) / r, (uz - hz / r) / r
+    return (rho - r) / r, divide(subtract(u, divide(gradient, r)), r)
 
 
 @kernel
-def normal(x: float, y: float, z: float, shape: Array) -> tuple[float, float, float]:
+def normal(q: Vector, shape: Array) -> Vector:
     """G, the gradient of rho - r(u): an outward normal, not of length 1."""
-    rho = math.sqrt(x * x + y * y + z * z)
-    ux, uy, uz = x / rho, y / rho, z / rho
-    _, hx, hy, hz = height(ux, uy, uz, shape)
-    return ux - hx / rho, uy - hy / rho, uz - hz / rho
+    rho = math.sqrt(dot(q, q))
+    u = divide(q, rho)
+    _, gradient = height(u, shape)
+    return subtract(u, divide(gradient, rho))
 
 
 @kernel
-def normal_change(
-    x: float, y: float, z: float, shape: Array, vx: float, vy: float, vz: float
-) -> tuple[float, float, float]:
+def normal_change(q: Vector, shape: Array, v: Vector) -> Vector:
     """C v, the change of `normal` when the point moves by v; C is symmetric."""
-    rho = math.sqrt(x * x + y * y + z * z)
-    ux, uy, uz = x / rho, y / rho, z / rho
+    rho = math.sqrt(dot(q, q))
+    u = divide(q, rho)
+    ux, uy, uz = u
     a, ax, ay, az = polynomial(ux, uy, uz, shape, EVEN, 6)
     b, bx, by, bz = polynomial(ux, uy, uz, shape, ODD, 5)
     axx, ayy, azz, axy, axz, ayz = curvature(ux, uy, uz, shape, EVEN, 6)
     bxx, byy, bzz, bxy, bxz, byz = curvature(ux, uy, uz, shape, ODD, 5)
     radial, twice = 6.0 * a + 5.0 * b, 48.0 * a + 35.0 * b
-    gx, gy, gz = 6.0 * ax + 5.0 * bx, 6.0 * ay + 5.0 * by, 6.0 * az + 5.0 * bz
-    uv, gv = ux * vx + uy * vy + uz * vz, gx * vx + gy * vy + gz * vz
-    along = twice * uv - gv
-    hx = (axx + bxx) * vx + (axy + bxy) * vy + (axz + bxz) * vz - uv * gx + along * ux - radial * vx
-    hy = (axy + bxy) * vx + (ayy + byy) * vy + (ayz + byz) * vz - uv * gy + along * uy - radial * vy
-    hz = (axz + bxz) * vx + (ayz + byz) * vy + (azz + bzz) * vz - uv * gz + along * uz - radial * vz
-    return (
-        (vx - uv * ux - hx / rho) / rho,
-        (vy - uv * uy - hy / rho) / rho,
-        (vz - uv * uz - hz / rho) / rho,
-    )
+    g = (6.0 * ax + 5.0 * bx, 6.0 * ay + 5.0 * by, 6.0 * az + 5.0 * bz)
+    uv = dot(u, v)
+    along = twice * uv - dot(g, v)
+    xy, xz, yz = axy + bxy, axz + bxz, ayz + byz
+    h = (dot((axx + bxx, xy, xz), v), dot((xy, ayy + byy, yz), v), dot((xz, yz, azz + bzz), v))
+    h = move(move(move(h, -uv, g), along, u), -radial, v)
+    return divide(subtract(move(v, -uv, u), divide(h, rho)), rho)
 
 
 @kernel
-def surface(
-    ax: float, ay: float, az: float, dx: float, dy: float, dz: float, s: float, side: float, shape: Array
-) -> tuple[bool, float, float, float, float]:
-    """Whether the line a + s d meets the ball, where, and the unit normal there.
+def intersect_surface(a: Vector, d: Vector, s: float, side: float, shape: Array) -> tuple[bool, float, Vector]:
+    """Return whether the line a + s d meets the ball, where, and the unit normal there.
 
     From s outside of it, towards the ball: `side` -1 is the near surface, 1 the far one.
     """
-    nx, ny, nz = 0.0, 0.0, 0.0
+    n = (0.0, 0.0, 0.0)
     for _ in range(MOST_STEPS):
-        value, nx, ny, nz = excess(ax + s * dx, ay + s * dy, az + s * dz, shape)
-        slope = nx * dx + ny * dy + nz * dz
+        value, n = excess(move(a, s, d), shape)
+        slope = dot(n, d)
         if not side * slope > 0.0:
-            return False, s, nx, ny, nz
+            return False, s, n
         s -= value / slope
         if value <= ROUNDING:
             break
-    nx, ny, nz = normal(ax + s * dx, ay + s * dy, az + s * dz, shape)
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    return True, s, nx / length, ny / length, nz / length
+    n = normal(move(a, s, d), shape)
+    return True, s, divide(n, math.sqrt(dot(n, n)))
 
 
 @kernel
-def meets_ball(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, ball: Array, shape: Array
-) -> float:
+def meets_ball(p: Vector, d: Vector, ball: Array, shape: Array) -> float:
     """Distance along the half-line p + t d to the middle of its chord in the ball, inf for a miss.
 
     `ball`: row of the sphere around it (``tracer.kernels.sphere``).
     """
-    m, ax, ay, az = foot(px - ball[0], py - ball[1], pz - ball[2], dx, dy, dz)
-    far2 = ball[RADIUS] * ball[RADIUS] - (ax * ax + ay * ay + az * az)
+    m, a = foot(subtract(p, vector_at(ball, 0)), d)
+    far2 = ball[RADIUS] * ball[RADIUS] - dot(a, a)
     if not far2 > 0.0 or not m + ball[RADIUS] > 0.0:
         return math.inf
     far = math.sqrt(far2)
-    found, near, _, _, _ = surface(ax, ay, az, dx, dy, dz, -far, -1.0, shape)
-    if not found:
+    is_met, near, _ = intersect_surface(a, d, -far, -1.0, shape)
+    if not is_met:
         return math.inf
-    _, far, _, _, _ = surface(ax, ay, az, dx, dy, dz, far, 1.0, shape)
+    _, far, _ = intersect_surface(a, d, far, 1.0, shape)
     t = m + 0.5 * (near + far)
     return t if t > 0.0 else math.inf
 
 
 @kernel
-def cross_ball(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, ball: Array, shape: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """What becomes of a ray at a ball, point and direction behind it, path / n around, share of the light.
+def cross_ball(p: Vector, d: Vector, ball: Array, shape: Array) -> tuple[int, Vector, Vector, float, float]:
+    """Take a ray through a ball: status, point and direction behind it, path / n around, share of the light.
 
     The point is where it leaves the ball; where it is REFLECTED, totally, on either surface, or passes BESIDE by
     rounding, the nearest to the centre.
     """
-    cx, cy, cz, n = ball[0], ball[1], ball[2], ball[INDEX]
-    m, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
-    around2 = ball[RADIUS] * ball[RADIUS]
-    far = math.sqrt(max(around2 - (ax * ax + ay * ay + az * az), 0.0))
-    found, s, nx, ny, nz = surface(ax, ay, az, dx, dy, dz, -far, -1.0, shape)
-    if not found:
-        return BESIDE, cx + ax, cy + ay, cz + az, dx, dy, dz, m, 1.0
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, 1.0 / n)
+    centre, n, around2 = vector_at(ball, 0), ball[REFRACTIVE_INDEX], ball[RADIUS] * ball[RADIUS]
+    m, a = foot(subtract(p, centre), d)
+    is_met, s, nml = intersect_surface(a, d, -math.sqrt(max(around2 - dot(a, a), 0.0)), -1.0, shape)
+    if not is_met:
+        return BESIDE, add(centre, a), d, m, 1.0
+    e, c1, c2 = refract(d, nml, 1.0 / n)
     if c2 == 0.0:
-        return REFLECTED, cx + ax, cy + ay, cz + az, dx, dy, dz, m, 0.0
+        return REFLECTED, add(centre, a), d, m, 0.0
     path, light = m + s, transmittance(c1, c2, n)
-    m, ax, ay, az = foot(ax + s * dx, ay + s * dy, az + s * dz, ex, ey, ez)
-    far = math.sqrt(max(around2 - (ax * ax + ay * ay + az * az), 0.0))
-    _, s, nx, ny, nz = surface(ax, ay, az, ex, ey, ez, far, 1.0, shape)
+    m, a = foot(move(a, s, d), e)
+    _, s, nml = intersect_surface(a, e, math.sqrt(max(around2 - dot(a, a), 0.0)), 1.0, shape)
     path += n * (m + s)
-    qx, qy, qz = cx + (ax + s * ex), cy + (ay + s * ey), cz + (az + s * ez)
-    dx, dy, dz, c1, c2 = refracted(ex, ey, ez, -nx, -ny, -nz, n)
+    d, c1, c2 = refract(e, scale(-1.0, nml), n)
     if c2 == 0.0:
-        return REFLECTED, cx + ax, cy + ay, cz + az, ex, ey, ez, path, 0.0
-    return BENT, qx, qy, qz, dx, dy, dz, path, light * transmittance(c1, c2, 1.0 / n)
+        return REFLECTED, add(centre, a), e, path, 0.0
+    return BENT, add(centre, move(a, s, e)), d, path, light * transmittance(c1, c2, 1.0 / n)
 
 
 @kernel
-def inside(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, ball: Array, shape: Array
-) -> tuple[float, ...]:
-    """Both surfaces of a ray that goes through: t, q and the direction inside, t, q; q from the centre.
+def inside(p: Vector, d: Vector, ball: Array, shape: Array) -> tuple[Hit, Hit]:
+    """Both surfaces that a ray goes through: point from the centre, direction to it and its length.
 
-    Of a ray that does not meet the ball the first t is NaN.
+    Of a ray that does not meet the ball the first length is NaN.
     """
-    n, around2 = ball[INDEX], ball[RADIUS] * ball[RADIUS]
-    m, ax, ay, az = foot(px - ball[0], py - ball[1], pz - ball[2], dx, dy, dz)
-    far = math.sqrt(max(around2 - (ax * ax + ay * ay + az * az), 0.0))
-    found, s, nx, ny, nz = surface(ax, ay, az, dx, dy, dz, -far, -1.0, shape)
-    ex, ey, ez, _, c2 = refracted(dx, dy, dz, nx, ny, nz, 1.0 / n)
-    t = m + s if found and c2 > 0.0 else math.nan
-    qx, qy, qz = ax + s * dx, ay + s * dy, az + s * dz
-    m, ax, ay, az = foot(qx, qy, qz, ex, ey, ez)
-    far = math.sqrt(max(around2 - (ax * ax + ay * ay + az * az), 0.0))
-    _, s, _, _, _ = surface(ax, ay, az, ex, ey, ez, far, 1.0, shape)
-    return t, qx, qy, qz, ex, ey, ez, m + s, ax + s * ex, ay + s * ey, az + s * ez
+    n, around2 = ball[REFRACTIVE_INDEX], ball[RADIUS] * ball[RADIUS]
+    m, a = foot(subtract(p, vector_at(ball, 0)), d)
+    is_met, s, nml = intersect_surface(a, d, -math.sqrt(max(around2 - dot(a, a), 0.0)), -1.0, shape)
+    e, _, c2 = refract(d, nml, 1.0 / n)
+    t = m + s if is_met and c2 > 0.0 else math.nan
+    q = move(a, s, d)
+    m, a = foot(q, e)
+    _, s, _ = intersect_surface(a, e, math.sqrt(max(around2 - dot(a, a), 0.0)), 1.0, shape)
+    return (q, d, t), (move(a, s, e), e, m + s)
 
 
 @kernel
-def surface_rates(
-    qx: float, qy: float, qz: float, dx: float, dy: float, dz: float, t: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, shape: Array, side: float, e: float,
-) -> tuple[float, ...]:  # fmt: skip
-    """Derivatives of q = p + t d and of the direction behind the surface, `side` as for `surface`."""
-    gx, gy, gz = normal(qx, qy, qz, shape)
-    length = math.sqrt(gx * gx + gy * gy + gz * gz)
-    fx, fy, fz = on_plane_rates(dx, dy, dz, t, gx, gy, gz, fx, fy, fz, ux, uy, uz, 0.0)
-    rx, ry, rz = normal_change(qx, qy, qz, shape, fx, fy, fz)
-    length *= -side
-    nx, ny, nz, rx, ry, rz = gx / length, gy / length, gz / length, rx / length, ry / length, rz / length
-    along = nx * rx + ny * ry + nz * rz
-    _, _, _, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, e)
-    rx, ry, rz = rx - along * nx, ry - along * ny, rz - along * nz
-    ux, uy, uz = refracted_rates(dx, dy, dz, nx, ny, nz, e, c1, c2, ux, uy, uz, rx, ry, rz, 0.0)
-    return fx, fy, fz, ux, uy, uz
+def surface_rates(hit: Hit, f: Vector, u: Vector, shape: Array, side: float, e: float) -> tuple[Vector, Vector]:
+    """Derivatives of q = p + t d and of the direction behind a surface, `side` as for `intersect_surface`."""
+    q, d, t = hit
+    g = normal(q, shape)
+    f = plane_point_rates(d, t, g, f, u, 0.0)
+    length = math.sqrt(dot(g, g)) * -side
+    n, r = divide(g, length), divide(normal_change(q, shape, f), length)
+    _, c1, c2 = refract(d, n, e)
+    return f, refract_rates(d, n, e, c1, c2, u, move(r, -dot(n, r), n), 0.0)
 
 
 @kernel
-def ball_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, ball: Array, shape: Array,
-) -> tuple[float, ...]:  # fmt: skip
+def ball_rates(p: Vector, d: Vector, f: Vector, u: Vector, ball: Array, shape: Array) -> tuple[Vector, Vector]:
     """Derivatives of point and direction behind the ball when p changes by f and d by u."""
-    t, qx, qy, qz, ex, ey, ez, s, x, y, z = inside(px, py, pz, dx, dy, dz, ball, shape)
-    if not math.isfinite(t):
-        m = -((px - ball[0]) * dx + (py - ball[1]) * dy + (pz - ball[2]) * dz)
-        return fx + m * ux, fy + m * uy, fz + m * uz, ux, uy, uz
-    n = ball[INDEX]
-    fx, fy, fz, ux, uy, uz = surface_rates(qx, qy, qz, dx, dy, dz, t, fx, fy, fz, ux, uy, uz, shape, -1.0, 1.0 / n)
-    return surface_rates(x, y, z, ex, ey, ez, s, fx, fy, fz, ux, uy, uz, shape, 1.0, n)
+    first, second = inside(p, d, ball, shape)
+    if not math.isfinite(first[2]):
+        return move(f, -dot(subtract(p, vector_at(ball, 0)), d), u), u
+    n = ball[REFRACTIVE_INDEX]
+    f, u = surface_rates(first, f, u, shape, -1.0, 1.0 / n)
+    return surface_rates(second, f, u, shape, 1.0, n)
 
 
 @kernel
 def back_through_surface(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float,
-    qx: float, qy: float, qz: float, dx: float, dy: float, dz: float, t: float,
-    shape: Array, side: float, e: float, out: Array,
-) -> tuple[float, ...]:  # fmt: skip
+    f: Vector, g: Vector, hit: Hit, shape: Array, side: float, e: float, out: Array
+) -> tuple[Vector, Vector, float]:
     """Carry an adjoint pair (f, g) of q and of the direction behind one surface back to p and the one before.
 
     Adds what falls to the shape to out (50,); returns the pair, and what falls to e.
     """
-    ox, oy, oz = normal(qx, qy, qz, shape)
-    length = -side * math.sqrt(ox * ox + oy * oy + oz * oz)
-    nx, ny, nz = ox / length, oy / length, oz / length
-    _, _, _, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, e)
+    q, d, t = hit
+    o = normal(q, shape)
+    length = -side * math.sqrt(dot(o, o))
+    n = divide(o, length)
+    _, c1, c2 = refract(d, n, e)
     k = (e - 1.0) * (e + 1.0) / (e * c1 + c2)
-    k_bar = gx * nx + gy * ny + gz * nz
+    k_bar = dot(g, n)
     c1_bar = k_bar * e * (1.0 - e * c1 / c2)
-    e_bar = gx * dx + gy * dy + gz * dz + k_bar * (c1 + e * (1.0 - c1 * c1) / c2)
-    rx, ry, rz = k * gx - c1_bar * dx, k * gy - c1_bar * dy, k * gz - c1_bar * dz
-    gx, gy, gz = e * gx - c1_bar * nx, e * gy - c1_bar * ny, e * gz - c1_bar * nz
-    along = rx * nx + ry * ny + rz * nz
-    rx, ry, rz = (rx - along * nx) / length, (ry - along * ny) / length, (rz - along * nz) / length
-    hx, hy, hz = normal_change(qx, qy, qz, shape, rx, ry, rz)
-    fx, fy, fz = fx + hx, fy + hy, fz + hz
-    s = (fx * dx + fy * dy + fz * dz) / (ox * dx + oy * dy + oz * dz)
-    back_to_shape(qx, qy, qz, s, rx, ry, rz, out)
-    fx, fy, fz = fx - s * ox, fy - s * oy, fz - s * oz
-    return fx, fy, fz, gx + t * fx, gy + t * fy, gz + t * fz, e_bar
+    e_bar = dot(g, d) + k_bar * (c1 + e * (1.0 - c1 * c1) / c2)
+    r = move(scale(k, g), -c1_bar, d)
+    g = move(scale(e, g), -c1_bar, n)
+    r = divide(move(r, -dot(r, n), n), length)
+    f = add(f, normal_change(q, shape, r))
+    s = dot(f, d) / dot(o, d)
+    back_to_shape(q, s, r, out)
+    f = move(f, -s, o)
+    return f, move(g, t, f), e_bar
 
 
 @kernel
-def back_to_shape(qx: float, qy: float, qz: float, s: float, rx: float, ry: float, rz: float, out: Array) -> None:
+def back_to_shape(q: Vector, s: float, r: Vector, out: Array) -> None:
     """Add what falls to R and to each coefficient: s times the height, less r times the slope of F by it."""
-    rho = math.sqrt(qx * qx + qy * qy + qz * qz)
-    x, y, z = qx / rho, qy / rho, qz / rho
+    rho = math.sqrt(dot(q, q))
+    (x, y, z), (rx, ry, rz) = divide(q, rho), r
     out[MEAN] += s
     along = rx * x + ry * y + rz * z
     for at, degree in ((EVEN, 6), (ODD, 5)):
@@ -459,28 +402,20 @@ def back_to_shape(qx: float, qy: float, qz: float, s: float, rx: float, ry: floa
 
 @kernel
 def back_through_ball(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float,
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, ball: Array, shape: Array,
-    out: Array, by_shape: Array,
-) -> tuple[float, ...]:  # fmt: skip
+    f: Vector, g: Vector, p: Vector, d: Vector, ball: Array, shape: Array, out: Array, by_shape: Array
+) -> tuple[Vector, Vector]:
     """Carry one adjoint pair (f, g) of point and direction behind a ball back to p and d.
 
     Adds what falls to centre, R and n to out (5,), and what falls to the shape's numbers to by_shape (50,).
     """
-    t, qx, qy, qz, ex, ey, ez, s, x, y, z = inside(px, py, pz, dx, dy, dz, ball, shape)
-    if not math.isfinite(t):
-        m = -((px - ball[0]) * dx + (py - ball[1]) * dy + (pz - ball[2]) * dz)
-        return fx, fy, fz, gx + m * fx, gy + m * fy, gz + m * fz
-    n, radius_before, cx, cy, cz = ball[INDEX], by_shape[MEAN], fx, fy, fz
-    fx, fy, fz, gx, gy, gz, out_bar = back_through_surface(
-        fx, fy, fz, gx, gy, gz, x, y, z, ex, ey, ez, s, shape, 1.0, n, by_shape
-    )
-    fx, fy, fz, gx, gy, gz, in_bar = back_through_surface(
-        fx, fy, fz, gx, gy, gz, qx, qy, qz, dx, dy, dz, t, shape, -1.0, 1.0 / n, by_shape
-    )
-    out[0] += cx - fx
-    out[1] += cy - fy
-    out[2] += cz - fz
+    first, second = inside(p, d, ball, shape)
+    if not math.isfinite(first[2]):
+        return f, move(g, -dot(subtract(p, vector_at(ball, 0)), d), f)
+    n, radius_before, behind = ball[REFRACTIVE_INDEX], by_shape[MEAN], f
+    f, g, out_bar = back_through_surface(f, g, second, shape, 1.0, n, by_shape)
+    f, g, in_bar = back_through_surface(f, g, first, shape, -1.0, 1.0 / n, by_shape)
+    for k in range(3):
+        out[k] += behind[k] - f[k]
     out[3] += by_shape[MEAN] - radius_before
     out[4] += out_bar - in_bar / (n * n)
-    return fx, fy, fz, gx, gy, gz
+    return f, g

@@ -18,8 +18,8 @@ NOTHING, FIRST_OTHER = -1, -2  # bodies: a sphere's number, nothing, or another 
 DIRECT = 1  # branch key of the direct view
 KEY_MASK = (1 << 43) - 1  # with the factor below the product stays inside 63 bits
 BITS, ALL_BITS = 4, 15
-MOST_EVENTS = 15  # what 60 bits of a trip hold; longer ones are left to `march`
-UNKNOWN = 1 << 15  # branch number of a ray that met spheres in another order: `march` names it
+MOST_EVENTS = 15  # what 60 bits of a trip hold; longer ones are left to `trace_ray`
+UNKNOWN = 1 << 15  # branch number of a ray that met spheres in another order: `trace_ray` names it
 
 
 @kernel

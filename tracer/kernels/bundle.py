@@ -1,4 +1,4 @@
-"""A bundle of neighbouring rays through many spheres, round by round: the fast form of ``march`` for beds.
+"""A bundle of neighbouring rays through many spheres, round by round: the fast form of `trace_ray` for beds.
 
 A bundle is up to LANES rays, those of a tile of the sensor.  As in ``tracer.kernels.chain`` all that calculates
 goes over its rays in one structure of arrays, in loops without a branch that the compiler puts into vectors.  In
@@ -9,15 +9,15 @@ a bed rays do not stay together, so each round begins with sorting them:
     part    rays that met nothing are done, and the last rays of the bundle take their places: no lane is idle
     turn    all rays that are left, each by the numbers of its own sphere.
 
-Directions are unit vectors, as for `march`, whose three facts (``tracer.kernels.march``) replace every tolerance
+Directions are unit vectors, as for `trace_ray`; its three facts (``tracer.kernels.rays``) replace every tolerance
 here as well.  Nothing is assumed of the order in which spheres are met, or of how many there are.
 
 A pixel has the same bits whatever bundle it is in: loops that calculate run over whole vectors, lanes beyond the
 last ray repeat the first, and which spheres are asked does not change which one is found.
 
 Lists are those of ``tracer.kernels.candidates``, nearest first; every
-ray of a group keeps the nearest foot point ahead, as `march` does, until none can find a nearer one.  Who finds
-nothing as near as its list reaches is asked again in the cells of the bed.
+ray of a group keeps the nearest foot point ahead, as `trace_ray` does, until none can find a nearer one.  A ray
+that finds nothing as near as its list reaches is traced in the cells of the bed.
 """
 
 import math
@@ -255,10 +255,9 @@ def look_around(groups: int, count: int, balls: Array, bed: Bed, bundle: Bundle)
                 px, py, pz = grouped[GX + i], grouped[GY + i], grouped[GZ + i]
                 dx, dy, dz = grouped[GU + i], grouped[GV + i], grouped[GW + i]
                 if not leaves(px, py, pz, dx, dy, dz, near.horizon, bed.frame) or pick != NOTHING:
-                    pick, _ = next_in_bed(
-                        px, py, pz, dx, dy, dz, at // BINS, bed.spheres, bed.frame, bed.begin, bed.items,
-                        OUTERMOST, bed.home,
-                    )  # fmt: skip
+                    cells = bed.frame, bed.begin, bed.items
+                    p, d = (px, py, pz), (dx, dy, dz)
+                    pick, _ = next_in_bed(p, d, at // BINS, bed.spheres, cells, OUTERMOST, bed.home)
             marks[PICK + lane] = pick
 
 

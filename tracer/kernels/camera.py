@@ -7,6 +7,7 @@ The camera arrives as one array (20,): the pinhole; its own axes in the world, w
 import math
 
 from ground.jit import Array, kernel, kernel_inlined
+from tracer.kernels.vectors import Vector, dot, move, scale, vector_at
 
 EYE_X, EYE_Y, EYE_Z = 0, 1, 2
 RIGHT_X, RIGHT_Y, RIGHT_Z, DOWN_X, DOWN_Y, DOWN_Z, AHEAD_X, AHEAD_Y, AHEAD_Z = range(3, 12)
@@ -29,7 +30,7 @@ def lens_of(camera: Array) -> tuple[float, ...]:
 
 
 @kernel_inlined
-def undistorted(
+def undistort(
     x: float, y: float, k1: float, k2: float, k3: float, p1: float, p2: float
 ) -> tuple[float, float, float, float]:
     """Ideal image coordinates of acquired ones, the radial factor and its derivative by r^2."""
@@ -49,7 +50,7 @@ def ideal_xy(u: float, v: float, camera: Array) -> tuple[float, ...]:
     k1, k2, k3, p1, p2 = lens_of(camera)
     if k1 == 0.0 and k2 == 0.0 and k3 == 0.0 and p1 == 0.0 and p2 == 0.0:
         return x, y, 1.0 / focal, 0.0, 0.0, 1.0 / focal
-    ideal_x, ideal_y, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
+    ideal_x, ideal_y, radial, slope = undistort(x, y, k1, k2, k3, p1, p2)
     xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
     xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
     yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
@@ -62,12 +63,18 @@ def ideal_row(row: int, camera: Array, x: Array, y: Array) -> None:
     focal, centre, level = camera[FOCAL], camera[CENTRE_U], (row - camera[CENTRE_V]) / camera[FOCAL]
     k1, k2, k3, p1, p2 = lens_of(camera)
     for i in range(x.shape[0]):
-        a, b, _, _ = undistorted((i - centre) / focal, level, k1, k2, k3, p1, p2)
+        a, b, _, _ = undistort((i - centre) / focal, level, k1, k2, k3, p1, p2)
         x[i], y[i] = a, b
 
 
+@kernel_inlined
+def eye_of(camera: Array) -> Vector:
+    """Place of the pinhole."""
+    return vector_at(camera, EYE_X)
+
+
 @kernel
-def to_world(x: float, y: float, z: float, camera: Array) -> tuple[float, ...]:
+def to_world(x: float, y: float, z: float, camera: Array) -> Vector:
     """World components of a camera vector."""
     return (
         camera[RIGHT_X] * x + camera[DOWN_X] * y + camera[AHEAD_X] * z,
@@ -77,30 +84,24 @@ def to_world(x: float, y: float, z: float, camera: Array) -> tuple[float, ...]:
 
 
 @kernel
-def pixel_ray(u: float, v: float, camera: Array) -> tuple[float, ...]:
+def pixel_ray(u: float, v: float, camera: Array) -> Vector:
     """Unit direction of the ray through acquired pixel (u, v)."""
     x, y, _, _, _, _ = ideal_xy(u, v, camera)
-    scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
-    return to_world(x * scale, y * scale, scale, camera)
+    norm = 1.0 / math.sqrt(x * x + y * y + 1.0)
+    return to_world(x * norm, y * norm, norm, camera)
 
 
 @kernel
-def unit_tangent(
-    dx: float, dy: float, dz: float, scale: float, ex: float, ey: float, ez: float
-) -> tuple[float, ...]:
-    """Give the derivative of v/|v| when v = d/scale changes by e: the part of e across d, scaled."""
-    along = dx * ex + dy * ey + dz * ez
-    return (ex - along * dx) * scale, (ey - along * dy) * scale, (ez - along * dz) * scale
+def unit_tangent(d: Vector, norm: float, e: Vector) -> Vector:
+    """Derivative of v/|v| when v = d / norm changes by e: the part of e across d, scaled."""
+    return scale(norm, move(e, -dot(d, e), d))
 
 
 @kernel
-def pixel_ray_tangents(u: float, v: float, camera: Array) -> tuple[float, ...]:
-    """Unit direction through (u, v) and its derivatives by u and by v: nine numbers."""
+def pixel_ray_tangents(u: float, v: float, camera: Array) -> tuple[Vector, Vector, Vector]:
+    """Unit direction through (u, v) and its derivatives by u and by v."""
     x, y, xu, xv, yu, yv = ideal_xy(u, v, camera)
-    scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
-    dx, dy, dz = to_world(x * scale, y * scale, scale, camera)
-    ex, ey, ez = to_world(xu, yu, 0.0, camera)
-    ux, uy, uz = unit_tangent(dx, dy, dz, scale, ex, ey, ez)
-    ex, ey, ez = to_world(xv, yv, 0.0, camera)
-    vx, vy, vz = unit_tangent(dx, dy, dz, scale, ex, ey, ez)
-    return dx, dy, dz, ux, uy, uz, vx, vy, vz
+    norm = 1.0 / math.sqrt(x * x + y * y + 1.0)
+    d = to_world(x * norm, y * norm, norm, camera)
+    by_u = unit_tangent(d, norm, to_world(xu, yu, 0.0, camera))
+    return d, by_u, unit_tangent(d, norm, to_world(xv, yv, 0.0, camera))

@@ -1,10 +1,10 @@
-"""Many neighbouring rays at once through a few spheres: the fast form of ``tracer.kernels.march``.
+"""Many neighbouring rays at once through a few spheres: the fast form of ``tracer.kernels.rays``.
 
 A block is up to LANES neighbouring pixels of one row.  Its rays go from body to body together, round by
 round, in one structure of arrays: every pass is a loop over the block without a branch in which hits are
 taken by selects, so that the compiler puts 4 or 8 rays into one vector instruction.  A round is
 
-    look   at every sphere that can still be met: keep the nearest foot point ahead, as `march` does;
+    look   at every sphere that can still be met: keep the nearest foot point ahead, as `trace_ray` does;
     turn   at every sphere that some ray met: all rays are turned, those that met it keep the result.
 
 When one sphere alone can be met, or one that lies wholly above all others while every ray goes down, looking and

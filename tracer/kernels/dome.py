@@ -15,162 +15,143 @@ h^2 = R^2 - a^2, and its normal is (q - c) / R.  Which surface comes next is kno
 import math
 
 from ground.jit import Array, kernel
-from tracer.kernels.refraction import on_sphere_rates, refracted, refracted_rates
+from tracer.kernels.refraction import refract, refract_rates, sphere_point_rates
 from tracer.kernels.rooms import IN, OUT, THROUGH
 from tracer.kernels.sphere import foot, transmittance
-from tracer.kernels.world import BLOCKED, ENTERED, MISSED_PLANE, OFF_INSIDE, RECOVERED, TIR
+from tracer.kernels.vectors import Vector, add, divide, dot, move, scale, subtract, vector_at
+from tracer.kernels.world import BLOCKED, ENTERED, MISSED_PLANE, OFF_INSIDE, RECOVERED, TIR, Crossed
 
 OUTER_AT, INNER_AT, OUTER, INNER, WALL, FILLED, AXIS, OPENING = 0, 3, 6, 7, 8, 9, 10, 13
 NEAR, FAR = -1.0, 1.0
 
 
 @kernel
-def to_shell(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array, at: int, which: int, side: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Distance to the near or far side of one sphere, which the ray meets: t, point and outward normal there."""
-    radius = row[which]
-    m, ax, ay, az = foot(px - row[at], py - row[at + 1], pz - row[at + 2], dx, dy, dz)
-    h = side * math.sqrt(max(0.0, radius * radius - (ax * ax + ay * ay + az * az)))
-    ax, ay, az = ax + h * dx, ay + h * dy, az + h * dz
-    return m + h, row[at] + ax, row[at + 1] + ay, row[at + 2] + az, ax / radius, ay / radius, az / radius
+def to_shell(p: Vector, d: Vector, row: Array, at: int, side: float) -> tuple[float, Vector, Vector]:
+    """Distance to the near or far side of a sphere (OUTER_AT, INNER_AT), the point and outward normal there."""
+    centre, radius = vector_at(row, at), row[OUTER if at == OUTER_AT else INNER]
+    m, a = foot(subtract(p, centre), d)
+    h = side * math.sqrt(max(0.0, radius * radius - dot(a, a)))
+    a = move(a, h, d)
+    return m + h, add(centre, a), divide(a, radius)
 
 
 @kernel
-def is_mount(x: float, y: float, z: float, row: Array) -> bool:
-    """Whether a point of the shell belongs to the mount."""
-    wx, wy, wz = x - row[0], y - row[1], z - row[2]
-    along = wx * row[AXIS] + wy * row[AXIS + 1] + wz * row[AXIS + 2]
-    return bool(along < row[OPENING] * math.sqrt(wx * wx + wy * wy + wz * wz))
+def is_mount(q: Vector, row: Array) -> bool:
+    """Return whether a point of the shell belongs to the mount."""
+    w = subtract(q, vector_at(row, OUTER_AT))
+    return bool(dot(w, vector_at(row, AXIS)) < row[OPENING] * math.sqrt(dot(w, w)))
 
 
 @kernel
-def passes_inside(px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array) -> bool:
-    """Whether a ray in the glass goes on a line through the inner sphere."""
-    _, ax, ay, az = foot(px - row[3], py - row[4], pz - row[5], dx, dy, dz)
-    return bool(ax * ax + ay * ay + az * az < row[INNER] * row[INNER])
+def passes_inside(p: Vector, d: Vector, row: Array) -> bool:
+    """Return whether a ray in the glass goes on a line through the inner sphere."""
+    _, a = foot(subtract(p, vector_at(row, INNER_AT)), d)
+    return bool(dot(a, a) < row[INNER] * row[INNER])
 
 
 @kernel
-def meets_dome(px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array) -> float:
+def meets_dome(p: Vector, d: Vector, row: Array) -> float:
     """Distance to where the ray goes in; inf if it does not, or meets the investigation plane first."""
-    m, ax, ay, az = foot(px - row[0], py - row[1], pz - row[2], dx, dy, dz)
-    h2 = row[OUTER] * row[OUTER] - (ax * ax + ay * ay + az * az)
+    m, a = foot(subtract(p, vector_at(row, OUTER_AT)), d)
+    h2 = row[OUTER] * row[OUTER] - dot(a, a)
     if not h2 > 0.0:
         return math.inf
     t = m - math.sqrt(h2)
-    return t if t > 0.0 and pz + t * dz > 0.0 else math.inf
+    return t if t > 0.0 and p[2] + t * d[2] > 0.0 else math.inf
 
 
 @kernel
-def out_of_glass(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """From a point of the glass out through the outer sphere: as `Kind.cross`, light of this surface alone."""
+def leave_glass(p: Vector, d: Vector, row: Array) -> Crossed:
+    """Take a ray from the glass out through the outer sphere: as `Kind.cross`, light of this surface alone."""
     n = row[WALL]
-    t, qx, qy, qz, nx, ny, nz = to_shell(px, py, pz, dx, dy, dz, row, OUTER_AT, OUTER, FAR)
-    if not qz > 0.0:
-        return MISSED_PLANE, px, py, pz, dx, dy, dz, 0.0, 0.0
-    if is_mount(qx, qy, qz, row):
-        return BLOCKED, qx, qy, qz, dx, dy, dz, n * t, 0.0
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, -nx, -ny, -nz, n)
+    t, q, normal = to_shell(p, d, row, OUTER_AT, FAR)
+    if not q[2] > 0.0:
+        return MISSED_PLANE, p, d, 0.0, 0.0
+    if is_mount(q, row):
+        return BLOCKED, q, d, n * t, 0.0
+    e, c1, c2 = refract(d, scale(-1.0, normal), n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, n * t, 0.0
-    return RECOVERED, qx, qy, qz, ex, ey, ez, n * t, transmittance(c1, c2, 1.0 / n)
+        return TIR, q, e, n * t, 0.0
+    return RECOVERED, q, e, n * t, transmittance(c1, c2, 1.0 / n)
 
 
 @kernel
-def cross_dome(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """From outside into the dome, or through its glass alone, as `Kind.cross`."""
+def cross_dome(p: Vector, d: Vector, row: Array) -> Crossed:
+    """Take a ray from outside into the dome, or through its glass alone, as `Kind.cross`."""
     n, filled = row[WALL], row[FILLED]
-    t, qx, qy, qz, nx, ny, nz = to_shell(px, py, pz, dx, dy, dz, row, OUTER_AT, OUTER, NEAR)
-    if is_mount(qx, qy, qz, row):
-        return BLOCKED, qx, qy, qz, dx, dy, dz, t, 0.0
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, 1.0 / n)
+    t, q, normal = to_shell(p, d, row, OUTER_AT, NEAR)
+    if is_mount(q, row):
+        return BLOCKED, q, d, t, 0.0
+    e, c1, c2 = refract(d, normal, 1.0 / n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, t, 0.0
+        return TIR, q, e, t, 0.0
     surface = transmittance(c1, c2, n)
     path, fate = t, RECOVERED
-    if passes_inside(qx, qy, qz, ex, ey, ez, row):
-        t, qx, qy, qz, nx, ny, nz = to_shell(qx, qy, qz, ex, ey, ez, row, INNER_AT, INNER, NEAR)
+    if passes_inside(q, e, row):
+        t, q, normal = to_shell(q, e, row, INNER_AT, NEAR)
         path += n * t
-        if not qz > 0.0:
-            return MISSED_PLANE, qx, qy, qz, ex, ey, ez, path, 0.0
-        if is_mount(qx, qy, qz, row):
-            return BLOCKED, qx, qy, qz, ex, ey, ez, path, 0.0
-        ex, ey, ez, c1, c2 = refracted(ex, ey, ez, nx, ny, nz, n / filled)
+        if not q[2] > 0.0:
+            return MISSED_PLANE, q, e, path, 0.0
+        if is_mount(q, row):
+            return BLOCKED, q, e, path, 0.0
+        e, c1, c2 = refract(e, normal, n / filled)
         if c2 > 0.0:
-            return ENTERED, qx, qy, qz, ex, ey, ez, path, surface * transmittance(c1, c2, filled / n)
+            return ENTERED, q, e, path, surface * transmittance(c1, c2, filled / n)
         fate = OFF_INSIDE
-    lost, qx, qy, qz, ex, ey, ez, more, out = out_of_glass(qx, qy, qz, ex, ey, ez, row)
-    return lost if lost != RECOVERED else fate, qx, qy, qz, ex, ey, ez, path + more, surface * out
+    lost, q, e, more, out = leave_glass(q, e, row)
+    return lost if lost != RECOVERED else fate, q, e, path + more, surface * out
 
 
 @kernel
-def leave_dome(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """From inside out of the dome, as `Kind.leave`; paths are / n of what is around."""
+def leave_dome(p: Vector, d: Vector, row: Array) -> Crossed:
+    """Take a ray from inside out of the dome, as `Kind.leave`; paths are / n of what is around."""
     n, filled = row[WALL], row[FILLED]
-    t, qx, qy, qz, nx, ny, nz = to_shell(px, py, pz, dx, dy, dz, row, INNER_AT, INNER, FAR)
-    if not qz > 0.0:
-        return RECOVERED, px, py, pz, dx, dy, dz, 0.0, 1.0
+    t, q, normal = to_shell(p, d, row, INNER_AT, FAR)
+    if not q[2] > 0.0:
+        return RECOVERED, p, d, 0.0, 1.0
     path = filled * t
-    if is_mount(qx, qy, qz, row):
-        return BLOCKED, qx, qy, qz, dx, dy, dz, path, 0.0
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, -nx, -ny, -nz, filled / n)
+    if is_mount(q, row):
+        return BLOCKED, q, d, path, 0.0
+    e, c1, c2 = refract(d, scale(-1.0, normal), filled / n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, path, 0.0
+        return TIR, q, e, path, 0.0
     light = transmittance(c1, c2, n / filled)
-    lost, qx, qy, qz, ex, ey, ez, more, out = out_of_glass(qx, qy, qz, ex, ey, ez, row)
-    return ENTERED if lost == RECOVERED else lost, qx, qy, qz, ex, ey, ez, path + more, light * out
+    lost, q, e, more, out = leave_glass(q, e, row)
+    return ENTERED if lost == RECOVERED else lost, q, e, path + more, light * out
 
 
 @kernel
 def shell_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
-    row: Array, rate: Array, at: int, which: int, side: float, e: float, e_rate: float,
-) -> tuple[float, ...]:  # fmt: skip
-    """Point and direction behind one sphere, on its near or far side, and their derivatives."""
-    t, qx, qy, qz, nx, ny, nz = to_shell(px, py, pz, dx, dy, dz, row, at, which, side)
-    fx, fy, fz, rx, ry, rz = on_sphere_rates(
-        dx, dy, dz, t, nx, ny, nz, row[which], fx, fy, fz, ux, uy, uz, rate[at], rate[at + 1], rate[at + 2],
-        rate[which],
-    )  # fmt: skip
-    nx, ny, nz, rx, ry, rz = -side * nx, -side * ny, -side * nz, -side * rx, -side * ry, -side * rz
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, e)
-    ux, uy, uz = refracted_rates(dx, dy, dz, nx, ny, nz, e, c1, c2, ux, uy, uz, rx, ry, rz, e_rate)
-    return qx, qy, qz, ex, ey, ez, fx, fy, fz, ux, uy, uz
+    ray: tuple[Vector, Vector], f: Vector, u: Vector, row: Array, rate: Array, at: int, side: float,
+    bend: tuple[float, float],
+) -> tuple[Vector, Vector, Vector, Vector]:  # fmt: skip
+    """Point and direction behind one sphere, on its near or far side, and their derivatives.
+
+    `ray` is start and direction, `bend` the ratio of indices and its rate.
+    """
+    (p, d), (ratio, ratio_rate), radius = ray, bend, OUTER if at == OUTER_AT else INNER
+    t, q, normal = to_shell(p, d, row, at, side)
+    f, r = sphere_point_rates(d, t, normal, row[radius], f, u, vector_at(rate, at), rate[radius])
+    normal, r = scale(-side, normal), scale(-side, r)
+    e, c1, c2 = refract(d, normal, ratio)
+    return q, e, f, refract_rates(d, normal, ratio, c1, c2, u, r, ratio_rate)
 
 
 @kernel
 def dome_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array, way: int,
-) -> tuple[float, ...]:  # fmt: skip
+    p: Vector, d: Vector, f: Vector, u: Vector, row: Array, rate: Array, way: int
+) -> tuple[Vector, Vector]:
     """Derivatives of point and direction behind, on the way that the ray took, as `Kind.rates`."""
     n, filled, n_rate, filled_rate = row[WALL], row[FILLED], rate[WALL], rate[FILLED]
     if way == OUT:
-        e, e_rate = filled / n, (filled_rate - filled / n * n_rate) / n
-        px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz = shell_rates(
-            px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, INNER_AT, INNER, FAR, e, e_rate
-        )
+        bend = filled / n, (filled_rate - filled / n * n_rate) / n
+        p, d, f, u = shell_rates((p, d), f, u, row, rate, INNER_AT, FAR, bend)
     else:
-        px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz = shell_rates(
-            px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, OUTER_AT, OUTER, NEAR,
-            1.0 / n, -n_rate / (n * n),
-        )  # fmt: skip
+        p, d, f, u = shell_rates((p, d), f, u, row, rate, OUTER_AT, NEAR, (1.0 / n, -n_rate / (n * n)))
         if way != THROUGH:
-            e, e_rate = n / filled, (n_rate - n / filled * filled_rate) / filled
-            px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz = shell_rates(
-                px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, INNER_AT, INNER, NEAR, e, e_rate
-            )
+            bend = n / filled, (n_rate - n / filled * filled_rate) / filled
+            p, d, f, u = shell_rates((p, d), f, u, row, rate, INNER_AT, NEAR, bend)
             if way == IN:
-                return fx, fy, fz, ux, uy, uz
-    _, _, _, _, _, _, fx, fy, fz, ux, uy, uz = shell_rates(
-        px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, OUTER_AT, OUTER, FAR, n, n_rate
-    )
-    return fx, fy, fz, ux, uy, uz
+                return f, u
+    _, _, f, u = shell_rates((p, d), f, u, row, rate, OUTER_AT, FAR, (n, n_rate))
+    return f, u

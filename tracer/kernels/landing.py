@@ -29,29 +29,22 @@ c, m = -w . d, a = w + m d, beta = a . a, C and q the turn, a' = C a + beta q d,
 
 Cost: about two tangents, whatever the number of parameters.
 
-A tangent by rounding (``tracer.kernels.march``) passes: C = 1, q = 0 and nothing depends on the sphere.  A body of
+A tangent by rounding (``tracer.kernels.rays``) passes: C = 1, q = 0 and nothing depends on the sphere.  A body of
 another kind gives derivatives forwards only (`Kind.rates`); one sweep through it takes six of them, and one more
 for each of its own numbers.
 """
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 from ground.jit import Array, kernel, kernel_composed
 from tracer.kernels.ball import back_through_shaped, is_shaped
 from tracer.kernels.branches import NOTHING, body_of
 from tracer.kernels.camera import (
     AHEAD_X,
-    AHEAD_Y,
-    AHEAD_Z,
     CENTRE_U,
     CENTRE_V,
     DOWN_X,
-    DOWN_Y,
-    DOWN_Z,
-    EYE_X,
-    EYE_Y,
-    EYE_Z,
     FOCAL,
     K1,
     K2,
@@ -59,23 +52,66 @@ from tracer.kernels.camera import (
     P1,
     P2,
     RIGHT_X,
-    RIGHT_Y,
-    RIGHT_Z,
-    undistorted,
+    eye_of,
+    undistort,
 )
-from tracer.kernels.march import Crossing, walk
-from tracer.kernels.sphere import INDEX, RADIUS, angles, through, through_rates, with_cores, with_cores_rates
-from tracer.kernels.world import (
-    MISSED_PLANE,
-    RECOVERED,
-    World,
-    place_of_other,
-    rates_other,
+from tracer.kernels.rays import ORIGIN, Crossing, trace_ray
+from tracer.kernels.sphere import (
+    RADIUS,
+    REFRACTIVE_INDEX,
+    Turn,
+    angles,
+    through,
+    through_rates,
+    with_cores,
+    with_cores_rates,
 )
+from tracer.kernels.vectors import (
+    Vector,
+    add_dot,
+    combine,
+    cross_product,
+    dot,
+    move,
+    scale,
+    subtract,
+    vector_at,
+    with_component,
+)
+from tracer.kernels.world import MISSED_PLANE, RECOVERED, Tables, World, place_of_other, rates_other
 
 STATE = 8  # w, d, m, b2 of each body crossed
 AXES, NORMAL = 3, 9  # of a target: where they begin after its origin
 CAMERA_NUMBERS, SPHERE_NUMBERS, TARGET_NUMBERS = 14, 5, 6
+
+
+class SweepScratch(NamedTuple):
+    """Memory of one thread: trail (MAX_EVENTS,) int32, state (MAX_EVENTS, STATE), zeros move (MOST_NUMBERS,)."""
+
+    trail: Array
+    state: Array
+    move: Array
+
+
+class LandingArrays(NamedTuple):
+    """Results for N pixels.
+
+    Parameters
+    ----------
+    status, key, point : (N,) uint8, (N,) int64, (N, 2)
+        Status, branch key and target coordinates.
+    by_pixel, rate : (N, 2, 2), (N, 2, 14 + 5 S + W + 6)
+        Derivatives by the pixel and by the scene's numbers; W = 0 where other bodies' numbers are not asked for.
+    by_shape : (N, 2, S, 50)
+        Derivatives by the shapes; (0, 2, S, 50) where all spheres are round.
+    """
+
+    status: Array
+    key: Array
+    point: Array
+    by_pixel: Array
+    rate: Array
+    by_shape: Array
 
 
 @kernel_composed
@@ -84,242 +120,218 @@ def keep_states(kept: tuple[Array, Array], c: Crossing, world: World) -> tuple[A
     trail, state = kept
     at = c.place
     trail[at] = c.event
-    state[at, 0], state[at, 1], state[at, 2] = c.wx, c.wy, c.wz
-    state[at, 3], state[at, 4], state[at, 5] = c.dx, c.dy, c.dz
+    state[at, 0], state[at, 1], state[at, 2] = c.w
+    state[at, 3], state[at, 4], state[at, 5] = c.d
     state[at, 6], state[at, 7] = c.m, c.b2
     return kept
 
 
 @kernel
 def trace_states(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, world: World, trail: Array, state: Array
-) -> tuple[Any, ...]:  # fmt: skip
-    """Trace one ray from p along d as `walk`, and keep its states."""
-    status, px, py, pz, dx, dy, dz, key, events, _, _ = walk(
-        px, py, pz, dx, dy, dz, world, keep_states, (trail, state)
-    )
-    return status, px, py, pz, dx, dy, dz, key, events
+    p: Vector, d: Vector, world: World, trail: Array, state: Array
+) -> tuple[int, Vector, Vector, int, int]:
+    """Trace one ray from p along d as `trace_ray`, and keep its states: status, point, direction, key, events."""
+    status, p, d, key, events, _, _ = trace_ray(p, d, world, keep_states, (trail, state))
+    return status, p, d, key, events
 
 
 @kernel
 def back_through_other(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, body: int, way: int,
-    world: World, state: Array,
-) -> tuple[float, ...]:  # fmt: skip
+    f: Vector, g: Vector, body: int, way: int, world: World, state: Array
+) -> tuple[Vector, Vector]:
     """Carry one adjoint pair (f, g) of (p', d') back through a body of another kind."""
-    px, py, pz, dx, dy, dz = state[0], state[1], state[2], state[3], state[4], state[5]
-    back = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for k in range(6):
-        a, b, c = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
-        e, f, g = 1.0 if k == 3 else 0.0, 1.0 if k == 4 else 0.0, 1.0 if k == 5 else 0.0
-        x, y, z, u, v, w = rates_other(
-            px, py, pz, dx, dy, dz, a, b, c, e, f, g, body, world.others, world.still, way
-        )
-        rate = fx * x + fy * y + fz * z + gx * u + gy * v + gz * w
-        back = (
-            rate if k == 0 else back[0],
-            rate if k == 1 else back[1],
-            rate if k == 2 else back[2],
-            rate if k == 3 else back[3],
-            rate if k == 4 else back[4],
-            rate if k == 5 else back[5],
-        )
-    return back
+    p, d = vector_at(state, 0), vector_at(state, 3)
+    back_f, back_g = ORIGIN, ORIGIN
+    for k in range(3):
+        unit = with_component(ORIGIN, k, 1.0)
+        x, u = rates_other(p, d, unit, ORIGIN, body, world.others, world.still, way)
+        back_f = with_component(back_f, k, add_dot(dot(f, x), g, u))
+        x, u = rates_other(p, d, ORIGIN, unit, body, world.others, world.still, way)
+        back_g = with_component(back_g, k, add_dot(dot(f, x), g, u))
+    return back_f, back_g
 
 
 @kernel
 def back_to_row(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, body: int, way: int,
-    world: World, state: Array, move: Array, out: Array,
-) -> None:  # fmt: skip
+    f: Vector, g: Vector, body: int, way: int, world: World, state: Array, move: Array, out: Array
+) -> None:
     """Add what a body of another kind has of one adjoint pair by each number of its row to out (W,).
 
     move (MOST_NUMBERS,) scratch, all zeros before and after.
     """
-    px, py, pz, dx, dy, dz = state[0], state[1], state[2], state[3], state[4], state[5]
+    p, d = vector_at(state, 0), vector_at(state, 3)
     for k in range(out.shape[0]):
         move[k] = 1.0
-        x, y, z, u, v, w = rates_other(
-            px, py, pz, dx, dy, dz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, body, world.others, move, way
-        )
-        out[k] += fx * x + fy * y + fz * z + gx * u + gy * v + gz * w
+        x, u = rates_other(p, d, ORIGIN, ORIGIN, body, world.others, move, way)
+        out[k] += add_dot(dot(f, x), g, u)
         move[k] = 0.0
 
 
 @kernel
-def back_through(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float,
-    sphere: Array, way: int, state: Array, out: Array,
-) -> tuple[float, ...]:  # fmt: skip
+def turn_rates(b2: float, sphere: Array, way: int, surface: tuple[float, float, Turn], rates: Vector) -> Turn:
+    """Derivatives of a sphere's turn for given rates of b^2, R and n; `surface`: cos i, cos t, turn."""
+    (b2_rate, radius_rate, n_rate), (cos_i, cos_t, solid) = rates, surface
+    turn = through_rates(b2, sphere[RADIUS], sphere[REFRACTIVE_INDEX], cos_i, cos_t, b2_rate, radius_rate, n_rate)
+    return with_cores_rates(b2, sphere, way, solid, turn, b2_rate, n_rate) if way > 0 else turn
+
+
+@kernel
+def back_through(f: Vector, g: Vector, sphere: Array, way: int, state: Array, out: Array) -> tuple[Vector, Vector]:
     """Carry one adjoint pair (f, g) of (a', d') back through a sphere; add c_bar, R_bar, n_bar to out (5,).
 
     `way` through its cores, which are held fixed (``tracer.kernels.sphere``).
     """
-    wx, wy, wz, dx, dy, dz = state[0], state[1], state[2], state[3], state[4], state[5]
-    m, b2 = state[6], state[7]
-    radius, n = sphere[RADIUS], sphere[INDEX]
+    w, d, m, b2 = vector_at(state, 0), vector_at(state, 3), state[6], state[7]
+    radius, n = sphere[RADIUS], sphere[REFRACTIVE_INDEX]
     if not b2 < radius * radius:
-        return fx, fy, fz, gx + m * fx, gy + m * fy, gz + m * fz
-    ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
+        return f, move(g, m, f)
+    a = move(w, m, d)
     cos_i, cos_t = angles(b2, radius, n)
-    solid, solid_q = through(b2, radius, n, cos_i, cos_t)
-    cosine, q = solid, solid_q
+    solid = through(b2, radius, n, cos_i, cos_t)
+    turn = solid
     if way > 0:
-        cosine, q, _, _ = with_cores(b2, sphere, way, solid, solid_q)
-    cosine_bar = fx * ax + fy * ay + fz * az + gx * dx + gy * dy + gz * dz
-    along_bar = fx * dx + fy * dy + fz * dz
-    q_bar = along_bar * b2 - (gx * ax + gy * ay + gz * az)
-    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 1.0, 0.0, 0.0)
-    if way > 0:
-        cosine_rate, q_rate = with_cores_rates(b2, sphere, way, solid, solid_q, cosine_rate, q_rate, 1.0, 0.0)
+        turn, _, _ = with_cores(b2, sphere, way, solid)
+    cosine, q = turn
+    cosine_bar, along_bar = add_dot(dot(f, a), g, d), dot(f, d)
+    q_bar, surface = along_bar * b2 - dot(g, a), (cos_i, cos_t, solid)
+    cosine_rate, q_rate = turn_rates(b2, sphere, way, surface, (1.0, 0.0, 0.0))
     b2_bar = along_bar * q + cosine_bar * cosine_rate + q_bar * q_rate
-    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 1.0, 0.0)
-    if way > 0:
-        cosine_rate, q_rate = with_cores_rates(b2, sphere, way, solid, solid_q, cosine_rate, q_rate, 0.0, 0.0)
+    cosine_rate, q_rate = turn_rates(b2, sphere, way, surface, (0.0, 1.0, 0.0))
     out[3] += cosine_bar * cosine_rate + q_bar * q_rate
-    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 0.0, 1.0)
-    if way > 0:
-        cosine_rate, q_rate = with_cores_rates(b2, sphere, way, solid, solid_q, cosine_rate, q_rate, 0.0, 1.0)
+    cosine_rate, q_rate = turn_rates(b2, sphere, way, surface, (0.0, 0.0, 1.0))
     out[4] += cosine_bar * cosine_rate + q_bar * q_rate
-    hx = cosine * fx - q * gx + 2.0 * b2_bar * ax
-    hy = cosine * fy - q * gy + 2.0 * b2_bar * ay
-    hz = cosine * fz - q * gz + 2.0 * b2_bar * az
-    h = hx * dx + hy * dy + hz * dz
-    ux, uy, uz = hx - h * dx, hy - h * dy, hz - h * dz
-    out[0] += fx - ux
-    out[1] += fy - uy
-    out[2] += fz - uz
-    along = b2 * q
-    return (
-        ux,
-        uy,
-        uz,
-        along * fx + cosine * gx + m * hx - h * wx,
-        along * fy + cosine * gy + m * hy - h * wy,
-        along * fz + cosine * gz + m * hz - h * wz,
-    )
+    h = move(combine(cosine, f, -q, g), 2.0 * b2_bar, a)
+    h_along = dot(h, d)
+    u = move(h, -h_along, d)
+    for k in range(3):
+        out[k] += f[k] - u[k]
+    return u, move(move(combine(b2 * q, f, cosine, g), m, h), -h_along, w)
 
 
 @kernel
-def land_on_target(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, target: Array, axis: int
-) -> tuple[float, ...]:
+def hit_target(p: Vector, d: Vector, target: Array, axis: int) -> tuple[float, float, Vector, Vector]:
     """Target coordinate of p + t d along target axis 0 or 1, t, and the adjoints p_bar, d_bar of that coordinate.
 
     ``target`` (12,): origin, first axis, second axis, normal (orthonormal).
     """
-    ex, ey, ez = target[AXES + 3 * axis], target[AXES + 3 * axis + 1], target[AXES + 3 * axis + 2]
-    nx, ny, nz = target[NORMAL], target[NORMAL + 1], target[NORMAL + 2]
-    qx, qy, qz = px - target[0], py - target[1], pz - target[2]
-    slope = dx * nx + dy * ny + dz * nz
-    t = -(qx * nx + qy * ny + qz * nz) / slope
-    value = (qx + t * dx) * ex + (qy + t * dy) * ey + (qz + t * dz) * ez
-    k = (dx * ex + dy * ey + dz * ez) / slope
-    fx, fy, fz = ex - k * nx, ey - k * ny, ez - k * nz
-    return value, t, fx, fy, fz, t * fx, t * fy, t * fz
+    e, n = vector_at(target, AXES + 3 * axis), vector_at(target, NORMAL)
+    q = subtract(p, vector_at(target, 0))
+    slope = dot(d, n)
+    t = -dot(q, n) / slope
+    f = move(e, -(dot(d, e) / slope), n)
+    return dot(move(q, t, d), e), t, f, scale(t, f)
 
 
 @kernel
 def camera_rates(
-    u: float, v: float, camera: Array, dx: float, dy: float, dz: float, gx: float, gy: float, gz: float,
-    by_pixel: Array, row: Array,
-) -> None:  # fmt: skip
+    pixel: tuple[float, float], camera: Array, d: Vector, g: Vector, by_pixel: Array, row: Array
+) -> None:
     """Derivatives of one landing coordinate by rotation, focal length, centre and lens, from g = ds/ddirection.
 
-    camera (20,) as in `tracer.kernels.camera`; (dx, dy, dz) the ray's direction; by_pixel (2,) out; row (14,)
-    out, of which the first three are left alone.
+    camera (20,) as in `tracer.kernels.camera`; d the ray's direction; by_pixel (2,) out; row (14,) out, but its
+    first three.
     """
     focal = camera[FOCAL]
-    x, y = (u - camera[CENTRE_U]) / focal, (v - camera[CENTRE_V]) / focal
+    x, y = (pixel[0] - camera[CENTRE_U]) / focal, (pixel[1] - camera[CENTRE_V]) / focal
     p1, p2 = camera[P1], camera[P2]
-    a, b, radial, slope = undistorted(x, y, camera[K1], camera[K2], camera[K3], p1, p2)
-    row[3], row[4], row[5] = dy * gz - dz * gy, dz * gx - dx * gz, dx * gy - dy * gx
-    cx = camera[RIGHT_X] * gx + camera[RIGHT_Y] * gy + camera[RIGHT_Z] * gz
-    cy = camera[DOWN_X] * gx + camera[DOWN_Y] * gy + camera[DOWN_Z] * gz
-    cz = camera[AHEAD_X] * gx + camera[AHEAD_Y] * gy + camera[AHEAD_Z] * gz
+    a, b, radial, slope = undistort(x, y, camera[K1], camera[K2], camera[K3], p1, p2)
+    row[3], row[4], row[5] = cross_product(d, g)
+    c = (dot(vector_at(camera, RIGHT_X), g), dot(vector_at(camera, DOWN_X), g), dot(vector_at(camera, AHEAD_X), g))
     square = a * a + b * b + 1.0
-    length, along = math.sqrt(square), (cx * a + cy * b + cz) / square
-    hx, hy = (cx - along * a) / length, (cy - along * b) / length
+    length, along = math.sqrt(square), (c[0] * a + c[1] * b + c[2]) / square
+    hx, hy = (c[0] - along * a) / length, (c[1] - along * b) / length
     mixed = 2.0 * (x * y * slope + p1 * x + p2 * y)
     by_x = hx * (radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x) + hy * mixed
     by_y = hy * (radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x) + hx * mixed
     by_pixel[0], by_pixel[1] = by_x / focal, by_y / focal
     row[6], row[7], row[8] = -(by_x * x + by_y * y) / focal, -by_x / focal, -by_y / focal
-    r2, outward = x * x + y * y, hx * x + hy * y
-    row[9], row[10], row[11] = outward * r2, outward * r2 * r2, outward * r2 * r2 * r2
+    r2, radial_bar = x * x + y * y, hx * x + hy * y
+    row[9], row[10], row[11] = radial_bar * r2, radial_bar * r2 * r2, radial_bar * r2 * r2 * r2
     row[12] = 2.0 * hx * x * y + hy * (r2 + 2.0 * y * y)
     row[13] = hx * (r2 + 2.0 * x * x) + 2.0 * hy * x * y
 
 
 @kernel
-def trace_landings(
-    pixels: Array, directions: Array, camera: Array, world: World, target: Array, n_ambient: float,
-    first: int, last: int, trail: Array, state: Array, move: Array, status: Array, key: Array, point: Array, by_pixel: Array,
-    rate: Array, by_shape: Array,
-) -> None:  # fmt: skip
-    """Trace pixels first..last-1 onto a target plane with all derivatives.
+def target_rates(f: Vector, q: Vector, row: Array) -> None:
+    """Derivatives by the target's pose, row (6,), from p_bar and the point on the target."""
+    turn = cross_product(q, f)
+    for k in range(3):
+        row[k], row[3 + k] = -f[k], -turn[k]
 
-    pixels (N, 2); directions (N, 3) of their rays; camera (20,); target (12,) origin and axes; trail
-    (MAX_EVENTS,) int32 and state (MAX_EVENTS, STATE) scratch; status (N,) uint8, key (N,) int64, point (N, 2)
-    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out, or with W = 0 where no call asks for
-    the other bodies' numbers; by_shape (N, 2, S, 50), or (0, 2, S, 50) where all spheres are round.  NaN unless
-    recovered.
+
+@kernel
+def sweep_back(
+    pair: tuple[Vector, Vector],
+    events: int,
+    world: World,
+    scratch: SweepScratch,
+    out: LandingArrays,
+    i: int,
+    axis: int,
+) -> tuple[Vector, Vector]:
+    """Carry an adjoint pair of coordinate `axis` of pixel i from behind the last event back to the pinhole.
+
+    Adds what falls to the numbers of the bodies to ``out.rate`` and ``out.by_shape``.
     """
-    spheres = world.spheres
+    (f, g), spheres, row = pair, world.spheres, out.rate[i, axis]
+    end = row.shape[0] - TARGET_NUMBERS
     of_others = CAMERA_NUMBERS + SPHERE_NUMBERS * spheres.shape[0]
-    place = rate.shape[2] - TARGET_NUMBERS
-    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
+    for event in range(events - 1, -1, -1):
+        (body, way), state = body_of(scratch.trail[event], spheres), scratch.state[event]
+        if len(world.others) > 0 and body < NOTHING:
+            at, width = place_of_other(body, world.others, of_others)
+            if at + width <= end:
+                back_to_row(f, g, body, way, world, state, scratch.move, row[at : at + width])
+            f, g = back_through_other(f, g, body, way, world, state)
+            continue
+        at = CAMERA_NUMBERS + SPHERE_NUMBERS * body
+        numbers = row[at : at + SPHERE_NUMBERS]
+        if len(world.shapes) > 0 and is_shaped(world.shapes, body):
+            by_shape = out.by_shape[i, axis, body]
+            f, g = back_through_shaped(f, g, state, body, spheres, world.shapes, numbers, by_shape)
+        else:
+            f, g = back_through(f, g, spheres[body], way, state, numbers)
+    return f, g
+
+
+@kernel
+def trace_landings(
+    rays: tuple[Array, Array], tables: Tables, target: Array, n_ambient: float, first: int, last: int,
+    scratch: SweepScratch, out: LandingArrays,
+) -> None:  # fmt: skip
+    """Trace pixels first..last-1 onto a target plane with all derivatives; NaN unless recovered.
+
+    `rays`: pixels (N, 2) and directions (N, 3) of their rays; ``target`` (12,): origin and axes.
+    """
+    (pixels, directions), (camera, world) = rays, tables
+    spheres, end = world.spheres, out.rate.shape[2] - TARGET_NUMBERS
     for i in range(first, last):
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        s, px, py, pz, wx, wy, wz, k, events, _, _ = walk(
-            ox, oy, oz, dx, dy, dz, world, keep_states, (trail, state)
-        )
-        if s == RECOVERED and not wx * target[NORMAL] + wy * target[NORMAL + 1] + wz * target[NORMAL + 2] < 0.0:
+        direction = vector_at(directions[i], 0)
+        kept = scratch.trail, scratch.state
+        s, p, d, key, events, _, _ = trace_ray(eye_of(camera), direction, world, keep_states, kept)
+        if s == RECOVERED and not dot(d, vector_at(target, NORMAL)) < 0.0:
             s = MISSED_PLANE
-        status[i], key[i] = s, k
+        out.status[i], out.key[i] = s, key
         if s != RECOVERED:
-            point[i] = math.nan
-            by_pixel[i] = math.nan
-            rate[i] = math.nan
+            out.point[i] = math.nan
+            out.by_pixel[i] = math.nan
+            out.rate[i] = math.nan
             if len(world.shapes) > 0:
-                by_shape[i] = math.nan
+                out.by_shape[i] = math.nan
             continue
         for axis in range(2):
-            value, t, fx, fy, fz, gx, gy, gz = land_on_target(px, py, pz, wx, wy, wz, target, axis)
-            row = rate[i, axis]
-            point[i, axis] = value
-            ax, ay, az = px + t * wx - target[0], py + t * wy - target[1], pz + t * wz - target[2]
-            row[place], row[place + 1], row[place + 2] = -fx, -fy, -fz
-            row[place + 3], row[place + 4] = -(ay * fz - az * fy), -(az * fx - ax * fz)
-            row[place + 5] = -(ax * fy - ay * fx)
-            row[CAMERA_NUMBERS:place] = 0.0
+            value, t, f, g = hit_target(p, d, target, axis)
+            row = out.rate[i, axis]
+            out.point[i, axis] = value
+            target_rates(f, subtract(move(p, t, d), vector_at(target, 0)), row[end:])
+            row[CAMERA_NUMBERS:end] = 0.0
             if len(world.shapes) > 0:
-                by_shape[i, axis] = 0.0
-            for event in range(int(events) - 1, -1, -1):
-                body, way = body_of(trail[event], spheres)
-                if len(world.others) > 0 and body < NOTHING:
-                    at, width = place_of_other(body, world.others, of_others)
-                    if at + width <= place:
-                        numbers = row[at : at + width]
-                        back_to_row(fx, fy, fz, gx, gy, gz, body, way, world, state[event], move, numbers)
-                    fx, fy, fz, gx, gy, gz = back_through_other(
-                        fx, fy, fz, gx, gy, gz, body, way, world, state[event]
-                    )
-                    continue
-                at = CAMERA_NUMBERS + SPHERE_NUMBERS * body
-                if len(world.shapes) > 0 and is_shaped(world.shapes, body):
-                    fx, fy, fz, gx, gy, gz = back_through_shaped(
-                        fx, fy, fz, gx, gy, gz, state[event], body, spheres, world.shapes,
-                        row[at : at + SPHERE_NUMBERS], by_shape[i, axis, body],
-                    )  # fmt: skip
-                    continue
-                fx, fy, fz, gx, gy, gz = back_through(
-                    fx, fy, fz, gx, gy, gz, spheres[body], way, state[event], row[at : at + SPHERE_NUMBERS]
-                )
+                out.by_shape[i, axis] = 0.0
+            f, g = sweep_back((f, g), int(events), world, scratch, out, i, axis)
             for k in range(spheres.shape[0]):
-                around = n_ambient
+                around = n_ambient  # derivatives are by the absolute index of the glass
                 if world.rooms.home.shape[0] > 0:
                     around *= world.rooms.n[world.rooms.home[k]]
                 row[CAMERA_NUMBERS + SPHERE_NUMBERS * k + 4] /= around
-            row[0], row[1], row[2] = fx, fy, fz
-            camera_rates(pixels[i, 0], pixels[i, 1], camera, dx, dy, dz, gx, gy, gz, by_pixel[i, axis], row)
+            row[0], row[1], row[2] = f
+            camera_rates((pixels[i, 0], pixels[i, 1]), camera, direction, g, out.by_pixel[i, axis], row)

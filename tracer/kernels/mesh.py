@@ -32,11 +32,23 @@ Numbers of a mesh, one row, as the table of its kind has them:
 import math
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.refraction import on_plane_rates, refracted, refracted_rates
+from tracer.kernels.refraction import plane_point_rates, refract, refract_rates
 from tracer.kernels.sphere import foot, transmittance
-from tracer.kernels.world import BLOCKED, RECOVERED, TIR
+from tracer.kernels.vectors import (
+    Vector,
+    add,
+    combine,
+    cross_product,
+    divide,
+    dot,
+    move,
+    scale,
+    subtract,
+    vector_at,
+)
+from tracer.kernels.world import BLOCKED, RECOVERED, TIR, Crossed
 
-INDEX, BOXES, CENTRE, BALL, HEADER = 0, 1, 2, 5, 6
+REFRACTIVE_INDEX, BOXES, CENTRE, BALL, HEADER = 0, 1, 2, 5, 6
 FIRST, COUNT, SKIP, BOX_NUMBERS = 6, 7, 8, 9
 POINTS, PATCH_NUMBERS = 10, 30
 STEPS, CONVERGED, EDGE = 12, 1e-13, 1e-9  # Newton; of the size of the mesh; of a patch, rounding at shared edges
@@ -61,49 +73,48 @@ def cubic(row: Array, at: int, a: float, b: float) -> tuple[float, float, float,
 
 
 @kernel_inlined
-def in_box(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array, at: int
-) -> bool:  # fmt: skip
-    """Whether a line passes through a box; boxes are a little larger than what is in them."""
+def patch_derivatives(row: Array, at: int, a: float, b: float) -> tuple[Vector, ...]:
+    """Vectors of a patch: S, dS/da, dS/db, and the second derivatives aa, ab, bb."""
+    x, xa, xb, xaa, xab, xbb = cubic(row, at, a, b)
+    y, ya, yb, yaa, yab, ybb = cubic(row, at + POINTS, a, b)
+    z, za, zb, zaa, zab, zbb = cubic(row, at + 2 * POINTS, a, b)
+    return (x, y, z), (xa, ya, za), (xb, yb, zb), (xaa, yaa, zaa), (xab, yab, zab), (xbb, ybb, zbb)
+
+
+@kernel_inlined
+def meets_box(p: Vector, d: Vector, row: Array, at: int) -> bool:
+    """Return whether a line passes through a box; boxes are a little larger than what is in them."""
     low, high = -math.inf, math.inf
     for axis in range(3):
-        p = px if axis == 0 else py if axis == 1 else pz
-        d = dx if axis == 0 else dy if axis == 1 else dz
-        one, two = row[at + axis] - p, row[at + 3 + axis] - p
-        if d == 0.0:
+        one, two = row[at + axis] - p[axis], row[at + 3 + axis] - p[axis]
+        if d[axis] == 0.0:
             if one > 0.0 or two < 0.0:
                 return False
         else:
-            one, two = one / d, two / d
+            one, two = one / d[axis], two / d[axis]
             low, high = max(low, min(one, two)), min(high, max(one, two))
     return low <= high
 
 
 @kernel
-def on_patch(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array, at: int, side: float
-) -> tuple[float, float, float]:
+def intersect_patch(p: Vector, d: Vector, row: Array, at: int, side: float) -> tuple[float, float, float]:
     """Distance along the line, and a and b, of where it meets a patch on one side; inf if it does not."""
     # two directions across d: the first at right angles to its smallest part
-    if abs(dx) <= abs(dy) and abs(dx) <= abs(dz):
-        ex, ey, ez = 0.0, dz, -dy
-    elif abs(dy) <= abs(dz):
-        ex, ey, ez = -dz, 0.0, dx
+    if abs(d[0]) <= abs(d[1]) and abs(d[0]) <= abs(d[2]):
+        e = (0.0, d[2], -d[1])
+    elif abs(d[1]) <= abs(d[2]):
+        e = (-d[2], 0.0, d[0])
     else:
-        ex, ey, ez = dy, -dx, 0.0
-    length = math.sqrt(ex * ex + ey * ey + ez * ez)
-    ex, ey, ez = ex / length, ey / length, ez / length
-    fx, fy, fz = dy * ez - dz * ey, dz * ex - dx * ez, dx * ey - dy * ex
+        e = (d[1], -d[0], 0.0)
+    e = divide(e, math.sqrt(dot(e, e)))
+    f = cross_product(d, e)
     near = CONVERGED * row[BALL]
     a = b = 1.0 / 3.0
     for _ in range(STEPS):
-        x, xa, xb, _, _, _ = cubic(row, at, a, b)
-        y, ya, yb, _, _, _ = cubic(row, at + POINTS, a, b)
-        z, za, zb, _, _, _ = cubic(row, at + 2 * POINTS, a, b)
-        x, y, z = x - px, y - py, z - pz
-        off1, off2 = x * ex + y * ey + z * ez, x * fx + y * fy + z * fz
-        a1, b1 = xa * ex + ya * ey + za * ez, xb * ex + yb * ey + zb * ez
-        a2, b2 = xa * fx + ya * fy + za * fz, xb * fx + yb * fy + zb * fz
+        s, s_a, s_b, _, _, _ = patch_derivatives(row, at, a, b)
+        s = subtract(s, p)
+        off1, off2 = dot(s, e), dot(s, f)
+        a1, b1, a2, b2 = dot(s_a, e), dot(s_b, e), dot(s_a, f), dot(s_b, f)
         slope = a1 * b2 - a2 * b1
         if slope == 0.0:
             break
@@ -113,17 +124,14 @@ def on_patch(
             break
         if abs(off1) < near and abs(off2) < near:
             inside = a > -EDGE and b > -EDGE and a + b < 1.0 + EDGE
-            facing = dx * (ya * zb - za * yb) + dy * (za * xb - xa * zb) + dz * (xa * yb - ya * xb)
-            if inside and facing * side > 0.0:
-                return x * dx + y * dy + z * dz, a, b
+            if inside and dot(d, cross_product(s_a, s_b)) * side > 0.0:
+                return dot(s, d), a, b
             break
     return math.inf, a, b
 
 
 @kernel
-def where_met(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array, side: float
-) -> tuple[float, int, float, float]:
+def intersect_mesh(p: Vector, d: Vector, row: Array, side: float) -> tuple[float, int, float, float]:
     """Distance, patch (its place in the row), a and b where a line enters or leaves a mesh; inf if nowhere."""
     distance, place, best_a, best_b = math.inf, -1, 0.0, 0.0
     boxes = int(row[BOXES])
@@ -131,12 +139,12 @@ def where_met(
     box = 0
     while box < boxes:
         at = HEADER + box * BOX_NUMBERS
-        if not in_box(px, py, pz, dx, dy, dz, row, at):
+        if not meets_box(p, d, row, at):
             box = int(row[at + SKIP])
             continue
         for k in range(int(row[at + COUNT])):
             patch = patches + (int(row[at + FIRST]) + k) * PATCH_NUMBERS
-            t, a, b = on_patch(px, py, pz, dx, dy, dz, row, patch, side)
+            t, a, b = intersect_patch(p, d, row, patch, side)
             if t < distance:
                 distance, place, best_a, best_b = t, patch, a, b
         box += 1
@@ -144,94 +152,72 @@ def where_met(
 
 
 @kernel
-def normal_at(row: Array, at: int, a: float, b: float) -> tuple[float, float, float]:
+def normal_at(row: Array, at: int, a: float, b: float) -> Vector:
     """Outward unit normal of a patch."""
-    _, xa, xb, _, _, _ = cubic(row, at, a, b)
-    _, ya, yb, _, _, _ = cubic(row, at + POINTS, a, b)
-    _, za, zb, _, _, _ = cubic(row, at + 2 * POINTS, a, b)
-    nx, ny, nz = ya * zb - za * yb, za * xb - xa * zb, xa * yb - ya * xb
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    return nx / length, ny / length, nz / length
+    _, s_a, s_b, _, _, _ = patch_derivatives(row, at, a, b)
+    n = cross_product(s_a, s_b)
+    return divide(n, math.sqrt(dot(n, n)))
 
 
 @kernel
-def normal_rates(
-    row: Array, at: int, a: float, b: float, gx: float, gy: float, gz: float
-) -> tuple[float, float, float, float, float, float]:
+def normal_rates(row: Array, at: int, a: float, b: float, g: Vector) -> tuple[Vector, Vector]:
     """Outward unit normal of a patch, and its derivative when the point changes by g, along the patch."""
-    _, xa, xb, xaa, xab, xbb = cubic(row, at, a, b)
-    _, ya, yb, yaa, yab, ybb = cubic(row, at + POINTS, a, b)
-    _, za, zb, zaa, zab, zbb = cubic(row, at + 2 * POINTS, a, b)
-    nx, ny, nz = ya * zb - za * yb, za * xb - xa * zb, xa * yb - ya * xb
-    square = nx * nx + ny * ny + nz * nz
+    _, s_a, s_b, s_aa, s_ab, s_bb = patch_derivatives(row, at, a, b)
+    n = cross_product(s_a, s_b)
+    square = dot(n, n)
     # g = a' S_a + b' S_b
-    rate_a = ((gy * zb - gz * yb) * nx + (gz * xb - gx * zb) * ny + (gx * yb - gy * xb) * nz) / square
-    rate_b = ((ya * gz - za * gy) * nx + (za * gx - xa * gz) * ny + (xa * gy - ya * gx) * nz) / square
-    ax, ay, az = xaa * rate_a + xab * rate_b, yaa * rate_a + yab * rate_b, zaa * rate_a + zab * rate_b
-    bx, by, bz = xab * rate_a + xbb * rate_b, yab * rate_a + ybb * rate_b, zab * rate_a + zbb * rate_b
-    rx = ay * zb - az * yb + ya * bz - za * by
-    ry = az * xb - ax * zb + za * bx - xa * bz
-    rz = ax * yb - ay * xb + xa * by - ya * bx
+    rate_a, rate_b = dot(cross_product(g, s_b), n) / square, dot(cross_product(s_a, g), n) / square
+    by_a, by_b = combine(rate_a, s_aa, rate_b, s_ab), combine(rate_a, s_ab, rate_b, s_bb)
+    r = add(cross_product(by_a, s_b), cross_product(s_a, by_b))
     length = math.sqrt(square)
-    nx, ny, nz = nx / length, ny / length, nz / length
-    along = rx * nx + ry * ny + rz * nz
-    return nx, ny, nz, (rx - along * nx) / length, (ry - along * ny) / length, (rz - along * nz) / length
+    n = divide(n, length)
+    return n, divide(move(r, -dot(r, n), n), length)
 
 
 @kernel
-def meets_mesh(px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array) -> float:
+def meets_mesh(p: Vector, d: Vector, row: Array) -> float:
     """Distance to where the ray goes in; inf if it does not."""
-    m, ax, ay, az = foot(px - row[CENTRE], py - row[CENTRE + 1], pz - row[CENTRE + 2], dx, dy, dz)
-    if not ax * ax + ay * ay + az * az < row[BALL] * row[BALL] or m < -row[BALL]:
+    m, a = foot(subtract(p, vector_at(row, CENTRE)), d)
+    if not dot(a, a) < row[BALL] * row[BALL] or m < -row[BALL]:
         return math.inf
-    t = where_met(px, py, pz, dx, dy, dz, row, ENTERS)[0]
+    t = intersect_mesh(p, d, row, ENTERS)[0]
     return t if t > 0.0 else math.inf
 
 
 @kernel
-def cross_mesh(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """Through both faces, as `Kind.cross`."""
-    n = row[INDEX]
-    t, patch, a, b = where_met(px, py, pz, dx, dy, dz, row, ENTERS)
-    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
-    nx, ny, nz = normal_at(row, patch, a, b)
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, 1.0 / n)
+def cross_mesh(p: Vector, d: Vector, row: Array) -> Crossed:
+    """Take a ray through both faces, as `Kind.cross`."""
+    n = row[REFRACTIVE_INDEX]
+    t, patch, a, b = intersect_mesh(p, d, row, ENTERS)
+    q = move(p, t, d)
+    e, c1, c2 = refract(d, normal_at(row, patch, a, b), 1.0 / n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, t, 0.0
+        return TIR, q, e, t, 0.0
     light = transmittance(c1, c2, n)
-    s, patch, a, b = where_met(qx, qy, qz, ex, ey, ez, row, LEAVES)
+    s, patch, a, b = intersect_mesh(q, e, row, LEAVES)
     if patch < 0:
-        return BLOCKED, qx, qy, qz, ex, ey, ez, t, 0.0
-    qx, qy, qz = qx + s * ex, qy + s * ey, qz + s * ez
-    nx, ny, nz = normal_at(row, patch, a, b)
-    ex, ey, ez, c1, c2 = refracted(ex, ey, ez, -nx, -ny, -nz, n)
+        return BLOCKED, q, e, t, 0.0
+    q = move(q, s, e)
+    e, c1, c2 = refract(e, scale(-1.0, normal_at(row, patch, a, b)), n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, t + n * s, 0.0
-    return RECOVERED, qx, qy, qz, ex, ey, ez, t + n * s, light * transmittance(c1, c2, 1.0 / n)
+        return TIR, q, e, t + n * s, 0.0
+    return RECOVERED, q, e, t + n * s, light * transmittance(c1, c2, 1.0 / n)
 
 
 @kernel
 def mesh_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array, way: int,
-) -> tuple[float, ...]:  # fmt: skip
+    p: Vector, d: Vector, f: Vector, u: Vector, row: Array, rate: Array, way: int
+) -> tuple[Vector, Vector]:
     """Derivatives of point and direction behind, as `Kind.rates`; of the row only n may change."""
-    n, n_rate = row[INDEX], rate[INDEX]
-    t, patch, a, b = where_met(px, py, pz, dx, dy, dz, row, ENTERS)
-    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
-    nx, ny, nz = normal_at(row, patch, a, b)
-    fx, fy, fz = on_plane_rates(dx, dy, dz, t, nx, ny, nz, fx, fy, fz, ux, uy, uz, 0.0)
-    nx, ny, nz, rx, ry, rz = normal_rates(row, patch, a, b, fx, fy, fz)
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, 1.0 / n)
-    ux, uy, uz = refracted_rates(
-        dx, dy, dz, nx, ny, nz, 1.0 / n, c1, c2, ux, uy, uz, rx, ry, rz, -n_rate / (n * n)
-    )
-    s, patch, a, b = where_met(qx, qy, qz, ex, ey, ez, row, LEAVES)
-    nx, ny, nz = normal_at(row, patch, a, b)
-    fx, fy, fz = on_plane_rates(ex, ey, ez, s, nx, ny, nz, fx, fy, fz, ux, uy, uz, 0.0)
-    nx, ny, nz, rx, ry, rz = normal_rates(row, patch, a, b, fx, fy, fz)
-    _, _, _, c1, c2 = refracted(ex, ey, ez, -nx, -ny, -nz, n)
-    ux, uy, uz = refracted_rates(ex, ey, ez, -nx, -ny, -nz, n, c1, c2, ux, uy, uz, -rx, -ry, -rz, n_rate)
-    return fx, fy, fz, ux, uy, uz
+    n, n_rate = row[REFRACTIVE_INDEX], rate[REFRACTIVE_INDEX]
+    t, patch, a, b = intersect_mesh(p, d, row, ENTERS)
+    f = plane_point_rates(d, t, normal_at(row, patch, a, b), f, u, 0.0)
+    normal, r = normal_rates(row, patch, a, b, f)
+    e, c1, c2 = refract(d, normal, 1.0 / n)
+    u = refract_rates(d, normal, 1.0 / n, c1, c2, u, r, -n_rate / (n * n))
+    s, patch, a, b = intersect_mesh(move(p, t, d), e, row, LEAVES)
+    f = plane_point_rates(e, s, normal_at(row, patch, a, b), f, u, 0.0)
+    normal, r = normal_rates(row, patch, a, b, f)
+    normal, r = scale(-1.0, normal), scale(-1.0, r)
+    _, c1, c2 = refract(e, normal, n)
+    return f, refract_rates(e, normal, n, c1, c2, u, r, n_rate)

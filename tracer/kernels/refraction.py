@@ -1,4 +1,4 @@
-"""One surface: where a ray meets it, how it is bent there, and the derivatives of both.
+"""A single surface: intersection, refraction, and the derivatives of both.
 
 Spheres need nothing of this (``tracer.kernels.sphere``).  Windows and tubes, which have another medium on each
 side, are made of single surfaces.  With the unit normal N against the ray, the ratio e = n before / n behind and
@@ -20,124 +20,90 @@ q = p + t d changes by f + t u + t' d, and N . q' = (how fast the surface moves 
 import math
 
 from ground.jit import kernel
+from tracer.kernels.vectors import Vector, add_dot, combine, divide, dot, move, subtract
+
+Cylinder = tuple[Vector, Vector, float]  # start of the axis, its unit direction, radius [mm]
 
 
 @kernel
-def refracted(
-    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, e: float
-) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """Direction behind a surface of normal n against the ray, c1 and c2; c2 = 0: all light is reflected."""
-    c1 = -(nx * dx + ny * dy + nz * dz)
+def refract(d: Vector, n: Vector, e: float) -> tuple[Vector, float, float]:
+    """Return the direction behind a surface of normal n against the ray, c1 and c2; c2 = 0: total reflection."""
+    c1 = -dot(n, d)
     square = 1.0 - e * e * (1.0 - c1 * c1)
     if not square > 0.0:
-        return dx + 2.0 * c1 * nx, dy + 2.0 * c1 * ny, dz + 2.0 * c1 * nz, c1, 0.0
+        return move(d, 2.0 * c1, n), c1, 0.0
     c2 = math.sqrt(square)
     k = (e - 1.0) * (e + 1.0) / (e * c1 + c2)
-    return e * dx + k * nx, e * dy + k * ny, e * dz + k * nz, c1, c2
+    return combine(e, d, k, n), c1, c2
 
 
 @kernel
-def refracted_rates(
-    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, e: float, c1: float, c2: float,
-    ux: float, uy: float, uz: float, rx: float, ry: float, rz: float, e_rate: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Derivative of `refracted`'s direction when d changes by u, the normal by r and e by its rate."""
-    c1_rate = -(rx * dx + ry * dy + rz * dz + nx * ux + ny * uy + nz * uz)
+def refract_rates(
+    d: Vector, n: Vector, e: float, c1: float, c2: float, u: Vector, r: Vector, e_rate: float
+) -> Vector:
+    """Derivative of the direction of `refract` when d changes by u, the normal by r and e by its rate."""
+    c1_rate = -add_dot(dot(r, d), n, u)
     if c2 == 0.0:
-        return (
-            ux + 2.0 * (c1_rate * nx + c1 * rx),
-            uy + 2.0 * (c1_rate * ny + c1 * ry),
-            uz + 2.0 * (c1_rate * nz + c1 * rz),
-        )
+        return move(u, 2.0, combine(c1_rate, n, c1, r))
     c2_rate = (e * e * c1 * c1_rate - e * e_rate * (1.0 - c1 * c1)) / c2
     k = (e - 1.0) * (e + 1.0) / (e * c1 + c2)
     k_rate = e_rate * c1 + e * c1_rate - c2_rate
-    return (
-        e_rate * dx + e * ux + k_rate * nx + k * rx,
-        e_rate * dy + e * uy + k_rate * ny + k * ry,
-        e_rate * dz + e * uz + k_rate * nz + k * rz,
-    )
+    return move(move(combine(e_rate, d, e, u), k_rate, n), k, r)
 
 
 @kernel
-def across(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    sx: float, sy: float, sz: float, kx: float, ky: float, kz: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+def nearest_to_axis(p: Vector, d: Vector, s: Vector, k: Vector) -> tuple[float, float, float, float]:
     """Distance m to the point nearest an axis, its square distance b^2, e^2 and where along the axis it lies."""
-    wx, wy, wz = px - sx, py - sy, pz - sz
-    w, d = wx * kx + wy * ky + wz * kz, dx * kx + dy * ky + dz * kz
-    wx, wy, wz = wx - w * kx, wy - w * ky, wz - w * kz
-    ex, ey, ez = dx - d * kx, dy - d * ky, dz - d * kz
-    e2 = ex * ex + ey * ey + ez * ez
+    w = subtract(p, s)
+    along, slope = dot(w, k), dot(d, k)
+    w, e = move(w, -along, k), move(d, -slope, k)
+    e2 = dot(e, e)
     if e2 == 0.0:
-        return 0.0, wx * wx + wy * wy + wz * wz, 0.0, w
-    m = -(wx * ex + wy * ey + wz * ez) / e2
-    ax, ay, az = wx + m * ex, wy + m * ey, wz + m * ez
+        return 0.0, dot(w, w), 0.0, along
+    m = -dot(w, e) / e2
+    a = move(w, m, e)
     # Once more: from far away the first subtraction leaves a part along e of the size of its rounding.
-    more = -(ax * ex + ay * ey + az * ez) / e2
-    ax, ay, az = ax + more * ex, ay + more * ey, az + more * ez
-    return m + more, ax * ax + ay * ay + az * az, e2, w + (m + more) * d
+    more = -dot(a, e) / e2
+    a = move(a, more, e)
+    return m + more, dot(a, a), e2, along + (m + more) * slope
 
 
 @kernel
-def outward(
-    qx: float, qy: float, qz: float, sx: float, sy: float, sz: float, kx: float, ky: float, kz: float,
-    radius: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Outward normal of a cylinder at its point q."""
-    wx, wy, wz = qx - sx, qy - sy, qz - sz
-    w = wx * kx + wy * ky + wz * kz
-    return (wx - w * kx) / radius, (wy - w * ky) / radius, (wz - w * kz) / radius
+def cylinder_normal(q: Vector, s: Vector, k: Vector, radius: float) -> Vector:
+    """Outward unit normal of a cylinder at its point q."""
+    w = subtract(q, s)
+    return divide(move(w, -dot(w, k), k), radius)
 
 
 @kernel
-def on_plane_rates(
-    dx: float, dy: float, dz: float, t: float, nx: float, ny: float, nz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, shift: float,
-) -> tuple[float, float, float]:  # fmt: skip
+def plane_point_rates(d: Vector, t: float, n: Vector, f: Vector, u: Vector, shift: float) -> Vector:
     """Derivative of q = p + t d on a plane of normal n that moves by `shift` along n there."""
-    fx, fy, fz = fx + t * ux, fy + t * uy, fz + t * uz
-    k = (shift - (nx * fx + ny * fy + nz * fz)) / (nx * dx + ny * dy + nz * dz)
-    return fx + k * dx, fy + k * dy, fz + k * dz
+    f = move(f, t, u)
+    return move(f, (shift - dot(n, f)) / dot(n, d), d)
 
 
 @kernel
-def on_cylinder_rates(
-    qx: float, qy: float, qz: float, dx: float, dy: float, dz: float, t: float,
-    nx: float, ny: float, nz: float, sx: float, sy: float, sz: float, kx: float, ky: float, kz: float,
-    radius: float, fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
-    s_x: float, s_y: float, s_z: float, k_x: float, k_y: float, k_z: float, radius_rate: float,
-) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+def cylinder_point_rates(
+    q: Vector, d: Vector, t: float, n: Vector, cylinder: Cylinder, f: Vector, u: Vector, rates: Cylinder
+) -> tuple[Vector, Vector]:
     """Derivatives of q = p + t d on a cylinder and of its outward normal n there.
 
-    p changes by f, d by u, the point s of the axis by s_, its direction k by k_, the radius by its rate.
+    p changes by f, d by u, and the cylinder by its `rates`.
     """
-    along = (qx - sx) * kx + (qy - sy) * ky + (qz - sz) * kz
-    shift = radius_rate + nx * (s_x + along * k_x) + ny * (s_y + along * k_y) + nz * (s_z + along * k_z)
-    gx, gy, gz = on_plane_rates(dx, dy, dz, t, nx, ny, nz, fx, fy, fz, ux, uy, uz, shift)
-    rx, ry, rz = gx - s_x, gy - s_y, gz - s_z
-    turned = (qx - sx) * k_x + (qy - sy) * k_y + (qz - sz) * k_z
-    r = rx * kx + ry * ky + rz * kz + turned
-    rx, ry, rz = rx - r * kx - along * k_x, ry - r * ky - along * k_y, rz - r * kz - along * k_z
-    return (
-        gx, gy, gz,
-        (rx - radius_rate * nx) / radius, (ry - radius_rate * ny) / radius, (rz - radius_rate * nz) / radius,
-    )  # fmt: skip
+    (s, k, radius), (s_rate, k_rate, radius_rate) = cylinder, rates
+    w = subtract(q, s)
+    along = dot(w, k)
+    g = plane_point_rates(d, t, n, f, u, add_dot(radius_rate, n, move(s_rate, along, k_rate)))
+    r = subtract(g, s_rate)
+    r_along = dot(r, k) + dot(w, k_rate)  # the point moves along an axis that turns itself
+    r = move(move(r, -r_along, k), -along, k_rate)
+    return g, divide(move(r, -radius_rate, n), radius)
 
 
 @kernel
-def on_sphere_rates(
-    dx: float, dy: float, dz: float, t: float, nx: float, ny: float, nz: float, radius: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
-    c_x: float, c_y: float, c_z: float, radius_rate: float,
-) -> tuple[float, float, float, float, float, float]:  # fmt: skip
-    """Derivatives of q = p + t d on a sphere and of its outward normal n there; its centre changes by c_."""
-    shift = radius_rate + nx * c_x + ny * c_y + nz * c_z
-    gx, gy, gz = on_plane_rates(dx, dy, dz, t, nx, ny, nz, fx, fy, fz, ux, uy, uz, shift)
-    return (
-        gx, gy, gz,
-        (gx - c_x - radius_rate * nx) / radius,
-        (gy - c_y - radius_rate * ny) / radius,
-        (gz - c_z - radius_rate * nz) / radius,
-    )  # fmt: skip
+def sphere_point_rates(
+    d: Vector, t: float, n: Vector, radius: float, f: Vector, u: Vector, c_rate: Vector, radius_rate: float
+) -> tuple[Vector, Vector]:
+    """Derivatives of q = p + t d on a sphere and of its outward normal n there; its centre changes by `c_rate`."""
+    g = plane_point_rates(d, t, n, f, u, add_dot(radius_rate, n, c_rate))
+    return g, divide(move(subtract(g, c_rate), -radius_rate, n), radius)

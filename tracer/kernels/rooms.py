@@ -4,7 +4,7 @@ A body with two sides (window, tube) parts the world.  A ray stands in one room 
 stands there with it; what has another room inside takes it there (ENTERED).  Where it meets nothing more it
 leaves by the wall of its room, unless the investigation plane comes first, or ends if it is in the outermost.
 
-So all that ``tracer.kernels.march`` says of convex bodies holds room by room: in a room they are disjoint, a room
+So all that ``tracer.kernels.rays`` says of convex bodies holds room by room: in a room they are disjoint, a room
 is convex itself, and its wall comes after everything in it.  Indices of a body are relative to the medium of the
 room in which it stands.
 

@@ -53,9 +53,11 @@ follow, inwards; radius 0 where a sphere has none or fewer.
 import math
 
 from ground.jit import Array, kernel
+from tracer.kernels.vectors import Vector, add_dot, combine, dot, move
 
 # Columns of a sphere table (N, 6 or more).  Cores follow inwards.
-CENTRE_X, CENTRE_Y, CENTRE_Z, RADIUS, INDEX, OPAQUE, SOLID = range(7)
+CENTRE_X, CENTRE_Y, CENTRE_Z, RADIUS, REFRACTIVE_INDEX, OPAQUE, SOLID = range(7)
+Turn = tuple[float, float]  # cos delta and q = sin delta / b, or their derivatives
 
 
 @kernel
@@ -63,7 +65,7 @@ def way_through(b2: float, sphere: Array) -> int:
     """Way of a ray of squared impact parameter b2 through a sphere (a row of the table)."""
     way = 0
     if b2 < sphere[RADIUS] * sphere[RADIUS]:
-        outside = sphere[INDEX]
+        outside = sphere[REFRACTIVE_INDEX]
         for at in range(SOLID, sphere.shape[0], 2):
             rho, inner = outside * sphere[at], sphere[at + 1] * sphere[at]
             if not b2 < rho * rho:
@@ -89,7 +91,7 @@ def core_turn(b2: float, rho: float, nu: float, reflected: bool) -> tuple[float,
 @kernel
 def core_turn_rates(
     b2: float, rho: float, nu: float, reflected: bool, b2_rate: float, rho_rate: float, nu_rate: float
-) -> tuple[float, ...]:
+) -> Turn:
     """Derivatives of `core_turn`'s cos and q for given rates of b^2, rho and nu."""
     cos_i, cos_t = angles(b2, rho, nu)
     if reflected:
@@ -99,34 +101,25 @@ def core_turn_rates(
 
 
 @kernel
-def with_cores(b2: float, sphere: Array, way: int, cosine: float, q: float) -> tuple[float, ...]:
-    """Add the turns of the cores to a solid sphere's: cos, q, optical path added, share of light that passes."""
-    path, passed, outside = 0.0, 1.0, sphere[INDEX]
-    cores = (way + 1) // 2
-    for k in range(cores):
+def with_cores(b2: float, sphere: Array, way: int, turn: Turn) -> tuple[Turn, float, float]:
+    """Add the turns of the cores to a solid sphere's; optical path added, share of light that passes."""
+    (cosine, q), path, passed, outside = turn, 0.0, 1.0, sphere[REFRACTIVE_INDEX]
+    for k in range((way + 1) // 2):
         radius, inside = sphere[SOLID + 2 * k], sphere[SOLID + 2 * k + 1]
         c, s, more, share = core_turn(b2, outside * radius, inside / outside, way == 2 * k + 2)
         cosine, q = cosine * c - b2 * q * s, cosine * s + q * c
         path += more
         passed *= share
         outside = inside
-    return cosine, q, path, passed
+    return (cosine, q), path, passed
 
 
 @kernel
 def with_cores_rates(
-    b2: float,
-    sphere: Array,
-    way: int,
-    cosine: float,
-    q: float,
-    cosine_rate: float,
-    q_rate: float,
-    b2_rate: float,
-    n_rate: float,
-) -> tuple[float, float]:
-    """Derivatives of `with_cores`'s cos and q, from those of the solid sphere and the rates of b^2 and its n."""
-    outside = sphere[INDEX]
+    b2: float, sphere: Array, way: int, turn: Turn, rates: Turn, b2_rate: float, n_rate: float
+) -> Turn:
+    """Derivatives of cos and q of `with_cores`, from those of the solid sphere and the rates of b^2 and its n."""
+    (cosine, q), (cosine_rate, q_rate), outside = turn, rates, sphere[REFRACTIVE_INDEX]
     for k in range((way + 1) // 2):
         radius, inside, reflected = sphere[SOLID + 2 * k], sphere[SOLID + 2 * k + 1], way == 2 * k + 2
         rho, nu = outside * radius, inside / outside
@@ -142,17 +135,16 @@ def with_cores_rates(
 
 
 @kernel
-def foot(wx: float, wy: float, wz: float, dx: float, dy: float, dz: float) -> tuple[float, ...]:
+def foot(w: Vector, d: Vector) -> tuple[float, Vector]:
     """Distance along the ray to the foot point, and the foot point, of a ray from w relative to a centre."""
-    m = -(wx * dx + wy * dy + wz * dz)
-    ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
+    m = -dot(w, d)
+    a = move(w, m, d)
     # Once more: for a far camera the first subtraction leaves a part along d of the size of its rounding.
-    e = ax * dx + ay * dy + az * dz
-    return m, ax - e * dx, ay - e * dy, az - e * dz
+    return m, move(a, -dot(a, d), d)
 
 
 @kernel
-def angles(b2: float, radius: float, n: float) -> tuple[float, ...]:
+def angles(b2: float, radius: float, n: float) -> tuple[float, float]:
     """Cos i, cos t for squared impact parameter b2 < R^2; cos t is 0 from the critical angle on."""
     r2 = radius * radius
     inner2 = n * n * r2
@@ -162,7 +154,7 @@ def angles(b2: float, radius: float, n: float) -> tuple[float, ...]:
 
 
 @kernel
-def through(b2: float, radius: float, n: float, cos_i: float, cos_t: float) -> tuple[float, ...]:
+def through(b2: float, radius: float, n: float, cos_i: float, cos_t: float) -> Turn:
     """Cos delta and q of the turn by 2 (i - t): in, and straight out again."""
     g = (n - 1.0) * (n + 1.0) / (n * n) / (cos_t + cos_i / n)
     chi = b2 / (radius * radius)
@@ -170,19 +162,10 @@ def through(b2: float, radius: float, n: float, cos_i: float, cos_t: float) -> t
 
 
 @kernel
-def turned(
-    ax: float, ay: float, az: float, dx: float, dy: float, dz: float, b2: float, cosine: float, q: float
-) -> tuple[float, ...]:
-    """Foot point and direction after a turn given by cos delta and q = sin delta / b."""
-    along = b2 * q
-    return (
-        ax * cosine + dx * along,
-        ay * cosine + dy * along,
-        az * cosine + dz * along,
-        dx * cosine - ax * q,
-        dy * cosine - ay * q,
-        dz * cosine - az * q,
-    )
+def rotate(a: Vector, d: Vector, b2: float, turn: Turn) -> tuple[Vector, Vector]:
+    """Foot point and direction after a turn, given by cos delta and q = sin delta / b."""
+    cosine, q = turn
+    return combine(cosine, a, b2 * q, d), combine(cosine, d, -q, a)
 
 
 @kernel
@@ -194,24 +177,9 @@ def transmittance(cos_i: float, cos_t: float, n: float) -> float:
 
 
 @kernel
-def foot_tangent(
-    wx: float,
-    wy: float,
-    wz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    m: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    ex: float,
-    ey: float,
-    ez: float,
-) -> tuple[float, ...]:
+def foot_tangent(w: Vector, d: Vector, m: float, v: Vector, e: Vector) -> Vector:
     """Derivative of the foot point when w changes by v and d by e (m from `foot`)."""
-    k = -(vx * dx + vy * dy + vz * dz + wx * ex + wy * ey + wz * ez)
-    return vx + k * dx + m * ex, vy + k * dy + m * ey, vz + k * dz + m * ez
+    return move(move(v, -add_dot(dot(v, d), w, e), d), m, e)
 
 
 @kernel
@@ -224,7 +192,7 @@ def through_rates(
     b2_rate: float,
     radius_rate: float,
     n_rate: float,
-) -> tuple[float, ...]:
+) -> Turn:
     """Derivatives of `through`'s cos delta and q for given rates of b^2, R and n."""
     nu = 1.0 / n
     nu_rate = -n_rate * nu * nu
@@ -243,34 +211,11 @@ def through_rates(
 
 
 @kernel
-def turned_tangent(
-    ax: float,
-    ay: float,
-    az: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    b2: float,
-    cosine: float,
-    q: float,
-    ux: float,
-    uy: float,
-    uz: float,
-    ex: float,
-    ey: float,
-    ez: float,
-    b2_rate: float,
-    cosine_rate: float,
-    q_rate: float,
-) -> tuple[float, ...]:
-    """Derivative of `turned` when a changes by u, d by e and the turn by its rates."""
-    along = b2 * q
+def rotate_tangent(
+    a: Vector, d: Vector, b2: float, turn: Turn, u: Vector, e: Vector, b2_rate: float, rates: Turn
+) -> tuple[Vector, Vector]:
+    """Derivative of `rotate` when a changes by u, d by e, b^2 and the turn by their rates."""
+    (cosine, q), (cosine_rate, q_rate) = turn, rates
     along_rate = b2_rate * q + b2 * q_rate
-    return (
-        ux * cosine + ax * cosine_rate + ex * along + dx * along_rate,
-        uy * cosine + ay * cosine_rate + ey * along + dy * along_rate,
-        uz * cosine + az * cosine_rate + ez * along + dz * along_rate,
-        ex * cosine + dx * cosine_rate - ux * q - ax * q_rate,
-        ey * cosine + dy * cosine_rate - uy * q - ay * q_rate,
-        ez * cosine + dz * cosine_rate - uz * q - az * q_rate,
-    )
+    foot_rate = move(move(combine(cosine, u, cosine_rate, a), b2 * q, e), along_rate, d)
+    return foot_rate, move(move(combine(cosine, e, cosine_rate, d), -q, u), -q_rate, a)

@@ -22,7 +22,7 @@ from ground.jit import Array, kernel
 from tracer.kernels import chain
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.bundle import follow_bundle
-from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of, lens_of, undistorted
+from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of, lens_of, undistort
 from tracer.kernels.chain import whole_vectors
 from tracer.kernels.lanes import (
     DX,
@@ -49,7 +49,7 @@ from tracer.kernels.lanes import (
     Bed,
     Bundle,
 )
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.rays import MAX_EVENTS
 from tracer.kernels.window import BEHIND, GLASS, THICKNESS
 from tracer.kernels.windowed import OPEN, SHUT, through_window_carefully
 from tracer.kernels.world import BLOCKED, MISSED_PLANE, RECOVERED
@@ -143,7 +143,7 @@ def aim_lanes(count: int, camera: Array, rays: Array, marks: Array) -> None:
     k1, k2, k3, p1, p2 = lens_of(camera)
     for i in range(count):
         x, y = (rays[DX + i] - u0) / focal, (rays[DY + i] - v0) / focal
-        a, b, _, _ = undistorted(x, y, k1, k2, k3, p1, p2)
+        a, b, _, _ = undistort(x, y, k1, k2, k3, p1, p2)
         scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
         a, b = a * scale, b * scale
         rays[DX + i], rays[DY + i], rays[DZ + i] = (
@@ -186,7 +186,7 @@ def pass_windows(count: int, windows: Array, rays: Array, fates: Array) -> int:
 
 @kernel
 def end_behind(count: int, inner: Array, fates: Array, ends: Array, ended: Array) -> int:
-    """Correct what became of landed rays behind windows, the last one `inner`; how many `march` has to know.
+    """Correct what became of landed rays behind windows, the last one `inner`; how many `trace_ray` has to know.
 
     Who would land in front of its back meets the wall there.
     """
@@ -257,7 +257,7 @@ def trace_tiles(
 
     ``windows`` (K, 10) are passed before, from the camera on; ``passed`` (LANES,) int64 is scratch.  Outputs:
     plane points (H, 2 W), status (H, W) uint8, entries in the book (H, W) uint32, and ``odd`` (H,) int64, which
-    counts in the tiles' first row what only `march` can follow through the windows.
+    counts in the tiles' first row what only `trace_ray` can follow through the windows.
     """
     rays, marks, ends = bundle.rays, bundle.marks, bundle.ends
     width = status.shape[1]

@@ -17,36 +17,42 @@ one that comes next is known from where the ray is, so no root is chosen by a to
 
 import math
 
-from ground.jit import Array, kernel
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.refraction import (
-    across,
-    on_cylinder_rates,
-    on_plane_rates,
-    outward,
-    refracted,
-    refracted_rates,
+    Cylinder,
+    cylinder_normal,
+    cylinder_point_rates,
+    nearest_to_axis,
+    plane_point_rates,
+    refract,
+    refract_rates,
 )
 from tracer.kernels.rooms import IN, OUT, THROUGH
 from tracer.kernels.sphere import transmittance
-from tracer.kernels.world import BLOCKED, ENTERED, MISSED_PLANE, OFF_INSIDE, RECOVERED, TIR
+from tracer.kernels.vectors import Vector, dot, move, scale, subtract, vector_at
+from tracer.kernels.world import BLOCKED, ENTERED, MISSED_PLANE, OFF_INSIDE, RECOVERED, TIR, Crossed
 
 START, AXIS, LENGTH, OUTER, INNER, WALL, FILLED = 0, 3, 6, 7, 8, 9, 10
 
 
+@kernel_inlined
+def cylinder_at(row: Array, which: int) -> Cylinder:
+    """Axis and radius of one surface of a tube, OUTER or INNER, or the rates of these."""
+    return vector_at(row, START), vector_at(row, AXIS), row[which]
+
+
 @kernel
-def reach(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[float, float, bool]:
-    """Where a line goes into and out of the closed tube, and whether it goes in by the round side."""
-    m, b2, e2, at = across(px, py, pz, dx, dy, dz, row[0], row[1], row[2], row[3], row[4], row[5])
-    radius = row[OUTER]
+def find_ends(p: Vector, d: Vector, row: Array) -> tuple[float, float, bool]:
+    """Distances at which a line enters and leaves the closed tube, and whether it enters by the round side."""
+    axis, radius = vector_at(row, AXIS), row[OUTER]
+    m, b2, e2, at = nearest_to_axis(p, d, vector_at(row, START), axis)
     if not b2 < radius * radius:
         return math.inf, -math.inf, True
     near, far = -math.inf, math.inf
     if e2 > 0.0:
         h = math.sqrt((radius * radius - b2) / e2)
         near, far = m - h, m + h
-    slope = dx * row[3] + dy * row[4] + dz * row[5]
+    slope = dot(d, axis)
     if slope == 0.0:
         return (near, far, True) if 0.0 < at < row[LENGTH] else (math.inf, -math.inf, True)
     one, two = m - at / slope, m + (row[LENGTH] - at) / slope
@@ -55,199 +61,160 @@ def reach(
 
 
 @kernel
-def meets_tube(px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array) -> float:
+def meets_tube(p: Vector, d: Vector, row: Array) -> float:
     """Distance to where the ray goes in; inf if it does not, or meets the investigation plane first."""
-    first, last, _ = reach(px, py, pz, dx, dy, dz, row)
-    return first if 0.0 < first < last and pz + first * dz > 0.0 else math.inf
+    first, last, _ = find_ends(p, d, row)
+    return first if 0.0 < first < last and p[2] + first * d[2] > 0.0 else math.inf
 
 
 @kernel
-def to_ends(px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array) -> float:
+def to_ends(p: Vector, d: Vector, row: Array) -> float:
     """Distance to where a ray from between the planes of the two ends passes one of them."""
-    along = (px - row[0]) * row[3] + (py - row[1]) * row[4] + (pz - row[2]) * row[5]
-    slope = dx * row[3] + dy * row[4] + dz * row[5]
+    axis = vector_at(row, AXIS)
+    along, slope = dot(subtract(p, vector_at(row, START)), axis), dot(d, axis)
     if slope == 0.0:
         return math.inf
     return float(max(-along / slope, (row[LENGTH] - along) / slope))
 
 
 @kernel
-def in_wall(px: float, py: float, pz: float, dx: float, dy: float, dz: float, t: float, row: Array) -> int:
-    """What becomes of a ray in the wall before it has gone the distance t: RECOVERED if nothing."""
-    end = to_ends(px, py, pz, dx, dy, dz, row)
-    plane = -pz / dz if dz < 0.0 else math.inf
+def fate_in_wall(p: Vector, d: Vector, t: float, row: Array) -> int:
+    """Status of a ray in the wall before it has gone the distance t: RECOVERED if nothing stops it."""
+    end = to_ends(p, d, row)
+    plane = -p[2] / d[2] if d[2] < 0.0 else math.inf
     if t < min(end, plane):
         return RECOVERED
     return BLOCKED if end < plane else MISSED_PLANE
 
 
 @kernel
-def to_round_side(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array, which: int, side: float
-) -> float:
+def to_round_side(p: Vector, d: Vector, row: Array, which: int, side: float) -> float:
     """Distance to where a ray meets one surface of a tube, on the near (-1) or far (1) side."""
-    m, b2, e2, _ = across(px, py, pz, dx, dy, dz, row[0], row[1], row[2], row[3], row[4], row[5])
+    m, b2, e2, _ = nearest_to_axis(p, d, vector_at(row, START), vector_at(row, AXIS))
     return m + side * math.sqrt(max(0.0, row[which] * row[which] - b2) / e2)
 
 
 @kernel
-def out_of_wall(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """From a point of the wall out through its round side: as `Kind.cross`, light of this surface alone.
+def leave_wall(p: Vector, d: Vector, row: Array) -> Crossed:
+    """Take a ray from the wall out through its round side: as `Kind.cross`, light of this surface alone.
 
-    Who came through the same side leaves it at the same angle: totally reflected by rounding only, at a tangent.
+    Through the side by which it came it leaves at the same angle: reflected by rounding only, at a tangent.
     """
     n = row[WALL]
-    t = to_round_side(px, py, pz, dx, dy, dz, row, OUTER, 1.0)
-    lost = in_wall(px, py, pz, dx, dy, dz, t, row)
-    if lost != RECOVERED:
-        return lost, px, py, pz, dx, dy, dz, 0.0, 0.0
-    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
-    nx, ny, nz = outward(qx, qy, qz, row[0], row[1], row[2], row[3], row[4], row[5], -row[OUTER])
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, n)
+    t = to_round_side(p, d, row, OUTER, 1.0)
+    fate = fate_in_wall(p, d, t, row)
+    if fate != RECOVERED:
+        return fate, p, d, 0.0, 0.0
+    q = move(p, t, d)
+    e, c1, c2 = refract(d, cylinder_normal(q, vector_at(row, START), vector_at(row, AXIS), -row[OUTER]), n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, n * t, 0.0
-    return RECOVERED, qx, qy, qz, ex, ey, ez, n * t, transmittance(c1, c2, 1.0 / n)
+        return TIR, q, e, n * t, 0.0
+    return RECOVERED, q, e, n * t, transmittance(c1, c2, 1.0 / n)
 
 
 @kernel
-def cross_tube(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """From outside into the tube, or through its wall alone, as `Kind.cross`."""
-    sx, sy, sz, kx, ky, kz = row[0], row[1], row[2], row[3], row[4], row[5]
-    n, filled = row[WALL], row[FILLED]
-    t, _, by_side = reach(px, py, pz, dx, dy, dz, row)
-    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
+def cross_tube(p: Vector, d: Vector, row: Array) -> Crossed:
+    """Take a ray from outside into the tube, or through its wall alone, as `Kind.cross`."""
+    start, axis, n, filled = vector_at(row, START), vector_at(row, AXIS), row[WALL], row[FILLED]
+    t, _, by_side = find_ends(p, d, row)
+    q = move(p, t, d)
     if not by_side:
-        _, b2, _, _ = across(qx, qy, qz, kx, ky, kz, sx, sy, sz, kx, ky, kz)
+        _, b2, _, _ = nearest_to_axis(q, axis, start, axis)
         open_end = b2 < row[INNER] * row[INNER] and filled == 1.0
-        return ENTERED if open_end else BLOCKED, qx, qy, qz, dx, dy, dz, t, 1.0
-    nx, ny, nz = outward(qx, qy, qz, sx, sy, sz, kx, ky, kz, row[OUTER])
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, 1.0 / n)
+        return ENTERED if open_end else BLOCKED, q, d, t, 1.0
+    e, c1, c2 = refract(d, cylinder_normal(q, start, axis, row[OUTER]), 1.0 / n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, t, 0.0
+        return TIR, q, e, t, 0.0
     surface = transmittance(c1, c2, n)
     path, fate, light = t, RECOVERED, surface * surface
-    m, b2, e2, _ = across(qx, qy, qz, ex, ey, ez, sx, sy, sz, kx, ky, kz)
+    m, b2, e2, _ = nearest_to_axis(q, e, start, axis)
     if b2 < row[INNER] * row[INNER]:
         t = m - math.sqrt((row[INNER] * row[INNER] - b2) / e2)
-        lost = in_wall(qx, qy, qz, ex, ey, ez, t, row)
+        lost = fate_in_wall(q, e, t, row)
         if lost != RECOVERED:
-            return lost, qx, qy, qz, ex, ey, ez, path, 0.0
-        qx, qy, qz, path = qx + t * ex, qy + t * ey, qz + t * ez, path + n * t
-        nx, ny, nz = outward(qx, qy, qz, sx, sy, sz, kx, ky, kz, row[INNER])
-        ex, ey, ez, c1, c2 = refracted(ex, ey, ez, nx, ny, nz, n / filled)
+            return lost, q, e, path, 0.0
+        q, path = move(q, t, e), path + n * t
+        e, c1, c2 = refract(e, cylinder_normal(q, start, axis, row[INNER]), n / filled)
         if c2 > 0.0:
-            return ENTERED, qx, qy, qz, ex, ey, ez, path, surface * transmittance(c1, c2, filled / n)
+            return ENTERED, q, e, path, surface * transmittance(c1, c2, filled / n)
         fate = OFF_INSIDE
-    lost, qx, qy, qz, ex, ey, ez, more, _ = out_of_wall(qx, qy, qz, ex, ey, ez, row)
-    return lost if lost != RECOVERED else fate, qx, qy, qz, ex, ey, ez, path + more, light
+    lost, q, e, more, _ = leave_wall(q, e, row)
+    return lost if lost != RECOVERED else fate, q, e, path + more, light
 
 
 @kernel
-def leave_tube(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
-) -> tuple[int, float, float, float, float, float, float, float, float]:
-    """From inside out of the tube, as `Kind.leave`; paths are / n of what is around."""
-    sx, sy, sz, kx, ky, kz = row[0], row[1], row[2], row[3], row[4], row[5]
-    n, filled = row[WALL], row[FILLED]
-    m, b2, e2, _ = across(px, py, pz, dx, dy, dz, sx, sy, sz, kx, ky, kz)
+def leave_tube(p: Vector, d: Vector, row: Array) -> Crossed:
+    """Take a ray from inside out of the tube, as `Kind.leave`; paths are / n of what is around."""
+    start, axis, n, filled = vector_at(row, START), vector_at(row, AXIS), row[WALL], row[FILLED]
+    m, b2, e2, _ = nearest_to_axis(p, d, start, axis)
     t = m + math.sqrt(max(0.0, row[INNER] * row[INNER] - b2) / e2) if e2 > 0.0 else math.inf
-    end = to_ends(px, py, pz, dx, dy, dz, row)
+    end = to_ends(p, d, row)
     s = min(t, end)
-    qx, qy, qz, path = px + s * dx, py + s * dy, pz + s * dz, filled * s
-    if not qz > 0.0:
-        return RECOVERED, px, py, pz, dx, dy, dz, 0.0, 1.0
+    q, path = move(p, s, d), filled * s
+    if not q[2] > 0.0:
+        return RECOVERED, p, d, 0.0, 1.0
     if end < t:
-        return ENTERED if filled == 1.0 else BLOCKED, qx, qy, qz, dx, dy, dz, path, 1.0
-    nx, ny, nz = outward(qx, qy, qz, sx, sy, sz, kx, ky, kz, -row[INNER])
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, filled / n)
+        return ENTERED if filled == 1.0 else BLOCKED, q, d, path, 1.0
+    e, c1, c2 = refract(d, cylinder_normal(q, start, axis, -row[INNER]), filled / n)
     if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, path, 0.0
+        return TIR, q, e, path, 0.0
     light = transmittance(c1, c2, n / filled)
-    lost, qx, qy, qz, ex, ey, ez, more, surface = out_of_wall(qx, qy, qz, ex, ey, ez, row)
-    return ENTERED if lost == RECOVERED else lost, qx, qy, qz, ex, ey, ez, path + more, light * surface
+    lost, q, e, more, surface = leave_wall(q, e, row)
+    return ENTERED if lost == RECOVERED else lost, q, e, path + more, light * surface
 
 
 @kernel
 def surface_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, t: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
-    row: Array, rate: Array, which: int, side: float, e: float, e_rate: float,
-) -> tuple[float, ...]:  # fmt: skip
-    """Point and direction behind one surface of a tube, OUTER or INNER, at distance t, and their derivatives.
+    ray: tuple[Vector, Vector, float], f: Vector, u: Vector, row: Array, rate: Array, which: int, side: float,
+    bend: tuple[float, float],
+) -> tuple[Vector, Vector, Vector, Vector]:  # fmt: skip
+    """Point and direction behind one surface of a tube, OUTER or INNER, and their derivatives.
 
-    `side` is 1 where the outward normal looks against the ray, else -1.
+    `ray` is start, direction and distance to the surface, `bend` the ratio of indices and its rate; `side` is 1
+    where the outward normal looks against the ray, else -1.
     """
-    sx, sy, sz, kx, ky, kz = row[0], row[1], row[2], row[3], row[4], row[5]
-    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
-    nx, ny, nz = outward(qx, qy, qz, sx, sy, sz, kx, ky, kz, row[which])
-    fx, fy, fz, rx, ry, rz = on_cylinder_rates(
-        qx, qy, qz, dx, dy, dz, t, nx, ny, nz, sx, sy, sz, kx, ky, kz, row[which], fx, fy, fz, ux, uy, uz,
-        rate[0], rate[1], rate[2], rate[3], rate[4], rate[5], rate[which],
-    )  # fmt: skip
-    nx, ny, nz, rx, ry, rz = side * nx, side * ny, side * nz, side * rx, side * ry, side * rz
-    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, e)
-    ux, uy, uz = refracted_rates(dx, dy, dz, nx, ny, nz, e, c1, c2, ux, uy, uz, rx, ry, rz, e_rate)
-    return qx, qy, qz, ex, ey, ez, fx, fy, fz, ux, uy, uz
+    (p, d, t), (ratio, ratio_rate), cylinder = ray, bend, cylinder_at(row, which)
+    q = move(p, t, d)
+    normal = cylinder_normal(q, cylinder[0], cylinder[1], cylinder[2])
+    f, r = cylinder_point_rates(q, d, t, normal, cylinder, f, u, cylinder_at(rate, which))
+    normal, r = scale(side, normal), scale(side, r)
+    e, c1, c2 = refract(d, normal, ratio)
+    return q, e, f, refract_rates(d, normal, ratio, c1, c2, u, r, ratio_rate)
 
 
 @kernel
 def tube_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array, way: int,
-) -> tuple[float, ...]:  # fmt: skip
+    p: Vector, d: Vector, f: Vector, u: Vector, row: Array, rate: Array, way: int
+) -> tuple[Vector, Vector]:
     """Derivatives of point and direction behind, on the way that the ray took, as `Kind.rates`."""
-    n, filled = row[WALL], row[FILLED]
-    n_rate = rate[WALL]
-    into, out_of = 1.0 / n, n
-    into_rate = -n_rate / (n * n)
+    n, filled, n_rate = row[WALL], row[FILLED], rate[WALL]
     if way == OUT:
-        t = to_round_side(px, py, pz, dx, dy, dz, row, INNER, 1.0)
-        if to_ends(px, py, pz, dx, dy, dz, row) < t:  # through the open end
-            return end_rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate)
-        e, e_rate = filled / n, (rate[FILLED] - filled / n * n_rate) / n
-        px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz = surface_rates(
-            px, py, pz, dx, dy, dz, t, fx, fy, fz, ux, uy, uz, row, rate, INNER, -1.0, e, e_rate
-        )
-        t = to_round_side(px, py, pz, dx, dy, dz, row, OUTER, 1.0)
-        _, _, _, _, _, _, fx, fy, fz, ux, uy, uz = surface_rates(
-            px, py, pz, dx, dy, dz, t, fx, fy, fz, ux, uy, uz, row, rate, OUTER, -1.0, out_of, n_rate
-        )
-        return fx, fy, fz, ux, uy, uz
-    t, _, by_side = reach(px, py, pz, dx, dy, dz, row)
-    if not by_side:
-        return end_rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate)
-    px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz = surface_rates(
-        px, py, pz, dx, dy, dz, t, fx, fy, fz, ux, uy, uz, row, rate, OUTER, 1.0, into, into_rate
-    )
-    if way != THROUGH:
-        t = to_round_side(px, py, pz, dx, dy, dz, row, INNER, -1.0)
-        e, e_rate = n / filled, (n_rate - n / filled * rate[FILLED]) / filled
-        px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz = surface_rates(
-            px, py, pz, dx, dy, dz, t, fx, fy, fz, ux, uy, uz, row, rate, INNER, 1.0, e, e_rate
-        )
-        if way == IN:
-            return fx, fy, fz, ux, uy, uz
-    t = to_round_side(px, py, pz, dx, dy, dz, row, OUTER, 1.0)
-    _, _, _, _, _, _, fx, fy, fz, ux, uy, uz = surface_rates(
-        px, py, pz, dx, dy, dz, t, fx, fy, fz, ux, uy, uz, row, rate, OUTER, -1.0, out_of, n_rate
-    )
-    return fx, fy, fz, ux, uy, uz
+        t = to_round_side(p, d, row, INNER, 1.0)
+        if to_ends(p, d, row) < t:  # through the open end
+            return end_rates(p, d, f, u, row), u
+        bend = filled / n, (rate[FILLED] - filled / n * n_rate) / n
+        p, d, f, u = surface_rates((p, d, t), f, u, row, rate, INNER, -1.0, bend)
+    else:
+        t, _, by_side = find_ends(p, d, row)
+        if not by_side:
+            return end_rates(p, d, f, u, row), u
+        p, d, f, u = surface_rates((p, d, t), f, u, row, rate, OUTER, 1.0, (1.0 / n, -n_rate / (n * n)))
+        if way != THROUGH:
+            t = to_round_side(p, d, row, INNER, -1.0)
+            bend = n / filled, (n_rate - n / filled * rate[FILLED]) / filled
+            p, d, f, u = surface_rates((p, d, t), f, u, row, rate, INNER, 1.0, bend)
+            if way == IN:
+                return f, u
+    t = to_round_side(p, d, row, OUTER, 1.0)
+    _, _, f, u = surface_rates((p, d, t), f, u, row, rate, OUTER, -1.0, (n, n_rate))
+    return f, u
 
 
 @kernel
-def end_rates(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array,
-) -> tuple[float, ...]:  # fmt: skip
-    """Through an open end nothing is bent; only where the piece ends is set anew, which the ray does not feel."""
-    along = (px - row[0]) * row[3] + (py - row[1]) * row[4] + (pz - row[2]) * row[5]
-    slope = dx * row[3] + dy * row[4] + dz * row[5]
+def end_rates(p: Vector, d: Vector, f: Vector, u: Vector, row: Array) -> Vector:
+    """Derivative of the point in an open end, where nothing is bent."""
+    axis = vector_at(row, AXIS)
+    along, slope = dot(subtract(p, vector_at(row, START)), axis), dot(d, axis)
     low = along < 0.0 or (slope < 0.0 and not along > row[LENGTH])
-    target = 0.0 if low else row[LENGTH]
-    t = (target - along) / slope
-    fx, fy, fz = on_plane_rates(dx, dy, dz, t, row[3], row[4], row[5], fx, fy, fz, ux, uy, uz, 0.0)
-    return fx, fy, fz, ux, uy, uz
+    t = ((0.0 if low else row[LENGTH]) - along) / slope
+    return plane_point_rates(d, t, axis, f, u, 0.0)

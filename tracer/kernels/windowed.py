@@ -15,7 +15,7 @@ which lies before the plate: nothing that stands behind it is met too early.  Be
 What spheres a block can meet first, and which pixels look past them all, is known from where they seem to stand
 (``tracer.kernels.apparent``), and so is whether all rays of a block pass the openings.  Other blocks go to the
 back of each window with care: a ray that looks past its plane, is totally reflected, or reaches the plane in
-between gets no branch number, and is traced again by ``march``, which knows it all.  What would end in front of
+between gets no branch number, and is traced again by `trace_ray`, which knows it all.  What would end in front of
 the back of the last window meets that wall: it closes its room.
 
 Mirror images are copied as in ``tracer.kernels.sensor``.

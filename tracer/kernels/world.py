@@ -1,4 +1,4 @@
-"""What a ray can meet, as the kernels take it, and what it meets next.
+"""Bodies of a scene as kernels take them, and the search for the one that a ray meets next.
 
 Spheres come first: they have a table of their own, cells to look them up, and numbers
 from 0 up.  All other kinds of bodies stand in ``others``, one table a kind, and are asked one by one; their
@@ -31,11 +31,15 @@ from ground.jit import OVERLOADED, Array, kernel, kernel_inlined, overload
 from tracer.kernels.ball import next_shaped
 from tracer.kernels.branches import FIRST_OTHER, NOTHING
 from tracer.kernels.rooms import ONE_ROOM, Rooms
-from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, OPAQUE, RADIUS
+from tracer.kernels.sphere import OPAQUE, RADIUS
+from tracer.kernels.vectors import Vector, dot, move, subtract, vector_at
 
 GROW = 1e-6  # cells; the walk is off by a few 1e-16 of the distance walked
 RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS = 0, 1, 2, 3, 4  # RayStatus, as plain integers
 ENTERED, OFF_INSIDE = 5, 6  # of a ray at a body: in another room now; behind it, totally reflected by its inside
+Crossed = tuple[
+    int, Vector, Vector, float, float
+]  # status, point, direction, path, share of the light; see `Kind`
 MOST_NUMBERS = 64  # of a row of another kind
 STILL = np.zeros(MOST_NUMBERS)
 
@@ -51,21 +55,13 @@ def enter_axis(p: float, d: float, low: float, high: float) -> tuple[float, floa
 
 @kernel
 def next_in_bed(
-    px: float,
-    py: float,
-    pz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    last: int,
-    spheres: Array,
-    frame: Array,
-    begin: Array,
-    items: Array,
-    room: int,
-    home: Array,
+    p: Vector, d: Vector, last: int, spheres: Array, cells: tuple[Array, Array, Array], room: int, home: Array
 ) -> tuple[int, float]:
-    """Number of the sphere met next, or NOTHING, and the distance to its foot point, as ``world.next_sphere``."""
+    """Number of the sphere met next, or NOTHING, and the distance to its foot point, as ``world.next_sphere``.
+
+    `cells` are ``frame``, ``begin`` and ``items``; see the top of the file.
+    """
+    (px, py, pz), (dx, dy, dz), (frame, begin, items) = p, d, cells
     best, nearest = NOTHING, math.inf
     x0, y0, z0, side = frame[0], frame[1], frame[2], frame[3]
     nx, ny, nz = int(frame[4]), int(frame[5]), int(frame[6])
@@ -86,13 +82,9 @@ def next_in_bed(
             for e in range(begin[cell], begin[cell + 1]):
                 s = items[e]
                 if s != last:
-                    wx, wy, wz = px - spheres[s, CENTRE_X], py - spheres[s, CENTRE_Y], pz - spheres[s, CENTRE_Z]
-                    m = -(wx * dx + wy * dy + wz * dz)
-                    if 0.0 < m < nearest:
-                        fx, fy, fz = wx + m * dx, wy + m * dy, wz + m * dz
-                        near = fx * fx + fy * fy + fz * fz < spheres[s, RADIUS] * spheres[s, RADIUS]
-                        if near and (home.shape[0] == 0 or home[s] == room):
-                            best, nearest = s, m
+                    m = distance_to_sphere(p, d, nearest, spheres[s])
+                    if m < nearest and (home.shape[0] == 0 or home[s] == room):
+                        best, nearest = s, m
             if tx <= ty and tx <= tz:
                 t, i = tx, i + si
                 tx += side / abs(dx)
@@ -109,6 +101,18 @@ def next_in_bed(
                 if k < 0 or k >= nz:
                     break
     return best, nearest
+
+
+@kernel_inlined
+def distance_to_sphere(p: Vector, d: Vector, nearest: float, sphere: Array) -> float:
+    """Distance to the foot point in a sphere that is ahead and before `nearest`, else inf."""
+    w = subtract(p, vector_at(sphere, 0))
+    m = -dot(w, d)
+    if 0.0 < m < nearest:
+        a = move(w, m, d)
+        if dot(a, a) < sphere[RADIUS] * sphere[RADIUS]:
+            return m
+    return math.inf
 
 
 class World(NamedTuple):
@@ -144,17 +148,17 @@ Tables = tuple[Array, World]  # of a scene: camera and bodies
 
 
 class Kind(NamedTuple):
-    """What rays do with one kind of bodies; kernels, of which row is one row of the kind's table.
+    """Kernels that trace rays through one kind of body; `row` is one row of the kind's table.
 
     Parameters
     ----------
-    meets : (px, py, pz, dx, dy, dz, row) -> float
+    meets : (p, d, row) -> float
         Distance along the half-line p + t d to any point in the body, inf for a miss.
-    cross : (px, py, pz, dx, dy, dz, row) -> (status, px, py, pz, dx, dy, dz, path, light), optional
+    cross : (p, d, row) -> (status, p', d', path, light), optional
         The ray behind the body, from a point that lies before all that comes later: RECOVERED if there is one,
         OFF_INSIDE, ENTERED if it is in the room inside, else BLOCKED, TIR or MISSED_PLANE; optical path / n of the
         room it came from, from p to p', share of the light that passes.  None: opaque.
-    rates : (px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, way) -> six floats, optional
+    rates : (p, d, f, u, row, rate, way) -> (f', u'), optional
         Derivatives of p' and d' when p changes by f, d by u and the row by its rate, on a way THROUGH, IN, OUT,
         OFF.
     leave : like cross, optional
@@ -166,9 +170,9 @@ class Kind(NamedTuple):
     """
 
     meets: Callable[..., float]
-    cross: Callable[..., tuple[float, ...]] | None = None
-    rates: Callable[..., tuple[float, ...]] | None = None
-    leave: Callable[..., tuple[float, ...]] | None = None
+    cross: Callable[..., Crossed] | None = None
+    rates: Callable[..., tuple[Vector, Vector]] | None = None
+    leave: Callable[..., Crossed] | None = None
     numbers: tuple[str, ...] = ()
 
 
@@ -176,96 +180,78 @@ KINDS: dict[type, Kind] = {}
 
 
 @kernel
-def next_sphere(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, spheres: Array,
-    room: int, home: Array,
-) -> tuple[int, float]:  # fmt: skip
+def next_sphere(p: Vector, d: Vector, last: int, spheres: Array, room: int, home: Array) -> tuple[int, float]:
     """Number of the sphere in a room met next, or NOTHING, and the distance to its foot point."""
-    best = NOTHING
-    nearest = math.inf
+    best, nearest = NOTHING, math.inf
     for i in range(spheres.shape[0]):
         if i != last:
-            wx, wy, wz = px - spheres[i, CENTRE_X], py - spheres[i, CENTRE_Y], pz - spheres[i, CENTRE_Z]
-            m = -(wx * dx + wy * dy + wz * dz)
-            if 0.0 < m < nearest:
-                ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
-                near = ax * ax + ay * ay + az * az < spheres[i, RADIUS] * spheres[i, RADIUS]
-                if near and (home.shape[0] == 0 or home[i] == room):
-                    best, nearest = i, m
+            m = distance_to_sphere(p, d, nearest, spheres[i])
+            if m < nearest and (home.shape[0] == 0 or home[i] == room):
+                best, nearest = i, m
     return best, nearest
 
 
 @kernel_inlined
-def next_body(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, room: int, world: World
-) -> int:
+def next_body(p: Vector, d: Vector, last: int, room: int, world: World) -> int:
     """Number of the body in a room met next, or NOTHING; the half-line starts at p and `last` is excluded."""
     home = world.rooms.home
     if len(world.shapes) > 0:
-        best, nearest = next_shaped(px, py, pz, dx, dy, dz, last, world.spheres, world.shapes, room, home)
+        best, nearest = next_shaped(p, d, last, world.spheres, world.shapes, room, home)
     elif world.items.shape[0] > 0:
-        best, nearest = next_in_bed(
-            px, py, pz, dx, dy, dz, last, world.spheres, world.frame, world.begin, world.items, room, home
-        )
+        best, nearest = next_in_bed(p, d, last, world.spheres, (world.frame, world.begin, world.items), room, home)
     else:
-        best, nearest = next_sphere(px, py, pz, dx, dy, dz, last, world.spheres, room, home)
+        best, nearest = next_sphere(p, d, last, world.spheres, room, home)
     if len(world.others) > 0:
         of_others = home[world.spheres.shape[0] :] if home.shape[0] > 0 else home
-        best = meet_others(px, py, pz, dx, dy, dz, last, best, nearest, FIRST_OTHER, world.others, room, of_others)
+        best = meet_others(p, d, last, (best, nearest), FIRST_OTHER, world.others, room, of_others)
     return best
 
 
 @kernel_inlined
-def stops(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, body: int, world: World
-) -> bool:  # fmt: skip
-    """Whether a ray from p along d ends at the body that it meets."""
+def is_stopped(p: Vector, d: Vector, body: int, world: World) -> bool:
+    """Return whether a ray from p along d ends at the body that it meets."""
     if len(world.others) > 0 and body < NOTHING:
-        return cross_other(px, py, pz, dx, dy, dz, body, world.others)[0] == BLOCKED
+        return cross_other(p, d, body, world.others)[0] == BLOCKED
     return bool(world.spheres[body, OPAQUE] != 0.0)
 
 
 def meet_others(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    last: int, best: int, nearest: float, number: int, others: tuple[Any, ...], room: int, home: Array,
+    p: Vector, d: Vector, last: int, best: tuple[int, float], number: int, others: tuple[Any, ...], room: int,
+    home: Array,
 ) -> int:  # fmt: skip
-    """Number of the other body met before `nearest`, else `best`; `number` is that of the first one."""
+    """Number of the body met first, of others and `best` (number, distance); `number` is the first other's."""
     for table in others:
         for row in table.rows:
             if number != last and (len(home) == 0 or home[FIRST_OTHER - number] == room):
-                t = KINDS[type(table)].meets(px, py, pz, dx, dy, dz, row)
-                if t < nearest:
-                    best, nearest = number, t
+                t = KINDS[type(table)].meets(p, d, row)
+                if t < best[1]:
+                    best = number, t
             number -= 1
-    return best
+    return best[0]
 
 
-def cross_other(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, number: int, others: tuple[Any, ...]
-) -> tuple[float, ...]:
+def cross_other(p: Vector, d: Vector, number: int, others: tuple[Any, ...]) -> Crossed:
     """Take a ray through another body, as `Kind.cross`; `number` counts from FIRST_OTHER down."""
     for table in others:
         if FIRST_OTHER - number < len(table.rows):
-            cross = KINDS[type(table)].cross or stopped
-            return cross(px, py, pz, dx, dy, dz, table.rows[FIRST_OTHER - number])
+            cross = KINDS[type(table)].cross or stop_ray
+            return cross(p, d, table.rows[FIRST_OTHER - number])
         number += len(table.rows)
-    return stopped(px, py, pz, dx, dy, dz)
+    return stop_ray(p, d)
 
 
-def leave_other(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, number: int, others: tuple[Any, ...]
-) -> tuple[float, ...]:
+def leave_other(p: Vector, d: Vector, number: int, others: tuple[Any, ...]) -> Crossed:
     """Take a ray out of the room in another body, as `Kind.leave`."""
     for table in others:
         if FIRST_OTHER - number < len(table.rows):
-            leave = KINDS[type(table)].leave or stays
-            return leave(px, py, pz, dx, dy, dz, table.rows[FIRST_OTHER - number])
+            leave = KINDS[type(table)].leave or stay_inside
+            return leave(p, d, table.rows[FIRST_OTHER - number])
         number += len(table.rows)
-    return stays(px, py, pz, dx, dy, dz)
+    return stay_inside(p, d)
 
 
 def place_of_other(number: int, others: tuple[Any, ...], before: int) -> tuple[int, int]:
-    """Where the numbers of another body begin among those of all, and how many they are; `before` come first."""
+    """Place of the numbers of another body among those of all, and how many they are; `before` come first."""
     for table in others:
         width = len(KINDS[type(table)].numbers)
         if FIRST_OTHER - number < len(table.rows):
@@ -276,42 +262,35 @@ def place_of_other(number: int, others: tuple[Any, ...], before: int) -> tuple[i
 
 
 def rates_other(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
-    number: int, others: tuple[Any, ...], rate: Array, way: int,
-) -> tuple[float, ...]:  # fmt: skip
+    p: Vector, d: Vector, f: Vector, u: Vector, number: int, others: tuple[Any, ...], rate: Array, way: int
+) -> tuple[Vector, Vector]:
     """Derivatives of a ray behind another body, as `Kind.rates`."""
     for table in others:
         if FIRST_OTHER - number < len(table.rows):
-            rates, row = KINDS[type(table)].rates or held, table.rows[FIRST_OTHER - number]
-            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, way)
+            rates, row = KINDS[type(table)].rates or opaque_rates, table.rows[FIRST_OTHER - number]
+            return rates(p, d, f, u, row, rate, way)
         number += len(table.rows)
-    return fx, fy, fz, ux, uy, uz
+    return f, u
 
 
 @kernel
-def stopped(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array | None = None
-) -> tuple[int, float, float, float, float, float, float, float, float]:
+def stop_ray(p: Vector, d: Vector, row: Array | None = None) -> Crossed:
     """Stop a ray: `Kind.cross` of an opaque body."""
-    return BLOCKED, px, py, pz, dx, dy, dz, 0.0, 0.0
+    return BLOCKED, p, d, 0.0, 0.0
 
 
 @kernel
-def stays(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array | None = None
-) -> tuple[int, float, float, float, float, float, float, float, float]:
+def stay_inside(p: Vector, d: Vector, row: Array | None = None) -> Crossed:
     """Let a ray end in its room: `Kind.leave` of what no ray comes out of."""
-    return RECOVERED, px, py, pz, dx, dy, dz, 0.0, 1.0
+    return RECOVERED, p, d, 0.0, 1.0
 
 
 @kernel
-def held(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array, way: int,
-) -> tuple[float, ...]:  # fmt: skip
+def opaque_rates(
+    p: Vector, d: Vector, f: Vector, u: Vector, row: Array, rate: Array, way: int
+) -> tuple[Vector, Vector]:
     """`Kind.rates` of an opaque body, which are never asked for."""
-    return fx, fy, fz, ux, uy, uz
+    return f, u
 
 
 def _kind(others: Any) -> Kind | None:  # noqa: ANN401
@@ -320,55 +299,48 @@ def _kind(others: Any) -> Kind | None:  # noqa: ANN401
 
 
 @overload(meet_others, jit_options=OVERLOADED)
-def _meet_others(px, py, pz, dx, dy, dz, last, best, nearest, number, others, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _meet_others(p, d, last, best, number, others, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     kind = _kind(others)
     if kind is None:
-        return lambda px, py, pz, dx, dy, dz, last, best, nearest, number, others, room, home: best
+        return lambda p, d, last, best, number, others, room, home: best[0]
     meets = kind.meets
 
-    def first_and_rest(px, py, pz, dx, dy, dz, last, best, nearest, number, others, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    def first_and_rest(p, d, last, best, number, others, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
         rows = others[0].rows
         for i in range(rows.shape[0]):
             if number - i != last and (len(home) == 0 or home[FIRST_OTHER - number + i] == room):
-                t = meets(px, py, pz, dx, dy, dz, rows[i])
-                if t < nearest:
-                    best, nearest = number - i, t
-        rest, left = others[1:], number - rows.shape[0]
-        return meet_others(px, py, pz, dx, dy, dz, last, best, nearest, left, rest, room, home)
+                t = meets(p, d, rows[i])
+                if t < best[1]:
+                    best = number - i, t
+        return meet_others(p, d, last, best, number - rows.shape[0], others[1:], room, home)
 
     return first_and_rest
 
 
-@overload(cross_other, jit_options=OVERLOADED)
-def _cross_other(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _crossing(others: Any, function: Any, otherwise: Any) -> Any:  # noqa: ANN401 - types of numba
+    """Write `cross_other` or `leave_other` for the types of some tables, by the function of the first one."""
     kind = _kind(others)
     if kind is None:
-        return lambda px, py, pz, dx, dy, dz, number, others: stopped(px, py, pz, dx, dy, dz)
-    cross = kind.cross or stopped
+        return lambda p, d, number, others: otherwise(p, d)
+    cross = getattr(kind, function.__name__.removesuffix("_other")) or otherwise
 
-    def first_or_rest(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    def first_or_rest(p, d, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
         rows = others[0].rows
         if FIRST_OTHER - number < rows.shape[0]:
-            return cross(px, py, pz, dx, dy, dz, rows[FIRST_OTHER - number])
-        return cross_other(px, py, pz, dx, dy, dz, number + rows.shape[0], others[1:])
+            return cross(p, d, rows[FIRST_OTHER - number])
+        return function(p, d, number + rows.shape[0], others[1:])
 
     return first_or_rest
+
+
+@overload(cross_other, jit_options=OVERLOADED)
+def _cross_other(p, d, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    return _crossing(others, cross_other, stop_ray)
 
 
 @overload(leave_other, jit_options=OVERLOADED)
-def _leave_other(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    kind = _kind(others)
-    if kind is None:
-        return lambda px, py, pz, dx, dy, dz, number, others: stays(px, py, pz, dx, dy, dz)
-    leave = kind.leave or stays
-
-    def first_or_rest(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-        rows = others[0].rows
-        if FIRST_OTHER - number < rows.shape[0]:
-            return leave(px, py, pz, dx, dy, dz, rows[FIRST_OTHER - number])
-        return leave_other(px, py, pz, dx, dy, dz, number + rows.shape[0], others[1:])
-
-    return first_or_rest
+def _leave_other(p, d, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    return _crossing(others, leave_other, stay_inside)
 
 
 @overload(place_of_other, jit_options=OVERLOADED)
@@ -388,20 +360,16 @@ def _place_of_other(number, others, before):  # type: ignore[no-untyped-def]  # 
 
 
 @overload(rates_other, jit_options=OVERLOADED)
-def _rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others, rate, way):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _rates_other(p, d, f, u, number, others, rate, way):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     kind = _kind(others)
     if kind is None:
-        return lambda px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others, rate, way: (
-            fx, fy, fz, ux, uy, uz,
-        )  # fmt: skip
-    rates = kind.rates or held
+        return lambda p, d, f, u, number, others, rate, way: (f, u)
+    rates = kind.rates or opaque_rates
 
-    def first_or_rest(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others, rate, way):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    def first_or_rest(p, d, f, u, number, others, rate, way):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
         rows = others[0].rows
         if FIRST_OTHER - number < rows.shape[0]:
-            row = rows[FIRST_OTHER - number]
-            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, way)
-        rest, left = others[1:], number + rows.shape[0]
-        return rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, left, rest, rate, way)
+            return rates(p, d, f, u, rows[FIRST_OTHER - number], rate, way)
+        return rates_other(p, d, f, u, number + rows.shape[0], others[1:], rate, way)
 
     return first_or_rest

@@ -29,9 +29,9 @@ from tracer.kernels.lanes import (
     Bed,
     Bundle,
 )
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.rays import MAX_EVENTS
 from tracer.kernels.rooms import ONE_ROOM
-from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, INDEX, OPAQUE, RADIUS
+from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, OPAQUE, RADIUS, REFRACTIVE_INDEX
 from tracer.kernels.tiles import SIDE, BranchBook, copy_book, number_rows, pack_ranks, trace_tiles
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import SHORT_NUMBERS, Branch, BranchList, Numbers
@@ -55,7 +55,7 @@ class Balls:
     def __init__(self, spheres: NDArray[np.float64]) -> None:
         self.order = side_by_side(spheres)
         table = np.ascontiguousarray(spheres[self.order])
-        n, radius, opaque = table[:, INDEX], table[:, RADIUS], table[:, OPAQUE]
+        n, radius, opaque = table[:, REFRACTIVE_INDEX], table[:, RADIUS], table[:, OPAQUE]
         square = radius * radius
         rows = [
             *table[:, CENTRE_X : CENTRE_Z + 1].T,
@@ -193,7 +193,7 @@ def trace_bed(
     -------
     tuple or None
         Branch numbers (H, W), in `branch` if they fit, and the branches; None: some ray passes beside a window's
-        plane or is reflected by it, which only `march` can follow.
+        plane or is reflected by it, which only `trace_ray` can follow.
     """
     height, width = status.shape
     camera, spheres = pack_camera(scene.camera), Balls(scene.sphere_table())

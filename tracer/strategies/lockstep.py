@@ -5,7 +5,7 @@ them: every scene of the paper, spheres in a furnace, a few in a tank of liquid.
 ways (``tracer.strategies.strategy``), which give the same map to rounding; tests hold them together.
 
 Branches are numbered beforehand (``tracer.strategies.branches``).  What rays meet in another order than a number
-can say is traced again by ``march``, which names it.
+can say is traced again by `trace_ray`, which names it.
 
 A camera that looks straight down on x = 0 (or y = 0) at bodies that are their own mirror image sees a picture
 that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.sensor``).
@@ -133,15 +133,17 @@ def name_unknown(
     status: NDArray[np.uint8],
     branch: Numbers,
 ) -> None:
-    """Trace the pixels without a branch number, all in the rows `lines`, by `march` and append their branches."""
+    """Trace the pixels without a branch number, all in the rows `lines`, one by one and append their branches."""
     rows, columns = np.nonzero(branch[lines] == UNKNOWN)
     rows = lines[rows]
     if len(rows):
         places = rows, columns
-        plane[places], status[places], branch[places] = by_march(scene, np.stack((columns, rows), -1), branches)
+        plane[places], status[places], branch[places] = trace_numbered(
+            scene, np.stack((columns, rows), -1), branches
+        )
 
 
-def by_march(
+def trace_numbered(
     scene: Scene, pixels: NDArray[np.int64], branches: list[Branch]
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint16]]:
     """Plane points, status and branch numbers of pixels (N, 2); branches not among `branches` are appended."""

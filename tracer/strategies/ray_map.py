@@ -19,7 +19,7 @@ from ground.map_file import Hash, checked, load_arrays, save_arrays
 from ground.memory import require_memory
 from ground.short_repr import short_repr
 from tracer.errors import RayMapUsageError
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.rays import MAX_EVENTS
 from tracer.scene.scene import Scene, SceneBound
 from tracer.strategies.branches import Branch, Numbers, lengths_of
 from tracer.strategies.strategy import choose

@@ -21,8 +21,8 @@ from ground.rows import run_rows
 from tracer.camera import Camera
 from tracer.harmonics import COUNT, NAMES, to_polynomials
 from tracer.kernels.ball import EVEN, MEAN, SHAPE_NUMBERS
-from tracer.kernels.landing import STATE, trace_landings
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.landing import STATE, LandingArrays, SweepScratch, trace_landings
+from tracer.kernels.rays import MAX_EVENTS
 from tracer.kernels.world import KINDS, MOST_NUMBERS, World
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import RayStatus, pack_camera, world_of
@@ -129,6 +129,11 @@ def _names(spheres: Sequence[str], tables: Sequence[Any], others: Sequence[str])
     return (*[f"camera.{part}" for part in CAMERA], *of_spheres, *of_others, *of_target)
 
 
+def sweep_scratch() -> SweepScratch:
+    """Memory of one thread for `trace_landings`."""
+    return SweepScratch(np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE)), np.zeros(MOST_NUMBERS))
+
+
 def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) -> Landings:
     """Trace acquired pixels onto a target plane, with the derivatives by every parameter.
 
@@ -190,13 +195,10 @@ def landings_through(
     by_shape = np.empty((count if uneven else 0, 2, len(world.spheres), SHAPE_NUMBERS))
     status, key = np.empty(count, np.uint8), np.empty(count, np.int64)
     point, by_pixel, rate = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2, len(names)))
+    out, tables = LandingArrays(status, key, point, by_pixel, rate, by_shape), (packed, world)
 
     def work(first: int, last: int) -> None:
-        trail, state, move = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE)), np.zeros(MOST_NUMBERS)
-        trace_landings(
-            points, directions, packed, world, pose, n_ambient, first, last, trail, state, move, status, key,
-            point, by_pixel, rate, by_shape,
-        )  # fmt: skip
+        trace_landings((points, directions), tables, pose, n_ambient, first, last, sweep_scratch(), out)
 
     run_rows(work, count, block=1024)
     if uneven:

@@ -3,9 +3,9 @@
 A scene goes the quickest way that serves it:
 
     lockstep   a few solid transparent spheres, nowhere thinner than what is around them, behind windows or not
-    beside     the same among opaque rods, but for the rays that may meet one
+    occluders  the same among opaque rods, but for the rays that may meet one
     bundles    any number of solid or opaque spheres, behind windows or not
-    march      everything else (supports, hollow balls, tubes, meshes ...), pixel by pixel
+    rays       everything else (supports, hollow balls, tubes, meshes ...), pixel by pixel
 
 All give the same map to rounding; tests hold them together.  A way is added as a kind, with what it asks of a
 scene in `choose` and what it does in `Strategy.trace`; see ``docs/adr/0032-one-choice-of-strategy.md``.
@@ -23,16 +23,16 @@ from ground.rows import run_rows
 from tracer.bodies.rod import Rods
 from tracer.bodies.window import Windows
 from tracer.kernels.chain import BALL
-from tracer.kernels.march import MAX_EVENTS, trace_rows
+from tracer.kernels.rays import MAX_EVENTS, trace_rows
 from tracer.kernels.rooms import OUTERMOST
-from tracer.kernels.sphere import INDEX, OPAQUE, SOLID
+from tracer.kernels.sphere import OPAQUE, REFRACTIVE_INDEX, SOLID
 from tracer.kernels.window import BEHIND, GLASS
 from tracer.kernels.world import World
 from tracer.scene.scene import Scene
 from tracer.strategies.beds import Balls, trace_bed
-from tracer.strategies.beside import trace_beside
 from tracer.strategies.branches import Branch, Numbers
 from tracer.strategies.lockstep import MAX_CHAIN, NO_WINDOWS, pack_chain, trace_lockstep
+from tracer.strategies.occluders import trace_with_occluders
 from tracer.strategies.trace import number_keys, pack_camera, world_of
 
 STEEPEST = 0.12  # square of the cosine in a medium, and cosine before, of a ray that is called usual
@@ -43,9 +43,9 @@ class Kind(StrEnum):
     """Ways of tracing a whole sensor."""
 
     LOCKSTEP = "lockstep"
-    BESIDE = "beside"
+    OCCLUDERS = "occluders"
     BUNDLES = "bundles"
-    MARCH = "march"
+    RAYS = "rays"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +81,14 @@ class Strategy:
         return world_of(self.scene)
 
     @property
-    def seeks(self) -> Kind:
+    def inverse_kind(self) -> Kind:
         """The way in which the inverse is sought: that of the rays, where that goes in blocks."""
-        return self.kind if self.in_blocks and self.kind is not Kind.BESIDE else Kind.MARCH
+        return self.kind if self.in_blocks and self.kind is not Kind.OCCLUDERS else Kind.RAYS
 
     @cached_property
     def chain(self) -> NDArray[np.float64]:
         """Spheres (N, BALL) from the highest down, where the inverse is sought in lockstep; else none."""
-        return pack_chain(self.scene) if self.seeks is Kind.LOCKSTEP else NO_CHAIN
+        return pack_chain(self.scene) if self.inverse_kind is Kind.LOCKSTEP else NO_CHAIN
 
     @cached_property
     def balls(self) -> Balls:
@@ -96,9 +96,9 @@ class Strategy:
         return Balls(self.scene.sphere_table())
 
     @property
-    def lone_window(self) -> NDArray[np.float64] | None:
+    def single_window(self) -> NDArray[np.float64] | None:
         """The only window (10,) before spheres in lockstep, if nothing in or behind it is thinner than before."""
-        if self.seeks is not Kind.LOCKSTEP or len(self.windows) != 1:
+        if self.inverse_kind is not Kind.LOCKSTEP or len(self.windows) != 1:
             return None
         return self.windows[0] if self.windows[0, [GLASS, BEHIND]].min() >= 1.0 else None
 
@@ -125,8 +125,8 @@ class Strategy:
         """
         if self.kind is Kind.LOCKSTEP:
             return branch, trace_lockstep(self.scene, plane, status, branch, windows=self.windows)
-        if self.kind is Kind.BESIDE:
-            return branch, trace_beside(self.scene, self.scene.other_tables()[0], plane, status, branch)
+        if self.kind is Kind.OCCLUDERS:
+            return branch, trace_with_occluders(self.scene, self.scene.other_tables()[0], plane, status, branch)
         if self.kind is Kind.BUNDLES:
             traced = trace_bed(self.scene, plane, status, branch, most, self.windows)
             if traced is not None:
@@ -152,11 +152,11 @@ def choose(scene: Scene) -> Strategy:
         The quickest way that serves it.
     """
     spheres, windows = scene.sphere_table(), windows_before(scene)
-    kind, rods = Kind.MARCH, [type(table) for table in scene.other_tables()] == [Rods]
+    kind, rods = Kind.RAYS, [type(table) for table in scene.other_tables()] == [Rods]
     if (windows is not None or rods) and spheres.shape[1] == SOLID and not scene.shapes():
-        clear = not spheres[:, OPAQUE].any() and bool((spheres[:, INDEX] >= 1.0).all())
+        clear = not spheres[:, OPAQUE].any() and bool((spheres[:, REFRACTIVE_INDEX] >= 1.0).all())
         few = clear and len(spheres) <= MAX_CHAIN
-        kind = (Kind.LOCKSTEP if few else Kind.BUNDLES) if not rods else Kind.BESIDE if few else Kind.MARCH
+        kind = (Kind.LOCKSTEP if few else Kind.BUNDLES) if not rods else Kind.OCCLUDERS if few else Kind.RAYS
     open_room = scene.arrangement.is_one_room
     in_blocks = open_room or (windows is not None and is_usual(scene, windows))
     return Strategy(scene, kind, NO_WINDOWS if windows is None else windows, in_blocks)

@@ -19,7 +19,7 @@ from tracer.camera import Camera
 from tracer.harmonics import largest_mm, row_of
 from tracer.kernels.ball import SHAPE_NUMBERS
 from tracer.kernels.branches import DIRECT
-from tracer.kernels.march import MAX_EVENTS, trace_rays, trace_trails
+from tracer.kernels.rays import MAX_EVENTS, trace_rays, trace_trails
 from tracer.kernels.rooms import ONE_ROOM, Rooms
 from tracer.kernels.sphere import RADIUS
 from tracer.kernels.world import GROW, World
@@ -52,7 +52,7 @@ class RayStatus(IntEnum):
     BLOCKED = 1  # stopped by an opaque body
     TIR = 2  # totally reflected at a body of lower index
     MISSED_PLANE = 3  # left the bodies level or away from the plane
-    TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.march.MAX_EVENTS
+    TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.rays.MAX_EVENTS
 
 
 def world_of(scene: Scene) -> World:

@@ -48,7 +48,7 @@ from tracer.kernels.bundle import follow_bundle
 from tracer.kernels.chain import TRIP, whole_vectors
 from tracer.kernels.lanes import DX, DY, END_DZ, EVENTS, FATE, Bed, Bundle
 from tracer.kernels.lanes import LANES as IN_BUNDLE
-from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
+from tracer.kernels.rays import MAX_EVENTS, trace_pixel_tangents
 from tracer.kernels.tiles import aim_lanes, end_behind, land_lanes, pass_windows
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
@@ -131,7 +131,7 @@ def ask_lonely(
                     u, v, branch[line, listed[k]], ways, tables[0], tables[1].spheres, block
                 )
             else:
-                _, _, _, m[XU + k], m[XV + k], m[YU + k], m[YV + k], _, _, _ = march_pixel_tangents(u, v, *tables)
+                _, _, _, m[XU + k], m[XV + k], m[YU + k], m[YV + k], _, _, _ = trace_pixel_tangents(u, v, *tables)
             for column in (XUU, XUV, XVV, YUU, YUV, YVV):
                 m[column + k] = 0.0
 

@@ -3,7 +3,7 @@
 The grid arrives as (x0, y0, pitch): node (row, column) is (x0 + column pitch, y0 - row pitch).  Jacobians
 are d pixel / d node, four numbers: du/dcolumn, du/drow, dv/dcolumn, dv/drow.
 
-The lens formula takes an acquired pixel to the ideal one (``tracer.kernels.camera.undistorted``); nodes are known
+The lens formula takes an acquired pixel to the ideal one (``tracer.kernels.camera.undistort``); nodes are known
 by their ideal image coordinates, so it is inverted here by Newton, block by block, with the derivatives of
 acquired by ideal coordinates.  A node that has settled stays while others go on, so that its bits do not depend on
 them.
@@ -24,8 +24,9 @@ from tracer.kernels.camera import (
     EYE_Z,
     FOCAL,
     axes_of,
+    eye_of,
     lens_of,
-    undistorted,
+    undistort,
 )
 from tracer.kernels.chain import (
     LANES,
@@ -39,7 +40,7 @@ from tracer.kernels.chain import (
     place_row,
 )
 from tracer.kernels.rooms import OUTERMOST
-from tracer.kernels.world import Tables, next_body, stops
+from tracer.kernels.world import Tables, is_stopped, next_body
 
 MAX_STEPS = 25
 SETTLED_PX = 1e-10
@@ -60,7 +61,7 @@ def acquire_block(count: int, camera: Array, b: Array) -> None:
         moving = 0
         for i in range(count):
             x, y = b[X + i], b[Y + i]
-            a, e, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
+            a, e, radial, slope = undistort(x, y, k1, k2, k3, p1, p2)
             xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
             xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
             yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
@@ -180,11 +181,10 @@ def hide_nodes(
                         continue
                     dx, dy = x[i], -y[i]
                     unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
-                    dx, dy, dz = dx * unit, dy * unit, -unit
-                    ex, ey, ez = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-                    body = next_body(ex, ey, ez, dx, dy, dz, NOTHING, OUTERMOST, world)
+                    d, eye = (dx * unit, dy * unit, -unit), eye_of(camera)
+                    body = next_body(eye, d, NOTHING, OUTERMOST, world)
                     if body != NOTHING:
-                        opaque = stops(ex, ey, ez, dx, dy, dz, body, world)
+                        opaque = is_stopped(eye, d, body, world)
                         hidden[i] = BEHIND_BODY if opaque else BEHIND_GLASS
             low = high
 

@@ -33,31 +33,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.camera import (
-    CENTRE_U,
-    CENTRE_V,
-    EYE_X,
-    EYE_Y,
-    EYE_Z,
-    FOCAL,
-    axes_of,
-    lens_of,
-    undistorted,
-    unit_tangent,
-)
-from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, axes_of, eye_of, lens_of, undistort, unit_tangent
+from tracer.kernels.rays import ORIGIN, trace_pixel_tangents
 from tracer.kernels.sphere import (
-    CENTRE_X,
-    CENTRE_Y,
-    CENTRE_Z,
-    INDEX,
     RADIUS,
+    REFRACTIVE_INDEX,
+    Turn,
     foot,
     foot_tangent,
+    rotate,
+    rotate_tangent,
     transmittance,
-    turned,
-    turned_tangent,
 )
+from tracer.kernels.vectors import Vector, add, dot, move, scale, subtract, vector_at
 from tracer.kernels.window import BEHIND, GLASS, THICKNESS
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
@@ -74,9 +62,9 @@ VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the 
 LONGEST_PX = 2.0  # of a patient step
 MOVING, CONVERGED, FAILED, HOPELESS = 0, 1, 2, 3
 foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
-turned_inlined = kernel_inlined(turned.py_func)  # type: ignore[attr-defined]
+rotate_inlined = kernel_inlined(rotate.py_func)  # type: ignore[attr-defined]
 foot_tangent_inlined = kernel_inlined(foot_tangent.py_func)  # type: ignore[attr-defined]
-turned_tangent_inlined = kernel_inlined(turned_tangent.py_func)  # type: ignore[attr-defined]
+rotate_tangent_inlined = kernel_inlined(rotate_tangent.py_func)  # type: ignore[attr-defined]
 transmittance_inlined = kernel_inlined(transmittance.py_func)  # type: ignore[attr-defined]
 unit_tangent_inlined = kernel_inlined(unit_tangent.py_func)  # type: ignore[attr-defined]
 
@@ -105,7 +93,7 @@ def solve_node(x: float, y: float, u: float, v: float, key: int, sign: float, ta
     """
     du = dv = 0.0
     for _ in range(MAX_STEPS):
-        s, a, b, au, av, bu, bv, passed, k, _ = march_pixel_tangents(u, v, *tables)
+        s, a, b, au, av, bu, bv, passed, k, _ = trace_pixel_tangents(u, v, *tables)
         if s != TRACED or k != key or not (au * bv - av * bu) * sign > 0.0:
             du, dv = 0.5 * du, 0.5 * dv  # stepped off the sheet: go half the way back
             if abs(du) + abs(dv) < TOLERANCE_PX:
@@ -123,75 +111,89 @@ def solve_node(x: float, y: float, u: float, v: float, key: int, sign: float, ta
     return 0.0, u, v, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
+@kernel_inlined
+def column_vector(b: Array, column: int, i: int) -> Vector:
+    """Vector of ray i whose components stand in three columns of the block."""
+    return b[column + i], b[column + STEP + i], b[column + 2 * STEP + i]
+
+
+@kernel_inlined
+def put_vector(b: Array, column: int, i: int, v: Vector) -> None:
+    """Write the vector of ray i into three columns of the block."""
+    b[column + i], b[column + STEP + i], b[column + 2 * STEP + i] = v
+
+
 @kernel
 def aim(count: int, camera: Array, b: Array) -> None:
     """Rays of the pixels u, v with their derivatives."""
-    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
+    eye = eye_of(camera)
     c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     scale, u0, v0 = 1.0 / camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
     k1, k2, k3, p1, p2 = lens_of(camera)
     for i in range(count):
         x, y = (b[U + i] - u0) * scale, (b[V + i] - v0) * scale
-        a, e, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
+        a, e, radial, slope = undistort(x, y, k1, k2, k3, p1, p2)
         xx = (radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x) * scale
         xy = (2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y) * scale
         yy = (radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x) * scale
         unit = 1.0 / math.sqrt(a * a + e * e + 1.0)
-        dx, dy, dz = (c3 * a + c6 * e + c9) * unit, (c4 * a + c7 * e + c10) * unit, (c5 * a + c8 * e + c11) * unit
-        ux, uy, uz = unit_tangent_inlined(
-            dx, dy, dz, unit, c3 * xx + c6 * xy, c4 * xx + c7 * xy, c5 * xx + c8 * xy
-        )
-        vx, vy, vz = unit_tangent_inlined(
-            dx, dy, dz, unit, c3 * xy + c6 * yy, c4 * xy + c7 * yy, c5 * xy + c8 * yy
-        )
-        b[PX + i], b[PY + i], b[PZ + i], b[DX + i], b[DY + i], b[DZ + i] = ox, oy, oz, dx, dy, dz
-        b[UX + i], b[UY + i], b[UZ + i], b[VX + i], b[VY + i], b[VZ + i] = ux, uy, uz, vx, vy, vz
-        b[FX + i], b[FY + i], b[FZ + i], b[GX + i], b[GY + i], b[GZ + i] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        d = (c3 * a + c6 * e + c9) * unit, (c4 * a + c7 * e + c10) * unit, (c5 * a + c8 * e + c11) * unit
+        by_u = c3 * xx + c6 * xy, c4 * xx + c7 * xy, c5 * xx + c8 * xy
+        by_v = c3 * xy + c6 * yy, c4 * xy + c7 * yy, c5 * xy + c8 * yy
+        put_vector(b, PX, i, eye)
+        put_vector(b, DX, i, d)
+        put_vector(b, UX, i, unit_tangent_inlined(d, unit, by_u))
+        put_vector(b, VX, i, unit_tangent_inlined(d, unit, by_v))
+        put_vector(b, FX, i, ORIGIN)
+        put_vector(b, GX, i, ORIGIN)
         b[LIGHT + i] = 1.0
 
 
 @kernel
 def enter_window(count: int, row: Array, b: Array) -> None:
     """All rays through one window, to where they seem to come from behind it; NaN where one is reflected."""
-    nx, ny, nz, thickness, n, behind = row[3], row[4], row[5], row[THICKNESS], row[GLASS], row[BEHIND]
+    start, normal, thickness, n, behind = (
+        vector_at(row, 0),
+        vector_at(row, 3),
+        row[THICKNESS],
+        row[GLASS],
+        row[BEHIND],
+    )
     gain, gain_behind, inverse = (n - 1.0) * (n + 1.0), (behind - 1.0) * (behind + 1.0), 1.0 / behind
     for i in range(count):
-        dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
-        px, py, pz = b[PX + i], b[PY + i], b[PZ + i]
-        m = -(dx * nx + dy * ny + dz * nz)
-        h = (px - row[0]) * nx + (py - row[1]) * ny + (pz - row[2]) * nz
+        p, d, f, g = (
+            column_vector(b, PX, i),
+            column_vector(b, DX, i),
+            column_vector(b, FX, i),
+            column_vector(b, GX, i),
+        )
+        u, v = column_vector(b, UX, i), column_vector(b, VX, i)
+        m, h = -dot(d, normal), dot(subtract(p, start), normal)
         w, w2 = math.sqrt(gain + m * m), math.sqrt(gain_behind + m * m)
         far = h / m + thickness / w
         moved, turned = w2 * far - h - thickness, m - w2
         b[LIGHT + i] *= transmittance_inlined(m, w / n, n) * transmittance_inlined(w / n, w2 * inverse, behind / n)
-        mu = -(b[UX + i] * nx + b[UY + i] * ny + b[UZ + i] * nz)
-        mv = -(b[VX + i] * nx + b[VY + i] * ny + b[VZ + i] * nz)
-        hu = b[FX + i] * nx + b[FY + i] * ny + b[FZ + i] * nz
-        hv = b[GX + i] * nx + b[GY + i] * ny + b[GZ + i] * nz
+        mu, mv, hu, hv = -dot(u, normal), -dot(v, normal), dot(f, normal), dot(g, normal)
         by_m = m / w2 * far - w2 * (h / (m * m) + thickness * m / (w * w * w))
         by_h, by_turn = w2 / m - 1.0, 1.0 - m / w2
-        su, sv = by_m * mu + by_h * hu, by_m * mv + by_h * hv
-        cu, cv = by_turn * mu, by_turn * mv
-        b[PX + i], b[PY + i], b[PZ + i] = px + moved * nx, py + moved * ny, pz + moved * nz
-        b[FX + i], b[FY + i], b[FZ + i] = b[FX + i] + su * nx, b[FY + i] + su * ny, b[FZ + i] + su * nz
-        b[GX + i], b[GY + i], b[GZ + i] = b[GX + i] + sv * nx, b[GY + i] + sv * ny, b[GZ + i] + sv * nz
-        b[DX + i], b[DY + i] = (dx + turned * nx) * inverse, (dy + turned * ny) * inverse
-        b[DZ + i] = (dz + turned * nz) * inverse
-        b[UX + i], b[UY + i] = (b[UX + i] + cu * nx) * inverse, (b[UY + i] + cu * ny) * inverse
-        b[UZ + i] = (b[UZ + i] + cu * nz) * inverse
-        b[VX + i], b[VY + i] = (b[VX + i] + cv * nx) * inverse, (b[VY + i] + cv * ny) * inverse
-        b[VZ + i] = (b[VZ + i] + cv * nz) * inverse
+        put_vector(b, PX, i, move(p, moved, normal))
+        put_vector(b, FX, i, move(f, by_m * mu + by_h * hu, normal))
+        put_vector(b, GX, i, move(g, by_m * mv + by_h * hv, normal))
+        put_vector(b, DX, i, scale(inverse, move(d, turned, normal)))
+        put_vector(b, UX, i, scale(inverse, move(u, by_turn * mu, normal)))
+        put_vector(b, VX, i, scale(inverse, move(v, by_turn * mv, normal)))
 
 
 @kernel_inlined
-def turn_of(
-    b2: float, r2: float, ir2: float, ir: float, n: float, nu: float, gk: float, kt: float
-) -> tuple[float, float, float, float, float]:
-    """Cos delta, q, their derivatives by b^2, and the transmittance of one surface; see ``tracer.kernels.sphere``.
+def turn_of(b2: float, glass: tuple[float, ...]) -> tuple[Turn, Turn, float]:
+    """Turn (``tracer.kernels.sphere``), its derivatives by b^2, and the transmittance of one surface.
+
+    `glass`: R^2, 1/R^2, 1/R, n, 1/n, (n^2 - 1)/n^2 and 1/(n R)^2 of the sphere.
 
     One division serves for all: the reciprocals of cos i, cos t, cos t + cos i/n and n cos i + cos t are products
     of three of them times the reciprocal of all four.
     """
+    r2, ir2, ir, n, nu, gk, kt = glass
     chi = b2 * ir2
     c, t = math.sqrt((r2 - b2) * ir2), math.sqrt(max(1.0 - b2 * kt, 0.0))
     den, other = t + c * nu, n * c + t
@@ -206,40 +208,44 @@ def turn_of(
     cosine, cosine_rate = 1.0 - 2.0 * chi * g * g, -2.0 * g * (ir2 * g + 2.0 * chi * g_rate)
     q, q_rate = 2.0 * g * both * ir, 2.0 * ir * (g_rate * both + g * both_rate)
     passed = 2.0 * n * ct * (nu * nu * inv_den * inv_den + inv_other * inv_other)
-    return cosine, q, cosine_rate, q_rate, passed
+    return (cosine, q), (cosine_rate, q_rate), passed
+
+
+@kernel_inlined
+def carry_tangent(
+    ray: tuple[Vector, Vector, float, Vector, float], turn: Turn, by_b2: Turn, f: Vector, u: Vector
+) -> tuple[Vector, Vector]:
+    """Derivatives of foot point and direction behind a turn; `ray` is w, d, m, a and b^2 before it."""
+    w, d, m, a, b2 = ray
+    f = foot_tangent_inlined(w, d, m, f, u)
+    b2_rate = 2.0 * dot(a, f)
+    f, u = rotate_tangent_inlined(a, d, b2, turn, f, u, b2_rate, (by_b2[0] * b2_rate, by_b2[1] * b2_rate))
+    return f, u
 
 
 @kernel
-def cross(count: int, cx: float, cy: float, cz: float, radius: float, n: float, b: Array) -> None:
+def cross_sphere(count: int, sphere: Array, b: Array) -> None:
     """All rays through one sphere; NaN where a ray misses it or meets it behind."""
+    centre, radius, n = vector_at(sphere, 0), sphere[RADIUS], sphere[REFRACTIVE_INDEX]
     r2, nu = radius * radius, 1.0 / n
     ir2, ir, kt, gk = 1.0 / r2, 1.0 / radius, 1.0 / (n * n * r2), (n - 1.0) * (n + 1.0) / (n * n)
     for i in range(count):
-        dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
-        wx, wy, wz = b[PX + i] - cx, b[PY + i] - cy, b[PZ + i] - cz
-        m, ax, ay, az = foot_inlined(wx, wy, wz, dx, dy, dz)
-        b2 = ax * ax + ay * ay + az * az
+        d, w = column_vector(b, DX, i), subtract(column_vector(b, PX, i), centre)
+        m, a = foot_inlined(w, d)
+        b2 = dot(a, a)
         m = m if (m > 0.0) & (b2 < r2) & (b2 * kt < 1.0) else math.nan
-        ux, uy, uz, vx, vy, vz = b[UX + i], b[UY + i], b[UZ + i], b[VX + i], b[VY + i], b[VZ + i]
-        fx, fy, fz = foot_tangent_inlined(wx, wy, wz, dx, dy, dz, m, b[FX + i], b[FY + i], b[FZ + i], ux, uy, uz)
-        gx, gy, gz = foot_tangent_inlined(wx, wy, wz, dx, dy, dz, m, b[GX + i], b[GY + i], b[GZ + i], vx, vy, vz)
-        cosine, q, cosine_1, q_1, surface = turn_of(b2, r2, ir2, ir, n, nu, gk, kt)
+        turn, by_b2, surface = turn_of(b2, (r2, ir2, ir, n, nu, gk, kt))
         b[LIGHT + i] = b[LIGHT + i] * surface * surface
-        rate = 2.0 * (ax * fx + ay * fy + az * fz)
-        c_rate, q_rate = cosine_1 * rate, q_1 * rate
-        fx, fy, fz, ux, uy, uz = turned_tangent_inlined(
-            ax, ay, az, dx, dy, dz, b2, cosine, q, fx, fy, fz, ux, uy, uz, rate, c_rate, q_rate
-        )
-        rate = 2.0 * (ax * gx + ay * gy + az * gz)
-        c_rate, q_rate = cosine_1 * rate, q_1 * rate
-        gx, gy, gz, vx, vy, vz = turned_tangent_inlined(
-            ax, ay, az, dx, dy, dz, b2, cosine, q, gx, gy, gz, vx, vy, vz, rate, c_rate, q_rate
-        )
-        ax, ay, az, dx, dy, dz = turned_inlined(ax, ay, az, dx, dy, dz, b2, cosine, q)
-        b[PX + i], b[PY + i], b[PZ + i] = cx + ax, cy + ay, cz + az
-        b[DX + i], b[DY + i], b[DZ + i] = dx, dy, dz
-        b[FX + i], b[FY + i], b[FZ + i], b[UX + i], b[UY + i], b[UZ + i] = fx, fy, fz, ux, uy, uz
-        b[GX + i], b[GY + i], b[GZ + i], b[VX + i], b[VY + i], b[VZ + i] = gx, gy, gz, vx, vy, vz
+        ray = w, d, m, a, b2
+        f, u = carry_tangent(ray, turn, by_b2, column_vector(b, FX, i), column_vector(b, UX, i))
+        g, v = carry_tangent(ray, turn, by_b2, column_vector(b, GX, i), column_vector(b, VX, i))
+        a, d = rotate_inlined(a, d, b2, turn)
+        put_vector(b, PX, i, add(centre, a))
+        put_vector(b, DX, i, d)
+        put_vector(b, FX, i, f)
+        put_vector(b, UX, i, u)
+        put_vector(b, GX, i, g)
+        put_vector(b, VX, i, v)
 
 
 @kernel
@@ -332,16 +338,7 @@ def follow_sequence(count: int, camera: Array, windows: Array, spheres: Array, s
     for k in range(windows.shape[0]):
         enter_window(count, windows[k], b)
     for e in range(sequence.shape[0]):
-        k = sequence[e]
-        cross(
-            count,
-            spheres[k, CENTRE_X],
-            spheres[k, CENTRE_Y],
-            spheres[k, CENTRE_Z],
-            spheres[k, RADIUS],
-            spheres[k, INDEX],
-            b,
-        )
+        cross_sphere(count, spheres[sequence[e]], b)
 
 
 @kernel

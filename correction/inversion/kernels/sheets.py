@@ -23,7 +23,7 @@ import numpy as np
 
 from correction.inversion.kernels.newton import Ways, slopes_along, stretch
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.rays import trace_pixel_tangents
 from tracer.kernels.world import RECOVERED, Tables
 
 SIGN, USEFUL, NEAR, BENT, GLASS, EDGE, BORDER = 1, 2, 4, 8, 16, 32, 64
@@ -146,7 +146,7 @@ def flag_rows(
                             float(i), float(row), branch[row, i], ways, camera, spheres, block
                         )
                     else:
-                        s, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(float(i), float(row), *tables)
+                        s, x, y, xu, xv, yu, yv, _, _, _ = trace_pixel_tangents(float(i), float(row), *tables)
                     c, r = (x - x0) * per_mm, (y0 - y) * per_mm
                     own = flags_of(c, r, xu, xv, yu, yv, per_mm, longest, box)
                     flags[row, i] = own if s == RECOVERED else 0

@@ -36,7 +36,7 @@ from correction.inversion.kernels.newton import (
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, UNLISTED
 from ground.jit import Array, kernel, kernel_inlined
 from piv.resampling.kernels.bspline import INDEX
-from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistorted
+from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistort
 from tracer.kernels.chain import (
     PX,
     PY,
@@ -47,7 +47,7 @@ from tracer.kernels.chain import (
     land_block,
     whole_vectors,
 )
-from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.rays import trace_pixel_tangents
 from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
@@ -97,7 +97,7 @@ def solve_nodes(
     the branch in the sphere table, `trip` is the same in the order of ``balls`` (see ``tracer.kernels.chain``), -1
     where a scene does not fit lockstep: then what a block has solved is verified ray by ray, and where not all
     spheres of the sequence are `solid`, or stand behind other walls, every node is solved by itself.  `every`:
-    hopeless ones too.  `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
+    hopeless ones too.  `key` is the branch key of `trace_ray`.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
     `scatter_sheet`; ``maps`` as in `keep_view`, then what is masked, see `keep_group`.
     """
     block, state, xy, spans, wanted, rays, trips, passed = scratch
@@ -255,7 +255,7 @@ def verify(
     k1, k2, k3, p1, p2 = lens_of(camera)
     x, y = xy[0], xy[1]
     for i in range(count):
-        a, e, _, _ = undistorted((b[U + i] - u0) * scale, (b[V + i] - v0) * scale, k1, k2, k3, p1, p2)
+        a, e, _, _ = undistort((b[U + i] - u0) * scale, (b[V + i] - v0) * scale, k1, k2, k3, p1, p2)
         x[i], y[i] = a, e
     begin_block(x[:count], y[:count], camera, rays, trips)
     if windows.shape[0] == 0:
@@ -281,7 +281,7 @@ def verify_one_by_one(
     for i in range(count):
         taken = ANOTHER
         if state[i] == CONVERGED:
-            s, _, _, _, _, _, _, _, k, _ = march_pixel_tangents(b[U + i], b[V + i], *tables)
+            s, _, _, _, _, _, _, _, k, _ = trace_pixel_tangents(b[U + i], b[V + i], *tables)
             taken = trip if s == TRACED and k == key else ANOTHER
         trips[TRIP + i] = taken
 

@@ -33,6 +33,7 @@ from correction.target.kernels.corner_model import (
 )
 from ground.jit import Array, kernel
 from ground.kernels.cholesky import factorise, solve
+from piv.resampling.kernels.prefilter import copy_line
 
 BLOCK = 2  # block of pixels taken as correlated [px]
 SETTLED_PX = 5e-4  # a step that no longer matters
@@ -175,9 +176,10 @@ def optimise(
         )
         if now <= best:
             settled = hypot(step[0], step[1]) < tolerance and best - now <= TOLERANCE_RATIO * tolerance * best
-            p[:] = trial
-            normal[:] = trial_normal
-            right[:] = trial_right
+            copy_line(trial, p)
+            for row in range(normal.shape[0]):
+                copy_line(trial_normal[row], normal[row])
+            copy_line(trial_right, right)
             best = now
             damping = max(0.1 * damping, 1e-12)
             total[0] = best

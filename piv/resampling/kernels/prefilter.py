@@ -54,6 +54,13 @@ def mirrored(index: int, size: int) -> int:
 
 
 @kernel
+def copy_line(line: Array, out: Array) -> None:
+    """Copy the beginning of a line (N,) to out (n,): assigned as a slice it would need memory of its own."""
+    for k in range(out.shape[0]):
+        out[k] = line[k]
+
+
+@kernel
 def take_line(line: Array, first: int, out: Array) -> None:
     """out[k] = gain * line[first + k], the line (W,) of any real dtype continued by mirroring."""
     width, count = line.shape[0], out.shape[0]
@@ -119,11 +126,11 @@ def filter_tile(
     for k in range(rows):
         take_line(frame[mirrored(top + k - REACH - rim, height)], left - SPREAD - rim, x)
         filter_line(x, y, tile[k, :columns])
-    state[:] = tile[0, :columns]
+    copy_line(tile[0], state)
     for k in range(1, rows):
         sweep(state, tile[k - 1, :columns], tile[k, :columns])
-    state[:] = tile[rows - 1, :columns]
+    copy_line(tile[rows - 1], state)
     for k in range(rows - 2, REACH - 1, -1):
         sweep(state, tile[k + 1, :columns], tile[k, :columns])
     for k in range(bottom - top):
-        out[top + k, left:right] = tile[REACH + k, :columns]
+        copy_line(tile[REACH + k], out[top + k, left:right])

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens
 from tracer.errors import SceneError
-from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.rays import trace_pixel_tangents
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Y
 from tracer.kernels.world import RECOVERED
 from tracer.scene.scene import Scene
@@ -183,7 +183,7 @@ def _curve(scene: Scene) -> Callable[[float], Sample]:
     world = world_from(spheres)
 
     def sample(radius_mm: float) -> Sample:
-        status, x_mm, _, slope, _, _, _, _, key, _ = march_pixel_tangents(radius_mm, 0.0, packed, world)
+        status, x_mm, _, slope, _, _, _, _, key, _ = trace_pixel_tangents(radius_mm, 0.0, packed, world)
         return int(status), x_mm - x, slope, int(key)
 
     return sample

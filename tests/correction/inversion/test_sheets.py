@@ -13,7 +13,7 @@ from correction.maps.correction_map import MAX_MAGNIFICATION, MIN_MAGNIFICATION,
 from tests.correction.small_scenes import SCENES, small_scene
 from tests.slow_cases import slow_but
 from tracer.bodies import Sphere
-from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.rays import trace_pixel_tangents
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
@@ -95,7 +95,7 @@ def test_hardly_a_node_is_missing_to_which_its_neighbour_leads() -> None:
                 continue
             view = found.jacobian[0, i, j].astype(float).reshape(2, 2)
             u, v = found.pixel[0, i, j] - view @ (right, down)
-            _, _, _, au, av, bu, bv, _, key, _ = march_pixel_tangents(*found.pixel[0, i, j], *tables)
+            _, _, _, au, av, bu, bv, _, key, _ = trace_pixel_tangents(*found.pixel[0, i, j], *tables)
             sign = np.sign(au * bv - av * bu)
             done, u, v, au, av, bu, bv, _ = solve_node(*nodes[row, column], u, v, key, sign, tables)
             tried += 1
@@ -117,7 +117,7 @@ def test_derivatives_are_those_of_the_stored_pixel_to_what_float32_holds(name: s
     seen = np.isfinite(made.pixel[..., 0]) & (made.branch != 0)
     off, dim = [], []
     for (u, v), stored, light in zip(made.pixel[seen], made.jacobian[seen], made.transmittance[seen], strict=True):
-        _, _, _, *slopes, passed, _, _ = march_pixel_tangents(u, v, *tables)
+        _, _, _, *slopes, passed, _, _ = trace_pixel_tangents(u, v, *tables)
         exact = np.linalg.inv(np.array(slopes).reshape(2, 2)) * [1.0, -1.0] * made.grid.pitch_mm
         off.append(np.abs(exact.ravel() - stored).max() / np.abs(exact).max())
         dim.append(abs(light - passed))

@@ -1,4 +1,4 @@
-"""Balls among opaque rods: lockstep, and anew what a rod may stop, against every ray by `march`."""
+"""Balls among opaque rods: lockstep, and anew what a rod may stop, against every ray by `trace_ray`."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ import tracer.strategies.ray_map as ray_map
 from tests.tracer.scenes import ball, camera_at, random_bodies, random_camera, shrunk
 from tracer.bodies import Body, Rod, Sphere
 from tracer.scene.scene import Scene
-from tracer.strategies.beside import shadows_of, sides_of
+from tracer.strategies.occluders import shadows_of, sides_of
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.strategy import Kind, choose
 from tracer.strategies.trace import RayStatus, trace
@@ -23,17 +23,17 @@ STAND = (  # two balls in a row, a rod to carry each, as a new lab has them
 VIEW = camera_at(focal_px=1300.0, sensor_px=(192, 192))
 
 
-def by_march(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> RayMap:
+def trace_numbered(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> RayMap:
     """The map with every ray by itself."""
     with monkeypatch.context() as patch:
-        patch.setattr(ray_map, "choose", lambda where: replace(choose(where), kind=Kind.MARCH))
+        patch.setattr(ray_map, "choose", lambda where: replace(choose(where), kind=Kind.RAYS))
         return build_ray_map(scene)
 
 
 def check(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> RayMap:
     """Same branches and fates, places to rounding; a pixel within 1e-9 of a rim may fall on either side of it."""
-    assert choose(scene).kind is Kind.BESIDE
-    made, single = build_ray_map(scene), by_march(scene, monkeypatch)
+    assert choose(scene).kind is Kind.OCCLUDERS
+    made, single = build_ray_map(scene), trace_numbered(scene, monkeypatch)
     named, wanted = (np.array([" ".join(n) for n in m.branches], dtype=object)[m.branch] for m in (made, single))
     other = (named != wanted) | (made.status != single.status)
     assert other.sum() <= 1, f"{other.sum()} pixels on another branch"
@@ -76,7 +76,7 @@ def test_a_rod_anywhere(rod: Rod, position: tuple[float, float, float], monkeypa
 
 
 def test_a_rod_that_dips_below_a_light_sheet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`march` stops rays that meet a body behind the plane: so must this, through glass as beside it."""
+    """`trace_ray` stops rays that meet a body behind the plane: so must this, through glass as beside it."""
     rods = [Rod(f"low {y}", (-30.0, y, 0.1), (30.0, y, 0.1), 0.55) for y in (-18.0, -9.0, 9.0, 18.0)]
     scene = Scene(VIEW, (*STAND[:2], *rods), cut_mm=0.5)
     check(scene, monkeypatch)

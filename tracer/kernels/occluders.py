@@ -1,25 +1,26 @@
-"""Pixels of a map of spheres alone that an opaque rod may change, anew by `march`; others stay as they are."""
+"""Pixels of a map of spheres alone that an opaque rod may change, traced again; others stay as they are."""
 
 import math
 
 from ground.jit import Array, kernel
 from tracer.kernels.branches import UNKNOWN
-from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, pixel_ray
-from tracer.kernels.march import march
-from tracer.kernels.world import RECOVERED, World
+from tracer.kernels.camera import eye_of, pixel_ray
+from tracer.kernels.rays import trace_to_plane
+from tracer.kernels.world import RECOVERED, Tables
 
 
 @kernel
-def march_doubted(
-    camera: Array, world: World, shadows: Array, sides: Array, keys: Array, first: int, last: int,
-    plane: Array, status: Array, branch: Array,
+def retrace_shadows(
+    tables: Tables, shadows: Array, sides: Array, keys: Array, first: int, last: int,
+    out: tuple[Array, Array, Array],
 ) -> None:  # fmt: skip
-    """Trace the pixels of rows first..last-1 anew whose way to the plane point (H, W, 2) a rod may cross.
+    """Trace the pixels of rows first..last-1 anew whose path to the plane point (H, W, 2) a rod may cross.
 
     ``shadows`` (K, 6): of each rod start x, y of its shadow, its axis x, y, 1 / length^2, width^2.  ``sides``
     (B, K, 3): of each branch and rod a, b, c, where points with a x + b y >= c are seen past it.  ``keys`` (B,) of
-    the branches; another one is UNKNOWN in ``branch`` (H, W).
+    the branches; another one is UNKNOWN.  `out`: plane points, status, branch numbers (H, W).
     """
+    plane, status, branch = out
     for row in range(first, last):
         for column in range(branch.shape[1]):
             number, x, y = branch[row, column], plane[row, column, 0], plane[row, column, 1]
@@ -34,12 +35,10 @@ def march_doubted(
                     clear = sides[number, k, 0] * x + sides[number, k, 1] * y >= sides[number, k, 2]
             if clear:
                 continue
-            dx, dy, dz = pixel_ray(float(column), float(row), camera)
-            s, x, y, _, _, _, _, _, _, key, _ = march(
-                camera[EYE_X], camera[EYE_Y], camera[EYE_Z], dx, dy, dz, world
-            )
-            plane[row, column, 0] = x if s == RECOVERED else math.nan
-            plane[row, column, 1] = y if s == RECOVERED else math.nan
+            d = pixel_ray(float(column), float(row), tables[0])
+            s, q, _, _, _, key, _ = trace_to_plane(eye_of(tables[0]), d, tables[1])
+            plane[row, column, 0] = q[0] if s == RECOVERED else math.nan
+            plane[row, column, 1] = q[1] if s == RECOVERED else math.nan
             status[row, column] = s
             branch[row, column] = UNKNOWN
             for number in range(keys.shape[0]):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ground.rows import run_rows
 from tracer.bodies.rod import Rods
-from tracer.kernels.beside import march_doubted
+from tracer.kernels.occluders import retrace_shadows
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Branch, Numbers, chain, chain_branches, event_numbers, key_of
 from tracer.strategies.lockstep import name_unknown, trace_lockstep
@@ -25,20 +25,15 @@ TINY = float(np.finfo(float).tiny)
 ROOM_MM = 1e-3  # of both bounds: what is stored as float32 is rounded
 
 
-def trace_beside(
+def trace_with_occluders(
     scene: Scene, rods: Rods, plane: NDArray[np.float64 | np.float32], status: NDArray[np.uint8], branch: Numbers
 ) -> tuple[Branch, ...]:
-    """Trace every pixel, as `trace_lockstep`; branches are numbered as those of march."""
+    """Trace every pixel, as `trace_lockstep`; branches are numbered as those of `trace_ray`."""
     branches, events = list(trace_lockstep(scene, plane, status, branch)), event_numbers(scene)
     keys = np.array([key_of(np.array([events[name] for name in way], np.int64)) for way in chain_branches(scene)])
-    tables = (
-        pack_camera(scene.camera),
-        world_of(scene),
-        shadows_of(scene, rods.rows),
-        sides_of(scene, rods.rows),
-        keys,
-    )
-    run_rows(lambda first, last: march_doubted(*tables, first, last, plane, status, branch), len(branch))
+    tables, out = (pack_camera(scene.camera), world_of(scene)), (plane, status, branch)
+    shadows, sides = shadows_of(scene, rods.rows), sides_of(scene, rods.rows)
+    run_rows(lambda first, last: retrace_shadows(tables, shadows, sides, keys, first, last, out), len(branch))
     name_unknown(scene, np.arange(len(branch)), branches, plane, status, branch)
     order = sorted(
         {0, *np.flatnonzero(np.bincount(branch.ravel()))}, key=lambda n: (len(branches[n]), branches[n])
@@ -69,7 +64,9 @@ def sides_of(scene: Scene, rods: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sides (2^N, K, 3) of rods (K, 7) for `march_doubted`, (0, 0, inf) where no plane parts them from the way."""
     balls = [(np.array(ball.centre_mm), ball.radius_mm) for ball in chain(scene)]
     eye = (np.array(scene.camera.position_mm), 0.0)
-    above = np.minimum(rods[:, 2], rods[:, 5]) >= rods[:, 6]  # else march stops a ray behind the plane as well
+    above = (
+        np.minimum(rods[:, 2], rods[:, 5]) >= rods[:, 6]
+    )  # else `trace_ray` stops a ray behind the plane as well
     begins = [parted(rods, eye, ball)[0] for ball in balls]
     legs = {(i, j): parted(rods, balls[i], balls[j])[0] for i, j in combinations(range(len(balls)), 2)}
     sides = np.full((1 << len(balls), len(rods), 3), (0.0, 0.0, np.inf))
