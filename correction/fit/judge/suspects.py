@@ -301,9 +301,12 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
 
     at = np.concatenate((seen.x, np.zeros(size)))
     gain, behind = squares(at, evaluate(at)), [frame.behind for frame in seen.frames]
+    starts = _starts(wider, at)
     for turn in range(ROUNDS):
-        found = minimise(wider, evaluate, at, knee=KNEE, steps=REFIT_STEPS)
+        ends = [minimise(wider, evaluate, start, knee=KNEE, steps=REFIT_STEPS) for start in starts]
+        found = min(ends, key=lambda end: squares(end.x, evaluate(end.x))) if len(ends) > 1 else ends[0]
         at, parts = found.x, evaluate(found.x)
+        starts = [at]
         gain -= squares(at, parts) * (not turn)
         left = [part.value * by_region(own, factors)[:, None] for own, part in zip(behind, parts, strict=True)]
         factors = region_factors(behind, left)
@@ -323,6 +326,16 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     worth = gain - size * np.log(count)
     found_now = replace(before, gain=worth, values=at[free:], change=change, of_own=of_own, left=left)
     return replace(found_now, unsaid_px=unsaid_px)
+
+
+def _starts(unknowns: Unknowns, at: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Starts of a refit: where the fit stands, and with the glass at its priors if the fit has left these.
+
+    A fit that lacks the cause may have pushed a ball into another minimum, from which no descent leads back.
+    """
+    of_glass = np.any(unknowns.columns[unknowns.glass] != 0.0, axis=0)
+    is_far = bool(np.any(np.abs(at[of_glass]) > HARDLY))
+    return [at, np.where(of_glass, 0.0, at)] if is_far else [at]
 
 
 def _held_camera(unknowns: Unknowns) -> NDArray[np.float64]:

@@ -6,10 +6,10 @@ the share of pixels that show what they should is
 
     agreement = max over d of  mean [ bright(I) = shade(X + d) ],
 
-X the traced points of the board, d a shift by up to a square each way: a ball that stands a little aside shows the
-same picture, shifted.  One that stands a little nearer or farther shows it larger or smaller (0.3 mm: a third of a
-square, at the edge of a ball far above the board), so places along the line of sight are tried before a ball counts
-as not as described.  A ball that is not there shows the bare board, unshifted.
+X the traced points of the board, d a shift by up to a square each way: a ball a little aside shows the same picture,
+shifted.  One a little nearer or farther shows it larger or smaller (0.3 mm: a third of a square, at the edge of a
+ball far above the board), so places along the line of sight are tried before a ball counts as not as
+described.  A ball that is not there shows the bare board, unshifted.
 """
 
 from collections.abc import Iterator
