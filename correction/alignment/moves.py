@@ -11,7 +11,7 @@ that is off by a part in a thousand is then a micrometre.
 
 **Depth.** A rim tells little of it (`spheres_seen`), and towards the target glass can break. So along z glass
 moves only if it is too far by more than `TELLING` sigmas, or seen nearer than keep-out allows at all, and then not
-nearer to the target than `SURE` sigmas before what keep-out allows: what is left is said, and a person, or
+nearer to the target than `MOVE_SIGMAS` sigmas before what keep-out allows: what is left is said, and a person, or
 `rtpiv calibrate`, has to do the rest. The camera is moved in all directions if it is surely off.
 
 **Doubt.** Between two looks p must change as a does. If it changes the other way, or not at all, an axis is wired
@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from correction.alignment.seen import Arrangement
 from correction.errors import MoveDoubted
 
-STEP_MM = 0.01  # one step of a stage: glass that stands so well is aligned
+STAGE_STEP_MM = 0.01  # one step of a stage: glass that stands so well is aligned
 WORTH = 0.1  # of a step; what is less is not worth a move
 TELLING = 2.0  # sigmas
-SURE = 3.0
+MOVE_SIGMAS = 3.0
 TOUCH_MM = 0.02  # by which glass may be seen too near, as keep-out has it of bodies that touch
 NEAR_MM = 0.3  # looks from within this distance of the last one are averaged
 FOLLOWS = 0.15  # share by which a move may differ from what was asked for
@@ -110,11 +110,11 @@ def wanted(looks: Sequence[Look], axes: Mapping[str, str], free_mm: float) -> Wa
     for axis, name in enumerate(DIRECTIONS):
         if name not in axes.get("glass", ""):
             continue
-        if name != "z" and abs(left[axis]) > WORTH * STEP_MM:
+        if name != "z" and abs(left[axis]) > WORTH * STAGE_STEP_MM:
             glass[axis] = -put_up[axis]
         if name == "z":
-            telling = max(TELLING * float(sigma[2]), STEP_MM)
-            stands_off = max(0.0, SURE * float(sigma[2]) - free_mm)
+            telling = max(TELLING * float(sigma[2]), STAGE_STEP_MM)
+            stands_off = max(0.0, MOVE_SIGMAS * float(sigma[2]) - free_mm)
             if left[2] > max(telling, stands_off + float(sigma[2])) or left[2] < -free_mm - TOUCH_MM:
                 glass[2] = stands_off - put_up[2]
     camera, camera_put_up = _camera(looks, last, axes.get("camera", ""))
@@ -178,9 +178,9 @@ def require_followed(looks: Sequence[Look], names: Mapping[tuple[str, str], str]
             asked = after.camera_mm[axis] - before.camera_mm[axis]
             seen = after.seen.camera_mm[axis] - before.seen.camera_mm[axis]
             sigma = float(np.hypot(before.seen.camera_sigma_mm[axis], after.seen.camera_sigma_mm[axis]))  # type: ignore[index]
-        if abs(asked) < max(LEAST_MM, SURE * sigma):
+        if abs(asked) < max(LEAST_MM, MOVE_SIGMAS * sigma):
             continue
-        if abs(seen - asked) <= max(FOLLOWS * abs(asked), SURE * sigma):
+        if abs(seen - asked) <= max(FOLLOWS * abs(asked), MOVE_SIGMAS * sigma):
             continue
         raise MoveDoubted(_doubt(name, element, direction, float(asked), float(seen)))
 

@@ -31,15 +31,17 @@ from numpy.typing import NDArray
 
 from tracer.camera import Camera
 
-SMOOTH_PX = 1.0
+PROFILE_SMOOTHING_PX = 1.0
 VOTERS = 240  # points of a rim that vote; more tell no more
-NEAR_PX = 2.5  # of the voted place, where the slope of each profile is looked for
+SLOPE_REACH_PX = 2.5  # of the voted place, where the slope of each profile is looked for
 WEAK = 0.3  # of the usual slope of the rim: weaker ones are left out
 ASIDE = 6  # px on either side of a place that are compared with what would be seen without glass
-CLIP = 90.0  # percentile of slopes from which one vote is as good as another
-STEP_MM = 1e-3
-BESIDE = 1.05  # of the radius of a body behind a rim, from which on the view beside the rim is undisturbed
-EDGE_PX = 3.0  # of the frame, where nothing is measured
+VOTE_PERCENTILE = 90.0  # percentile of slopes from which one vote is as good as another
+RADIUS_STEP_MM = 1e-3
+UNDISTURBED_FROM = (
+    1.05  # of the radius of a body behind a rim, from which on the view beside the rim is undisturbed
+)
+FRAME_MARGIN_PX = 3.0  # of the frame, where nothing is measured
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def smoothed(frame: NDArray[Any]) -> NDArray[np.float32]:
     """Return a frame without its finest noise, as float32."""
     import cv2
 
-    return np.asarray(cv2.GaussianBlur(frame.astype(np.float32), (0, 0), SMOOTH_PX), np.float32)
+    return np.asarray(cv2.GaussianBlur(frame.astype(np.float32), (0, 0), PROFILE_SMOOTHING_PX), np.float32)
 
 
 def strip_of(
@@ -116,7 +118,7 @@ def strip_of(
 def slopes(strip: Strip) -> NDArray[np.float32]:
     """Votes (N, M) of profiles by their slopes, none with more than 1."""
     known = np.isfinite(strip.slope)
-    cap = float(np.percentile(np.abs(strip.slope[known]), CLIP)) if known.any() else 0.0
+    cap = float(np.percentile(np.abs(strip.slope[known]), VOTE_PERCENTILE)) if known.any() else 0.0
     return np.where(known, np.clip(strip.slope / max(cap, 1e-12), -1.0, 1.0), 0.0).astype(np.float32)
 
 
@@ -185,7 +187,7 @@ def crossings(
         Of the slope.
     """
     slope = sign * strip.slope.astype(np.float64)
-    near = np.abs(strip.offset_px[None, :] - expected_px[:, None]) <= NEAR_PX
+    near = np.abs(strip.offset_px[None, :] - expected_px[:, None]) <= SLOPE_REACH_PX
     value = np.where(near & np.isfinite(slope), slope, -np.inf)
     at = value.argmax(axis=1)
     row, last = np.arange(len(slope)), slope.shape[1] - 1
@@ -250,18 +252,20 @@ def rim_of(camera: Camera, spheres: NDArray[np.float64], number: int, points: in
     touch = touched(camera, centre, radius, angle)
     ideal = camera.project_ideal(touch)
     pixel = camera.acquired(ideal)
-    across = camera.project_ideal(touched(camera, centre, radius + STEP_MM, angle)) - ideal
+    across = camera.project_ideal(touched(camera, centre, radius + RADIUS_STEP_MM, angle)) - ideal
     outward = across / np.linalg.norm(across, axis=1)[:, None]
     rate = np.empty((points, 4))
     for axis in range(3):
-        step = STEP_MM * np.eye(3)[axis]
+        step = RADIUS_STEP_MM * np.eye(3)[axis]
         ahead, behind = (
             camera.project_ideal(touched(camera, centre + s * step, radius, angle)) for s in (1.0, -1.0)
         )
-        rate[:, axis] = ((ahead - behind) * outward).sum(axis=1) / (2.0 * STEP_MM)
-    rate[:, 3] = (across * outward).sum(axis=1) / STEP_MM
+        rate[:, axis] = ((ahead - behind) * outward).sum(axis=1) / (2.0 * RADIUS_STEP_MM)
+    rate[:, 3] = (across * outward).sum(axis=1) / RADIUS_STEP_MM
     width, height = camera.sensor_px
-    inside = (pixel >= EDGE_PX).all(axis=1) & (pixel <= np.array((width, height)) - 1.0 - EDGE_PX).all(axis=1)
+    inside = (pixel >= FRAME_MARGIN_PX).all(axis=1) & (
+        pixel <= np.array((width, height)) - 1.0 - FRAME_MARGIN_PX
+    ).all(axis=1)
     hidden, before = _others(camera, spheres, number, touch)
     return Rim(pixel, outward, rate, inside & ~hidden, before)
 
@@ -299,5 +303,5 @@ def _others(
         along = ray @ away
         beside = np.sqrt(np.maximum(away @ away - along**2, 0.0))
         hidden |= (beside < radius) & (along < length)
-        before |= (beside < BESIDE * radius) & (along >= length)
+        before |= (beside < UNDISTURBED_FROM * radius) & (along >= length)
     return hidden, before

@@ -7,7 +7,7 @@ that is found is the glass before this camera.
 All spheres are carried together, so their places o_k, each with its covariance C_k, are joined to one place of
 the glass,
 
-    glass = sum V_k o_k,        V_k = (sum W_k)^-1 W_k,        W_k = (C_k + OWN_MM^2)^-1,
+    glass = sum V_k o_k,        V_k = (sum W_k)^-1 W_k,        W_k = (C_k + SPHERE_PLACE_SIGMA_MM^2)^-1,
 
 with the covariance sum V_k C_k V_k': it is where these spheres are, not where others of their kind might be. In
 depth they err alike, because the light shifts the edges of all rims the same way, so many tell no more than one.
@@ -50,18 +50,18 @@ from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
 REACH_MM = 2.2  # sideways, how far glass may be off
-OWN_MM = 0.1  # standard deviation of a sphere's place in the glass
+SPHERE_PLACE_SIGMA_MM = 0.1  # standard deviation of a sphere's place in the glass
 AT_CORNER = 0.2  # squares: a saddle so near to a corner of the lattice is that corner
 FEWEST_HIDDEN = 12  # corners side by side that are hidden by something
 AS_GLASS = 0.3  # of the area of the smallest sphere of the scene: something as large is glass, or as bad
 OUTLINE = 1.06  # of a rim, within which corners are not expected
 CORNER_PX = 0.05  # standard deviation of a corner, most of it the same for neighbours
-ENOUGH = 500  # corners
-ARM = 0.1  # squares, half width of what is fitted of their edges: wider ones hold little but bright and dark
+BOARD_CORNERS = 500  # corners
+EDGE_ARM = 0.1  # squares, half width of what is fitted of their edges: wider ones hold little but bright and dark
 VOTING = 200  # corners of a patch that say where in the board it lies
-LEAST_CORNERS = 40
-ROUNDS = 6
-STEP = 1e-4  # of the sigma of a number, for derivatives
+MIN_BOARD_CORNERS = 40
+FRAME_ROUNDS = 6
+SIGMA_STEP = 1e-4  # of the sigma of a number, for derivatives
 LEAST_SPREAD = 0.25  # of the frame that the corners must span, or the pose is a guess
 AROUND = 1.1  # of the radius of a ball and the reach: nothing in there is taken for the board
 
@@ -166,7 +166,7 @@ def find_camera(
         board, _ = place_by_count(frame, patches[0], board, (index, expected))
     indices, pixels, axes = [], [], []
     for patch in patches:
-        if len(patch.index) < LEAST_CORNERS:
+        if len(patch.index) < MIN_BOARD_CORNERS:
             break
         placing = place_by_prediction(_some_of(patch), index, expected, board)
         if placing is not None:
@@ -175,13 +175,13 @@ def find_camera(
             axes.append(placing.board_axes(patch.axes_px))
     count = sum(map(len, indices))
     spread = np.ptp(np.concatenate(pixels), axis=0) / np.array(nominal.sensor_px) if pixels else np.zeros(2)
-    if count < LEAST_CORNERS or spread.min() < LEAST_SPREAD:
+    if count < MIN_BOARD_CORNERS or spread.min() < LEAST_SPREAD:
         raise TargetNotFound(
             f"only {count} corners of the target are seen beside the glass where they are expected; bring light on"
             " the target, or correct the camera of the scene: its view must be good to half a square"
         )
     index = np.concatenate(indices)
-    some = np.unique(np.linspace(0, count - 1, min(count, ENOUGH)).round().astype(np.intp))
+    some = np.unique(np.linspace(0, count - 1, min(count, BOARD_CORNERS)).round().astype(np.intp))
     found = refine_marks(
         frame,
         board,
@@ -189,9 +189,9 @@ def find_camera(
         np.concatenate(pixels)[some],
         np.concatenate(axes)[some],
         beside,
-        search=CornerSearch(ARM, start_error_px=0.5, max_shift=0.3),
+        search=CornerSearch(EDGE_ARM, start_error_px=0.5, max_shift=0.3),
     )
-    if np.count_nonzero(found.valid) < LEAST_CORNERS:
+    if np.count_nonzero(found.valid) < MIN_BOARD_CORNERS:
         raise TargetNotFound(
             "the corners of the target beside the glass are too blurred to be measured; focus on it"
         )
@@ -246,9 +246,9 @@ def _fitted(
 
     x = np.zeros(len(unknowns.names))
     covariance: NDArray[np.float64] = np.eye(len(x))
-    for _ in range(ROUNDS):  # corners that are none weigh less and less
+    for _ in range(FRAME_ROUNDS):  # corners that are none weigh less and less
         left = misses(x)
-        slopes = np.stack([(misses(x + step) - left) / STEP for step in STEP * np.eye(len(x))], axis=1)
+        slopes = np.stack([(misses(x + step) - left) / SIGMA_STEP for step in SIGMA_STEP * np.eye(len(x))], axis=1)
         weight = 1.0 / np.sqrt(1.0 + left**2)
         normal = slopes.T @ (weight[:, None] * slopes) + np.eye(len(x))
         covariance = np.asarray(np.linalg.inv(normal), np.float64)
@@ -409,7 +409,7 @@ def _with_camera(one: SphereSeen, centre_mm: tuple[float, float, float], view: C
 def _joined(found: tuple[SphereSeen, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Place (3,) of the glass and its covariance, of the spheres that show a rim."""
     seen = [one for one in found if one.own_rim]
-    own = OWN_MM**2 * np.eye(3) if len(seen) > 1 else np.zeros((3, 3))
+    own = SPHERE_PLACE_SIGMA_MM**2 * np.eye(3) if len(seen) > 1 else np.zeros((3, 3))
     weights = [np.linalg.inv(one.covariance_mm2 + own) for one in seen]
     all_of_them = np.linalg.inv(np.sum(weights, axis=0))
     shares = [all_of_them @ weight for weight in weights]
@@ -430,7 +430,7 @@ def _own_places(found: tuple[SphereSeen, ...]) -> list[str]:
         if not one.own_rim or not others:
             continue
         x, y, _ = (one.off_mm - np.mean(others, axis=0)).tolist()
-        if np.hypot(x, y) > 3.0 * np.hypot(*one.sigma_mm[:2]) + OWN_MM:
+        if np.hypot(x, y) > 3.0 * np.hypot(*one.sigma_mm[:2]) + SPHERE_PLACE_SIGMA_MM:
             said.append(f"{one.name} stands ({1e3 * x:+.0f}, {1e3 * y:+.0f}) um beside the others in x, y")
     return said
 

@@ -15,8 +15,8 @@ holds that.
 Neighbouring crossings share the squares behind them, so they count as one each `TOGETHER_PX` of the rim. Outliers
 go by weights that fall to zero (Tukey's biweight at 4.7 deviations).
 
-A sphere behind another, of whose rim less than `LEAST_SHARE` can be seen, is not found: it has `own_rim` false and
-moves with the others.
+A sphere behind another, of whose rim less than `MIN_RIM_SHARE` can be seen, is not found: it has `own_rim` false
+and moves with the others.
 """
 
 from dataclasses import dataclass, replace
@@ -49,20 +49,20 @@ BIAS = 0.25  # of the width of edges: standard deviation of where one is seen, a
 TOGETHER_PX = 8.0  # of a rim, within which crossings err together
 BESIDE_PX = 1.0, 5.0  # inside and outside a rim: bright there, if what stands behind is known
 BLUR_PX = 1.5  # of a usual lens and of the smoothing
-LEAST_SHARE = 0.2  # of a rim that must be in sight, or the sphere has none of its own
+MIN_RIM_SHARE = 0.2  # of a rim that must be in sight, or the sphere has none of its own
 LEAST_CROSSED = 0.15  # of what is in sight that must show the rim
-DEPTH_MM = 2.0  # how far a sphere may be off in depth
-LOOSE_MM = 3.0  # what is known of a place before
-ROUNDS = 4
-BIWEIGHT = 4.7
+MAX_DEPTH_ERROR_MM = 2.0  # how far a sphere may be off in depth
+PLACE_PRIOR_MM = 3.0  # what is known of a place before
+VOTE_ROUNDS = 4
+VOTE_BIWEIGHT = 4.7
 POINTS_PX = 2.0  # along a rim
 MOST_POINTS = 1440
-LEAST = 6.0  # deviations of the votes for all places, by which the best must stand out
+MIN_VOTE_LEAD = 6.0  # deviations of the votes for all places, by which the best must stand out
 LEAST_STRANGE = 0.12  # more that must differ from the board inside a rim than outside, of bright less dark
 SECOND = 0.8  # of the best vote: another place with as much is another rim
 WIDE_PX = 2.0  # between places that are voted for first, where outside and inside of a rim are compared
-APART_PX = 8.0  # from there on a place is another one
-OWN_MM = 0.7  # by which a sphere may stand off where the others stand
+OTHER_PLACE_PX = 8.0  # from there on a place is another one
+MAX_STRAY_MM = 0.7  # by which a sphere may stand off where the others stand
 GAS = 0.01  # by which gases differ in n, and no liquid
 
 
@@ -170,13 +170,13 @@ def find_spheres(
     require_direct_view(scene)
     expected = np.array([[*ball.centre_mm, ball.radius_mm] for ball in spheres])
     rims = {n: _rim(camera, expected, n) for n in range(len(spheres))}
-    shown = [n for n, rim in rims.items() if rim.share_seen >= LEAST_SHARE]
+    shown = [n for n, rim in rims.items() if rim.share_seen >= MIN_RIM_SHARE]
     if not shown:
         raise RimNotFound(
             "no sphere of the scene shows enough of its rim in the frame; look from farther away, or aim the"
             " camera at the glass"
         )
-    beside = [n for n in shown if (rims[n].seen & ~rims[n].before_glass).mean() >= LEAST_SHARE]
+    beside = [n for n in shown if (rims[n].seen & ~rims[n].before_glass).mean() >= MIN_RIM_SHARE]
     voters, board = (
         (beside, look) if beside else (shown, replace(look, behind=None))
     )  # before the board, if any is
@@ -225,7 +225,7 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
     places = _around(reach_mm, step_mm)
     ballots = [_ballot(ball, rim, look, reach_mm + step_mm) for ball, rim in shown]
     votes = [ballot.votes(places) for ballot in ballots]
-    signs, least = ((1.0, -1.0), LEAST) if look.behind is None else ((1.0,), LEAST_STRANGE)
+    signs, least = ((1.0, -1.0), MIN_VOTE_LEAD) if look.behind is None else ((1.0,), LEAST_STRANGE)
 
     def said(vote: NDArray[np.float64]) -> NDArray[np.float64]:
         return in_deviations(vote) if look.behind is None else vote
@@ -243,13 +243,13 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
         )
     # A second place that is nearly as good, and not beside the first, leaves it open which one it is.
     apart = np.hypot(*(places - places[best]).T) * finest
-    rival = int(np.where(apart > APART_PX, together, -np.inf).argmax())
-    if apart[rival] > APART_PX and together[rival] > SECOND * together[best]:
+    rival = int(np.where(apart > OTHER_PLACE_PX, together, -np.inf).argmax())
+    if apart[rival] > OTHER_PLACE_PX and together[rival] > SECOND * together[best]:
         raise RimUnclear(
             f"two rims are seen where {names} may stand, {apart[rival]:.0f} px apart; wipe the glass, or take away"
             " what is not in the scene"
         )
-    own = apart <= OWN_MM * finest
+    own = apart <= MAX_STRAY_MM * finest
     moves = []
     for (ball, _), vote, ballot in zip(shown, votes, ballots, strict=True):
         height = np.where(own, said(vote.at_best_size(sign)), -np.inf)
@@ -295,7 +295,7 @@ def _ballot(ball: Sphere, rim: Rim, look: _Look, reach_mm: float) -> _Ballot:
     seen = seen[np.linspace(0, len(seen) - 1, min(VOTERS, len(seen))).round().astype(np.intp)]
     rate = rim.rate[seen]
     deep = (
-        DEPTH_MM * float(np.abs(rate[:, 2]).max())
+        MAX_DEPTH_ERROR_MM * float(np.abs(rate[:, 2]).max())
         + float(rate[:, 3].max()) * look.priors.sphere(ball.name).radius_mm
     )
     larger = np.arange(-np.ceil(deep), np.ceil(deep) + 1.0)
@@ -324,9 +324,9 @@ def _fitted(
 ) -> SphereSeen:
     """Fit the centre of a sphere to the crossings of its rim; `spheres` holds all places and gets this one."""
     unsure_mm = max(look.priors.sphere(ball.name).radius_mm, 1e-4)
-    loose = np.array((LOOSE_MM, LOOSE_MM, LOOSE_MM, unsure_mm, 1.0))
+    loose = np.array((PLACE_PRIOR_MM, PLACE_PRIOR_MM, PLACE_PRIOR_MM, unsure_mm, 1.0))
     extra = np.zeros(2)  # of the radius, and of the edge
-    for _ in range(ROUNDS):
+    for _ in range(VOTE_ROUNDS):
         rim = _rim(look.camera, spheres, number)
         seen = rim.seen & _clear_beside(rim, look.behind)
         strip: Strip = strip_of(look.smooth, rim.pixel[seen], rim.outward[seen], 8.0)
@@ -382,7 +382,7 @@ def _robust(
         step = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], np.float64)
         left = target - columns @ step
         spread = max(1.4826 * float(np.median(np.abs(left - np.median(left)))), 0.02)
-        ratio = left / (BIWEIGHT * spread)
+        ratio = left / (VOTE_BIWEIGHT * spread)
         trust = np.where(np.abs(ratio) < 1.0, (1.0 - ratio**2) ** 2, 0.0)
     return step, spread
 

@@ -28,7 +28,7 @@ from correction.fit.seen.prediction import expect
 from correction.fitted.prepared import prepare
 from correction.maps.corrector import Corrector
 from correction.target import Chessboard
-from correction.target.corners import WINDOW, CornerSearch
+from correction.target.corners import ARM_LENGTH, CornerSearch
 from correction.target.marks import refine_marks
 from ground.short_repr import short_repr
 from tracer.scene.scene import Scene
@@ -172,7 +172,7 @@ def _error_of(
     nodes = [(int(i), int(j)) for i, j in index[seen]]
     known = np.zeros(len(nodes), bool)
     if before is not None:
-        alike = now.alike(before, int(np.ceil((WINDOW + MAX_SHIFT) * square)) + 1)
+        alike = now.alike(before, int(np.ceil((ARM_LENGTH + MAX_SHIFT) * square)) + 1)
         known = np.array([node in before.corners for node in nodes], bool) & alike[nearest[:, 1], nearest[:, 0]]
     position, valid = np.full((len(nodes), 2), np.nan), np.zeros(len(nodes), bool)
     if before is not None:

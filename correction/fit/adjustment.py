@@ -2,7 +2,7 @@
 
 Corners weigh by their own sigma, times one factor for each region (direct, behind glass) that makes the
 median residual agree with it: behind glass ghosts and curved edges add errors that no single window shows.
-Corners beyond OUTLIER sigmas are rejected and reported; those beyond KNEE weigh less and less.  The
+Corners beyond OUTLIER sigmas are rejected and reported; those beyond CAUCHY_SIGMAS weigh less and less.  The
 covariance is (N + 1)^-1 in units of the prior's sigmas, N the normal matrix of the corners used.
 """
 
@@ -43,7 +43,7 @@ from correction.fit.solve.solver import (
 from correction.fit.solve.unknowns import Unknowns
 from tracer.scene.scene import Scene
 
-KNEE = 3.0  # sigmas beyond which a corner weighs less and less
+CAUCHY_SIGMAS = 3.0  # sigmas beyond which a corner weighs less and less
 OUTLIER = 5.0  # sigmas beyond which it weighs nothing
 FULL_WEIGHT = 1e6
 
@@ -66,7 +66,7 @@ class Adjustment:
                 pairs = zip(data, locks, strict=True)
                 return [unlocked(locked, at, one, lock, residuals(locked, at, one)) for one, lock in pairs]
 
-            solution = minimise(locked, evaluate, at, knee=KNEE)
+            solution = minimise(locked, evaluate, at, knee=CAUCHY_SIGMAS)
             at = solution.x
             self.rescale(frames, evaluate(at))
         self.lock = at[len(x) :]

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from correction.errors import FitFailed, TargetNotFound
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.judge.result import SHARE_LIMIT, FitStep, rms_limit_px
-from correction.fit.judge.suspect_words import CLEAR, target_heights
+from correction.fit.judge.suspect_words import NAMED_TERM_SIGMAS, target_heights
 from correction.fit.judge.verdict import PRIOR_LIMIT
 from correction.fit.levels_shown import levels_shown, look_like_levels
 from correction.fit.progress import Progress
@@ -55,7 +55,7 @@ HEIGHTS_FREED = 0.05  # share by which all heights of the target may be off
 FAR_OR_LARGE = ("camera.z", "camera.focal_px", "print.")  # numbers that are seen as one: how large the board is
 MORE = 1.05  # times as many corners that the bare target shows without glass
 ON_BARE = ("camera.", "target", "print.")  # numbers that the bare target tells of
-SURE = 3.0  # sigmas that the camera may be off
+CAMERA_SIGMAS = 3.0  # sigmas that the camera may be off
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
 COARSER = 4  # times that a view through walls is predicted coarser than frames
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
@@ -79,7 +79,7 @@ def find_camera(work: Progress) -> None:
         solution = _centre_dots(work, unknowns)
     _check(work, _bare_rms_px(work, unknowns, solution.x), unknowns, solution)
     for name, pull in zip(unknowns.names, solution.x.tolist(), strict=True):
-        if name.startswith(FAR_OR_LARGE) and abs(pull) > SURE:
+        if name.startswith(FAR_OR_LARGE) and abs(pull) > CAMERA_SIGMAS:
             work.note(
                 FitStep(
                     f"warning: {name} is {abs(pull):.1f} sigmas from what was known of it before; measure the"
@@ -158,7 +158,7 @@ def _reach(work: Progress) -> float:
     """Squares by which the nominal camera's view of the board may be off."""
     known, away = work.priors.camera, np.linalg.norm(work.nominal.camera.position_mm)
     off_mm = np.hypot(known.position_mm, np.deg2rad(known.rotation_deg) * away)
-    return float(SURE * off_mm / work.board.square_mm)
+    return float(CAMERA_SIGMAS * off_mm / work.board.square_mm)
 
 
 def _fit_camera(
@@ -303,7 +303,7 @@ def _lens_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: flo
     values = dict(zip(wider.names, after.x * wider.sigma, strict=True))
     spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
     sigma = dict(zip(wider.names, wider.sigma * spread, strict=True))
-    found = [f"{name} {values[name]:+.2g}" for name in new if abs(values[name]) > CLEAR * sigma[name]]
+    found = [f"{name} {values[name]:+.2g}" for name in new if abs(values[name]) > NAMED_TERM_SIGMAS * sigma[name]]
     if not found:
         return ""
     free = dict(zip(wider.names, wider.sigma.tolist(), strict=True))
@@ -379,7 +379,7 @@ def size_told(work: Progress) -> str:
     size = size_seen(found.corners.pixel, found.axes_px, view, work.board)
     longer = dict(zip(work.unknowns.names, work.unknowns.sigma.tolist(), strict=True)).get("camera.focal_px", 0.0)
     nearer = work.priors.camera.position_mm / float(np.linalg.norm(camera.position_mm))
-    if size is None or not size.differs(SURE * float(np.hypot(nearer, longer / camera.focal_px))):
+    if size is None or not size.differs(CAMERA_SIGMAS * float(np.hypot(nearer, longer / camera.focal_px))):
         return ""
     return f"{frame.name}: {size.sentence}"
 

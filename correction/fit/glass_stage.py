@@ -20,7 +20,7 @@ from correction.fit.seen.measurement import (
     glass_frame,
 )
 from correction.fit.seen.pairing import Candidates, candidates_of, pair
-from correction.fit.seen.prediction import LEAST_SQUARE_PX, expect, square_behind_px
+from correction.fit.seen.prediction import MIN_VIEW_SQUARE_PX, expect, square_behind_px
 from correction.fit.seen.silhouettes import followed, seen_outlines
 from correction.fit.solve.unknowns import Unknowns
 from correction.target.turned_frame import turned_against
@@ -28,11 +28,11 @@ from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import SPHERE
 
-WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
-FEWEST = 12  # corners behind glass from which a fit may begin
+MIN_SADDLE_RATIO = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
+MIN_GLASS_CORNERS = 12  # corners behind glass from which a fit may begin
 ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
 FOLLOW = 1.0
-DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
+STRAY_DEPTH_SIGMA_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
 HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
 LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of it may be in each
 AGAIN, STAYS_MM = 6, 0.02  # times that a place is measured, while corners move the ball that stands there
@@ -75,7 +75,7 @@ def _refuse_turned(work: Progress) -> None:
 def _follow_outlines(work: Progress) -> None:
     """Put balls whose rims are seen elsewhere where they are seen, and take that for what is known of them."""
     frame = work.glass_frames[0]
-    least = WEAKEST * float(np.median(work.saddles(work.bare_frames[0]).strength))
+    least = MIN_SADDLE_RATIO * float(np.median(work.saddles(work.bare_frames[0]).strength))
     number = work.height_number(frame)
     saddles = work.saddles(frame)
     work.outlines = seen_outlines(work.unknowns, work.full, work.bare[0], saddles, least, number, work.board)
@@ -89,13 +89,13 @@ def _follow_outlines(work: Progress) -> None:
         start = work.unknowns.start.copy()
         start[work.unknowns.glass] = work.full[work.unknowns.glass]
         depths = [f"{name}.z" for name in work.outlines.names]
-        work.unknowns = work.unknowns.around(start).loosened(depths, DEPTH_MM)
+        work.unknowns = work.unknowns.around(start).loosened(depths, STRAY_DEPTH_SIGMA_MM)
         work.note(FitStep(f"{work.outlines.in_words(ASIDE_MM)}; glass follows"))
 
 
 def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candidates:
     """Saddles of a frame that may be seen through glass."""
-    least = WEAKEST * float(np.median(work.saddles(work.bare_frames[0]).strength))
+    least = MIN_SADDLE_RATIO * float(np.median(work.saddles(work.bare_frames[0]).strength))
     return candidates_of(
         work.corner_saddles(frame), least, coarse, work.full, work.height_number(frame), work.board
     )
@@ -104,10 +104,11 @@ def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candida
 def _refuse_undisturbed(work: Progress, frame: TargetFrame, candidates: Candidates) -> None:
     """Refuse a frame in which the lattice goes on undisturbed where the glass should be."""
     inside, undisturbed = candidates.inside, candidates.inside & candidates.bare
-    if np.count_nonzero(inside) < FEWEST:
+    if np.count_nonzero(inside) < MIN_GLASS_CORNERS:
         raise GlassNotSeen(
-            f"{frame.name}: only {np.count_nonzero(inside)} corners where the spheres should be, {FEWEST} are"
-            " needed; check light, focus and the spheres of the scene, or use smaller squares"
+            f"{frame.name}: only {np.count_nonzero(inside)} corners where the spheres should be,"
+            f" {MIN_GLASS_CORNERS} are needed; check light, focus and the spheres of the scene, or use smaller"
+            " squares"
         )
     if undisturbed.sum() > UNDISTURBED * inside.sum():
         raise GlassNotSeen(
@@ -160,12 +161,12 @@ def _why_none(work: Progress, scene: Scene) -> str:
     pose = work.unknowns.pose(work.full, work.height_number(work.glass_frames[0]))
     given, _ = legal_scene(work.unknowns, work.unknowns.start)
     widths = [square_behind_px(one, pose, work.board) for one in (given, scene)]
-    if 0.0 < widths[0] < LEAST_SQUARE_PX:
+    if 0.0 < widths[0] < MIN_VIEW_SQUARE_PX:
         return (
-            f"squares look {widths[0]:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"
-            f" print them {LEAST_SQUARE_PX / max(widths[0], 0.1):.1f} times as large, or take a longer lens"
+            f"squares look {widths[0]:.1f} px wide through the glass, {MIN_VIEW_SQUARE_PX:.0f} are needed;"
+            f" print them {MIN_VIEW_SQUARE_PX / max(widths[0], 0.1):.1f} times as large, or take a longer lens"
         )
-    if widths[1] < LEAST_SQUARE_PX:  # the search has gone astray: of the scene as given that says nothing
+    if widths[1] < MIN_VIEW_SQUARE_PX:  # the search has gone astray: of the scene as given that says nothing
         return (
             "no corner is seen where the scene shows one behind glass: check radius, glass and place of each ball,"
             " whether a ball is hollow (give its core) or not listed, and the focus of the frame"

@@ -29,7 +29,7 @@ MUCH = 0.25  # of the squares: lines that a printer has set aside look like leve
 CERTAIN = 30.0  # times what chance explains
 LOOKED_AT, FREE = 0.2, 2.0  # pitches: step of a pattern that is tried where none was told, and how free it is
 ON_BARE = ("camera.", "target", "print.")
-CLEAR = 3.0  # sigmas
+CLEAR_STEP_SIGMAS = 3.0  # sigmas
 
 
 @dataclass(frozen=True)
@@ -60,12 +60,12 @@ def levels_shown(work: Progress, limit_px: float) -> str:
     if not fits:
         return ""
     best = min(fits, key=lambda one: one.rms_px)
-    if abs(best.step_mm) < CLEAR * best.sigma_mm:
+    if abs(best.step_mm) < CLEAR_STEP_SIGMAS * best.sigma_mm:
         return (
             "the frames show all dots on one level: leave levels and step_mm out of the board file, or show the"
             " plate that it describes"
         )
-    if best.levels == told.levels and abs(best.step_mm - told.step_mm) < CLEAR * best.sigma_mm:
+    if best.levels == told.levels and abs(best.step_mm - told.step_mm) < CLEAR_STEP_SIGMAS * best.sigma_mm:
         return ""
     return (
         f"the frames show dots on two levels, by {best.levels}, the other one {best.step_mm:.4g} mm behind that of"

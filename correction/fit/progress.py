@@ -24,7 +24,7 @@ from tracer.camera import Vector3
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
-BESIDE = 0.8  # squares: rims are seen to a few tenths of one
+RIM_REACH = 0.8  # squares: rims are seen to a few tenths of one
 
 
 class Progress:
@@ -108,7 +108,7 @@ class Progress:
         """Balls of a scene that do not stand where their own rims are seen, with their centres there."""
         if self.outlines is None:
             return {}
-        beside = self.outlines.beside(scene, BESIDE * self.board.square_mm).tolist()
+        beside = self.outlines.beside(scene, RIM_REACH * self.board.square_mm).tolist()
         places = zip(self.outlines.names, self.outlines.place_mm.tolist(), beside, strict=True)
         return {name: (x, y, z) for name, (x, y, z), is_beside in places if is_beside}
 

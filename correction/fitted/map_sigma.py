@@ -9,8 +9,9 @@ Noise of the frame, PIV, and everything that is not a number of the scene come o
 
 LIMIT.  Left out is what the map does not know well enough: crescents behind a chain of balls, nodes beside a fold.
 Most of a fitted map is known to thousandths of a pixel; where the view turns wildly with every number of the
-scene, by tenths.  How much is too much is the user's to say.  Sigma is asked at every STEP-th node; each answer
-stands for the nodes around it, and the worst of its neighbours counts, so that little that is worse comes through.
+scene, by tenths.  How much is too much is the user's to say.  Sigma is asked at every SIGMA_NODE_STEP-th node;
+each answer stands for the nodes around it, and the worst of its neighbours counts, so that little that is worse
+comes through.
 
 VECTORS.  The picture of plane point X stands at X + e(X), e = (dX/dx) dx.  A particle that moves
 from X1 to X2 is then measured at the wrong place by about e(X), but its displacement only by
@@ -52,7 +53,7 @@ if TYPE_CHECKING:  # who reads a fit does not wait for all that makes one
     from correction.fit.judge.result import SceneFit
 
 KIND = "map sigma"
-STEP = 4  # nodes between those computed; sigma is smooth
+SIGMA_NODE_STEP = 4  # nodes between those computed; sigma is smooth
 
 
 class SigmaHeader(Table):
@@ -123,7 +124,7 @@ class MapSigma:
         )
 
 
-def map_sigma(fit: "SceneFit", step: int = STEP) -> MapSigma:
+def map_sigma(fit: "SceneFit", step: int = SIGMA_NODE_STEP) -> MapSigma:
     """Carry the covariance of a fit through its correction map.
 
     Parameters
@@ -201,8 +202,11 @@ class SigmaLimit:
     def _beyond(self, found: CorrectionMap, scene: Scene) -> NDArray[np.bool_]:
         """Nodes (h, w) that may be beyond the limit; those that are not recovered, too, as it happens."""
         height, width = found.grid.shape
-        chosen = found.status[::STEP, ::STEP] == NodeStatus.RECOVERED
-        pixels, glass = found.pixel[0, ::STEP, ::STEP], found.branch[0, ::STEP, ::STEP] != 0
+        chosen = found.status[::SIGMA_NODE_STEP, ::SIGMA_NODE_STEP] == NodeStatus.RECOVERED
+        pixels, glass = (
+            found.pixel[0, ::SIGMA_NODE_STEP, ::SIGMA_NODE_STEP],
+            found.branch[0, ::SIGMA_NODE_STEP, ::SIGMA_NODE_STEP] != 0,
+        )
         worst = np.zeros(chosen.shape)
         for behind in (False, True):
             here = chosen & (glass == behind)
@@ -210,7 +214,9 @@ class SigmaLimit:
             spread = self.sigma.sigma(seen, pixels[here]) / found.grid.pitch_mm
             worst[here] = np.nan_to_num(spread.max(axis=1), nan=np.inf)
         worst = scipy.ndimage.maximum_filter(worst, 3)
-        return np.asarray(np.repeat(np.repeat(worst, STEP, 0), STEP, 1)[:height, :width] > self.limit_px)
+        return np.asarray(
+            np.repeat(np.repeat(worst, SIGMA_NODE_STEP, 0), SIGMA_NODE_STEP, 1)[:height, :width] > self.limit_px
+        )
 
 
 @dataclass(frozen=True)

@@ -39,9 +39,11 @@ BRIGHTEST = 12.0  # standard deviations of a glint; particles of 0.03 a px have 
 EVENED_PX = (
     25  # side of the square whose standard deviation counts: of 5, single particles weigh their own place down
 )
-CLEAR = 8.0  # standard deviations, told by ten blocks, that the best of thirty places must stand out by
+CLEAR_PEAK_SIGMAS = (
+    8.0  # standard deviations, told by ten blocks, that the best of thirty places must stand out by
+)
 ALONE = 20.0  # the same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
-LEAST_SURE = 0.25  # of the heights and lags looked at
+MIN_VALID_SHARE = 0.25  # of the heights and lags looked at
 LONG_MM = 2.0  # height for a lag, from which on heights of cells are near enough for one step
 HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`
 USUAL_MM = 0.18  # spread of the light of a sheet of 1 mm
@@ -224,7 +226,7 @@ def _measured(
         summed = np.tensordot(share, blocks[:, here], axes=(0, 1))
         start = model.start(summed.sum(axis=0), USUAL_MM**2)
         match = None if start is None else model.fit(summed.sum(axis=0), start, [HEIGHT, SHIFT, SIZE])
-        if match is not None and model.clearness(summed, match) > CLEAR:
+        if match is not None and model.clearness(summed, match) > CLEAR_PEAK_SIGMAS:
             kinds[int(kind)] = model, summed, match
     usual = _common(kinds, SIZE, USUAL_SIZE)
     kinds = _with(kinds, SIZE, usual[0], [HEIGHT, SHIFT, SPREAD])
@@ -256,7 +258,7 @@ def _measured(
             else:
                 continue
             sigma = np.hypot(*models[one].left_out(blocks[:, one], at, [HEIGHT, SHIFT]))
-            if not is_long and (sigma >= LEAST_SURE * np.array([reach_mm, ACROSS])).any():
+            if not is_long and (sigma >= MIN_VALID_SHARE * np.array([reach_mm, ACROSS])).any():
                 continue
             if not (sigma > 0.0).all():  # no layer is seen from here
                 continue

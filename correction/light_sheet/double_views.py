@@ -9,7 +9,7 @@ at X + D dz in view b,
 This *disparity* is zero if the map is made for the plane in which the particles are.  It is measured along D;
 across D no height moves anything, so what is found there belongs to glass that is not where the scene has it.
 
-A view counts where it can be followed: BESIDE_PX raw pixels to either side along D it must still be the same
+A view counts where it can be followed: HALF_PICTURE_PX raw pixels to either side along D it must still be the same
 branch on the same side of a fold, and nearly straight.  So no rim cuts the picture of a particle.
 """
 
@@ -30,16 +30,16 @@ from tracer.strategies.trace import trace
 
 Kind = tuple[int, int, bool, bool]  # branches of two views, and whether each shows the plane unmirrored
 
-LAYERS = 4
-LEAST_MAGNIFICATION = 0.2
-BESIDE_PX = 1.5  # half the picture of a particle
-STRAIGHT = 0.5  # of that step on the plane
-APART_PX = 8.0  # of two pictures of one place on the sensor: closer ones are one picture
+MAX_BRANCHES = 4
+MIN_VIEW_MAGNIFICATION = 0.2
+HALF_PICTURE_PX = 1.5  # half the picture of a particle
+MIN_ALONG_STEP = 0.5  # of that step on the plane
+MIN_SEPARATION_PX = 8.0  # of two pictures of one place on the sensor: closer ones are one picture
 LEAST_PARALLAX = 0.02  # |D|: 0.02 mm for a millimetre of height
 PARTICLE_PX2 = 0.7  # variance of a picture of 2.4 px, and of the bell that it is looked up with
 ACROSS, AROUND = 3, 4  # lags to either side: across D; along it, about a peak
 UNIT = 0.8  # of the standard deviation that two such pictures make of a peak
-WIDEST_PX = 3.0  # blur by the aperture, standard deviation
+MAX_APERTURE_BLUR_PX = 3.0  # blur by the aperture, standard deviation
 MOST_LOST = 0.05
 
 
@@ -116,7 +116,7 @@ class DoubleViews:
 
     def free(self, reach: int) -> NDArray[np.bool_]:
         """Places (N,) of which no lag reaches another picture of the same particle."""
-        return np.asarray(self.alone_px > np.hypot(*self.room_px(reach).T) + 2.0 * BESIDE_PX)
+        return np.asarray(self.alone_px > np.hypot(*self.room_px(reach).T) + 2.0 * HALF_PICTURE_PX)
 
     def at(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "DoubleViews":
         """Return some of them."""
@@ -146,16 +146,22 @@ def double_views(
     whole = grid_of(scene.camera)
     rows, columns = (-(-size // step) for size in whole.shape)
     grid = PlaneGrid(whole.origin_mm, whole.pitch_mm * step, (rows, columns))
-    limits = LEAST_MAGNIFICATION * step, MAX_MAGNIFICATION * step
+    limits = MIN_VIEW_MAGNIFICATION * step, MAX_MAGNIFICATION * step
     found = build_correction_map(
-        scene, ray_map, grid, layers=LAYERS, skip=False, min_magnification=limits[0], max_magnification=limits[1]
+        scene,
+        ray_map,
+        grid,
+        layers=MAX_BRANCHES,
+        skip=False,
+        min_magnification=limits[0],
+        max_magnification=limits[1],
     )
     seen = (found.weight > 0.0) & found.recovered
     kinds: dict[Kind, int] = {}
     pairs = [
         _of_layers(scene, found, step, (one, two), np.nonzero(seen[one] & seen[two]), kinds)
-        for one in range(LAYERS)
-        for two in range(one + 1, LAYERS)
+        for one in range(MAX_BRANCHES)
+        for two in range(one + 1, MAX_BRANCHES)
     ]
     pair = _Pair(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
     count, area_mm2 = len(pair.kind), len(pair.kind) * (step * whole.pitch_mm) ** 2
@@ -198,10 +204,10 @@ def _of_layers(
     gap = slopes[0] - slopes[1]
     parallax = np.hypot(*gap.T)
     good = np.isfinite(parallax) & (parallax > LEAST_PARALLAX)
-    others = [found.pixel[layer][at] for layer in range(LAYERS) if layer != layers[1]]
+    others = [found.pixel[layer][at] for layer in range(MAX_BRANCHES) if layer != layers[1]]
     gaps = [np.hypot(*(pixels[1] - other).T) for other in others]
     alone = np.min([np.where(np.isfinite(away), away, np.inf) for away in gaps], axis=0)
-    good &= alone > APART_PX
+    good &= alone > MIN_SEPARATION_PX
     with np.errstate(invalid="ignore", divide="ignore"):
         along = gap / parallax[:, None] * (1.0, -1.0)  # nodes run down, y runs up
     for pixel, rate in zip(pixels, rates, strict=True):
@@ -260,19 +266,19 @@ def _followed(
     step: NDArray[np.float64],
     along: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Return whether a view goes on BESIDE_PX to either side; `step` (N, 2) is d pixel for one `along`."""
+    """Return whether a view goes on HALF_PICTURE_PX to either side; `step` (N, 2) is d pixel for one `along`."""
     length = np.hypot(*step.T)
     here = trace(scene, pixel)
     good = here.recovered & (length > 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        aside = BESIDE_PX * step / length[:, None]
-        wanted = BESIDE_PX / length[:, None] * along * (1.0, -1.0) * pitch_mm
+        aside = HALF_PICTURE_PX * step / length[:, None]
+        wanted = HALF_PICTURE_PX / length[:, None] * along * (1.0, -1.0) * pitch_mm
     for way in (-1.0, 1.0):
         there = trace(scene, np.nan_to_num(pixel + way * aside))
         miss = there.plane_mm - here.plane_mm - way * wanted
         with np.errstate(invalid="ignore"):
             good &= there.recovered & (there.rays["key"] == here.rays["key"])
-            good &= np.hypot(*miss.T) < STRAIGHT * np.hypot(*wanted.T)
+            good &= np.hypot(*miss.T) < MIN_ALONG_STEP * np.hypot(*wanted.T)
     return np.asarray(good)
 
 
@@ -285,5 +291,5 @@ def _pictures(
         return np.zeros_like(pixel), np.zeros((len(pixel), 2, 2)), np.ones(len(pixel), bool)
     blur = pupil_views(scene, pupil, pixel).of_particles()
     with np.errstate(invalid="ignore"):
-        usable = (blur.width_px <= WIDEST_PX) & (blur.lost <= MOST_LOST)
+        usable = (blur.width_px <= MAX_APERTURE_BLUR_PX) & (blur.lost <= MOST_LOST)
     return np.nan_to_num(blur.shift_px), np.nan_to_num(blur.spread_px2), np.asarray(usable)

@@ -35,7 +35,7 @@ from tracer.strategies.trace import trace
 TRACED = 9  # heights; between them numbers go straight
 FINE = 5  # heights to each of these steps
 NEWTON = 3
-NEAR_PX = 0.05
+SETTLED_LAG_PX = 0.05
 ROOM = 2  # more lags to either side across D than measured: peaks may lie beside the middle
 LEAST_MM, MOST_MM = 0.03, 0.8  # spread of the sheet's light
 SIZES = (0.6, 1.2)  # variances of a picture [px^2] for which layers are drawn
@@ -143,7 +143,7 @@ def _pixels_of(
             step = np.einsum("nij,nj->ni", np.linalg.pinv(np.nan_to_num(seen.pixel_rate)), point - seen.point_mm)
         at = at + np.clip(np.nan_to_num(step), -4.0, 4.0)
     with np.errstate(invalid="ignore"):
-        good = seen.recovered & (seen.key == key) & (np.abs(step) < NEAR_PX).all(axis=1)
+        good = seen.recovered & (seen.key == key) & (np.abs(step) < SETTLED_LAG_PX).all(axis=1)
     return at, seen.pixel_rate, np.asarray(good)
 
 

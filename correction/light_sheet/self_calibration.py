@@ -37,15 +37,15 @@ from tracer.light_sheet import LightSheet
 from tracer.scene.scene import Scene
 
 TUNING, FARTHEST = 1.5, 5.0  # usual deviations from which on a cell counts less, and not at all
-FALSE_ALARMS = 0.001
+SHEET_FALSE_ALARMS = 0.001
 PLANE_ROUNDS = 20
 LEAST_ACROSS_PX, LEAST_APART_MM = 0.08, 0.03  # what corner and particle models leave; less is no finding
-LEAST_SHARE = 0.05  # the same, of the width of the peaks
+MIN_PEAK_SHARE = 0.05  # the same, of the width of the peaks
 PLACES = 12  # of a cell
 MOST_PLACES = 30_000
 CELLS_ACROSS = 8  # of the view
 LEAST_PLACES = 12  # of a cell
-EDGE_PX = 3.0
+VIEW_MARGIN_PX = 3.0
 LEAST_ROUNDS, ROUNDS = 2, 5  # the first one looks at heights that are far apart
 SETTLED, AT_REST = 2.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
 TELLS = 0.7  # of the sigma known before, and the frames have told something
@@ -86,7 +86,7 @@ class PlaneFit:
     @property
     def kinds_disagree(self) -> bool:
         """True if some kind of views disagrees with the plane of all on the height."""
-        limit = float(np.sqrt(scipy.special.chdtri(1, FALSE_ALARMS / max(len(self.kinds_mm), 1))))
+        limit = float(np.sqrt(scipy.special.chdtri(1, SHEET_FALSE_ALARMS / max(len(self.kinds_mm), 1))))
         return len(self.kinds_mm) > 1 and any(
             abs(off) > max(limit * sigma, LEAST_APART_MM) for off, sigma in self.kinds_mm.values()
         )
@@ -134,13 +134,13 @@ def _across(found: Disparities, share: NDArray[np.float64]) -> float:
     """Disparity across D beyond what chance makes [px], of cells that count."""
     off, sigma = found.across_px[share > 0.0], found.across_sigma_px[share > 0.0]
     unsure = (BLOCKS - 1.0) / (BLOCKS - 3.0)  # of sigmas that ten parts of the frames have told
-    if np.sum((off / sigma) ** 2) < unsure * scipy.special.chdtri(len(off), FALSE_ALARMS):
+    if np.sum((off / sigma) ** 2) < unsure * scipy.special.chdtri(len(off), SHEET_FALSE_ALARMS):
         return 0.0
     weight = sigma**-2.0
     excess = float(np.sum(weight * (off**2 - sigma**2)) / weight.sum())
     size = float(np.sqrt(max(excess, 0.0)))
     widest_px = float(found.width_px[share > 0.0].max())
-    return size if size > max(LEAST_ACROSS_PX, LEAST_SHARE * widest_px) else 0.0
+    return size if size > max(LEAST_ACROSS_PX, MIN_PEAK_SHARE * widest_px) else 0.0
 
 
 def scene_doubt(
@@ -385,7 +385,7 @@ def _inside(views: DoubleViews, shape: tuple[int, int], reach: int) -> DoubleVie
     size = np.array(shape[::-1]) - 1.0
     good, room = views.free(reach), views.room_px(reach)
     for pixel, more in ((views.first_px, 0.0), (views.second_px, room)):
-        good &= ((pixel - more >= EDGE_PX) & (pixel + more <= size - EDGE_PX)).all(axis=1)
+        good &= ((pixel - more >= VIEW_MARGIN_PX) & (pixel + more <= size - VIEW_MARGIN_PX)).all(axis=1)
     return views.at(good)
 
 

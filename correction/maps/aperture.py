@@ -2,8 +2,8 @@
 
 Behind glass a pupil blurs, and near the rim it does so unevenly: at f/22 the centroid of a particle's picture lies
 up to 0.1 px beside the chief ray, at f/5.6 a pixel (`tracer.strategies.blur`).  Where that is small it is taken
-off; where a picture is wider than WIDEST_PX, or its centroid farther off than FARTHEST_PX, which a model of a
-round, even pupil predicts no better than to a tenth, the node is left out as BLURRED.
+off; where a picture is wider than MAX_PICTURE_BLUR_PX, or its centroid farther off than MAX_MISFIT_PX, which a
+model of a round, even pupil predicts no better than to a tenth, the node is left out as BLURRED.
 
 The shift is smooth: it is traced at some NODES nodes behind glass, best view only, and interpolated between.
 """
@@ -20,8 +20,8 @@ from tracer.scene.scene import Scene
 from tracer.strategies.blur import pupil_views
 
 NODES = 30_000
-WIDEST_PX = 3.0  # standard deviation of a picture: windows and tracks still see particles of it
-FARTHEST_PX = 0.2
+MAX_PICTURE_BLUR_PX = 3.0  # standard deviation of a picture: windows and tracks still see particles of it
+MAX_MISFIT_PX = 0.2
 STEEP_PX = 0.01  # a smaller shift is the same at the centroid and at the chief ray
 MOST_LOST = 0.05  # share of the pupil that does not show the node on its branch
 
@@ -61,8 +61,8 @@ def _usable(
 ) -> NDArray[np.bool_]:
     """Pictures that are neither too wide nor too far from their chief ray."""
     with np.errstate(invalid="ignore"):
-        near = np.hypot(*np.moveaxis(shift_px, -1, 0)) <= FARTHEST_PX
-        return np.asarray(near & (width_px <= WIDEST_PX) & (lost <= MOST_LOST))
+        near = np.hypot(*np.moveaxis(shift_px, -1, 0)) <= MAX_MISFIT_PX
+        return np.asarray(near & (width_px <= MAX_PICTURE_BLUR_PX) & (lost <= MOST_LOST))
 
 
 def blur_map(found: CorrectionMap, scene: Scene, nodes: int = NODES) -> BlurMap:

@@ -72,12 +72,14 @@ FIELDS: dict[str, tuple[str, tuple[int, ...], float]] = {  # kind, components, a
     "transmittance": ("<f4", (), 0.0),
 }
 STORED_BYTES = 3.0  # on the disk, a node and view: 1.6 to 1.9 of sensors of 1008 px
-WIDEST_PX = 32000  # sensors whose pixels a step of 2^-16 holds in 32 bits; those of wider ones are coarser
+FINE_STEP_WIDTH_PX = (
+    32000  # sensors whose pixels a step of 2^-16 holds in 32 bits; those of wider ones are coarser
+)
 
 
 def stored_steps(sensor_px: Sequence[int]) -> dict[str, float]:
     """Return the step of each stored field of a sensor."""
-    wider = 2.0 ** np.ceil(np.log2(max(max(sensor_px) / WIDEST_PX, 1.0)))
+    wider = 2.0 ** np.ceil(np.log2(max(max(sensor_px) / FINE_STEP_WIDTH_PX, 1.0)))
     return STEPS | {"pixel": float(STEPS["pixel"] * wider)}
 
 

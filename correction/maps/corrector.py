@@ -29,7 +29,7 @@ from piv.resampling.sample import Method, checked_frame, filter_tiles, tile_grid
 
 UINT16_OFFSET = 1024  # room for the negative lobes beside bright particles: clipping them shifts centroids
 NEGLIGIBLE_PX = 1e-3  # a tenth of what calibrated glass is good for
-RIM = 2  # mirrored coefficients above and to the left of the frame
+MIRRORED_COEFFICIENTS = 2  # mirrored coefficients above and to the left of the frame
 
 
 class Corrector:
@@ -119,7 +119,7 @@ class Corrector:
         if quintic:
             # One buffer for each thread that corrects at the same time; what no tile covers must be finite.
             image = self._spare.pop() if self._spare else np.zeros(self._memory, np.float32)
-            filter_tiles(frame, RIM, self._tiles, image)
+            filter_tiles(frame, MIRRORED_COEFFICIENTS, self._tiles, image)
         flat, stride = image.reshape(image.size), image.shape[1]
         feet = self._footprints
         laid = (feet.anchor, feet.fraction, feet.begin, feet.span, feet.share)

@@ -31,7 +31,7 @@ from piv.correlation.windows import WindowGrid
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import trace
 
-STEP = 4  # nodes between those whose rays are traced for vectors: a window holds eight along each axis
+SLOPE_NODE_STEP = 4  # nodes between those whose rays are traced for vectors: a window holds eight along each axis
 Floats = NDArray[np.float64]
 
 
@@ -91,7 +91,7 @@ def vector_slopes(found: CorrectionMap, scene: Scene, windows: WindowGrid, windo
     StaleMap
         The map belongs to another scene.
     """
-    slopes = node_slopes(found, scene, STEP)[0]
+    slopes = node_slopes(found, scene, SLOPE_NODE_STEP)[0]
     height, width = found.grid.shape
     down, along = (
         _weights(first, size, windows.size_px, window_sigma)
@@ -106,7 +106,7 @@ def vector_slopes(found: CorrectionMap, scene: Scene, windows: WindowGrid, windo
 
 
 def _weights(first: NDArray[np.int64], length: int, size_px: int, window_sigma: float) -> NDArray[Any]:
-    """Weights (windows, nodes) of every STEP-th node of an axis of `length` in windows that begin at `first`."""
-    place = np.arange(0, length, STEP)[None, :] - first[:, None]
+    """Weights (windows, nodes) of computed nodes of an axis of `length` in windows that begin at `first`."""
+    place = np.arange(0, length, SLOPE_NODE_STEP)[None, :] - first[:, None]
     inside = (place >= 0) & (place < size_px)
     return np.where(inside, window_weights(size_px, window_sigma)[np.clip(place, 0, size_px - 1)], 0.0)

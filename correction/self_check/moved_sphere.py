@@ -9,8 +9,8 @@ lose their weight. How much d scatters, the frames say: with u_k the share of pa
 and if no sphere has moved, T2 (K - 3) / (3 (K - 1)) is at most distributed as F(3, K - 3) (Hotelling); particles
 of one pair may depend on each other as they like. FLOOR is what calibration leaves unsure of a place: with a
 thousand particles a pair, chance is below a micrometre and the map's own error is not. An alarm is a probability
-below FALSE_ALARMS divided by the number of spheres (Bonferroni), for any of them; and what the move explains must
-be as improbable (likelihood ratio, chi-squared with three degrees of freedom), so that neither few pairs nor
+below MOVE_FALSE_ALARMS divided by the number of spheres (Bonferroni), for any of them; and what the move explains
+must be as improbable (likelihood ratio, chi-squared with three degrees of freedom), so that neither few pairs nor
 particles that depend on each other raise one.
 
 The sphere that moved is the one that explains most of what is apart. One that moves spoils the views through it,
@@ -31,14 +31,14 @@ from correction.self_check.seen_twice import Finder, SeenTwice, joined
 from tracer.light_sheet import LightSheet
 from tracer.scene.scene import Scene
 
-FALSE_ALARMS = 5e-4  # in a check of a scene whose spheres stand still
+MOVE_FALSE_ALARMS = 5e-4  # in a check of a scene whose spheres stand still
 FLOOR_MM = np.array((0.0015, 0.0015, 0.012))  # sideways, and along the view, where the sheet's height looks alike
-LOOSE_MM = 0.3  # standard deviation of a move that is looked for
+MOVE_PRIOR_MM = 0.3  # standard deviation of a move that is looked for
 FEWEST_PAIRS = 10
-FEWEST = 200  # particles seen twice
-TOLD = 0.3  # of LOOSE_MM; a move that is less sure than this is not told
-ROUNDS = 6
-BIWEIGHT = 4.0
+MIN_PARTICLES = 200  # particles seen twice
+MAX_REPORTED_SIGMA = 0.3  # of MOVE_PRIOR_MM; a move that is less sure than this is not told
+PARTICLE_ROUNDS = 6
+PARTICLE_BIWEIGHT = 4.0
 AS_GOOD = 0.9  # of what the best sphere explains: another one may be meant
 CHI2_2 = 1.386  # median of chi-squared with two degrees of freedom
 SHEET = 3  # numbers of the light sheet
@@ -69,7 +69,7 @@ class Move:
     @property
     def is_told(self) -> bool:
         """True if particles determine it."""
-        return bool((self.sigma_mm[:2] < TOLD * LOOSE_MM).all())
+        return bool((self.sigma_mm[:2] < MAX_REPORTED_SIGMA * MOVE_PRIOR_MM).all())
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class SelfCheck:
     moves: tuple[Move, ...]
     pairs: int
     particles: int
-    false_alarms: float = FALSE_ALARMS
+    false_alarms: float = MOVE_FALSE_ALARMS
 
     @property
     def moved(self) -> tuple[Move, ...]:
@@ -205,7 +205,7 @@ def judged(spheres: tuple[str, ...], seen: SeenTwice, pairs: int, known: LightSh
     known : LightSheet
         How well the sheet is known.
     """
-    if len(seen) < FEWEST or pairs < FEWEST_PAIRS:
+    if len(seen) < MIN_PARTICLES or pairs < FEWEST_PAIRS:
         return SelfCheck((), pairs, len(seen))
     x, y = seen.place_mm.T
     sheet = seen.by_height[:, :, None] * np.stack((np.ones_like(x), x, y), axis=-1)[:, None, :]
@@ -216,7 +216,7 @@ def judged(spheres: tuple[str, ...], seen: SeenTwice, pairs: int, known: LightSh
         design = np.concatenate((sheet, seen.by_sphere[:, :, 3 * number : 3 * number + 3]), axis=2)
         prior = np.zeros((SHEET + 3, SHEET + 3))
         prior[:SHEET, :SHEET] = root @ root.T
-        prior[SHEET:, SHEET:] = np.eye(3) / LOOSE_MM**2
+        prior[SHEET:, SHEET:] = np.eye(3) / MOVE_PRIOR_MM**2
         fit = _Fit(seen, design, prior, pairs, still.spread2)
         move, covariance = fit.answer[SHEET:], fit.covariance[SHEET:, SHEET:] + np.diag(FLOOR_MM**2)
         t2 = float(move @ np.linalg.solve(covariance, move))
@@ -242,20 +242,20 @@ class _Fit:
         weighted = np.einsum("nij,njk->nik", seen.weight, design)
         ratio, left = np.zeros(len(seen)), seen.apart_mm
         self.spread2 = 1.0
-        for _ in range(ROUNDS):
+        for _ in range(PARTICLE_ROUNDS):
             normal = np.einsum("nik,nil,n->kl", design, weighted, trust) + prior
             right = np.einsum("nik,ni,n->k", weighted, seen.apart_mm, trust)
             answer = np.linalg.solve(normal, right)
             left = seen.apart_mm - design @ answer
             far = np.einsum("ni,nij,nj->n", left, seen.weight, left)
             self.spread2 = max(float(np.median(far)) / CHI2_2, 1e-12) if spread2 is None else spread2
-            ratio = far / (BIWEIGHT**2 * self.spread2)
+            ratio = far / (PARTICLE_BIWEIGHT**2 * self.spread2)
             trust = np.where(ratio < 1.0, (1.0 - ratio) ** 2, 0.0)
         self.answer = answer
-        self.cost = BIWEIGHT**2 / 6.0 * float(np.sum(1.0 - (1.0 - np.minimum(ratio, 1.0)) ** 3))
+        self.cost = PARTICLE_BIWEIGHT**2 / 6.0 * float(np.sum(1.0 - (1.0 - np.minimum(ratio, 1.0)) ** 3))
         pulls = np.einsum("nik,ni->nk", weighted, left)
         # a pull weighs less the farther it is: what the answer gives way by is less than the weights say
-        less = 4.0 * np.maximum(1.0 - ratio, 0.0) / (BIWEIGHT**2 * self.spread2)
+        less = 4.0 * np.maximum(1.0 - ratio, 0.0) / (PARTICLE_BIWEIGHT**2 * self.spread2)
         normal = np.einsum("nik,nil,n->kl", design, weighted, trust) - (pulls * less[:, None]).T @ pulls + prior
         share = np.zeros((pairs, len(answer)))
         np.add.at(share, seen.frame_pair, pulls * trust[:, None])

@@ -30,11 +30,11 @@ from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import TARGET, landings
 
 GATE = 4.0
-DEPTH_MM = 0.18  # standard deviation of a particle's height in a sheet of 1 mm
-LEAST_PX = 0.05  # standard deviation of a picture's place, whatever its fit says
-STEP = 2  # corrected pixels between places that are looked for
+SHEET_DEPTH_SIGMA_MM = 0.18  # standard deviation of a particle's height in a sheet of 1 mm
+MIN_PICTURE_SIGMA_PX = 0.05  # standard deviation of a picture's place, whatever its fit says
+PLACE_STEP_PX = 2  # corrected pixels between places that are looked for
 ROOM_PX = 4  # around a place seen twice, for the pictures of its particles
-BLOCK = 8192
+PARTICLES_AT_ONCE = 8192
 MOST_PX = 4.0  # corrected pixels between two pictures of one particle
 
 
@@ -87,7 +87,7 @@ class Finder:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.spheres = tuple(ball.name for ball in scene.spheres)
-        self.views = double_views(scene, build_ray_map(scene), STEP)
+        self.views = double_views(scene, build_ray_map(scene), PLACE_STEP_PX)
         self._names = [f"{name}.{part}" for name in self.spheres for part in "xyz"]
         mask = np.zeros(scene.camera.shape, np.bool_)
         for pixel in (self.views.first_px, self.views.second_px):
@@ -101,10 +101,10 @@ class Finder:
     def find(self, frame: NDArray[Any], frame_pair: int) -> SeenTwice:
         """Return the particles that a raw frame (H, W), free of its background, shows twice."""
         found = find_particles(frame, self.mask)
-        pixel, sigma_px = found.place_px, np.maximum(found.sigma_px, LEAST_PX)
+        pixel, sigma_px = found.place_px, np.maximum(found.sigma_px, MIN_PICTURE_SIGMA_PX)
         parts = []
-        for begin in range(0, len(pixel), BLOCK):
-            rays = landings(self.scene, pixel[begin : begin + BLOCK])
+        for begin in range(0, len(pixel), PARTICLES_AT_ONCE):
+            rays = landings(self.scene, pixel[begin : begin + PARTICLES_AT_ONCE])
             height = rays.rate[:, :, TARGET.index("z") - len(TARGET)]
             parts.append(
                 (rays.point_mm, rays.pixel_rate, rays.key, rays.recovered, rays.columns(self._names), height)
@@ -166,4 +166,4 @@ class Finder:
 
 def _spread(covariance: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Covariance (N, 2, 2) with that of heights within the sheet."""
-    return np.asarray(covariance + DEPTH_MM**2 * depth[:, :, None] * depth[:, None, :])
+    return np.asarray(covariance + SHEET_DEPTH_SIGMA_MM**2 * depth[:, :, None] * depth[:, None, :])

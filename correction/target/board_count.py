@@ -23,14 +23,14 @@ from correction.errors import TargetNotFound
 from correction.target.board_ends import Ends, ends_of
 from correction.target.board_origin import Placing
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
-from correction.target.corners import LARGEST_RESIDUAL, WINDOW, CornerSearch, refine_corners
+from correction.target.corners import ARM_LENGTH, LARGEST_RESIDUAL, CornerSearch, refine_corners
 from correction.target.lattice_growth import Patch
 from correction.target.scale_search import crossing_corners
 
 UPRIGHT = 0.8  # cosine between an axis of the board and where it is expected: 37 degrees
 LEAST_LINE = 3  # corners on a line of the lattice that count it as one of the board
 ASKED = 25  # corners of a patch that say how far it lies from where it is expected
-HALF = 0.5  # squares
+HALF_SQUARE = 0.5  # squares
 COUNTED_PX = 16.0  # half window of corners that are only counted: they are measured once their place is known
 
 
@@ -65,7 +65,7 @@ def place_by_count(
         patch.position_px,
         patch.axes_px,
         sign=patch.sign,
-        window=np.minimum(WINDOW, COUNTED_PX / np.linalg.norm(patch.axes_px, axis=1).max(axis=1)),
+        window=np.minimum(ARM_LENGTH, COUNTED_PX / np.linalg.norm(patch.axes_px, axis=1).max(axis=1)),
         search=CornerSearch(board.arm, patch.error_px, max_shift=0.3),
     )
     crossing = crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign)
@@ -82,7 +82,7 @@ def place_by_count(
         raise TargetNotFound(f"the corners of the board are too {cause} to be measured; {cure}")
     turn, expected = _as_expected(corners, *view)
     ends = ends_of(frame, corners)
-    reach = max(reach or 0.0, HALF)
+    reach = max(reach or 0.0, HALF_SQUARE)
     found = _possible(corners, board, ends, turn, expected, reach)
     if len(found) != 1:
         raise TargetNotFound(_why(found, corners, board, ends.turned(turn), turn, reach))
@@ -136,7 +136,7 @@ def _possible(
     for axis, middle in enumerate(expected.tolist()):
         near = (
             np.arange(np.ceil(middle - reach), np.floor(middle + reach) + 1.0)
-            if reach > HALF
+            if reach > HALF_SQUARE
             else np.rint([middle])
         )
         if board.outer_lines is not None:

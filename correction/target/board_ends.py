@@ -4,7 +4,7 @@ The frame is sampled in the middle of squares, on past a patch of lattice by the
 Along a column of squares each differs from the two beside it by the full contrast, the way a chessboard has it;
 walked outwards, that stops somewhere.  The board ends at a line of the lattice where
 
-* at least FEWEST columns stop and none goes on,
+* at least MIN_END_COLUMNS columns stop and none goes on,
 * dark squares end at the line itself, to ON_LINE of a square, side by side to STRAIGHT of one, and
 * past it there is paper: as bright as bright squares.
 
@@ -24,11 +24,11 @@ from correction.target.chessboard import QUARTER_TURNS
 from correction.target.lattice_growth import Patch
 
 ORDER = 4  # of the map from lattice to frame
-BEYOND = 3  # squares around the patch that are looked at
-FEWEST = 4  # columns that must stop alike
-MOST = 0.8  # share of them that must show board before the line, and paper past it
+SQUARES_AROUND = 3  # squares around the patch that are looked at
+MIN_END_COLUMNS = 4  # columns that must stop alike
+MIN_END_SHARE = 0.8  # share of them that must show board before the line, and paper past it
 GOES_ON = 0.5  # of its contrast that a column keeps from square to square
-ALIKE = 0.35  # of the contrast: shades so near to each other are the same
+SAME_SHADE = 0.35  # of the contrast: shades so near to each other are the same
 FEWEST_DARK = 3  # dark squares among them, which have an edge to paper
 ON_LINE, STRAIGHT = 0.07, 0.03  # squares that such edges may lie beside the line, and beside each other
 AWAY = np.linspace(-0.45, 0.45, 19)  # squares from the line, where its edge is looked for
@@ -144,7 +144,7 @@ def _upper_end(
     spots : (K, 2) float64
         Around the middle of a square, where it is sampled.
     """
-    low, high = corners.min(axis=0) - 1, corners.max(axis=0) + BEYOND
+    low, high = corners.min(axis=0) - 1, corners.max(axis=0) + SQUARES_AROUND
     columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
     middle = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1) + 0.5
     bright, seen = brightness(middle), shade(middle, spots)
@@ -156,7 +156,7 @@ def _upper_end(
         return None
     line = int(stop.max())
     chosen = np.flatnonzero(stop == line)
-    if len(chosen) < FEWEST:
+    if len(chosen) < MIN_END_COLUMNS:
         return None
     last = line - 1
     dark = bright[chosen, last] < 0.0
@@ -165,14 +165,16 @@ def _upper_end(
     across = np.broadcast_to((columns[chosen] + 0.5)[:, None], (len(chosen), len(AWAY)))
     profile = shade(np.stack((across, rows[0] + line + np.broadcast_to(AWAY, across.shape)), axis=-1), SPOTS)
     with np.errstate(invalid="ignore", divide="ignore"):  # False out of the frame
-        ends = np.abs(profile[:, -1] - paper) < ALIKE * contrast
+        ends = np.abs(profile[:, -1] - paper) < SAME_SHADE * contrast
         if spots is not SPOTS:  # beside a marker paper looks darker than it is
             paper = np.where(ends, profile[:, -1], paper)
         share = (profile - own[:, None]) / (paper - own)[:, None]
         edge = AWAY[0] + np.trapezoid(1.0 - share, AWAY, axis=1)  # of an edge from 0 to 1
         place = float(np.median(edge[dark & ends])) if (dark & ends).any() else np.inf
         straight = np.abs(edge - place) < STRAIGHT
-    surely = abs(place) < ON_LINE and ends.mean() >= MOST and np.mean((ends & straight)[dark]) >= MOST
+    surely = (
+        abs(place) < ON_LINE and ends.mean() >= MIN_END_SHARE and np.mean((ends & straight)[dark]) >= MIN_END_SHARE
+    )
     return int(rows[0]) + line if surely and np.count_nonzero(ends & straight & dark) >= FEWEST_DARK else None
 
 

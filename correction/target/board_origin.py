@@ -28,7 +28,7 @@ from correction.target.scale_search import crossing_corners
 from tracer.board import CHIRAL, OLDER
 
 RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
-LEAST_SHARE = 0.5  # of the votes
+MIN_VOTE_SHARE = 0.5  # of the votes
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
 
 
@@ -156,7 +156,7 @@ def _best_vote(
     """Most voted placing whose axes point as predicted; a prediction needs no disc to tell the turns apart."""
     place = {(i, j): p for (i, j), p in zip(index.tolist(), predicted_px, strict=True)}
     for placing, count in votes.most_common(8):
-        if count < LEAST_SHARE * len(patch.index):
+        if count < MIN_VOTE_SHARE * len(patch.index):
             return None
         mine = placing.board_index(patch.index)
         along = [
@@ -164,9 +164,9 @@ def _best_vote(
             for (i, j), axes in zip(mine.tolist(), placing.board_axes(patch.axes_px), strict=True)
             if (i, j) in place and (i + 1, j) in place
         ]
-        if along and np.mean(np.array(along) > 0.0) > LEAST_SHARE:
+        if along and np.mean(np.array(along) > 0.0) > MIN_VOTE_SHARE:
             cross = _agreement(placing, patch, place)
-            if cross > LEAST_SHARE:
+            if cross > MIN_VOTE_SHARE:
                 return placing
     return None
 

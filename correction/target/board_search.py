@@ -39,7 +39,7 @@ from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
 Predict = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-HALF = 0.5  # squares
+HALF_SQUARE = 0.5  # squares
 NEAR_MARKS, ENOUGH = 3, 300  # squares around the origin with all of its marks; corners that show a smooth view
 MOST_TURN_DEG = 45.0  # of the board in its plane: beyond, another quarter turn of it is as likely
 SCALES = 0.7, 1.4  # of the view near the discs against its prediction: a ball shows them twice as large, or turned
@@ -304,7 +304,7 @@ def _with_codes(
         patch = patch.take(on_smooth_map(patch.index, patch.position_px, patch.axes_px))
         kept = [(one, placed) for one, placed in found if not wrong_size(frame, one, patch, placed[0][1])] or found
     if len(kept) > 1 and view is not None:
-        kept = [one for one in kept if squares_off(view, *one[1][0]) <= max(reach or 0.0, HALF)] or kept
+        kept = [one for one in kept if squares_off(view, *one[1][0]) <= max(reach or 0.0, HALF_SQUARE)] or kept
     if len({placed[0][1] for _, placed in kept}) > 1:
         raise TargetNotFound(
             "the markers in the frame agree with both layouts of the board, a square apart; give its layout (new,"

@@ -24,7 +24,7 @@ from correction.masked import points_in
 from tracer.board import Board, Dots, Square
 
 LEAST_SQUARES = 4
-ARM = 0.15  # squares: clear of discs of up to 0.6 of one, and of their blur
+DISC_ARM = 0.15  # squares: clear of discs of up to 0.6 of one, and of their blur
 WIDEST_MARKER = 0.8  # squares
 SMALLEST_DOT, WIDEST_DOT = 0.15, 0.75  # pitches: smaller ones are lost behind glass, wider ones touch the next
 LARGER = 1.3  # times that large dots are wider than the others: blur must not make one of the other
@@ -182,7 +182,7 @@ class Chessboard(Board):
     @property
     def arm(self) -> float:
         """Half width of the strips along edges [squares] in which nothing but the edge is printed."""
-        return ARM if self.codes is None else min(ARM, CLEAR_ARM * 0.5 * (1.0 - self.codes.marker_share))
+        return DISC_ARM if self.codes is None else min(DISC_ARM, CLEAR_ARM * 0.5 * (1.0 - self.codes.marker_share))
 
     def corner_sign(self, index: ArrayLike) -> NDArray[np.int8]:
         """Return +1 for corners (..., 2) int whose square to +x, +y is bright, and for dots, else -1 (...)."""

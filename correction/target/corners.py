@@ -14,18 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from correction.target.chessboard import ARM
+from correction.target.chessboard import DISC_ARM
 from correction.target.kernels import corner_fit, corner_model
-from correction.target.kernels.corner_block import LANES, draw_smeared
+from correction.target.kernels.corner_block import PIXEL_LANES, draw_smeared
 from correction.target.kernels.corner_model import FREE
 from ground.rows import run_rows
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
-WINDOW = 0.45  # half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
-LEAST_PX = 4.0  # smallest half window: below, twelve numbers are not worth fitting
+ARM_LENGTH = (
+    0.45  # half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
+)
+MIN_HALF_WINDOW_PX = 4.0  # smallest half window: below, twelve numbers are not worth fitting
 DRAWN = 256  # corners drawn at a time: some 8 MB
-CLEAR_PX = 3.0  # of a drawn corner's window from those of the next
+WINDOW_GAP_PX = 3.0  # of a drawn corner's window from those of the next
 LARGEST_RESIDUAL = 0.25  # rms, of the half contrast: more is a MISFIT
 LARGEST_SIGMA_PX = 0.25  # more is UNSURE
 ASIDE_PX = (0.3, 0.2)  # where the fit of a drawn corner starts: exactly in its middle nothing pulls
@@ -60,7 +62,7 @@ class CornerSearch:
         Largest move from the start in squares.
     """
 
-    arm: float = ARM
+    arm: float = DISC_ARM
     start_error_px: float = 5.0
     max_shift: float = 0.45
 
@@ -110,7 +112,7 @@ class CornerFit:
 def half_widths_px(axes_px: NDArray[np.float64], window: NDArray[np.float64]) -> NDArray[np.float64]:
     """Half width (N,) [px] of the windows that corners get, across the narrow side of their squares.
 
-    Corners with less than LEAST_PX are refused.  ``axes_px`` (N, 2, 2), ``window`` (N,) [squares] as for
+    Corners with less than MIN_HALF_WINDOW_PX are refused.  ``axes_px`` (N, 2, 2), ``window`` (N,) [squares] as for
     `refine_corners`.
     """
     thin = np.abs(np.linalg.det(axes_px)) / np.linalg.norm(axes_px, axis=1).max(axis=1)
@@ -125,7 +127,7 @@ def refine_corners(
     *,
     sign: ArrayLike | None = None,
     mask: NDArray[np.bool_] | None = None,
-    window: float | ArrayLike = WINDOW,
+    window: float | ArrayLike = ARM_LENGTH,
     search: CornerSearch = CornerSearch(),
     threads: int | None = None,
 ) -> CornerFit:
@@ -146,8 +148,8 @@ def refine_corners(
     mask : (H, W) bool, optional
         True where pixels may be used.
     window : float or (N,) float
-        Half length of the arms in squares.  At the border of frame or mask the window shrinks to LEAST_PX, then
-        the corner is refused.
+        Half length of the arms in squares.  At the border of frame or mask the window shrinks to
+        MIN_HALF_WINDOW_PX, then the corner is refused.
     search : CornerSearch
         Where the corner may be.
     threads : int, optional
@@ -176,8 +178,8 @@ def refine_corners(
 
         def rows(first: int, last: int) -> None:
             corner_fit.fit_corners(
-                pixels, usable, starts, frames, lengths, search.arm, LEAST_PX, search.max_shift, error_px,
-                first, last, corner_fit.new_scratch(), results, verdicts,
+                pixels, usable, starts, frames, lengths, search.arm, MIN_HALF_WINDOW_PX, search.max_shift,
+                error_px, first, last, corner_fit.new_scratch(), results, verdicts,
             )  # fmt: skip
 
         run_rows(rows, len(some), block=64, threads=threads)
@@ -236,7 +238,7 @@ def found_smeared(
     """
     aside, blurs = np.full((2, len(axes_px), 2), np.nan)
     extent = np.abs(axes_px).sum(axis=2).max(axis=1, initial=0.0) * window
-    half = int(np.ceil(extent.max(initial=0.0) + CLEAR_PX))
+    half = int(np.ceil(extent.max(initial=0.0) + WINDOW_GAP_PX))
     for first in range(0, len(axes_px), DRAWN):
         some = slice(first, first + DRAWN)
         axes, blur = np.ascontiguousarray(axes_px[some]), np.ascontiguousarray(blur_px[some])
@@ -245,7 +247,7 @@ def found_smeared(
         middle = half + len(tiles[0]) * np.arange(len(axes))
 
         def rows(first: int, last: int) -> None:
-            scratch = np.empty(FREE), np.empty(4), np.empty((FREE + 3, LANES))
+            scratch = np.empty(FREE), np.empty(4), np.empty((FREE + 3, PIXEL_LANES))
             draw_smeared(axes, blur, steps, parts, first, last, *scratch, tiles)  # noqa: B023
 
         run_rows(rows, len(axes))

@@ -5,10 +5,10 @@ Around a dot, with d = x - p, L symmetric and q = |L d|, which is 1 on the rim o
     I(x) = (A + B (1 + erf(z)) / 2) (1 + g . d0),       z = (1 - q) / |grad q| / (sqrt(2) s)
 
 d0 from where the dot was looked for.  Ten numbers are free: p, L (three), the blur s, A, B, the slope g of the
-light. Pixels up to BESIDE_PX beyond the rim are asked, none farther than half a pitch along either axis, so that
-no other dot is among them; least squares by Levenberg and Marquardt, all dots of a size at once.  The covariance
-of p is the sandwich of MacKinnon and White (HC3; J. Econometrics 29, 305 (1985)) with the residuals of the dot
-itself.
+light. Pixels up to PAPER_MARGIN_PX beyond the rim are asked, none farther than half a pitch along either axis, so
+that no other dot is among them; least squares by Levenberg and Marquardt, all dots of a size at once.  The
+covariance of p is the sandwich of MacKinnon and White (HC3; J. Econometrics 29, 305 (1985)) with the residuals of
+the dot itself.
 
 What is found is the centre of the picture of a dot, which is not the picture of its centre: bent glass, and
 perspective, shift it, and the fit takes that off from where rays of its rim land (`correction.fit.seen.dot_rims`).
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from correction.target.corners import (
     LARGEST_RESIDUAL,
     LARGEST_SIGMA_PX,
-    LEAST_PX,
+    MIN_HALF_WINDOW_PX,
     CornerFit,
     CornerReason,
     CornerSearch,
@@ -31,14 +31,14 @@ from ground.rows import run_rows
 from tracer.board import Dots
 
 REACH, REACH_ON_PLATE = 0.5, 0.4  # pitches: half side of what is asked at most; walls stand between levels
-BESIDE_PX = 4.0  # of paper around a dot that is asked
-FREE = 10
+PAPER_MARGIN_PX = 4.0  # of paper around a dot that is asked
+DOT_NUMBERS = 10
 STEPS, SETTLED_PX = 30, 1e-3  # of the optimiser, and a step that no longer matters
-GAIN = 1e-3  # share of the squares that such a step may still save
+MIN_STEP_GAIN = 1e-3  # share of the squares that such a step may still save
 SHARPEST_PX, BLUNTEST_PX = 0.2, 8.0
 START_PX = 0.7  # blur
-AT_ONCE = 96
-CLEAR_PX = 1.5  # beyond the rim of a dot that must be seen
+DOTS_AT_ONCE = 96
+RIM_MARGIN_PX = 1.5  # beyond the rim of a dot that must be seen
 SIZE = 0.6, 1.6  # area of a dot as found over that of the dot which should be there
 BLURRED = 1.5  # of the variance of the blur, that the edge of a small dot may lie elsewhere
 
@@ -82,19 +82,21 @@ def refine_dots(
     count, most = len(start_px), REACH_ON_PLATE if dots.levels else REACH
     out, verdict = np.full((count, 11), np.nan), np.full(count, int(CornerReason.SMALL), np.uint8)
     thin = half_widths_px(axes_px, np.full(count, most))
-    asked = np.isfinite(start_px).all(axis=1) & np.isfinite(axes_px).all(axis=(1, 2)) & (thin >= LEAST_PX)
-    reach = np.minimum(0.5 * share + BESIDE_PX / np.linalg.norm(axes_px, axis=1).min(axis=1), most)
+    asked = (
+        np.isfinite(start_px).all(axis=1) & np.isfinite(axes_px).all(axis=(1, 2)) & (thin >= MIN_HALF_WINDOW_PX)
+    )
+    reach = np.minimum(0.5 * share + PAPER_MARGIN_PX / np.linalg.norm(axes_px, axis=1).min(axis=1), most)
     extent = np.ceil(reach * np.abs(axes_px).sum(axis=2).max(axis=1, initial=0.0))
     order = np.flatnonzero(asked)
     order = order[np.argsort(extent[order], kind="stable")]
 
     def rows(first: int, last: int) -> None:
-        for begin in range(first, last, AT_ONCE):
-            some = order[begin : min(begin + AT_ONCE, last)]
+        for begin in range(first, last, DOTS_AT_ONCE):
+            some = order[begin : min(begin + DOTS_AT_ONCE, last)]
             batch = _Batch(pixels, usable, start_px[some], axes_px[some], share[some], reach[some])
             out[some], verdict[some] = batch.fitted(search.max_shift)
 
-    run_rows(rows, len(order), block=AT_ONCE, threads=threads)
+    run_rows(rows, len(order), block=DOTS_AT_ONCE, threads=threads)
     amplitude = out[:, 7]
     with np.errstate(invalid="ignore", divide="ignore"):
         residual, sigma = 2.0 * out[:, 5] / np.abs(amplitude), np.sqrt(out[:, 2:4])
@@ -146,7 +148,7 @@ class _Batch:
         shape = axes_px @ axes_px.transpose(0, 2, 1) * (0.5 * share)[:, None, None] ** 2
         values, vectors = np.linalg.eigh(shape)
         root = vectors / np.sqrt(values)[:, None, :] @ vectors.transpose(0, 2, 1)
-        self.free = np.zeros((len(start_px), FREE))
+        self.free = np.zeros((len(start_px), DOT_NUMBERS))
         self.free[:, 2], self.free[:, 3], self.free[:, 4] = root[:, 0, 0], root[:, 0, 1], root[:, 1, 1]
         self.free[:, 5] = START_PX
         self.inside, self.clear = inside, clear
@@ -161,7 +163,7 @@ class _Batch:
         best, normal, right = self._equations(self.free, going)[:3]
         for _ in range(STEPS):
             here, diagonal = self.free[going], np.maximum(np.einsum("nii->ni", normal[going]), 1e-12)
-            damped = normal[going] + np.eye(FREE) * (damping[going, None] * diagonal)[:, None, :]
+            damped = normal[going] + np.eye(DOT_NUMBERS) * (damping[going, None] * diagonal)[:, None, :]
             step = np.linalg.solve(damped, right[going, :, None])[..., 0]
             trial = here + step
             trial[:, 5] = np.clip(trial[:, 5], np.maximum(0.5 * here[:, 5], SHARPEST_PX), BLUNTEST_PX)
@@ -171,7 +173,7 @@ class _Batch:
             now, trial_normal, trial_right = self._equations(trial, going)[:3]
             better = legal & (now <= best[going])
             moved = np.hypot(step[:, 0], step[:, 1])
-            settled = (better & (moved < SETTLED_PX) & (best[going] - now <= GAIN * now)) | (moved < 1e-6)
+            settled = (better & (moved < SETTLED_PX) & (best[going] - now <= MIN_STEP_GAIN * now)) | (moved < 1e-6)
             chosen = going[better]
             self.free[chosen], best[chosen] = trial[better], now[better]
             normal[chosen], right[chosen] = trial_normal[better], trial_right[better]
@@ -186,13 +188,13 @@ class _Batch:
         p = self.free
         out[:, :2] = self.start + p[:, :2]
         out[:, 2], out[:, 3], out[:, 4] = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
-        out[:, 5] = np.sqrt(total / np.maximum(number - FREE, 1.0))
+        out[:, 5] = np.sqrt(total / np.maximum(number - DOT_NUMBERS, 1.0))
         out[:, 6], out[:, 7], out[:, 8], out[:, 9] = p[:, 6], p[:, 7], p[:, 5], p[:, 5]
         out[:, 10] = 1.0 / np.maximum(
             p[:, 2] * p[:, 4] - p[:, 3] ** 2, 1e-12
         )  # squared radius of the circle alike
         self._must_be_seen(verdict)
-        verdict[number < 2 * FREE] = CornerReason.SMALL
+        verdict[number < 2 * DOT_NUMBERS] = CornerReason.SMALL
         out[~np.isin(verdict, (CornerReason.OK,))] = np.nan
         return out, verdict
 
@@ -210,7 +212,7 @@ class _Batch:
     def _model(
         self, p: NDArray[np.float64], which: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Intensity (n, P) and its derivatives by the free numbers (n, P, FREE) of some dots (n,)."""
+        """Intensity (n, P) and its derivatives by the free numbers (n, P, DOT_NUMBERS) of some dots (n,)."""
         off = self.off[which]
         d = off - p[:, None, :2]
         x, y = d[..., 0], d[..., 1]
@@ -225,7 +227,7 @@ class _Batch:
         light = 1.0 + p[:, 8, None] * off[..., 0] + p[:, 9, None] * off[..., 1]
         level = dark + rise * inside
         edge = rise * light * np.exp(-np.minimum(z * z, 700.0)) / (np.sqrt(2.0 * np.pi) * blur)  # by the distance
-        by = np.empty((*q.shape, FREE))
+        by = np.empty((*q.shape, DOT_NUMBERS))
         by[..., 0], by[..., 1] = edge * sx / slope, edge * sy / slope
         by[..., 2] = -edge * lx * x / q / slope
         by[..., 3] = -edge * (lx * y + ly * x) / q / slope
@@ -253,7 +255,7 @@ class _Batch:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Covariance of the centres (n, 2, 2) [px^2] from the residuals, and how many pixels each has (n,)."""
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-12))
-        scaled = normal / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(FREE)
+        scaled = normal / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(DOT_NUMBERS)
         inverse = np.linalg.inv(scaled) / scale[:, :, None] / scale[:, None, :]
         reach = jacobian @ inverse
         leverage = np.einsum("npi,npi->np", reach, jacobian)
@@ -266,6 +268,6 @@ class _Batch:
         a, b, c = (self.free[:, k, None] for k in (2, 3, 4))
         q = np.hypot(a * d[..., 0] + b * d[..., 1], b * d[..., 0] + c * d[..., 1])
         radius = 1.0 / np.sqrt(np.maximum(a * c - b * b, 1e-12))
-        asked = q <= 1.0 + CLEAR_PX / radius
+        asked = q <= 1.0 + RIM_MARGIN_PX / radius
         verdict[(asked & ~self.clear).any(axis=1)] = CornerReason.MASKED
         verdict[(asked & ~self.inside).any(axis=1)] = CornerReason.EDGE

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from correction.target.lattice_growth import Saddles
 from tracer.board import Dots
 
-WIDEST = 4.0  # dots of the board as seen without glass, that the widest in the frame is at most
+MAX_DOT_RATIO = 4.0  # dots of the board as seen without glass, that the widest in the frame is at most
 NEARBY_PX = 9  # side of the window in which the darkest point counts
 FAINTEST = 0.12  # of the paper: what is less dark is noise
 SMALLEST_PX = 5  # pixels in a dot
 ELLIPSE = 0.8, 1.2  # area of a dot over that of an ellipse with its covariance
-NEIGHBOURS = 9  # nearest dots that are asked for the grid's directions
+NEAREST_DOTS = 9  # nearest dots that are asked for the grid's directions
 RIGHT_ANGLE = 0.5  # cosine between both directions at most, in the frame in which the dot is a circle
 ALIKE, ALIKE_ON_PLATE = 0.6, 0.45  # shorter over longer step, there
 USUAL_PX = 24.0  # a dot, if nobody says how wide they are
@@ -57,7 +57,7 @@ def find_dots(
     light = cv2.GaussianBlur(frame.astype(np.float32), (3, 3), 0.0, borderType=cv2.BORDER_REPLICATE)
     span = float(light.max()) + float(light.min())
     light = span - light if dots.bright else light
-    side = 2 * int(0.5 * WIDEST * (dot_px or USUAL_PX)) + 1
+    side = 2 * int(0.5 * MAX_DOT_RATIO * (dot_px or USUAL_PX)) + 1
     paper = cv2.morphologyEx(light, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
     depth = 1.0 - light / np.maximum(paper, 1e-6)
     deepest = cv2.dilate(depth, np.ones((NEARBY_PX, NEARBY_PX), np.uint8))
@@ -103,11 +103,11 @@ def _moments(
 def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64], alike: float) -> NDArray[np.float64]:
     """Unit vectors (N, 2, 2: rows) from dots to their neighbours along the grid; NaN where no grid is around."""
     out = np.full((len(mean), 2, 2), np.nan)
-    if len(mean) <= NEIGHBOURS:
+    if len(mean) <= NEAREST_DOTS:
         return out
     values, vectors = np.linalg.eigh(covariance)
     narrow = vectors / np.sqrt(values)[:, None, :] @ vectors.transpose(0, 2, 1)  # C^(-1/2)
-    near = scipy.spatial.cKDTree(mean).query(mean, k=NEIGHBOURS + 1)[1][:, 1:]
+    near = scipy.spatial.cKDTree(mean).query(mean, k=NEAREST_DOTS + 1)[1][:, 1:]
     step = mean[near] - mean[:, None]
     there = np.einsum("nij,nmj->nmi", narrow, step)
     far = np.linalg.norm(there, axis=2)

@@ -30,19 +30,19 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-SMOOTH_PX = 1.6  # standard deviation; squares down to 8 px still have one saddle a corner
-LEAST_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddles
+SADDLE_SMOOTHING_PX = 1.6  # standard deviation; squares down to 8 px still have one saddle a corner
+MIN_SHRUNK_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddles
 WORTH_IT = 1.25  # times that a frame is shrunk at least, or not at all
 NEAREST_PX = 3  # two corners are never closer
-WEAKEST = 0.06  # of the strength of the strongest corners
+MIN_SADDLE_STRENGTH = 0.06  # of the strength of the strongest corners
 TOLERANCE = 0.28  # largest miss of a predicted corner, in squares
 COS_EDGE = 0.9  # edges of neighbours agree to 25 degrees
-LEAST_CORNERS = 9  # a patch smaller than this is chance
+MIN_PATCH_CORNERS = 9  # a patch smaller than this is chance
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
-NEIGHBOURS = 13  # nearest saddles looked at around a seed
+NEAREST_SADDLES = 13  # nearest saddles looked at around a seed
 LEARNT = 0.1  # squares: how far a level may be seen elsewhere than before; beyond, dots are seen through something
-STRAIGHT = 0.97  # of a seed: cosine between an edge and the way to a neighbour
-EVEN = 0.25  # of the longer: by how much the ways to both neighbours along an axis differ
+SEED_COSINE = 0.97  # of a seed: cosine between an edge and the way to a neighbour
+MAX_UNEVEN_STEP = 0.25  # of the longer: by how much the ways to both neighbours along an axis differ
 STRAIGHT_ON_PLATE, EVEN_ON_PLATE, COS_ON_PLATE = (
     0.82,
     0.55,
@@ -92,7 +92,9 @@ def find_saddles(frame: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> 
     """
     import cv2
 
-    smooth = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), SMOOTH_PX, borderType=cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(
+        frame.astype(np.float32), (0, 0), SADDLE_SMOOTHING_PX, borderType=cv2.BORDER_REPLICATE
+    )
     uu = cv2.sepFilter2D(smooth, cv2.CV_32F, np.array([1.0, -2.0, 1.0]), np.array([1.0]))
     vv = cv2.sepFilter2D(smooth, cv2.CV_32F, np.array([1.0]), np.array([1.0, -2.0, 1.0]))
     slope = np.array([-0.5, 0.0, 0.5])
@@ -108,7 +110,7 @@ def find_saddles(frame: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> 
         return Saddles(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0))
     value = strength[v, u].astype(np.float64)
     strong = np.sort(value)[-min(len(value), 100) :]
-    keep = np.flatnonzero(value > WEAKEST * np.median(strong))
+    keep = np.flatnonzero(value > MIN_SADDLE_STRENGTH * np.median(strong))
     keep = keep[np.argsort(-value[keep], kind="stable")]
     u, v = u[keep], v[keep]
     hessian = np.array([[uu[v, u], uv[v, u]], [uv[v, u], vv[v, u]]], dtype=np.float64).transpose(2, 0, 1)
@@ -135,7 +137,7 @@ def coarse_saddles(frame: NDArray[Any], square_px: float, mask: NDArray[np.bool_
     """
     import cv2
 
-    shrink = square_px / LEAST_SQUARE_PX
+    shrink = square_px / MIN_SHRUNK_SQUARE_PX
     if shrink < WORTH_IT:
         return find_saddles(frame, mask)
     size = round(frame.shape[1] / shrink), round(frame.shape[0] / shrink)
@@ -180,7 +182,7 @@ class Patch:
 
 def grow_patches(saddles: Saddles) -> list[Patch]:
     """Return all patches, largest first."""
-    if len(saddles) < LEAST_CORNERS:
+    if len(saddles) < MIN_PATCH_CORNERS:
         return []
     tree = scipy.spatial.cKDTree(saddles.position_px)
     axes, asides, good = _seeds(saddles, tree)
@@ -189,7 +191,7 @@ def grow_patches(saddles: Saddles) -> list[Patch]:
     for seed in np.flatnonzero(good):  # strongest first
         if free[seed]:
             patch = _grow(saddles, tree, int(seed), axes[seed], asides[seed], free)
-            if len(patch.index) >= LEAST_CORNERS:
+            if len(patch.index) >= MIN_PATCH_CORNERS:
                 patches.append(patch)
     return sorted(patches, key=lambda patch: -len(patch.index))
 
@@ -210,7 +212,7 @@ def lattice_saddles(frame: NDArray[Any], saddles: Saddles, square_px: float) -> 
     for times in (0.0, 1.0, 2.0):
         some = saddles if times == 0.0 else coarse_saddles(frame, times * square_px)
         patches = grow_patches(some)
-        if not patches or (times and times * square_px < 2.0 * LEAST_SQUARE_PX):
+        if not patches or (times and times * square_px < 2.0 * MIN_SHRUNK_SQUARE_PX):
             continue
         at = scipy.spatial.cKDTree(some.position_px).query(np.concatenate([one.position_px for one in patches]))[1]
         if found:
@@ -275,9 +277,9 @@ def _seeds(
     In between, how far (N, 2, 2: columns) both neighbours along each axis lie aside, as on another level.
     """
     plate = bool(saddles.levels)
-    straight, even = (STRAIGHT_ON_PLATE, EVEN_ON_PLATE) if plate else (STRAIGHT, EVEN)
+    straight, even = (STRAIGHT_ON_PLATE, EVEN_ON_PLATE) if plate else (SEED_COSINE, MAX_UNEVEN_STEP)
     position, edges = saddles.position_px, saddles.edges
-    count = min(NEIGHBOURS, len(saddles))
+    count = min(NEAREST_SADDLES, len(saddles))
     distance, neighbour = tree.query(position, k=count)
     distance, neighbour = distance[:, 1:], neighbour[:, 1:]
     towards = (position[neighbour] - position[:, None]) / distance[..., None]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from correction.target.chessboard import Chessboard
-from correction.target.corners import WINDOW, CornerFit, CornerSearch, checked_pixels, refine_corners
+from correction.target.corners import ARM_LENGTH, CornerFit, CornerSearch, checked_pixels, refine_corners
 from correction.target.dot_centres import refine_dots
 from correction.target.dots_seen import find_dots
 from correction.target.lattice_growth import Saddles, coarse_saddles, find_saddles
@@ -45,7 +45,7 @@ def refine_marks(
     start_px: NDArray[np.float64],
     axes_px: NDArray[np.float64],
     mask: NDArray[np.bool_] | None = None,
-    window: float | ArrayLike = WINDOW,
+    window: float | ArrayLike = ARM_LENGTH,
     search: CornerSearch = ANYWHERE,
 ) -> CornerFit:
     """Find the places of marks to sub-pixel.

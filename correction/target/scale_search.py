@@ -17,13 +17,13 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.target.chessboard import Chessboard
-from correction.target.corners import LEAST_PX, WINDOW, half_widths_px
-from correction.target.lattice_growth import LEAST_CORNERS, Patch, coarse_saddles, grow_patches
+from correction.target.corners import ARM_LENGTH, MIN_HALF_WINDOW_PX, half_widths_px
+from correction.target.lattice_growth import MIN_PATCH_CORNERS, Patch, coarse_saddles, grow_patches
 from correction.target.marks import find_marks
 
 COARSER_PX = 24.0, 48.0, 96.0  # squares for which copies of the frame are made
 COARSE_ERROR = 0.3  # of the shrinkage: how far corners of a copy may be off in the frame [px]
-GAIN = 1.02  # of the corners of a finer scale that a coarser one must show at least
+COARSER_GAIN = 1.02  # of the corners of a finer scale that a coarser one must show at least
 KNOWN_SQUARES = 0.3  # from a known corner: the same corner
 CROSSING, BESIDE = 0.5, 9  # of the median contrast of so many corners around, between squares of both shades
 ALONG_EDGE = 0.2, 0.35  # squares from a corner, where its squares are sampled beside their edges
@@ -51,11 +51,11 @@ def find_patches(
         if min(frame.shape) < 4.0 * side_px:
             break
         saddles = coarse_saddles(frame, side_px, mask)
-        if _unknown_saddles(saddles.position_px, best) < max(LEAST_CORNERS, (GAIN - 1.0) * most):
+        if _unknown_saddles(saddles.position_px, best) < max(MIN_PATCH_CORNERS, (COARSER_GAIN - 1.0) * most):
             continue
         patches = [replace(patch, error_px=COARSE_ERROR * side_px / 12.0) for patch in grow_patches(saddles)]
         seen = [_count_corners(frame, board, patch) for patch in patches]
-        if max(seen, default=0) > GAIN * most:
+        if max(seen, default=0) > COARSER_GAIN * most:
             best, counts, most = patches, seen, max(seen)
     order = sorted(range(len(best)), key=lambda n: -counts[n])
     return [best[n] for n in order]
@@ -100,7 +100,7 @@ def crossing_corners(
 
 def _count_corners(frame: NDArray[Any], board: Chessboard, patch: Patch) -> int:
     """Count corners of a patch that are no edge of something else, in squares large enough to be measured."""
-    wide = half_widths_px(patch.axes_px, np.full(len(patch.index), WINDOW)) >= LEAST_PX
+    wide = half_widths_px(patch.axes_px, np.full(len(patch.index), ARM_LENGTH)) >= MIN_HALF_WINDOW_PX
     crossing = crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign)
     return int(np.count_nonzero(crossing & wide))
 

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from correction.target.chessboard import Chessboard
 
-EVEN = 0.15  # of the size, from the smallest tenth to the largest: noise, tilt and lens leave less, a ball more
+MAX_SIZE_RANGE = (
+    0.15  # of the size, from the smallest tenth to the largest: noise, tilt and lens leave less, a ball more
+)
 TENTHS, TENTHS_APART = (10.0, 90.0), 2.563  # per cent, and standard deviations of a normal one between them
 OF_MEDIAN, SURE = 1.25, 3.0  # sigmas of a median in those of a mean; that count as sure
-LEAST_CORNERS = 20  # that show a size: few of them may lie in a corner of the view, or on something else
+MIN_SIZED_CORNERS = 20  # that show a size: few of them may lie in a corner of the view, or on something else
 CLEARLY_OFF = 0.03  # of the size: more than a camera that is told to a few millimetres
 
 
@@ -85,7 +87,7 @@ def size_seen(
     place = {(i, j): p for (i, j), p in zip(view[0].tolist(), view[1], strict=True)}
     far = len(board.depths_mm)  # of a plate the next dot but one is on the same level
     known = [(i, j) for i, j in place if {(i + far, j), (i, j + far)} <= place.keys()]
-    if not known or len(position_px) < LEAST_CORNERS:
+    if not known or len(position_px) < MIN_SIZED_CORNERS:
         return None
     sides = [(place[i + far, j] - place[i, j], place[i, j + far] - place[i, j]) for i, j in known]
     longer = np.linalg.norm(sides, axis=2).max(axis=1) / far
@@ -93,7 +95,7 @@ def size_seen(
     times = np.linalg.norm(axes_px, axis=1) / longer[nearest][:, None]  # along either index
     along = times[:, int(np.median(times, axis=0).argmax())]
     low, middle, high = np.percentile(along, (TENTHS[0], 50.0, TENTHS[1])).tolist()
-    if not high - low < EVEN * middle:
+    if not high - low < MAX_SIZE_RANGE * middle:
         return None
     expected = float(np.median(longer[nearest]))
     sigma = OF_MEDIAN * (high - low) / TENTHS_APART / np.sqrt(len(along))

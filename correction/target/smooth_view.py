@@ -20,7 +20,7 @@ TIMES_MEDIAN = 12.0  # of all deviations: between, the limit follows how well th
 APART_SQUARES = 0.3  # from where the largest piece says, at most
 TORN_SQUARES = 0.1  # that neighbours may lie beside where the axes of both have them
 KNEE_SQUARES, NARROWER = 0.15, 0.85  # deviations beyond weigh little; the same of each round of the second half
-ROUNDS = 25
+SELECTION_ROUNDS = 25
 
 
 def on_smooth_map(
@@ -57,7 +57,7 @@ def on_smooth_map(
     weight = np.ones(len(index))
     off = np.zeros(len(index))
     order, terms = 0, np.empty((len(index), 0))
-    for round_ in range(ROUNDS):
+    for round_ in range(SELECTION_ROUNDS):
         wanted = min(1 + round_ // 3, ORDER)
         powers = [(k, m) for k in range(wanted + 1) for m in range(wanted + 1 - k)]
         if 3 * len(powers) > len(index):
@@ -72,7 +72,7 @@ def on_smooth_map(
         solution = np.linalg.lstsq(normal, weighted.T @ position_px, rcond=None)[0]
         own = np.sum(weighted * (terms @ np.linalg.pinv(normal)), axis=1)
         off = np.hypot(*(position_px - terms @ solution).T) / side / np.maximum(1.0 - own, LEAST_OTHERS)
-        narrower = NARROWER ** max(0, round_ - ROUNDS // 2)
+        narrower = NARROWER ** max(0, round_ - SELECTION_ROUNDS // 2)
         knee = max(KNEE_SQUARES * narrower, SMALLEST_SQUARES, float(np.median(off)))
         weight = 1.0 / (1.0 + (off / knee) ** 2)
     limit = min(max(TIMES_MEDIAN * float(np.median(off)), SMALLEST_SQUARES), LARGEST_SQUARES)

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 SHRUNK_PX = 2  # pixels averaged, along either side: noise is less, edges of squares stay
 TILE_PX = 24  # of a shrunk frame: where glass is, frames differ anyhow
-ALIKE = 0.9  # correlation coefficient of tiles that show the same; a lattice that lies elsewhere has less
+SAME_TILE_CORRELATION = (
+    0.9  # correlation coefficient of tiles that show the same; a lattice that lies elsewhere has less
+)
 LEAST, CLEARLY = 0.1, 3.0  # share of tiles that are alike once a frame is turned; times that of the frame as it is
 
 
@@ -54,4 +56,4 @@ def _share_alike(first: NDArray[np.float32], second: NDArray[np.float32]) -> flo
     if not has_edges.any():
         return 0.0
     both = np.sum(tiles[0] * tiles[1], axis=1)
-    return float(np.mean(both[has_edges] > ALIKE * np.sqrt(power * other)[has_edges]))
+    return float(np.mean(both[has_edges] > SAME_TILE_CORRELATION * np.sqrt(power * other)[has_edges]))

@@ -14,9 +14,17 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.alignment.moves import DIRECTIONS, STEP_MM, SURE, Look, Wanted, require_followed, wanted
+from correction.alignment.moves import (
+    DIRECTIONS,
+    MOVE_SIGMAS,
+    STAGE_STEP_MM,
+    Look,
+    Wanted,
+    require_followed,
+    wanted,
+)
 from correction.alignment.seen import REACH_MM, Expected, find_arrangement, usable
-from correction.alignment.spheres_seen import OWN_MM, SphereSeen
+from correction.alignment.spheres_seen import MAX_STRAY_MM, SphereSeen
 from daq.bench.bench_table import Bench
 from daq.bench.elements import CAMERA, GLASS, TARGET
 from daq.bench.keep_out import Carrier, Element, KeepOut
@@ -119,7 +127,7 @@ class AlignmentLoop:
         aside = {name for (element, along), name in _names(self._hardware.bench).items()
                  if element == GLASS and along != "z"}  # fmt: skip
         sure_mm = float(np.hypot(*want.glass_sigma_mm[:2]))
-        is_little = want.sideways_mm <= min(STEP_MM, UNSURE * sure_mm)
+        is_little = want.sideways_mm <= min(STAGE_STEP_MM, UNSURE * sure_mm)
         self.is_settled = not moved or (moved <= aside and is_little)
         if self._table.moves == 0:
             self._say(f"with moves allowed: {move_in_words(planned, targets)}")
@@ -243,10 +251,10 @@ def _balls_in_words(spheres: Sequence[SphereSeen], glass_left_mm: NDArray[np.flo
         off, sure = float(np.hypot(*(one.off_mm - glass_left_mm)[:2])), float(np.hypot(*one.sigma_mm[:2]))
         if not one.own_rim:
             said.append(
-                f"{one.name}: not judged, no rim of its own is seen; it may stand {1e3 * OWN_MM:.0f} um beside its"
-                " place in the glass, which `rtpiv calibrate` finds"
+                f"{one.name}: not judged, no rim of its own is seen; it may stand {1e3 * MAX_STRAY_MM:.0f} um"
+                " beside its place in the glass, which `rtpiv calibrate` finds"
             )
-        elif off > max(SURE * sure, 2.0 * STEP_MM):
+        elif off > max(MOVE_SIGMAS * sure, 2.0 * STAGE_STEP_MM):
             said.append(
                 f"{one.name} itself stands {1e3 * off:.0f} +- {1e3 * sure:.0f} um off its place in the glass,"
                 " sideways: no move of the glass cures that; `rtpiv calibrate` finds it"
@@ -264,14 +272,14 @@ def end_in_words(want: Wanted, spheres: Sequence[SphereSeen] = ()) -> list[str]:
     sure = float(np.hypot(*want.glass_sigma_mm[:2]))
     rims, hidden = ([one.name for one in spheres if one.own_rim is own] for own in (True, False))
     by = f" by {', '.join(rims)}" if hidden else ""
-    if want.sideways_mm <= STEP_MM:
+    if want.sideways_mm <= STAGE_STEP_MM:
         last = f"aligned{by}: {1e3 * want.sideways_mm:.0f} um off sideways, +- {1e3 * sure:.0f} um"
     else:
         last = (
-            f"not aligned to a step of {1e3 * STEP_MM:.0f} um{by}: {1e3 * want.sideways_mm:.0f} um off sideways,"
-            f" +- {1e3 * sure:.0f} um; look again, with more moves or more frames"
+            f"not aligned to a step of {1e3 * STAGE_STEP_MM:.0f} um{by}: {1e3 * want.sideways_mm:.0f} um off"
+            f" sideways, +- {1e3 * sure:.0f} um; look again, with more moves or more frames"
         )
-    said.append(f"{last}; not judged: {', '.join(hidden)} (+- {1e3 * OWN_MM:.0f} um)" if hidden else last)
+    said.append(f"{last}; not judged: {', '.join(hidden)} (+- {1e3 * MAX_STRAY_MM:.0f} um)" if hidden else last)
     left, sigma = float(want.glass_left_mm[2]), float(want.glass_sigma_mm[2])
     said.append(
         f"along z the glass stands {left:+.2f} mm off its place, known from one frame to +- {sigma:.2f} mm"

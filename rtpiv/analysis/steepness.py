@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.maps.correction_map import CorrectionMap
-from correction.maps.slant import STEP, node_slopes
+from correction.maps.slant import SLOPE_NODE_STEP, node_slopes
 from tracer.scene.scene import Scene
 
 MOST = 0.9  # of the places are no steeper than the second figure
@@ -66,6 +66,6 @@ class ShownSlant:
     @classmethod
     def of(cls, found: CorrectionMap, scene: Scene) -> "ShownSlant":
         """Of a map and its scene; StaleMap if it belongs to another."""
-        slopes = node_slopes(found, scene, STEP)[0]
-        seen, glass = (each[::STEP, ::STEP] for each in (found.recovered, found.behind_glass))
-        return cls(slopes, STEP, Steepness.of(slopes, glass, seen & ~glass))
+        slopes, every = node_slopes(found, scene, SLOPE_NODE_STEP)[0], slice(None, None, SLOPE_NODE_STEP)
+        seen, glass = (each[every, every] for each in (found.recovered, found.behind_glass))
+        return cls(slopes, SLOPE_NODE_STEP, Steepness.of(slopes, glass, seen & ~glass))

@@ -1,18 +1,18 @@
 """Is the model right?  A test of what is left, way by way, with a stated rate of false alarms.
 
-A right model leaves in every corner its own noise, of which a SHARE at most may be common to neighbours: what the
-corner fit and the print do.  A wrong one (a ball out of round, a bent board, a lens term that is missing) leaves a
-field that bends smoothly across a view.  So the residuals r, in sigmas, of every way through the glass are split,
-frame by frame, by low polynomials of the pixel (columns of Q, orthonormal):
+A right model leaves in every corner its own noise, of which a SMOOTH_SHARE at most may be common to neighbours:
+what the corner fit and the print do.  A wrong one (a ball out of round, a bent board, a lens term that is missing)
+leaves a field that bends smoothly across a view.  So the residuals r, in sigmas, of every way through the glass
+are split, frame by frame, by low polynomials of the pixel (columns of Q, orthonormal):
 
     S = |Q^T r|^2 of k dimensions, the smooth part;        R = |r|^2 - S of m dimensions, the rest,
 
-and F = (S/k) / (R/m) is asked whether corners with no more than that SHARE of smooth error would reach it:
-Fisher's lack-of-fit test with the non-central F distribution, lambda = 2 N SHARE for N corners, and the squares of
-what is known to be smooth (`Remainder.doubt_px`).  A residual's size
-does not matter: what the corners can do is the measure.  The chance of one alarm among all ways of
-a right lab is at most FALSE_ALARMS.  Corners beyond CLIP sigmas count as CLIP: a few wrong ones must not hide the
-rest, nor a wrong model itself among outliers.
+and F = (S/k) / (R/m) is asked whether corners with no more than that SMOOTH_SHARE of smooth error would reach it:
+Fisher's lack-of-fit test with the non-central F distribution, lambda = 2 N SMOOTH_SHARE for N corners, and the
+squares of what is known to be smooth (`Remainder.doubt_px`).  A residual's size does not matter: what the corners
+can do is the measure.  The chance of one alarm among all ways of a right lab is at most MODEL_FALSE_ALARMS.
+Corners beyond RESIDUAL_CLIP sigmas count as RESIDUAL_CLIP: a few wrong ones must not hide the rest, nor a wrong
+model itself among outliers.
 
 S - k R/m is an unbiased estimate of the squares of the smooth error: its root per corner and axis is `smooth_px`,
 an error of the map of its own, because corners stand in the plane of the map.
@@ -25,9 +25,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-FALSE_ALARMS = 0.01  # chance that a right lab raises any alarm
-SHARE = 0.1  # of a corner's squares that may be smooth though the model is right; rendered frames show 0.00-0.04
-CLIP = 5.0  # sigmas
+MODEL_FALSE_ALARMS = 0.01  # chance that a right lab raises any alarm
+SMOOTH_SHARE = (
+    0.1  # of a corner's squares that may be smooth though the model is right; rendered frames show 0.00-0.04
+)
+RESIDUAL_CLIP = 5.0  # sigmas
 SmoothPart = tuple[NDArray[np.float64], NDArray[np.int64]]
 DEGREES = ((6, 112), (4, 60), (3, 40), (2, 24), (1, 12))  # of the polynomials, from so many corners of a view
 
@@ -59,10 +61,10 @@ class Remainder:
 
     @property
     def clipped(self) -> NDArray[np.float64]:
-        """Residuals (N, 2) in sigmas, cut to CLIP."""
+        """Residuals (N, 2) in sigmas, cut to RESIDUAL_CLIP."""
         value = self.residual_px / self.sigma_px
         length = np.maximum(np.linalg.norm(value, axis=1, keepdims=True), 1e-300)
-        return np.asarray(np.where(np.isfinite(value), value * np.minimum(1.0, CLIP / length), 0.0))
+        return np.asarray(np.where(np.isfinite(value), value * np.minimum(1.0, RESIDUAL_CLIP / length), 0.0))
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
         rough_square = max(rough / m, 1e-12)
         excess = max(energy - k * rough_square, 0.0)
         ratio = energy / k / rough_square
-        allowed = 2.0 * count * SHARE + known / rough_square
+        allowed = 2.0 * count * SMOOTH_SHARE + known / rough_square
         chance = float(np.nan_to_num(1.0 - scipy.special.ncfdtr(k, m, allowed, ratio), nan=0.0))
         shrink = np.sqrt(excess / max(energy, 1e-300))
         tests.append(
@@ -179,4 +181,4 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
                 False,
             )
         )
-    return [replace(test, alarm=test.chance < FALSE_ALARMS / len(tests)) for test in tests]
+    return [replace(test, alarm=test.chance < MODEL_FALSE_ALARMS / len(tests)) for test in tests]

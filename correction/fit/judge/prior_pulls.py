@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from correction.fit.solve.unknowns import Unknowns, unit_of
 
-FALSE_ALARMS = 1e-3  # chance that a right lab fails any of the tests
+PULL_FALSE_ALARMS = 1e-3  # chance that a right lab fails any of the tests
 LEAST_VARIANCE = 1e-3  # of a combination in prior variances; less is not shown by the frames
 AS_LIKELY = 0.5  # sigmas by which one scale may explain less than a number for each length
 NAMED = 1.0  # sigmas from which a number is named
@@ -112,7 +112,7 @@ def prior_pulls(
         square = float(np.sum((vectors[:, shown].T @ combined) ** 2 / values[shown]))
         freedom = max(int(np.count_nonzero(shown)), 1)
         tail = float(scipy.special.chdtrc(freedom, square))
-        if tail < FALSE_ALARMS / len(tests):
+        if tail < PULL_FALSE_ALARMS / len(tests):
             sigmas = float(-scipy.special.ndtri(max(0.5 * tail, 1e-300)))
             at = np.flatnonzero(rows.any(axis=0))
             names, is_length = tuple(unknowns.names[one] for one in at), unit_of(unknowns.names[at[0]])[0] == "mm"

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from correction.fit.solve.ball_shape import SHAPES
 from correction.fit.solve.unknowns import unit_of
 
-CLEAR = 4.0  # sigmas from which a lens term is named
+NAMED_TERM_SIGMAS = 4.0  # sigmas from which a lens term is named
 
 
 def held_number(name: str, was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
@@ -25,7 +25,7 @@ def lens_terms(terms: Sequence[str], value: NDArray[np.float64], sigma: NDArray[
     named = [
         f"{name} {v:+.2g} +- {s:.1g}"
         for name, v, s, many in zip(terms, value, sigma, far, strict=True)
-        if many > CLEAR or many == far.max()
+        if many > NAMED_TERM_SIGMAS or many == far.max()
     ]
     return f"a lens term is missing: the lens seems to have {', '.join(named)}; free it in fit.camera"
 

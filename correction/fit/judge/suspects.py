@@ -16,10 +16,10 @@ else it is said that nothing on the list does.
 
 Had it been known, the fit would have gone elsewhere: with a itself the `change`, an error of the map, and so is
 what the frames leave open of a.  How well they know it, what the cause leaves of the residuals says (`left`), not
-what is left without it: RIVALS are fitted ROUNDS times, with the sigmas that their own residuals ask for.  Nor are
-numbers of one kind, such as those of a bent board, ordinarily larger than those of them that the frames show
-(`likely_scales`): else a board that is seen to be bent by 0.1 mm might be bent by 1 mm in the one way that the
-lens can follow, unseen.
+what is left without it: RIVALS are fitted REFIT_ROUNDS times, with the sigmas that their own residuals ask for.
+Nor are numbers of one kind, such as those of a bent board, ordinarily larger than those of them that the frames
+show (`likely_scales`): else a board that is seen to be bent by 0.1 mm might be bent by 1 mm in the one way that
+the lens can follow, unseen.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.judge import suspect_words as words
-from correction.fit.judge.model_test import CLIP
+from correction.fit.judge.model_test import RESIDUAL_CLIP
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
 from correction.fit.seen.pixel_lock import PixelLock, unlocked
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
@@ -56,7 +56,7 @@ EXPLAINS = 0.5
 ALONE, LEAD = 0.2, 4.0  # or so much, if no other explains a quarter of it: large faults are cut off with outliers
 RIVALS = 4
 REFIT_STEPS, KNEE = 40, 3.0  # sigmas beyond which a corner weighs less
-ROUNDS = 2
+REFIT_ROUNDS = 2
 UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
 HARDLY = 3.0  # sigmas by which a free number is pulled, from which those may be wrong
@@ -297,12 +297,12 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
 
     def squares(at: NDArray[np.float64], parts: Sequence[Residuals]) -> float:
         lengths = [np.linalg.norm(part.value, axis=1) for part in parts]
-        return float(sum(np.sum(np.fmin(length, CLIP) ** 2) for length in lengths) + at @ at)
+        return float(sum(np.sum(np.fmin(length, RESIDUAL_CLIP) ** 2) for length in lengths) + at @ at)
 
     at = np.concatenate((seen.x, np.zeros(size)))
     gain, behind = squares(at, evaluate(at)), [frame.behind for frame in seen.frames]
     starts = _starts(wider, at)
-    for turn in range(ROUNDS):
+    for turn in range(REFIT_ROUNDS):
         ends = [minimise(wider, evaluate, start, knee=KNEE, steps=REFIT_STEPS) for start in starts]
         found = min(ends, key=lambda end: squares(end.x, evaluate(end.x))) if len(ends) > 1 else ends[0]
         at, parts = found.x, evaluate(found.x)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
+from correction.fit.judge.model_test import MODEL_FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
 from correction.fit.judge.prior_pulls import PriorPull
 from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
 from correction.fit.seen.hidden_patches import Hidden, hidden_patches
@@ -198,7 +198,7 @@ class Verdict:
             said = (
                 f"{'the model is right as far as the corners tell: ' if self.is_right else where}residuals bend"
                 f" smoothly by no more than {max(worst, 0.001):.3f} px (chance of a false alarm"
-                f" {100 * FALSE_ALARMS:.0f} %)"
+                f" {100 * MODEL_FALSE_ALARMS:.0f} %)"
             )
             if self.cause is None:
                 return (said,)
@@ -231,7 +231,7 @@ class Verdict:
         """JSON-able."""
         return {
             "right": self.is_right,
-            "false_alarms": FALSE_ALARMS,
+            "false_alarms": MODEL_FALSE_ALARMS,
             "sentences": list(self.sentences),
             "ways": [asdict(way) for way in self.ways],
             "hidden": [asdict(patch) for patch in self.hidden],

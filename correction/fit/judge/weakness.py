@@ -32,7 +32,7 @@ LOOSE = 0.05
 WALL_CURE = (
     "measure the wall (callipers, level, catalogue) and give its sigma in fit.walls, if its numbers are wanted"
 )
-SHARE = 0.3  # of a unit eigenvector, from which a number is named
+NAMED_COMPONENT = 0.3  # of a unit eigenvector, from which a number is named
 SAME_GAS = 1e-5  # in n: 10 K, or 30 hPa
 
 
@@ -81,7 +81,7 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
     of_walls = set(fit.unknowns.other_bodies.names)
     unknown: set[str] = set()
     for value, vector in zip(values, vectors.T, strict=True):
-        names = tuple(n for n, share in zip(fit.names, vector, strict=True) if abs(share) > SHARE)
+        names = tuple(n for n, share in zip(fit.names, vector, strict=True) if abs(share) > NAMED_COMPONENT)
         if value < LEARNED and names and set(names) <= of_walls:
             unknown |= set(names)
         elif value < LEARNED and not set(names) <= lost:

@@ -36,8 +36,8 @@ from tracer.strategies.trace import trace
 FINER = 4  # points a pixel that are drawn
 CONTRAST = 0.85  # of black and white print
 DRAWN_PX = 0.2  # blur of what is drawn, before the rest of it is added
-BESIDE_PX = 3  # what is drawn beyond a window
-AT_ONCE = 64  # corners traced and fitted at a time
+WINDOW_MARGIN_PX = 3  # what is drawn beyond a window
+CORNERS_AT_ONCE = 64  # corners traced and fitted at a time
 DRAWN_AT_ONCE = 4  # of those: points between pixels are FINER**2 as many, and stay in the processor's cache
 FAR = 6.0  # erf of more is 1 to the last bit
 WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
@@ -90,8 +90,8 @@ def found_bent(
     node = board.corner_mm(expected.index)
     extent = np.abs(expected.axes_px).sum(axis=2).max(axis=1, initial=0.0) * expected.window
     by_size = np.argsort(extent)
-    for some in np.split(by_size, range(AT_ONCE, len(by_size), AT_ONCE)) if len(by_size) else ():
-        half = int(np.ceil(extent[some].max())) + BESIDE_PX
+    for some in np.split(by_size, range(CORNERS_AT_ONCE, len(by_size), CORNERS_AT_ONCE)) if len(by_size) else ():
+        half = int(np.ceil(extent[some].max())) + WINDOW_MARGIN_PX
         middle = np.rint(expected.pixel[some]).astype(np.int64)
         around = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1)
         pixel = middle[:, None, None] + around

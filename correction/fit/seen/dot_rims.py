@@ -1,8 +1,8 @@
 """Offset of the middle of a dot's picture from the picture of its centre.
 
 Perspective, a lens and above all balls show the far half of a circle smaller than the near one.  So the rim is
-traced: RIM points of it, each seen at the pixel u_k with X(u_k) = c + r (cos k, sin k), found by Newton's method
-along rays. To these the fit of dots (`correction.target.dot_centres`) lays an ellipse, each part of the rim
+traced: RIM_POINTS points of it, each seen at the pixel u_k with X(u_k) = c + r (cos k, sin k), found by Newton's
+method along rays. To these the fit of dots (`correction.target.dot_centres`) lays an ellipse, each part of the rim
 counting by its length in the frame, as pixels do:
 
     min over p, L of  sum_k w_k ((|L (u_k - p)| - 1) / |grad|)^2,      w_k = |u_(k+1) - u_(k-1)|
@@ -20,9 +20,9 @@ from correction.target import Chessboard
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import trace
 
-RIM = 24  # points
+RIM_POINTS = 24  # points
 ROUNDS, NEAR_PX = 12, 1e-3  # of Newton's method with the derivative of the centre, and how near it must come
-STEPS = 8  # of Gauss and Newton
+GAUSS_NEWTON_STEPS = 8  # of Gauss and Newton
 EGG_PX = 0.03
 
 
@@ -49,7 +49,7 @@ def off_centre(
     """
     if not len(index):
         return np.zeros((0, 2))
-    angle = 2.0 * np.pi * np.arange(RIM) / RIM
+    angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     around = np.concatenate((np.zeros((1, 2)), np.column_stack((np.cos(angle), np.sin(angle)))))
     offset = 0.5 * board.dot_share(index)[:, None, None] * around  # pitches; the centre first
     target = board.corner_mm(index)[:, None] + offset * board.sides_mm
@@ -79,7 +79,7 @@ def _ellipse(rim: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
     root = vectors / np.sqrt(values)[:, None, :] @ vectors.transpose(0, 2, 1)
     free = np.column_stack((middle, root[:, 0, 0], root[:, 0, 1], root[:, 1, 1]))
     miss = np.zeros_like(weight)
-    for _ in range(STEPS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         d = rim - free[:, None, :2]
         x, y = d[..., 0], d[..., 1]
         a, b, c = (free[:, k, None] for k in (2, 3, 4))

@@ -2,10 +2,10 @@
 
 Single corners are lost to dirt and noise, anywhere.  A support, a wire or a hand hides a patch.  Of the corners
 that the scene shows on a way and that lie off its border, the lost ones are joined to patches over the board's
-lattice (neighbours, diagonals too); the largest patch is compared with those of DRAWS random choices of as many
-corners (a permutation test).  A patch of PATCH or more that at most FALSE_ALARMS of the choices reach is reported.
-Not near the border of a way, where light fades and the view twists in patches of its own, and not beyond the
-corners that bare frames show, where the board may end.
+lattice (neighbours, diagonals too); the largest patch is compared with those of SHUFFLES random choices of as many
+corners (a permutation test).  A patch of PATCH or more that at most HIDDEN_FALSE_ALARMS of the choices reach is
+reported. Not near the border of a way, where light fades and the view twists in patches of its own, and not beyond
+the corners that bare frames show, where the board may end.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from correction.fit.seen.measurement import MeasuredFrame
 from correction.masked import hull_px
 from tracer.masked import UNLISTED, MaskedPart
 
-DRAWS = 400
-FALSE_ALARMS = 0.0025
+SHUFFLES = 400
+HIDDEN_FALSE_ALARMS = 0.0025
 PATCH = 4  # corners
 BORDER_PX = 12.0
 
@@ -81,9 +81,9 @@ def hidden_patches(frames: Sequence[MeasuredFrame]) -> tuple[Hidden, ...]:
             rng = np.random.default_rng(0)
             reached = sum(
                 len(_largest(index, rng.choice(len(index), count, replace=False))) >= len(patch)
-                for _ in range(DRAWS)
+                for _ in range(SHUFFLES)
             )
-            if reached <= FALSE_ALARMS * DRAWS:
+            if reached <= HIDDEN_FALSE_ALARMS * SHUFFLES:
                 corners, axes = lost.pixel[away][patch], lost.axes_px[away][patch]
                 u, v = corners.mean(axis=0).tolist()
                 around = corners[:, None, :] + np.concatenate((axes, -axes), axis=2).swapaxes(1, 2)

@@ -29,14 +29,16 @@ from correction.target import Chessboard
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import SPHERE
 
-FOUND = 0.5  # share of the corners to be seen through a sphere, measured and explained, from which it is not lost
+MIN_EXPLAINED_SHARE = (
+    0.5  # share of the corners to be seen through a sphere, measured and explained, from which it is not lost
+)
 SHARP_PX = 0.4  # saddles are good to 0.1-0.3 corrected px
 KNEES_PX = (6.0, 6.0, 3.0, 3.0, 1.0, 1.0, 0.5, 0.5)  # of the loss, step by step
 LEFT = (1.0, 0.4, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0)  # share of the places that go on after each step, the cheaper ones
 STRIDE, STRIDE_Z = 0.16, 0.6  # of the raster sideways and along z, in squares
 REACH = 1.6  # of the raster, in sigmas of the prior
-BEYOND = 0.5  # squares that a place may move by while it has the same candidates
-MOST = 7  # steps of the raster each way at most
+CANDIDATE_SLACK = 0.5  # squares that a place may move by while it has the same candidates
+MAX_RASTER_STEPS = 7  # steps of the raster each way at most
 SAME_MM, NOTHING_MM = 0.05, 1e-6  # places that are one; radius of a sphere that is not there
 TRIES = 6  # places that are measured
 
@@ -53,7 +55,7 @@ def lost_spheres(
                 if sphere.is_on(branch_of(branch_name)):
                     expected += count
                     found += int(np.count_nonzero(good & (frame.branch_name == branch_name)))
-        if expected and found < FOUND * expected:
+        if expected and found < MIN_EXPLAINED_SHARE * expected:
             lost.append(number)
     return lost
 
@@ -91,10 +93,13 @@ def likely_places(
         return []
     reach = REACH * alone.sigma
     stride = np.array([STRIDE, STRIDE, STRIDE_Z]) * board.square_mm
-    raster = [np.linspace(-REACH, REACH, 2 * n + 1) for n in np.clip(np.ceil(reach / stride), 1, MOST).astype(int)]
+    raster = [
+        np.linspace(-REACH, REACH, 2 * n + 1)
+        for n in np.clip(np.ceil(reach / stride), 1, MAX_RASTER_STEPS).astype(int)
+    ]
     tries: list[_Try] = []
     for across in product(*raster[:2]):
-        own = _own(alone, np.array([*across, 0.0]), frames, number, BEYOND * board.square_mm)
+        own = _own(alone, np.array([*across, 0.0]), frames, number, CANDIDATE_SLACK * board.square_mm)
         bare = [_squares_without(alone, one, board, pitch_mm, number) for one in own]
         tries += [_Try(np.array([*across, along]), own, bare) for along in raster[2]]
     for knee, left in zip(KNEES_PX, LEFT, strict=True):

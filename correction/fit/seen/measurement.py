@@ -16,9 +16,9 @@ from correction.fit.seen.bent_view import LEFT_BY_RIM, taken_aside
 from correction.fit.seen.dot_rims import off_centre
 from correction.fit.seen.prediction import Expected, expect, in_target_frame, measure, on_each_level
 from correction.fit.seen.smear import (
+    SMEAR_SIGMA,
     UNEVEN,
     UNEVEN_COLOURS,
-    UNSURE,
     Dispersion,
     colour_steps,
     joined,
@@ -37,7 +37,7 @@ from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 
 NOT_ASKED = (CornerReason.EDGE, CornerReason.MASKED, CornerReason.SMALL)  # no window, so nothing is lost
-ENOUGH = 20  # corners from which a region's sigma can be judged
+MIN_REGION_CORNERS = 20  # corners from which a region's sigma can be judged
 FLOOR_PX = 0.01  # no corner is better than this: lens, print and model are not
 
 
@@ -194,7 +194,7 @@ def region_factors(
     factors = {}
     for glass in (False, True):
         chosen = square[(region == glass) & np.isfinite(square)]
-        known = len(chosen) > ENOUGH
+        known = len(chosen) > MIN_REGION_CORNERS
         factors[glass] = float(np.sqrt(np.median(chosen) / (2.0 * np.log(2.0)))) if known else 1.0
     return factors
 
@@ -304,7 +304,7 @@ def glass_frame(
             smear = smeared_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
         else:
             smear = smeared(*parts, expected.axes_px, fit.blur_px)
-        alike[:, 0], doubt = UNEVEN_COLOURS * smear.shift_px, UNSURE * smear.width_px
+        alike[:, 0], doubt = UNEVEN_COLOURS * smear.shift_px, SMEAR_SIGMA * smear.width_px
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, spread.by_pupil_px2, smear.edges_px2)
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)
     if scene.camera.pupil is not None:

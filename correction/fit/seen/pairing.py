@@ -28,10 +28,10 @@ from tracer.strategies.branches import DIRECT
 from tracer.strategies.sensitivity import SPHERE, TARGET, Landings, parameter_names
 
 SQUEEZED = 5.0  # a raw pixel that covers more corrected pixels than this shows no squares
-WIDER = 1.15  # candidates are looked for in spheres wider by this
+SEARCH_WIDENING = 1.15  # candidates are looked for in spheres wider by this
 KNEES_PX = (12.0, 4.0, 1.0)  # of the loss, in corrected pixels, from rough to fine
 INLIER_PX = 1.0
-ENOUGH = 0.9  # share of inliers at which no further start is tried
+GOOD_INLIER_SHARE = 0.9  # share of inliers at which no further start is tried
 TWICE = 0.6  # the same, if two starts have ended at the same scene
 SAME_MM = 0.05
 MANY = 4  # spheres, of which half may have gone astray in two starts that ended alike: they are found later
@@ -87,7 +87,7 @@ def candidates_of(
     )
     bare = np.linalg.norm(rays.point_mm - node, axis=1) < 0.1 * board.square_mm
     wide = np.array(full)
-    wide[unknowns.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
+    wide[unknowns.glass].reshape(-1, len(SPHERE))[:, 3] *= SEARCH_WIDENING
     everything = replace(everything, glass=True)
     through = landed(unknowns, wide, everything, by_walls=True)
     inside = _behind_balls(unknowns, through, rays) & (saddles.strength > least)
@@ -310,7 +310,7 @@ def pair(
 
     def explained() -> bool:
         alike = sum(_same(unknowns, best(), other) for other in tried)
-        return best().share >= (TWICE if alike > 1 else ENOUGH)
+        return best().share >= (TWICE if alike > 1 else GOOD_INLIER_SHARE)
 
     def attempt(start: NDArray[np.float64]) -> None:
         tried.append(pair_from(unknowns, unknowns.free(start), frames, board, pitch_mm))

@@ -30,7 +30,7 @@ from correction.fit.seen.dot_rims import off_centre
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
-from correction.target.corners import LEAST_PX, CornerFit, CornerSearch, half_widths_px
+from correction.target.corners import MIN_HALF_WINDOW_PX, CornerFit, CornerSearch, half_widths_px
 from correction.target.marks import refine_marks
 from tracer.camera import Vector3
 from tracer.scene.scene import Scene
@@ -39,15 +39,17 @@ from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import trace
 
-LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
+MIN_VIEW_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
 LARGEST_SQUARE_PX = 600.0
-MOST = 0.8  # of the view behind glass; what is left lies along folds, where everything looks wide
+WIDE_VIEW_QUANTILE = 0.8  # of the view behind glass; what is left lies along folds, where everything looks wide
 NARROWEST = 0.02  # sensor px a corrected px: views that show a square worth naming, if not worth fitting
-LAYERS = 3  # sheets on which one corner is looked for
-WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most
-RIM_PX = 2  # windows stay this far from the border of their branch
-WINDOW = 0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
-SHORTEST = 0.2  # the same where the view bends most; a corner that needs less, or LEAST_PX, is not asked
+CORNER_SHEETS = 3  # sheets on which one corner is looked for
+TARGET_WIDENING = 1.6  # the glass shows more of the target than the bare view, by this factor at most
+BRANCH_MARGIN_PX = 2  # windows stay this far from the border of their branch
+PREDICTED_WINDOW = (
+    0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
+)
+SHORTEST = 0.2  # the same where the view bends most; a corner that needs less, or MIN_HALF_WINDOW_PX, is not asked
 TWIST_PX = 1.0  # cubic bending at the ends of a window that is allowed (from 3 px on corners err by 0.1-1 px)
 NEWTON, SETTLED_PX = 4, 1e-3  # steps, and how near the last must come
 PULLED = 0.06  # how much what is left of it pulls at corners, see above
@@ -169,8 +171,8 @@ def _on_level(scene: Scene, pose: TargetPose, board: Chessboard, depth_mm: float
         searched,
         ray_map,
         grid,
-        layers=LAYERS if scene.spheres else 1,
-        min_magnification=LEAST_SQUARE_PX / times,
+        layers=CORNER_SHEETS if scene.spheres else 1,
+        min_magnification=MIN_VIEW_SQUARE_PX / times,
         max_magnification=LARGEST_SQUARE_PX / times,
     )
     seen = np.isfinite(found.pixel[..., 0])
@@ -192,7 +194,7 @@ def _on_level(scene: Scene, pose: TargetPose, board: Chessboard, depth_mm: float
     at = np.rint(found.pixel[seen]).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64) * times
     branches = tuple(found.branches)
-    every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > RIM_PX)
+    every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > BRANCH_MARGIN_PX)
     held &= board.has_corner(index)
     if len(board.depths_mm) > 1:
         own = board.depth_mm(index) == depth_mm
@@ -201,7 +203,7 @@ def _on_level(scene: Scene, pose: TargetPose, board: Chessboard, depth_mm: float
     if board.dots is not None:
         every = replace(every, bent_px=off_centre(seen_from_target, board, index, pixel, axes))
         held &= np.isfinite(every.bent_px[:, 0])
-    return every.take(held & (window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
+    return every.take(held & (window >= SHORTEST) & (half_widths_px(axes, window) >= MIN_HALF_WINDOW_PX))
 
 
 def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float:
@@ -215,7 +217,11 @@ def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float
     )
     narrow, _ = found.magnification()
     behind = narrow[found.behind_glass]
-    return float(np.quantile(behind, MOST)) * board.square_mm / found.grid.pitch_mm if behind.size else 0.0
+    return (
+        float(np.quantile(behind, WIDE_VIEW_QUANTILE)) * board.square_mm / found.grid.pitch_mm
+        if behind.size
+        else 0.0
+    )
 
 
 def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> CornerFit:
@@ -283,16 +289,18 @@ def _windows(
     """
     twist, uneven, middle = np.zeros(len(pixel)), np.zeros_like(pixel), trace(scene, pixel).plane_mm
     for axis in range(2):
-        reach = WINDOW * axes_px[:, :, axis]
+        reach = PREDICTED_WINDOW * axes_px[:, :, axis]
         ahead, behind = trace(scene, pixel + reach).plane_mm, trace(scene, pixel - reach).plane_mm
-        odd = 0.5 * (ahead - behind) / square_mm - WINDOW * np.eye(2)[axis]
+        odd = 0.5 * (ahead - behind) / square_mm - PREDICTED_WINDOW * np.eye(2)[axis]
         in_px = np.linalg.norm((axes_px @ odd[:, :, None])[:, :, 0], axis=1)
         twist = np.maximum(twist, np.nan_to_num(in_px, nan=np.inf))
         uneven += (axes_px @ (0.5 * (ahead + behind) - middle)[:, :, None])[:, :, 0] / square_mm
     shorter = np.minimum(1.0, np.cbrt(TWIST_PX / np.maximum(twist, 1e-12)))
-    half_px = np.fmax(WINDOW * shorter * np.linalg.norm(axes_px, axis=1).mean(axis=1), LEAST_PX)
+    half_px = np.fmax(
+        PREDICTED_WINDOW * shorter * np.linalg.norm(axes_px, axis=1).mean(axis=1), MIN_HALF_WINDOW_PX
+    )
     pull = PULLED * np.minimum(twist, TWIST_PX) * shorter**2 / half_px
-    return np.asarray(WINDOW * shorter), pull[:, None] * np.nan_to_num(uneven)
+    return np.asarray(PREDICTED_WINDOW * shorter), pull[:, None] * np.nan_to_num(uneven)
 
 
 def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:
@@ -303,5 +311,5 @@ def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:
     x, y, z = scene.camera.position_mm
     reach = np.abs(np.array([x, y]) - z * rays[:, :2] / rays[:, 2:]).max()
     a = float(board.sides_mm.mean())
-    half = int(np.ceil(WIDER * reach / a))
+    half = int(np.ceil(TARGET_WIDENING * reach / a))
     return PlaneGrid((-half * a, half * a), a, (2 * half + 1, 2 * half + 1))

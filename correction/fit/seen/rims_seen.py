@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.seen.silhouettes import GAS
-from correction.fit.seen.view_agreement import BESIDE, Bounds, Shown
+from correction.fit.seen.view_agreement import DIRECT_VIEW, Bounds, Shown
 from correction.target import Chessboard
 from tracer.bodies import Sphere
 from tracer.camera import Camera
@@ -28,12 +28,12 @@ from tracer.strategies.sensitivity import TargetPose
 
 SECTORS, FEWEST_SECTORS = 32, 8
 REACH_PX, STEP_PX = 8.0, 0.125  # of rims from their places, both ways
-APART_PX = 3.0  # from the rim, where inside and outside are surely that
-FEWEST = 8  # pixels of a sector that are surely inside, and surely outside
+CLEAR_OF_RIM_PX = 3.0  # from the rim, where inside and outside are surely that
+MIN_SECTOR_PIXELS = 8  # pixels of a sector that are surely inside, and surely outside
 OUTSIDE = 0.98  # chance that a pixel beside the ball is as bright as the board
 INSIDE = (0.02, 0.5)  # bounds of that within, sector by sector: beyond the last one little tells the two apart
-TOLD = 15.0  # logarithm of the odds against no rim, from which a sector shows it
-DRAWS = 300  # of three sectors each, of which the one that most others agree with begins (RANSAC)
+SECTOR_LOG_ODDS = 15.0  # logarithm of the odds against no rim, from which a sector shows it
+RANSAC_DRAWS = 300  # of three sectors each, of which the one that most others agree with begins (RANSAC)
 ALIKE_PX, MOST = 0.4, 0.75  # sectors agree that are so near; a share of them must: some balls have a bright ring
 LEAST_SIGMA_PX = 0.1  # blur, and the pixels' grid
 SECTOR_PX = 0.3  # to which one sector shows a rim
@@ -125,7 +125,7 @@ def rims_off(
     ):
         return []  # a ball is then not seen in the direction in which it stands
     bare = Shown.of(scene.bare(), TargetPose(), board, bounds_mm)
-    beside = (shown.rays.branch == BESIDE) & shown.rays.recovered
+    beside = (shown.rays.branch == DIRECT_VIEW) & shown.rays.recovered
     apart = cv2.erode(beside.astype(np.uint8), np.ones((AWAY_PX, AWAY_PX), np.uint8)) != 0
     light = image.astype(np.float32)
     grey = bare.grey(light, bare.clear & apart)
@@ -184,12 +184,15 @@ def _fitted(
     turn: NDArray[np.float64], off: NDArray[np.float64], light: NDArray[np.bool_]
 ) -> tuple[float, float, float, float, float, float] | None:
     """Return the first numbers of `RimSeen` [px] as sectors show a rim."""
-    inside, places = off < -APART_PX, np.arange(-REACH_PX, REACH_PX, STEP_PX)
+    inside, places = off < -CLEAR_OF_RIM_PX, np.arange(-REACH_PX, REACH_PX, STEP_PX)
     sector = np.floor((turn + np.pi) / (2.0 * np.pi) * SECTORS).astype(np.int64) % SECTORS
     angle, rim = [], []
     for number in range(SECTORS):
         own = sector == number
-        if min(np.count_nonzero(own & inside), np.count_nonzero(own & (off > APART_PX))) < FEWEST:
+        if (
+            min(np.count_nonzero(own & inside), np.count_nonzero(own & (off > CLEAR_OF_RIM_PX)))
+            < MIN_SECTOR_PIXELS
+        ):
             continue
         share = max(float(np.mean(light[own & inside])), INSIDE[0])
         if share > INSIDE[1]:
@@ -197,7 +200,7 @@ def _fitted(
         order = np.argsort(-off[own])
         worth = np.where(light[own], np.log(OUTSIDE / share), np.log((1.0 - OUTSIDE) / (1.0 - share)))[order]
         likely = np.concatenate(([0.0], np.cumsum(worth)))[np.searchsorted(-off[own][order], -places)]
-        if likely.max() - max(likely[0], likely[-1]) > TOLD:
+        if likely.max() - max(likely[0], likely[-1]) > SECTOR_LOG_ODDS:
             angle.append(float(np.mean(turn[own])))
             rim.append(float(places[likely > likely.max() - 1e-9].mean()))
     if len(rim) < FEWEST_SECTORS:
@@ -205,7 +208,7 @@ def _fitted(
     at, seen = np.array(angle), np.array(rim)
     ways = np.stack((np.ones_like(at), np.cos(at), np.sin(at)), axis=1)
     prior = (SECTOR_PX / REACH_PX) ** 2 * np.eye(3)
-    draws = np.random.default_rng(0).integers(len(at), size=(DRAWS, 3))
+    draws = np.random.default_rng(0).integers(len(at), size=(RANSAC_DRAWS, 3))
     tries = np.linalg.solve(
         ways[draws].swapaxes(1, 2) @ ways[draws] + prior, ways[draws].swapaxes(1, 2) @ seen[draws][:, :, None]
     )[:, :, 0]

@@ -6,9 +6,9 @@ the share of pixels that show what they should is
 
     agreement = max over d of  mean [ bright(I) = shade(X + d) ],
 
-X the traced points of the board, d a shift by up to a square each way: a ball a little aside shows the same picture,
-shifted.  One a little nearer or farther shows it larger or smaller (0.3 mm: a third of a square, at the edge of a
-ball far above the board), so places along the line of sight are tried before a ball counts as not as
+X the traced points of the board, d a shift by up to a square each way: a ball a little aside shows the same
+picture, shifted.  One a little nearer or farther shows it larger or smaller (0.3 mm: a third of a square, at the
+edge of a ball far above the board), so places along the line of sight are tried before a ball counts as not as
 described.  A ball that is not there shows the bare board, unshifted.
 """
 
@@ -33,17 +33,20 @@ CORES = np.arange(0.5, 0.96, 0.05)  # radii of a core of air, of the ball's
 RADII = np.arange(0.9, 1.105, 0.01)  # times that given
 SHIFTS = np.arange(-1.0, 1.0, 0.25)  # squares
 NEARER_MM = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)  # to the camera: a standard deviation of an ordinary place
-WITHIN, BEYOND = 0.9, 1.03  # of a ball's outline that is asked, and of another's that is not
-MOST, FEWEST = 1500, 600  # pixels of a ball
-LEVELS, LEAST_CONTRAST = (0.05, 0.95), 0.5  # quantiles that are dark and bright; of the contrast of the frame
-FOUND = 0.6  # of the pixels whose rays must reach the board
-OTHERWISE, AGREES = (
+OWN_OUTLINE, OTHER_OUTLINE = 0.9, 1.03  # of a ball's outline that is asked, and of another's that is not
+MAX_BALL_PIXELS, MIN_BALL_PIXELS = 1500, 600  # pixels of a ball
+SHADE_QUANTILES, LEAST_CONTRAST = (
+    (0.05, 0.95),
+    0.5,
+)  # quantiles that are dark and bright; of the contrast of the frame
+MIN_LANDED_SHARE = 0.6  # of the pixels whose rays must reach the board
+MAX_WRONG_AGREEMENT, MIN_RIGHT_AGREEMENT = (
     0.7,
     0.78,
 )  # agreement up to which a ball is not as described, and from which a change explains it
 UNEXPLAINED = 0.65  # of the best change, up to which none explains it
-LEAD = 0.1  # of one kind of change over all others, from which it explains a view of small squares
-RIVAL = 0.03  # agreement by which changes are told apart
+KIND_LEAD = 0.1  # of one kind of change over all others, from which it explains a view of small squares
+RIVAL_AGREEMENT = 0.03  # agreement by which changes are told apart
 
 
 def balls_seen_otherwise(
@@ -71,7 +74,7 @@ def balls_seen_otherwise(
     if board.dots is not None:
         return {}
     seen = in_target_frame(scene, pose)
-    contrast = float(np.ptp(np.quantile(image, LEVELS)))
+    contrast = float(np.ptp(np.quantile(image, SHADE_QUANTILES)))
     glass = [ball for ball in seen.spheres if ball.medium is not None]
     judged = [(*_judge_ball(seen, ball, image, board, contrast, is_refused), ball.name) for ball in glass]
     return {name: sentence for _, sentence, name in sorted(judged, key=lambda one: one[0]) if sentence}
@@ -82,10 +85,10 @@ def _judge_ball(
 ) -> tuple[float, str]:
     """Agreement of one ball as given, and what it seems to be; "" if as described, or too little is seen of it."""
     pixels = _seen_alone(scene, ball)
-    if len(pixels) < FEWEST:
+    if len(pixels) < MIN_BALL_PIXELS:
         return 1.0, ""
     light = image[tuple(pixels[:, ::-1].T)].astype(np.float64)
-    dark, white = np.quantile(light, LEVELS)
+    dark, white = np.quantile(light, SHADE_QUANTILES)
     if white - dark < LEAST_CONTRAST * contrast:
         return 1.0, ""
     bright = light > 0.5 * (dark + white)
@@ -100,9 +103,11 @@ def _judge_ball(
             return 0.0
 
     given = agreement(scene)
-    if given > OTHERWISE or any(agreement_of(other) > OTHERWISE for other in _nearer_or_farther(scene, ball)):
+    if given > MAX_WRONG_AGREEMENT or any(
+        agreement_of(other) > MAX_WRONG_AGREEMENT for other in _nearer_or_farther(scene, ball)
+    ):
         return given, ""
-    if agreement(scene.bare(), np.zeros(1)) > AGREES:
+    if agreement(scene.bare(), np.zeros(1)) > MIN_RIGHT_AGREEMENT:
         return given, (
             f"`{ball.name}` is not where the scene puts it: the board is seen there without glass; take the ball"
             " out of the scene, or correct its centre_mm"
@@ -120,11 +125,11 @@ def _judge_ball(
             " that the scene does not list may stand before it; list it, or take it away"
         )
     others = max((share for share, kind, _ in found if kind != found[0][1]), default=0.0)
-    if best < AGREES and best < others + LEAD:
+    if best < MIN_RIGHT_AGREEMENT and best < others + KIND_LEAD:
         return given, ""
     likely: dict[str, str] = {}
     for share, kind, value in found:
-        if share > best - RIVAL:
+        if share > best - RIVAL_AGREEMENT:
             likely.setdefault(kind, value)
     return given, (
         f"what is seen through `{ball.name}` is as through {', or '.join(likely.values())}"
@@ -164,7 +169,7 @@ def _agreement(
 ) -> float:
     """Share of pixels (N,) that show the square of the board which their rays meet, shifted as fits best."""
     met = np.isfinite(place_mm).all(axis=1)
-    if met.mean() < FOUND:
+    if met.mean() < MIN_LANDED_SHARE:
         return 0.0
     place_mm, bright = place_mm[met], bright[met]
     steps = np.stack(np.meshgrid(shifts, shifts), axis=-1).reshape(-1, 2) * board.sides_mm
@@ -183,6 +188,6 @@ def _seen_alone(scene: Scene, ball: Sphere) -> NDArray[np.int64]:
         distance = float(np.linalg.norm(towards))
         angle = np.arccos(np.clip(away @ (towards / distance), -1.0, 1.0))
         half = float(np.arcsin(min(other.radius_mm / distance, 0.99)))
-        inside &= angle < WITHIN * half if other.name == ball.name else angle > BEYOND * half
+        inside &= angle < OWN_OUTLINE * half if other.name == ball.name else angle > OTHER_OUTLINE * half
     chosen = every[inside]
-    return chosen[:: max(1, len(chosen) // MOST)]
+    return chosen[:: max(1, len(chosen) // MAX_BALL_PIXELS)]

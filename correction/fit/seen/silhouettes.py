@@ -33,13 +33,15 @@ COMMON_MM, OWN_MM = 4.0, 2.0  # standard deviation of a move of all balls togeth
 SOFT, SHARP = (2.0, 1.0, 0.4), 0.2  # width of the outline, in squares
 WRONG = 0.3  # standard deviation of a label: corners are missed, and found by chance
 NEAR_RIM = 1.5  # squares: corners so near to an outline tell about it
-ENOUGH = 12  # of them that make a rim a ball's own
+MIN_OWN_CORNERS = 12  # of them that make a rim a ball's own
 OWN = 0.2  # and this share of all along its outline: what else is hidden there others hide, and a gap shows little
-FEWEST = 50  # corners of the lattice that must be seen or hidden
-SURE = 3.0  # sigmas from which a move is more than chance
+MIN_LATTICE_CORNERS = 50  # corners of the lattice that must be seen or hidden
+OUTLINE_SIGMAS = 3.0  # sigmas from which a move is more than chance
 SAME = 0.1  # squares: a saddle so near to a corner of its kind is that corner
 GAS = 0.01  # by which gases differ in n, and no liquid
-DEPTH_MM = 4.0  # what the outlines may be off in depth whatever their sigma: rims blur, and hide less or more
+OUTLINE_DEPTH_SIGMA_MM = (
+    4.0  # what the outlines may be off in depth whatever their sigma: rims blur, and hide less or more
+)
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Outlines:
     def surely_off(self, least_mm: float) -> NDArray[np.bool_]:
         """Balls (B,) with a rim of their own that stand beside their place by more than chance, and than that."""
         spread = np.hypot(self.sigma_mm[:, 0], self.sigma_mm[:, 1])
-        return np.asarray(self.own_rim & (self.sideways_mm > np.maximum(least_mm, SURE * spread)))
+        return np.asarray(self.own_rim & (self.sideways_mm > np.maximum(least_mm, OUTLINE_SIGMAS * spread)))
 
     def beside(self, scene: Scene, least_mm: float) -> NDArray[np.bool_]:
         """Balls (B,) of a scene that stand beside their own rims by more than chance, and than that."""
@@ -86,7 +88,9 @@ class Outlines:
         off = self.place_mm - centre
         aside = off - np.sum(off * towards, axis=1)[:, None] * towards  # of depth an outline tells little
         spread = np.hypot(self.sigma_mm[:, 0], self.sigma_mm[:, 1])
-        return np.asarray(self.own_rim & (np.linalg.norm(aside, axis=1) > np.maximum(least_mm, SURE * spread)))
+        return np.asarray(
+            self.own_rim & (np.linalg.norm(aside, axis=1) > np.maximum(least_mm, OUTLINE_SIGMAS * spread))
+        )
 
     def in_words(self, least_mm: float) -> str:
         """Say which balls stand beside their places, which way and how far; empty if none does."""
@@ -143,7 +147,11 @@ def outlines_of(
         None where the lattice says nothing: too few corners, or all of one kind.
     """
     count, table = len(scene.spheres), scene.sphere_table()
-    if len(corners_mm) < FEWEST or not count or not ENOUGH <= np.count_nonzero(hidden) <= len(hidden) - ENOUGH:
+    if (
+        len(corners_mm) < MIN_LATTICE_CORNERS
+        or not count
+        or not MIN_OWN_CORNERS <= np.count_nonzero(hidden) <= len(hidden) - MIN_OWN_CORNERS
+    ):
         return None
     eye = np.array(camera.position_mm)
     ray = corners_mm - eye
@@ -194,7 +202,9 @@ def outlines_of(
     move[moving] = moves.reshape(-1, 3)
     sigma[moving] = np.sqrt(np.diag(covariance)).reshape(-1, 3)
     first = np.bincount(foremost[near], minlength=count)
-    own = (first >= ENOUGH) & (first >= OWN * np.count_nonzero(np.abs(inside) < NEAR_RIM * square, axis=0))
+    own = (first >= MIN_OWN_CORNERS) & (
+        first >= OWN * np.count_nonzero(np.abs(inside) < NEAR_RIM * square, axis=0)
+    )
     right = float(np.mean((inside.max(axis=1) > 0.0) == hidden))
     names = tuple(sphere.name for sphere in scene.spheres)
     return Outlines(names, table[:, :3] + move, move, sigma, own, right)
@@ -259,7 +269,7 @@ def followed(
     with the others, or stays if they move `alone`.
     """
     move = outlines.move_mm.copy()
-    deep = np.abs(move[:, 2]) > np.maximum(DEPTH_MM, SURE * outlines.sigma_mm[:, 2])
+    deep = np.abs(move[:, 2]) > np.maximum(OUTLINE_DEPTH_SIGMA_MM, OUTLINE_SIGMAS * outlines.sigma_mm[:, 2])
     move[~(deep & outlines.own_rim), 2] = 0.0
     if outlines.own_rim.any():
         move[~outlines.own_rim] = 0.0 if alone else move[outlines.own_rim].mean(axis=0)

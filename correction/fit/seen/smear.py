@@ -11,7 +11,7 @@ the frame are (`found_smeared`): where the fit finds it is its shift, which is t
 fitted at the mean index alone.  A series will not do where the smear is wider than the edge's own blur: through
 plastics in white light colours lie 1.4 px apart (standard deviation) to a blur of 0.5, and what
 follows was 0.17 px off.  How wide the smear is goes into the corner's sigma: no spectrum is known to better than
-UNSURE of its width.
+SMEAR_SIGMA of its width.
 
 A pupil is even, and narrower than the blur.  An edge with unit normal m is smeared by the distribution of
 s_k = m . d_k with weights w_k: mean s, variance v, third moment t.  To the fitted blur B of the edge (variance
@@ -39,8 +39,8 @@ from tracer.strategies.sensitivity import Landings, TargetPose, landings_through
 from tracer.strategies.trace import world_from
 
 COLOURS = 12
-ROUNDS = 3  # of Newton's method: 1e-4 px after two
-UNSURE = 0.03  # of the smear by colour, as a corner's standard deviation
+NEWTON_ROUNDS = 3  # of Newton's method: 1e-4 px after two
+SMEAR_SIGMA = 0.03  # of the smear by colour, as a corner's standard deviation
 SLOPE = 0.25  # of the variance of the blur, by which it may draw corners aside
 SHARPEST_PX = 0.35  # blur of a camera without lens
 UNEVEN = 0.1  # of a shift by the pupil: none is quite round, nor as wide as engraved
@@ -153,7 +153,7 @@ def colour_steps(
     mean = _landed(scene, pose, pixels, np.zeros(len(scene.spheres)))
     steps = np.zeros((len(dispersion.index_step), *pixels.shape))
     for steps_of, index_step in zip(steps, dispersion.index_step, strict=True):
-        for _ in range(ROUNDS):
+        for _ in range(NEWTON_ROUNDS):
             steps_of += _displaced(_landed(scene, pose, pixels + steps_of, index_step), mean)
     return np.nan_to_num(steps), np.array(np.broadcast_to(dispersion.weight[:, None], steps.shape[:2]))
 

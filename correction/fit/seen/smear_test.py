@@ -8,16 +8,16 @@ what the told pupil adds, m_k the edge's normal and J the derivative of the land
     b_k^2 = b_way + p P_k + c V_k,        V_k = (m_k . J^-1 dX/dn g)^2,        P_k = |m_k . J^-1 D|^2 / 4,
 
 V_k is the variance that a white lamp would add (g how much the index of each ball spreads in it), P_k that of a
-pupil of 1 mm (D how the landing point moves with the pinhole, while rays meet again in the plane in focus): a
-stop that nobody told, or a print magnified, must not pass for colours.  b_way, p and c come from least squares
-with weights for outliers.  c stands out, to either side, where it exceeds LEAST, and of what the told light adds
-UNCERTAIN, by SURE sigmas, which are ALIKE times those of corners that err independently.  It is below zero where
-the told light has too many colours.
+pupil of 1 mm (D how the landing point moves with the pinhole, while rays meet again in the plane in focus): a stop
+that nobody told, or a print magnified, must not pass for colours.  b_way, p and c come from least squares with
+weights for outliers.  c stands out, to either side, where it exceeds MIN_SMEAR, and of what the told light adds
+UNCERTAIN, by SMEAR_SIGMAS sigmas, which are NEIGHBOUR_FACTOR times those of corners that err independently.  It is
+below zero where the told light has too many colours.
 
 A fitted edge takes up 0.2-1 of a smear's variance: the fit wishes both edges of a corner to be blurred alike, and
-where squares are small it has its way; of a wide smear the rest goes into the shape of its tails.  So c = LEAST is
-light of some 25-40 nm standard deviation.  A narrower lamp, such as an LED of one colour, shows nowhere what its
-mean is.
+where squares are small it has its way; of a wide smear the rest goes into the shape of its tails.  So c =
+MIN_SMEAR is light of some 25-40 nm standard deviation.  A narrower lamp, such as an LED of one colour, shows
+nowhere what its mean is.
 
 Light told by a width may have another shape, which moves its mean index.  What the smear leaves open of that
 (`ColourSmear.open_share`) is counted in the map's sigma.
@@ -39,14 +39,14 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, Landings
 
 LAMP_K = 4000.0
 COLOURS = 12
-LEAST = 0.1  # of the white lamp's variance; rendered frames in one colour show up to 0.04
+MIN_SMEAR = 0.1  # of the white lamp's variance; rendered frames in one colour show up to 0.04
 UNCERTAIN = 0.15  # of what edges take up of the told light: rendered frames in told light show up to 0.13
-SURE = 4.0  # sigmas
-LEAST_SURE = 2.0  # sigmas that a light may be off by without being seen
-ALIKE = 2.0  # neighbours err alike: what a sigma counts more than that of independent corners
-FEWEST = 20  # corners of a way
-ROUNDS = 12
-KNEE = 2.0  # sigmas
+SMEAR_SIGMAS = 4.0  # sigmas
+UNSEEN_SIGMAS = 2.0  # sigmas that a light may be off by without being seen
+NEIGHBOUR_FACTOR = 2.0  # neighbours err alike: what a sigma counts more than that of independent corners
+MIN_WAY_CORNERS = 20  # corners of a way
+SMEAR_ROUNDS = 12
+SMEAR_KNEE = 2.0  # sigmas
 
 
 @dataclass(frozen=True)
@@ -115,14 +115,14 @@ class ColourSmear:
     def alarm(self) -> bool:
         """True if the light cannot be the specified one; a line cannot have too many colours."""
         off = abs(self.share) if self.told else self.share
-        return off > LEAST + UNCERTAIN * self.told + SURE * self.sigma
+        return off > MIN_SMEAR + UNCERTAIN * self.told + SMEAR_SIGMAS * self.sigma
 
     def open_share(self, medium: Medium, light: Light, rival: Light) -> float:
         """Share (0-1) of the way from the told light to a rival that the smear leaves open."""
         white, *shown = (_index_variance(medium, one) for one in (white_led(LAMP_K), light, rival))
         told, other = shown[0] / white, shown[1] / white
         taken_up = self.told / told if told > 0.0 else 1.0  # of a smear's variance
-        left = (abs(self.share) + LEAST_SURE * self.sigma) / max(taken_up, LEAST) + UNCERTAIN * told
+        left = (abs(self.share) + UNSEEN_SIGMAS * self.sigma) / max(taken_up, MIN_SMEAR) + UNCERTAIN * told
         return float(min(1.0, left / max(abs(other - told), 1e-12)))
 
     def __str__(self) -> str:
@@ -185,7 +185,7 @@ def colour_smear(views: Sequence[SmearedView]) -> ColourSmear | None:
     for number, view in enumerate(views):
         for way in np.unique(view.way):
             here = view.way == way
-            if np.count_nonzero(here) >= FEWEST:
+            if np.count_nonzero(here) >= MIN_WAY_CORNERS:
                 wide.append(view.spread.variance_px2[here].ravel())
                 lamp.append(view.by_lamp_px2[here].ravel())
                 told.append(view.spread.by_light_px2[here].ravel())
@@ -201,13 +201,13 @@ def colour_smear(views: Sequence[SmearedView]) -> ColourSmear | None:
     seen, weight = np.concatenate(wide), np.ones(len(terms))
     if not of_lamp.any() or len(seen) < 4 * terms.shape[1]:
         return None
-    for _ in range(ROUNDS):
+    for _ in range(SMEAR_ROUNDS):
         found, *_ = np.linalg.lstsq(terms * weight[:, None], seen * weight, rcond=None)
         left = seen - terms @ found
         size = max(1.4826 * float(np.median(np.abs(left))), 1e-12)
-        weight = np.sqrt(1.0 / np.maximum(1.0, np.abs(left) / (KNEE * size)))
+        weight = np.sqrt(1.0 / np.maximum(1.0, np.abs(left) / (SMEAR_KNEE * size)))
     used = terms * weight[:, None]
-    sigma = ALIKE * size * float(np.sqrt(np.linalg.pinv(used.T @ used)[0, 0]))
+    sigma = NEIGHBOUR_FACTOR * size * float(np.sqrt(np.linalg.pinv(used.T @ used)[0, 0]))
     width = np.sqrt(abs(float(found[0])) * 2.0 * float(np.mean(of_lamp)))
     return ColourSmear(float(found[0]), sigma, float(width), float(of_told @ of_lamp / (of_lamp @ of_lamp)))
 

@@ -24,8 +24,8 @@ from tracer.strategies.branches import branch_of
 
 BRANCH_LIMIT = 0.5  # share of the corners of a branch, if the scene shows at least so many on it
 BRANCH_CORNERS = 5
-FEW = 12  # corners that are where a ball shows them, from which no rim is asked
-WIDER = 3.0  # standard deviations of a ball's place sideways
+TRUSTED_CORNERS = 12  # corners that are where a ball shows them, from which no rim is asked
+MASK_SIGMAS = 3.0  # standard deviations of a ball's place sideways
 
 
 @dataclass(frozen=True)
@@ -159,12 +159,12 @@ def unconfirmed_ways(
         ways = [way for way in expected if sphere.is_on(branch_of(way))]
         count = sum(expected[way] for way in ways)
         there = sum(paired.get(way, 0) for way in ways if way not in failed)
-        elsewhere = sphere.name in rim_mm and 0 < there < FEW
+        elsewhere = sphere.name in rim_mm and 0 < there < TRUSTED_CORNERS
         is_lost = sphere.name in place_mm and count and (elsewhere or not there)
         if is_lost or sphere.name in rather:
             parts = tuple(MaskedPart(UNCONFIRMED, through=branch_of(way)) for way in ways)
             at = [sphere, *([replace(sphere, centre_mm=rim_mm[sphere.name])] if elsewhere else [])]
-            wider_mm = WIDER * place_mm.get(sphere.name, 0.0)
+            wider_mm = MASK_SIGMAS * place_mm.get(sphere.name, 0.0)
             outlines = [_around(one, scene.camera, wider_mm) for one in at]
             total = sum(paired.get(way, 0) for way in ways)
             seems = rather.get(sphere.name, "")

@@ -3,14 +3,14 @@
 Corners say little about a bead or a drop: it hides three of them, or none where squares are wide.  The frame
 itself says it, pixel by pixel (`view_agreement`).
 
-Where a ball shows squares many times as large as they are, the fit
-may not know which of them a pixel shows: a pixel says nothing whose place is known to less than UNSURE standard
-deviations from the next edge.  What disagrees (a < 0), with all around it that agrees by halves
-(a < HALF), is one part.  Its hull is masked, made wider by a share of a square: next to what disagrees the same
-body agrees by chance.  So do the squares between two parts of one body, a dark wire before a dark square: parts
-that are nearer to each other than SAME_BODY squares are masked with what lies between them.  A part that lies
-within UNSURE standard deviations of the rim of a ball is that ball's, which stands a little elsewhere than the fit
-could tell: it is masked and said, and no alarm.
+Where a ball shows squares many times as large as they are, the fit may not know which of them a pixel shows: a
+pixel says nothing whose place is known to less than PLACE_SIGMAS standard deviations from the next edge.  What
+disagrees (a < 0), with all around it that agrees by halves (a < NEIGHBOUR_AGREEMENT), is one part.  Its hull is
+masked, made wider by a share of a square: next to what disagrees the same body agrees by chance.  So do the
+squares between two parts of one body, a dark wire before a dark square: parts that are nearer to each other than
+SAME_BODY squares are masked with what lies between them.  A part that lies within PLACE_SIGMAS standard deviations
+of the rim of a ball is that ball's, which stands a little elsewhere than the fit could tell: it is masked and
+said, and no alarm.
 
 A view that shows other squares on more than MISFIT of its pixels, or next to their edges alone, is not hidden by a
 body: it is bent otherwise than the scene bends it, and is unconfirmed as a whole (`unconfirmed_ways.Misfit`).  The
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from correction.fit.seen.prediction import in_target_frame
 from correction.fit.seen.rims_seen import RimSeen, rims_off
 from correction.fit.seen.unconfirmed_ways import Misfit
-from correction.fit.seen.view_agreement import BESIDE, Shown
+from correction.fit.seen.view_agreement import DIRECT_VIEW, Shown
 from correction.masked import hull_px, pixels_in
 from correction.target import Chessboard
 from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart, Point
@@ -39,13 +39,13 @@ from tracer.strategies.branches import branch_of, text_of
 from tracer.strategies.ray_map import RayMap
 from tracer.strategies.sensitivity import TargetPose
 
-HALF = 0.4  # agreement below which a pixel next to one that disagrees belongs to the same part
-UNSURE = 3.0  # standard deviations of the place that a pixel shows, and of a rim's
+NEIGHBOUR_AGREEMENT = 0.4  # agreement below which a pixel next to one that disagrees belongs to the same part
+PLACE_SIGMAS = 3.0  # standard deviations of the place that a pixel shows, and of a rim's
 NEARLY_ALL = 0.9
 MISFIT = 0.1  # of the pixels of a view, from which it is bent otherwise than the scene bends it
 ALL_OVER = 0.4  # of the spread of a view's pixels, from which some of them are not in one place
 FEWEST, CERTAIN = 16, 5  # pixels of a part, and those of them that disagree
-SHARE = 0.0005  # of the disc in which the smallest ball is seen, likewise
+MIN_DISC_SHARE = 0.0005  # of the disc in which the smallest ball is seen, likewise
 JOIN_PX = 9  # side of what joins pixels to parts
 SAME_BODY = 1.5  # squares as seen there
 WIDER_PX, WIDER = 4.0, 0.25  # a body reaches so far beyond what is seen of it: pixels, and squares seen there
@@ -209,7 +209,7 @@ def _misfits(
     rims: Mapping[str, RimSeen],
 ) -> Iterator[Misfit]:
     """Ways through the glass that show other squares all over, or beside their edges."""
-    number = np.where(np.isfinite(agrees), shown.rays.branch, BESIDE)
+    number = np.where(np.isfinite(agrees), shown.rays.branch, DIRECT_VIEW)
     asked = np.bincount(number.ravel(), minlength=len(shown.rays.branches))
     with np.errstate(invalid="ignore"):
         against = agrees < 0.0
@@ -268,7 +268,7 @@ def _rim_of(pixels: Pixels, scene: Scene, place_mm: Mapping[str, float], whole: 
         far = float(np.linalg.norm(away))
         aside = np.arccos(np.clip(way @ (away / far), -1.0, 1.0)) - np.arcsin(min(ball.radius_mm / far, 1.0))
         beside = aside if ball.name in whole else np.abs(aside)
-        near = beside * far < UNSURE * place_mm.get(ball.name, 0.0)
+        near = beside * far < PLACE_SIGMAS * place_mm.get(ball.name, 0.0)
         if np.mean(near) > NEARLY_ALL:
             return ball.name
     return ""
@@ -279,7 +279,7 @@ def _unsure(part: Pixels, rays: RayMap, board: Chessboard, view: View) -> NDArra
     assert view.sigma_mm is not None
     apart = board.from_edges_mm(rays.plane_mm[part[:, 0], part[:, 1]])
     sigma = view.sigma_mm(part[:, ::-1].astype(np.float64))
-    return np.asarray(~(UNSURE * sigma < apart).all(axis=1))
+    return np.asarray(~(PLACE_SIGMAS * sigma < apart).all(axis=1))
 
 
 def _parts(agrees: NDArray[np.float32], least_px: float) -> Iterator[Pixels]:
@@ -287,7 +287,7 @@ def _parts(agrees: NDArray[np.float32], least_px: float) -> Iterator[Pixels]:
     import cv2
 
     with np.errstate(invalid="ignore"):
-        halfway, against = agrees < HALF, agrees < 0.0
+        halfway, against = agrees < NEIGHBOUR_AGREEMENT, agrees < 0.0
     joined = cv2.dilate(halfway.astype(np.uint8), np.ones((JOIN_PX, JOIN_PX), np.uint8))
     label, count = scipy.ndimage.label(joined)
     sizes, certain = (np.bincount(label[each], minlength=count + 1) for each in (halfway, against))
@@ -302,7 +302,7 @@ def _least_px(scene: Scene) -> float:
         scene.camera.focal_px * ball.radius_mm / np.linalg.norm(eye - np.array(ball.centre_mm))
         for ball in scene.spheres
     ]
-    return SHARE * float(np.pi * min(radii) ** 2) if radii else 0.0
+    return MIN_DISC_SHARE * float(np.pi * min(radii) ** 2) if radii else 0.0
 
 
 def _bodies(parts: Iterable[Pixels], width_px: NDArray[np.float64]) -> list[list[Pixels]]:

@@ -7,8 +7,8 @@ holds that, so the band is masked.  Where a ray from the eye touches the ball, o
     n . dc + dr,    n = -(r / d) t + sqrt(1 - (r / d)^2) s,
 
 t the direction of the centre at distance d, s the unit vector aside; with the rows of the covariance's root that
-belong to centre and radius its sigma follows for every direction.  The band reaches UNSURE sigmas to either side.
-A ball that corners tell well has a band much narrower than a pixel, and none is made.
+belong to centre and radius its sigma follows for every direction.  The band reaches RIM_SIGMAS sigmas to either
+side. A ball that corners tell well has a band much narrower than a pixel, and none is made.
 """
 
 from collections.abc import Collection, Sequence
@@ -24,10 +24,10 @@ from tracer.camera import Camera
 from tracer.masked import UNCONFIRMED, MaskedPart
 from tracer.scene.scene import Scene
 
-UNSURE = 3.0  # standard deviations of a rim
-NARROWEST_PX = 0.5  # half widths of bands that are masked: nodes nearer than that to a rim are mixed anyway
+RIM_SIGMAS = 3.0  # standard deviations of a rim
+MIN_BAND_PX = 0.5  # half widths of bands that are masked: nodes nearer than that to a rim are mixed anyway
 POINTS = 96  # of each outline
-WIDEST = 0.7  # rad from the middle of a ball: wider bands reach behind the camera, and no view goes so far
+MAX_BAND_ANGLE = 0.7  # rad from the middle of a ball: wider bands reach behind the camera, and no view goes so far
 REACH = (-0.5, -0.25, 0.25, 0.5)  # of windows, in squares along both edges
 
 
@@ -92,7 +92,7 @@ def in_words(rims: Collection[UnsureRim]) -> str:
     each = ", ".join(f"`{rim.ball}` {rim.sigma_px:.1f} px" for rim in rims)
     return (
         f"too few corners are seen through some balls to tell their rims (one sigma: {each}): what lies within"
-        f" {UNSURE:g} of these of a rim is masked in every map; smaller squares would show more corners"
+        f" {RIM_SIGMAS:g} of these of a rim is masked in every map; smaller squares would show more corners"
     )
 
 
@@ -107,13 +107,13 @@ def _band(ball: Sphere, camera: Camera, root: NDArray[np.float64]) -> UnsureRim 
     aside = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up
     normal = cosine * aside - sine * towards
     sigma_mm = np.linalg.norm(np.column_stack((normal, np.ones(POINTS))) @ root, axis=1)
-    half = UNSURE * sigma_mm / (distance * cosine)  # as an angle at the eye
+    half = RIM_SIGMAS * sigma_mm / (distance * cosine)  # as an angle at the eye
     px = camera.focal_px / cosine  # a unit of angle
-    if not (half * px > NARROWEST_PX).any():
+    if not (half * px > MIN_BAND_PX).any():
         return None
 
     def outline(widths: NDArray[np.float64], beyond: float = 1.0) -> NDArray[np.float64]:
-        at = np.clip(np.arcsin(sine) + widths, 0.0, WIDEST)[:, None] * beyond
+        at = np.clip(np.arcsin(sine) + widths, 0.0, MAX_BAND_ANGLE)[:, None] * beyond
         return camera.project(eye + distance * (np.cos(at) * towards + np.sin(at) * aside))
 
     outer = outline(half, 1.0 / np.cos(np.pi / POINTS))  # chords touch the circle
@@ -121,4 +121,4 @@ def _band(ball: Sphere, camera: Camera, root: NDArray[np.float64]) -> UnsureRim 
     # along a cut to the inner outline, around it and back: what a ray crosses twice there it does not cross
     points = np.vstack((outer, outer[:1], inner, inner[:1]))
     band = tuple((round(u, 2), round(v, 2)) for u, v in points.tolist())
-    return UnsureRim(ball.name, float(half.max() * px / UNSURE), MaskedPart(UNCONFIRMED, band))
+    return UnsureRim(ball.name, float(half.max() * px / RIM_SIGMAS), MaskedPart(UNCONFIRMED, band))

@@ -28,13 +28,13 @@ from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import RayStatus, trace
 
-CLEAR_PX = 5  # side of what must show one square: blur and the fit's own errors reach less far
-NARROWEST_PX = 8.0  # views of a square that can be told bright from dark
+UNIFORM_SIDE_PX = 5  # side of what must show one square: blur and the fit's own errors reach less far
+MIN_SQUARE_PX = 8.0  # views of a square that can be told bright from dark
 NEARBY = 4.0  # squares: side of what W and B are taken from
 LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
 BLACKEST = 0.001  # share of the pixels below what a camera shows of no light
 DIMMEST = 0.05  # transmittance from which light is compared
-BESIDE = 0  # number of the view beside the glass
+DIRECT_VIEW = 0  # number of the view beside the glass
 Bounds = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -74,12 +74,12 @@ class Shown:
         for depth_mm in board.depths_mm[1:]:
             rays = _on_plate(rays, build_ray_map(in_target_frame(scene, pose.behind(depth_mm))), board)
         passed = np.ones(rays.branch.shape, np.float32)
-        rows, columns = np.nonzero(rays.recovered & (rays.branch != BESIDE))
+        rows, columns = np.nonzero(rays.recovered & (rays.branch != DIRECT_VIEW))
         behind = np.stack((columns, rows), axis=1).astype(np.float64)
         passed[rows, columns] = trace(seen, behind).rays["transmittance"]
         point = np.nan_to_num(rays.plane_mm).astype(np.float64)
         there = rays.recovered & ((point >= bounds_mm[0]) & (point <= bounds_mm[1])).all(axis=-1)
-        there &= (width >= NARROWEST_PX) & (passed > DIMMEST)
+        there &= (width >= MIN_SQUARE_PX) & (passed > DIMMEST)
         bright = board.shade(point) > 0.5
         pitch_mm = grid_of(seen.camera).pitch_mm
         side = 2 * int(NEARBY * board.square_mm / pitch_mm / 2) + 1
@@ -104,7 +104,7 @@ class Shown:
                 out[box][here] = (np.where(self.bright[box], off, -off) / own)[here]
             swing[box][here] = own[here]
         asked = np.isfinite(out)
-        beside = asked & (self.rays.branch == BESIDE)
+        beside = asked & (self.rays.branch == DIRECT_VIEW)
         if not beside.any():
             return out
         noise = 1.48 * float(np.median(np.abs(out[beside] - np.median(out[beside])) * swing[beside]))
@@ -132,7 +132,7 @@ def mean_nearby(light: NDArray[Any], where: NDArray[np.bool_], side: int) -> NDA
     light = np.where(where, light, 0.0).astype(np.float32)
     total = cv2.blur(light, window, borderType=cv2.BORDER_CONSTANT)
     count = cv2.blur(share, window, borderType=cv2.BORDER_CONSTANT)
-    enough = count * side**2 > CLEAR_PX**2
+    enough = count * side**2 > UNIFORM_SIDE_PX**2
     return np.asarray(np.where(enough, total / np.maximum(count, 1e-9), np.nan), dtype=np.float32)
 
 
@@ -141,7 +141,7 @@ def _clear(rays: RayMap, there: NDArray[np.bool_], bright: NDArray[np.bool_]) ->
     import cv2
 
     kind = np.where(there, 2.0 * rays.branch + bright + 1.0, 0.0).astype(np.float32)
-    around = np.ones((CLEAR_PX, CLEAR_PX), np.uint8)
+    around = np.ones((UNIFORM_SIDE_PX, UNIFORM_SIDE_PX), np.uint8)
     return np.asarray(there & (cv2.erode(kind, around) == cv2.dilate(kind, around)))
 
 

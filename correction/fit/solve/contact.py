@@ -30,10 +30,10 @@ HELD_MM = 5.0  # glue, cups and what a tape measure misses
 SUPPORT_ROUNDS = 100
 CLEARANCE_MM = 0.1 * CONTACT_TOL_MM
 WALL_MM = 1e-3
-ROUNDS = 500
+CONTACT_ROUNDS = 500
 DOWN = (0.0, 0.0, -1.0)
 Shapes = Mapping[int, NDArray[np.float64]]
-ROUND: Shapes = {}
+NO_SHAPES: Shapes = {}
 
 
 def carried(support: Body, before: Sequence[Sphere], after: Sequence[Sphere]) -> Body:
@@ -82,7 +82,7 @@ def _way_out_mm(support: Body, ball: Sphere) -> NDArray[np.float64] | None:
 
 
 def walls(
-    spheres: NDArray[np.float64], shapes: Shapes = ROUND
+    spheres: NDArray[np.float64], shapes: Shapes = NO_SHAPES
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Overlap of every sphere with the plane and of every pair (K,) [mm], negative for a gap.
 
@@ -132,13 +132,13 @@ def reach_down_mm(number: int, sphere: NDArray[np.float64], shapes: Shapes) -> f
     return reach_mm(float(sphere[3]), tuple((1e3 * shapes[number]).tolist()), -1.0)
 
 
-def largest_overlap_mm(spheres: NDArray[np.float64], shapes: Shapes = ROUND) -> float:
+def largest_overlap_mm(spheres: NDArray[np.float64], shapes: Shapes = NO_SHAPES) -> float:
     """Deepest overlap of two spheres, or of one with the plane [mm]; 0 if there is none."""
     return float(walls(spheres, shapes)[0].max(initial=0.0))
 
 
 def pushed_apart(
-    spheres: NDArray[np.float64], clearance_mm: float = 0.1 * CONTACT_TOL_MM, shapes: Shapes = ROUND
+    spheres: NDArray[np.float64], clearance_mm: float = 0.1 * CONTACT_TOL_MM, shapes: Shapes = NO_SHAPES
 ) -> NDArray[np.float64]:
     """Return the sphere table with overlapping spheres moved apart, and up from the plane, just enough.
 
@@ -146,7 +146,7 @@ def pushed_apart(
     """
     moved = np.array(spheres)
     reach = [reach_down_mm(number, sphere, shapes) for number, sphere in enumerate(moved)]
-    for _ in range(ROUNDS):
+    for _ in range(CONTACT_ROUNDS):
         clean = True
         for i, sphere in enumerate(moved):
             if reach[i] > sphere[2]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 FURTHEST = 8  # squares
 SIGNIFICANT = 3.0  # sigmas of a correlation of zero
-ENOUGH = 30  # pairs
+MIN_PAIRS = 30  # pairs
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def correlation_of(frames: Sequence[Lattice], behind: bool) -> Correlation:
     if not corners or square == 0.0:
         return Correlation(corners, np.zeros(0), 0.0, float(corners))
     rho = product[1:] / np.maximum(count[1:], 1.0) / (square / corners)
-    clear = (rho * np.sqrt(2.0 * count[1:]) > SIGNIFICANT) & (count[1:] >= ENOUGH)
+    clear = (rho * np.sqrt(2.0 * count[1:]) > SIGNIFICANT) & (count[1:] >= MIN_PAIRS)
     far = int(np.argmin(clear)) if not clear.all() else FURTHEST
     alike = float(2.0 * np.sum(rho[:far] * count[1 : 1 + far]) / corners)
     return Correlation(corners, np.minimum(rho[:far], 1.0), float(rho[0]), corners / (1.0 + alike))

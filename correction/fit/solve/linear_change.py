@@ -24,7 +24,7 @@ ASKED_BESIDE, ASKED = 16, 48  # pixels each way, beside glass and behind it
 NEGLIGIBLE = 0.02  # of a difference of maps
 MEDIAN = 1.1774  # of the length of two errors of standard deviation 1
 SINGULAR = 1e-12
-ROUNDS = 12  # of weights by how far pixels are off
+REWEIGHTING_ROUNDS = 12  # of weights by how far pixels are off
 
 
 def as_linear(
@@ -69,7 +69,7 @@ def as_linear(
         regions.append((weight[:, None, None] * (rate @ moving), off))
         to_raw[glass] = np.linalg.inv(before.pixel_rate[same]) / weight[:, None, None]
     step = np.zeros(moving.shape[1])
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTING_ROUNDS):
         normal, slope = np.eye(len(step)), np.zeros(len(step))
         for rate, off in regions:
             length = np.linalg.norm(off - rate @ step, axis=1)

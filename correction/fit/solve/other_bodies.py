@@ -20,7 +20,7 @@ from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
 SIDE_STEP = 1e-4  # mm or rad
-STEP = 1e-5  # mm or rad: rows bend over metres and radians, and are rounded at 1e-13
+NUMBER_STEP = 1e-5  # mm or rad: rows bend over metres and radians, and are rounded at 1e-13
 
 
 class Side(NamedTuple):
@@ -109,11 +109,11 @@ class OtherBodies:
             if glass or body.stays:
                 rate = np.zeros((len(self.scene.row_of(body)), len(values)))
                 for place in range(len(numbers)):
-                    move = STEP * np.eye(len(numbers))[place]
+                    move = NUMBER_STEP * np.eye(len(numbers))[place]
                     ahead, back = (
                         self.scene.row_of(body.with_numbers((own + by).tolist(), self._nm)) for by in (move, -move)
                     )
-                    rate[:, first + place] = (ahead - back) / (2.0 * STEP)
+                    rate[:, first + place] = (ahead - back) / (2.0 * NUMBER_STEP)
                 parts.append(rate)
             first += len(numbers)
         return np.concatenate(parts)

@@ -42,7 +42,7 @@ import scipy
 from numpy.typing import NDArray
 
 SIGNIFICANT = 3.0  # sigmas of a variance of zero
-ENOUGH = 8  # lines or points
+MIN_LINES = 8  # lines or points
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,9 @@ class _Shared:
     @property
     def counted(self) -> float:
         """The variance; 0 if it does not stand out."""
-        return self.variance if self.groups >= ENOUGH and self.variance > SIGNIFICANT * self.noise > 0.0 else 0.0
+        return (
+            self.variance if self.groups >= MIN_LINES and self.variance > SIGNIFICANT * self.noise > 0.0 else 0.0
+        )
 
     def likely(self, most: float) -> float:
         """Mean of what is likely between 0 and the most that it can be; that, where nothing tells."""

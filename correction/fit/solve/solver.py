@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.contact import ROUNDS, WALL_MM, pushed_apart, walls
-from correction.fit.solve.other_bodies import STEP
+from correction.fit.solve.contact import CONTACT_ROUNDS, WALL_MM, pushed_apart, walls
+from correction.fit.solve.other_bodies import NUMBER_STEP
 from correction.fit.solve.unknowns import Unknowns, left_jacobian
 from tracer.bodies import CONTACT_TOL_MM, Body
 from tracer.errors import SceneError
@@ -37,7 +37,7 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, Targ
 
 FAR_MM = 5.0  # a ball so far from a wall does not come to it in one step
 LOST = 12.0  # [residual units] what a ray that lands nowhere costs
-STEPS = 40
+MAX_LM_STEPS = 40
 
 
 def room_depths(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -63,9 +63,9 @@ def room_depths(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[
         for at, name in enumerate(unknowns.other_bodies.names, start=first):
             if name.startswith(f"{pair.wall.name}."):
                 if at not in moved:
-                    moved[at] = _moved(unknowns, full, at, STEP), _moved(unknowns, full, at, -STEP)
+                    moved[at] = _moved(unknowns, full, at, NUMBER_STEP), _moved(unknowns, full, at, -NUMBER_STEP)
                 ahead, back = moved[at]
-                rate[number, at] = (pair.gap_mm(table, back) - pair.gap_mm(table, ahead)) / (2.0 * STEP)
+                rate[number, at] = (pair.gap_mm(table, back) - pair.gap_mm(table, ahead)) / (2.0 * NUMBER_STEP)
     return depth, rate
 
 
@@ -74,7 +74,7 @@ def pushed_clear(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray
     sides, walls = unknowns.other_bodies.sides, unknowns.other_bodies.moved(full[unknowns.others])
     table, shapes = unknowns.spheres(full), unknowns.shapes(full)
     deepest = max((-pair.gap_mm(table, walls) for pair in sides), default=0.0)
-    for _ in range(ROUNDS):
+    for _ in range(CONTACT_ROUNDS):
         table, clean = pushed_apart(table, shapes=shapes), True
         for pair in sides:
             gap = pair.gap_mm(table, walls)
@@ -398,7 +398,7 @@ def minimise(
     x: NDArray[np.float64],
     *,
     knee: float,
-    steps: int = STEPS,
+    steps: int = MAX_LM_STEPS,
     tolerance: float = 1e-5,
 ) -> Solution:
     """Levenberg-Marquardt from x.

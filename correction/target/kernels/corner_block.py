@@ -20,7 +20,7 @@ from correction.target.kernels.corner_model import (
 )
 from ground.jit import Array, kernel, kernel_inlined
 
-LANES = 64  # pixels at a time
+PIXEL_LANES = 64  # pixels at a time
 WIDE = 16  # numbers of a row, FREE and zeros: whole vectors
 TERMS = 25
 TOP = PLAIN * PLAIN
@@ -58,7 +58,7 @@ def polynomial(t: float, factors: Array) -> float:
 
 @kernel_inlined
 def gradients(p: Array, turn: Array, du: Array, dv: Array, out: Array) -> None:
-    """Model intensity and its derivatives at pixels du, dv (LANES,), into out (FREE + 1, LANES).
+    """Model intensity and its derivatives at pixels du, dv (PIXEL_LANES,), into out (FREE + 1, PIXEL_LANES).
 
     p (FREE,) the free numbers, position relative to the window's centre; turn (4,) cosine and sine of both angles.
     The intensity stands last.
@@ -69,7 +69,7 @@ def gradients(p: Array, turn: Array, du: Array, dv: Array, out: Array) -> None:
     r6, r7 = 1.0 / p6, 1.0 / p7
     # Blurred light that rises along g looks like light shifted by s^2 g.
     drag, upright, across = p6 * p7, -c1 * c2 - s1 * s2, c1 * s2 - s1 * c2
-    for i in range(LANES):
+    for i in range(PIXEL_LANES):
         x, y = du[i] - p0 + drag * p10, dv[i] - p1 + drag * p11
         t1, m1 = c1 * x + s1 * y, c1 * y - s1 * x
         t2, m2 = c2 * x + s2 * y, s2 * x - c2 * y
@@ -130,9 +130,9 @@ def start_levels(p: Array, pixels: Array, count: int, turn: Array, block: Array)
     set_turn(p, turn)
     p[8], p[9] = 0.0, 1.0
     q1 = q2 = y0 = y1 = 0.0
-    for first in range(0, count, LANES):
-        gradients(p, turn, pixels[0, first : first + LANES], pixels[1, first : first + LANES], block)
-        for i in range(min(LANES, count - first)):
+    for first in range(0, count, PIXEL_LANES):
+        gradients(p, turn, pixels[0, first : first + PIXEL_LANES], pixels[1, first : first + PIXEL_LANES], block)
+        for i in range(min(PIXEL_LANES, count - first)):
             q1 += block[9, i]
             q2 += block[9, i] * block[9, i]
             y0 += pixels[2, first + i]
@@ -145,18 +145,19 @@ def start_levels(p: Array, pixels: Array, count: int, turn: Array, block: Array)
 def products(p: Array, pixels: Array, count: int, turn: Array, block: Array, rows: Array, sums: Array) -> None:
     """Sums over all pixels (4, count or more) of products of derivatives and residual into sums (FREE + 1, WIDE).
 
-    The residual stands last.  block (FREE + 1, LANES), rows (LANES, WIDE; zero from FREE + 1 on) are scratch.
+    The residual stands last.  block (FREE + 1, PIXEL_LANES), rows (PIXEL_LANES, WIDE; zero from FREE + 1 on) are
+    scratch.
     """
     set_turn(p, turn)
     sums[:] = 0.0
-    for first in range(0, count, LANES):
-        gradients(p, turn, pixels[0, first : first + LANES], pixels[1, first : first + LANES], block)
-        for i in range(LANES):
+    for first in range(0, count, PIXEL_LANES):
+        gradients(p, turn, pixels[0, first : first + PIXEL_LANES], pixels[1, first : first + PIXEL_LANES], block)
+        for i in range(PIXEL_LANES):
             block[FREE, i] = pixels[2, first + i] - block[FREE, i]
-        for k in range(LANES):
+        for k in range(PIXEL_LANES):
             for j in range(FREE + 1):
                 rows[k, j] = block[j, k]
-        some = min(LANES, count - first)
+        some = min(PIXEL_LANES, count - first)
         whole = (some + 7) // 8 * 8
         rows[some:whole] = 0.0
         for k in range(0, whole, 8):
@@ -176,9 +177,9 @@ def draw_smeared(
 ) -> None:  # fmt: skip
     """Draw corners first..last-1, each the sum of displaced ones, about the middles of their tiles.
 
-    axes (N, 2, 2) px per square; blur (N,) px; steps (K, N, 2) where each part shows the corner [px] and share
-    (K, N) of the light; p (FREE,), turn (4,), block (FREE + 3, LANES) are scratch; out (N, S, S), S odd, dark -1,
-    bright 1.
+    axes (N, 2, 2) px per square; blur (N,) px; steps (K, N, 2) where each part shows the corner [px] and share (K,
+    N) of the light; p (FREE,), turn (4,), block (FREE + 3, PIXEL_LANES) are scratch; out (N, S, S), S odd, dark
+    -1, bright 1.
     """
     side = out.shape[1]
     du, dv = block[FREE + 1], block[FREE + 2]
@@ -189,11 +190,11 @@ def draw_smeared(
         p[6], p[7], p[9] = blur[n], blur[n], 1.0
         set_turn(p, turn)
         out[n] = 0.0
-        for begin in range(0, side * side, LANES):
-            for i in range(LANES):
+        for begin in range(0, side * side, PIXEL_LANES):
+            for i in range(PIXEL_LANES):
                 du[i], dv[i] = float((begin + i) % side - side // 2), float((begin + i) // side - side // 2)
             for k in range(len(steps)):
                 p[0], p[1] = steps[k, n, 0], steps[k, n, 1]
                 gradients(p, turn, du, dv, block)
-                for i in range(min(LANES, side * side - begin)):
+                for i in range(min(PIXEL_LANES, side * side - begin)):
                     out[n, (begin + i) // side, (begin + i) % side] += share[k, n] * block[FREE, i]

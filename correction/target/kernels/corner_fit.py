@@ -8,7 +8,7 @@ plains, and blur correlates neighbours, so sigma^2 (J^T J)^-1 would be wrong.  W
 (J^T J)^-1 J_i r_i / (1 - h_i), where its leverage h_i = J_i^T (J^T J)^-1 J_i makes up for the part of the noise
 that the fit swallowed,
 
-    cov = sum_ij k(i - j) a_i a_j,      k a triangle of base 2 BLOCK px in each direction
+    cov = sum_ij k(i - j) a_i a_j,      k a triangle of base 2 CORRELATED_PX px in each direction
 
 (White, Econometrica 48, 817 (1980); MacKinnon, White, J. Econometrics 29, 305 (1985), HC3; Conley,
 J. Econometrics 92, 1 (1999)), summed as squares of block sums.  A wider block knows more correlation and
@@ -20,7 +20,7 @@ from math import atan2, hypot, sqrt
 
 import numpy as np
 
-from correction.target.kernels.corner_block import LANES, WIDE, gradients, products, start_levels
+from correction.target.kernels.corner_block import PIXEL_LANES, WIDE, gradients, products, start_levels
 from correction.target.kernels.corner_model import (
     FREE,
     LOST,
@@ -35,8 +35,8 @@ from ground.jit import Array, kernel
 from ground.kernels.cholesky import factorise, solve
 from piv.resampling.kernels.prefilter import copy_line
 
-BLOCK = 2  # block of pixels taken as correlated [px]
-SETTLED_PX = 5e-4  # a step that no longer matters
+CORRELATED_PX = 2  # block of pixels taken as correlated [px]
+NEGLIGIBLE_STEP_PX = 5e-4  # a step that no longer matters
 TOLERANCE_RATIO = 2.0  # relative gain in the squares that belongs to a step of 1 px
 MAX_ROUNDS = 4  # moves of the window
 MAX_STEPS = 25  # steps of the optimiser in one window
@@ -51,8 +51,8 @@ def covariance(
 ) -> bool:  # fmt: skip
     """Variance of u, of v and their covariance [px^2] into out (3,), from the residuals in the window.
 
-    inverse (FREE, FREE or more), weights (2, FREE), pull (SIDE^2, 2), sums (SIDE, 2), block (FREE + 1, LANES) and
-    beside (4 or more, LANES) are scratch.
+    inverse (FREE, FREE or more), weights (2, FREE), pull (SIDE^2, 2), sums (SIDE, 2), block (FREE + 1,
+    PIXEL_LANES) and beside (4 or more, PIXEL_LANES) are scratch.
     """
     if not factorise(normal, 0.0, lower):
         return False
@@ -74,50 +74,50 @@ def covariance(
         pull[k, 0] = 0.0
         pull[k, 1] = 0.0
     leverage, across, by_u, by_v = beside[0], beside[1], beside[2], beside[3]
-    for first in range(0, count, LANES):
-        gradients(p, turn, pixels[0, first : first + LANES], pixels[1, first : first + LANES], block)
+    for first in range(0, count, PIXEL_LANES):
+        gradients(p, turn, pixels[0, first : first + PIXEL_LANES], pixels[1, first : first + PIXEL_LANES], block)
         leverage[:], by_u[:], by_v[:] = 0.0, 0.0, 0.0
         for i in range(FREE):
             across[:] = 0.0
             for j in range(i + 1):
-                for n in range(LANES):
+                for n in range(PIXEL_LANES):
                     across[n] += inverse[i, j] * block[j, n]
-            for n in range(LANES):
+            for n in range(PIXEL_LANES):
                 leverage[n] += across[n] * across[n]
                 by_u[n] += weights[0, i] * block[i, n]
                 by_v[n] += weights[1, i] * block[i, n]
-        for n in range(min(LANES, count - first)):
+        for n in range(min(PIXEL_LANES, count - first)):
             place = int(pixels[3, first + n])
             residual = (pixels[2, first + n] - block[FREE, n]) / max(1.0 - leverage[n], 0.1)
             pull[place, 0], pull[place, 1] = by_u[n] * residual, by_v[n] * residual
     uu = vv = uv = 0.0
-    for top in range(1 - BLOCK, height):
+    for top in range(1 - CORRELATED_PX, height):
         for c in range(width):
             sums[c, 0] = 0.0
             sums[c, 1] = 0.0
-            for r in range(max(top, 0), min(top + BLOCK, height)):
+            for r in range(max(top, 0), min(top + CORRELATED_PX, height)):
                 sums[c, 0] += pull[r * width + c, 0]
                 sums[c, 1] += pull[r * width + c, 1]
         a = b = 0.0
-        for right_end in range(width + BLOCK - 1):
+        for right_end in range(width + CORRELATED_PX - 1):
             if right_end < width:
                 a += sums[right_end, 0]
                 b += sums[right_end, 1]
-            if right_end >= BLOCK:
-                a -= sums[right_end - BLOCK, 0]
-                b -= sums[right_end - BLOCK, 1]
+            if right_end >= CORRELATED_PX:
+                a -= sums[right_end - CORRELATED_PX, 0]
+                b -= sums[right_end - CORRELATED_PX, 1]
             uu += a * a
             vv += b * b
             uv += a * b
-    scale = 1.0 / (BLOCK * BLOCK)
+    scale = 1.0 / (CORRELATED_PX * CORRELATED_PX)
     out[0], out[1], out[2] = uu * scale, vv * scale, uv * scale
     return True
 
 
 def new_scratch() -> tuple[Array, ...]:
     """Return working memory of `fit_corners`: pixels, pulls, block sums, box, vectors, a block, equations."""
-    pixels, pull, sums = np.zeros((4, SIDE * SIDE + LANES)), np.empty((SIDE * SIDE, 2)), np.empty((SIDE, 2))
-    block = np.zeros((2 * WIDE, LANES))
+    pixels, pull, sums = np.zeros((4, SIDE * SIDE + PIXEL_LANES)), np.empty((SIDE * SIDE, 2)), np.empty((SIDE, 2))
+    block = np.zeros((2 * WIDE, PIXEL_LANES))
     return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), block, np.zeros((11 + 3 * FREE, WIDE))
 
 
@@ -209,7 +209,7 @@ def fit_corners(
     """
     pixels, pull, sums, box, small, blocks, square = scratch
     extent, inverse, total = small[0], small[1:3], small[3]
-    block, rows = blocks[: FREE + 1], blocks[WIDE:].reshape(LANES, WIDE)
+    block, rows = blocks[: FREE + 1], blocks[WIDE:].reshape(PIXEL_LANES, WIDE)
     p, trial, row = square[0, :FREE], square[1, :FREE], square[2, :FREE]
     right, step, trial_right = square[3, :FREE], square[4, :FREE], square[5, :FREE]
     turn, weights, normal = square[6, :4], square[7:9, :FREE], square[9 : 10 + FREE]
@@ -257,7 +257,7 @@ def fit_corners(
             # The shape is freed once the blur is right (under a wide first guess it finds a wrong minimum), and
             # given up where edges along pixel rows cannot tell it from blur.
             pin = ridge if rounds > 0 else 1e6 * ridge
-            tolerance = SETTLED_PX if rounds > 0 else 0.05
+            tolerance = NEGLIGIBLE_STEP_PX if rounds > 0 else 0.05
             found = False
             for _ in range(2 if rounds > 0 else 1):
                 found = optimise(

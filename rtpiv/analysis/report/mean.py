@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, Regions
-from correction.self_check.moved_sphere import FALSE_ALARMS, SelfCheck
+from correction.self_check.moved_sphere import MOVE_FALSE_ALARMS, SelfCheck
 from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import tells_a_scale_alone
@@ -281,6 +281,6 @@ def show_self_check(page: Page, found: SelfCheck) -> None:
     if rows:
         said = (
             "Each sphere by itself as the one that moved; the one that explains most of what is apart is named."
-            f" Spheres that stand still raise an alarm in fewer than {FALSE_ALARMS:g} of all checks"
+            f" Spheres that stand still raise an alarm in fewer than {MOVE_FALSE_ALARMS:g} of all checks"
         )
         page.table(HEAD, rows, said)

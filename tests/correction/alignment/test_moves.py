@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from correction.alignment.moves import STEP_MM, Look, require_followed, wanted
+from correction.alignment.moves import STAGE_STEP_MM, Look, require_followed, wanted
 from correction.alignment.seen import Arrangement
 from correction.errors import MoveDoubted
 
@@ -47,8 +47,8 @@ def test_a_thousand_benches_are_aligned_and_no_glass_touches():
         assert places[:, 2].min() > -CONTACT_MM  # what touches the target in the scene file stands at 0
         assert np.abs(camera).max() < 0.2
     sideways = np.hypot(ends[:, 0], ends[:, 1])
-    assert np.quantile(sideways, 0.95) < STEP_MM
-    assert sideways.max() < 1.6 * STEP_MM  # what is left is the bias of the looks
+    assert np.quantile(sideways, 0.95) < STAGE_STEP_MM
+    assert sideways.max() < 1.6 * STAGE_STEP_MM  # what is left is the bias of the looks
 
 
 def test_glass_that_stands_right_is_left_alone():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, ways_tested
+from correction.fit.judge.model_test import MODEL_FALSE_ALARMS, Remainder, ways_tested
 from correction.fit.judge.verdict import Verdict
 from correction.fit.seen.hidden_patches import Hidden
 from correction.fit.seen.measurement import TargetFrame, glass_frame
@@ -47,7 +47,7 @@ def test_right_models_raise_no_more_alarms_than_said_whatever_the_sigmas_are():
         factor = np.exp(rng.normal())  # sigmas that are all wrong by one factor
         tests = ways_tested([remainder(0.02 * factor * rng.normal(size=PIXEL.shape), way) for way in ("", "ball")])
         alarms += any(test.alarm for test in tests)
-    assert alarms <= 150 * FALSE_ALARMS
+    assert alarms <= 150 * MODEL_FALSE_ALARMS
 
 
 def test_a_field_that_bends_is_found_and_measured_below_the_noise():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from correction.fitted.prepared import content_key, prepare
-from correction.maps.aperture import FARTHEST_PX, blur_map, chief_pixels
+from correction.maps.aperture import MAX_MISFIT_PX, blur_map, chief_pixels
 from correction.node_status import NodeStatus
 from ground.errors import ConfigError
 from tests.correction.small_scenes import small_scene
@@ -36,9 +36,9 @@ def test_nodes_are_looked_up_at_centroids():
     good = own.lost == 0.0
     assert good.mean() > 0.8
     assert np.abs(step).max() > 0.01
-    small = good & (np.hypot(*own.shift_px.T) < FARTHEST_PX)
+    small = good & (np.hypot(*own.shift_px.T) < MAX_MISFIT_PX)
     assert np.abs(step - own.shift_px)[small].max() < 1e-4
-    assert np.hypot(*step.T).max() <= FARTHEST_PX + 1e-6
+    assert np.hypot(*step.T).max() <= MAX_MISFIT_PX + 1e-6
     direct = wide.recovered & ~behind
     assert np.array_equal(wide.pixel[0][direct], pinhole.pixel[0][direct])
 

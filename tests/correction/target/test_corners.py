@@ -182,12 +182,12 @@ def drawn_corners(count):
         p = np.array(
             [*rng.normal(size=2), *angles, *rng.normal(size=2) * 0.02, *blurs, 1500.0, 1200.0, 3e-3, -2e-3, 0.1]
         )
-        yield p, rng.uniform(-8.0, 8.0, (2, corner_block.LANES)) * rng.choice([0.2, 1.0, 3.0])
+        yield p, rng.uniform(-8.0, 8.0, (2, corner_block.PIXEL_LANES)) * rng.choice([0.2, 1.0, 3.0])
 
 
 def test_many_pixels_at_once_have_the_derivatives_of_each():
     """To 1e-13 of the largest, of 1200 grey levels: erf and exp here are of the library, there polynomials."""
-    turn, row, out = np.empty(4), np.empty(13), np.empty((14, corner_block.LANES))
+    turn, row, out = np.empty(4), np.empty(13), np.empty((14, corner_block.PIXEL_LANES))
     for p, pixels in drawn_corners(200):
         corner_model.set_turn(p, turn)
         corner_block.gradients(p, turn, *pixels, out)
@@ -208,15 +208,15 @@ def test_polynomials_are_erf_and_exp():
 @pytest.mark.parametrize("count", [40, 64, 65, 199])
 def test_products_are_those_of_all_pixels_and_of_no_other(count):
     p, _ = next(drawn_corners(1))
-    pixels = np.random.default_rng(5).uniform(-6.0, 6.0, (4, count + corner_block.LANES))
+    pixels = np.random.default_rng(5).uniform(-6.0, 6.0, (4, count + corner_block.PIXEL_LANES))
     pixels[:, count:] = np.nan
     turn, row, jacobian = np.empty(4), np.empty(13), np.empty((count, 14))
     corner_model.set_turn(p, turn)
     for k in range(count):
         jacobian[k, 13] = pixels[2, k] - gradient(p, turn, pixels[0, k], pixels[1, k], row)
         jacobian[k, :13] = row
-    sums, block = np.full((14, 16), np.nan), np.empty((14, corner_block.LANES))
-    corner_block.products(p, pixels, count, turn, block, np.zeros((corner_block.LANES, 16)), sums)
+    sums, block = np.full((14, 16), np.nan), np.empty((14, corner_block.PIXEL_LANES))
+    corner_block.products(p, pixels, count, turn, block, np.zeros((corner_block.PIXEL_LANES, 16)), sums)
     wanted = jacobian.T @ jacobian
     scale = np.sqrt(np.outer(wanted.diagonal(), wanted.diagonal()))
     assert (np.abs(sums[:, :14] - wanted) <= 1e-13 * scale).all()
@@ -266,7 +266,7 @@ def test_compiled_and_interpreted_drawings_agree():
     drawn = [np.empty((1, 15, 15)) for _ in range(2)]
 
     def scratch():
-        return np.empty(13), np.empty(4), np.empty((16, corner_block.LANES))
+        return np.empty(13), np.empty(4), np.empty((16, corner_block.PIXEL_LANES))
 
     with pytest.MonkeyPatch.context() as context:
         corner_block.draw_smeared(axes, np.array([0.6]), steps, np.full((2, 1), 0.5), 0, 1, *scratch(), drawn[0])
