@@ -29,6 +29,7 @@ and others the particles, neither lags.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from piv.correlation.correlate import Searched, correlate_windows, peak_ratios
@@ -63,6 +64,7 @@ APART = (  # length in deviations of an image, and how much of it comes of image
     (0.40, 0.20, 0.092, 0.05, 0.027, 0.0),
 )
 SHARE, FEWEST = 0.5, 4  # of the windows that must show a clear displacement
+MOST_PX = 1024  # side of the part of a frame that is compared with itself
 LEAST_COMMON = 0.06  # share of the light, in three of four windows that move
 
 
@@ -179,7 +181,7 @@ def without_common_light(
     usual = float(np.median(known.correlation[seen]))
     usual_px = float(np.median(np.linalg.norm(known.vectors_px[seen], axis=-1)))
     is_slow = usual_px < FAR * np.sqrt(spread_px2)
-    if is_slow and (usual > GOOD or abs(lag) < MOVES_WHOLE):
+    if usual > GOOD or (is_slow and abs(lag) < MOVES_WHOLE):
         return None
     try:
         rest = prepared(
@@ -206,6 +208,8 @@ def without_common_light(
     image_px = float(np.sqrt(spread_px2))
     at_rest = match_at_rest(frames, grid, 0.0, threads)
     slow = np.exp(-np.square(known.vectors_px).sum(axis=-1) / (4.0 * spread_px2))
+    # Images that are long, or rings, match themselves farther away than Gaussian ones of their width.
+    slow = np.maximum(slow, match_with_itself(pair.a, known.vectors_px))
     vectors = np.stack([known.means(grid, known.vectors_px[..., axis]) for axis in range(2)], axis=-1)
     match = known.means(grid, known.correlation)
     # What moves as one is more than such slow vectors leave behind, or matches better than they do.
@@ -238,6 +242,19 @@ def image_spread_px2(pair: Pair) -> float:
     """Variance of a particle image of a pair, by the direction in which it is smaller: patterns may have one."""
     frame, weight = (np.ascontiguousarray(part.T) for part in (pair.a, pair.valid))
     return min(pair.spread_px2, texture_of(frame, weight, bool(pair.valid.all())).spread_px2)
+
+
+def match_with_itself(frame: NDArray[np.float32], shift_px: Floats) -> Floats:
+    """Correlation coefficient (...) of a frame (H, W) with itself at displacements (..., 2) of some pixels."""
+    middle = tuple(
+        slice(max(side - MOST_PX, 0) // 2, max(side - MOST_PX, 0) // 2 + MOST_PX) for side in frame.shape
+    )
+    spectrum = scipy.fft.rfft2(frame[middle])
+    square = np.square(spectrum.real) + np.square(spectrum.imag)
+    products = scipy.fft.irfft2(square, frame[middle].shape)
+    at = np.moveaxis(np.nan_to_num(shift_px[..., ::-1]), -1, 0)
+    found = scipy.ndimage.map_coordinates(products, at, order=1, mode="grid-wrap") / products[0, 0]
+    return np.asarray(found, np.float64)
 
 
 def match_at_rest(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: int | None) -> Floats:

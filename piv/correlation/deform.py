@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ground.rows import run_rows
 from piv.correlation.fill import Doubt
+from piv.correlation.inclined_images import Inclination
 from piv.correlation.kernels.deform import agree_rows, deform_rows, refine_lines
 from piv.correlation.windows import WindowGrid, around
 
@@ -35,6 +36,7 @@ class DeformedPair(NamedTuple):
     valid: NDArray[np.float32]
     floor: float
     worth: NDArray[np.float32] | None = None
+    inclination: Inclination | None = None
 
     def solid(self) -> NDArray[np.uint8]:
         """Pixels (H, W) that are more valid than not, for windows without weights."""
@@ -44,7 +46,8 @@ class DeformedPair(NamedTuple):
 class Frames(NamedTuple):
     """What passes sample: spline coefficients of both frames, their mask (H, W) float32, and how sure pixels are.
 
-    `floor` is the mean square up to which a window counts as constant; `told` as in `Pair`.
+    `floor` is the mean square up to which a window counts as constant; `told` as in `Pair`; `inclination` of
+    particle images, None of round ones.
     """
 
     coefficients: tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -52,6 +55,7 @@ class Frames(NamedTuple):
     floor: float
     doubt: Doubt | None
     told: NDArray[np.float32] | None = None
+    inclination: Inclination | None = None
 
 
 def deform_pair(

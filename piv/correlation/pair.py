@@ -40,6 +40,7 @@ from piv.correlation.common_light import (
     is_suspect,
     lag_of_coarse_light,
     match_at_rest,
+    match_with_itself,
     without_common_light,
 )
 from piv.correlation.correlate import peak_ratios
@@ -49,6 +50,7 @@ from piv.correlation.denoise import Denoised, denoised
 from piv.correlation.evidence import by_chance, unproven
 from piv.correlation.finer_waves import Evaluated, finer_px
 from piv.correlation.halving import find_sizes
+from piv.correlation.inclined_images import inclination_of
 from piv.correlation.passes import Course, Measured, search
 from piv.correlation.planes import filled
 from piv.correlation.prepare import Pair, checked, prepared
@@ -260,14 +262,18 @@ def _evaluated(
     deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
     still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
     found = search(pair, grids[0], settings, threads)
-    frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt, pair.told)
+    inclination = inclination_of(pair.a)
+    frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt, pair.told, inclination)
     spread_px2, sampled_px2, nan_pixels = pair.spread_px2, pair.sampled_px2, pair.nan_pixels
     suspect = pair if common is None and is_suspect(still) else None
     del pair  # 8 bytes a pixel that are not needed any more
     course = Course(frames, settings, threads, grids[0], found, deformed)
     for grid in grids[1:]:
         course.look(grid)
-    still_share = static_share(still, filled(course.found.vectors_px, course.found.good)[0], spread_px2)
+    vectors = filled(course.found.vectors_px, course.found.good)[0]
+    if suspect is not None:  # large images are still at their own place when they have moved by their width
+        still = still - np.maximum(match_with_itself(suspect.a, vectors[::2, ::2]), 0.0)
+    still_share = static_share(still, vectors, spread_px2)
     if suspect is not None:
         known = Known(course.grid, course.found.vectors_px, course.found.correlation)
         believed = np.where(course.found.good[..., None], course.found.vectors_px, np.nan)
@@ -350,6 +356,8 @@ def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) ->
         lean = leaning(blocks, grid, settings.window_sigma, left)
         lean = leaning_of(lean, grid, sizes, settings.window_sigma)
         one, pieces = correlation_statistics(lean, found.refined)
+        if course.frames.inclination is not None:
+            one = one * course.frames.inclination.noise_growth(grid)[..., None]
         good = good & ~_empty(course, one, pieces / np.square(sizes.side_px))
         good = good & ~_beside_the_point(found, good)
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.

@@ -101,7 +101,7 @@ class Course:
         doubt = frames.doubt if self.number >= COARSE else None  # frames complete each other where they match
         self.deformed = deform_pair(
             frames.coefficients, frames.valid, predictor, before, frames.floor, self.threads, doubt
-        )
+        )._replace(inclination=frames.inclination)
         predictor, self.grid = moved(predictor, before, grid), grid
         self.found = refine_pass(self.deformed, grid, predictor, self.number == 1, settings, self.threads, sizes)
 
@@ -147,6 +147,8 @@ def refine_pass(
     if sizes is not None:
         raw = chosen(own, sizes, grid, settings.window_sigma, pair.floor)
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
+    if pair.inclination is not None:
+        shift = pair.inclination.solve(shift, grid)
     dense = raw.valid_fraction >= settings.min_valid
     shift[~dense] = np.nan
     told = raw.correlation[dense & np.isfinite(raw.correlation)]  # constant windows have none

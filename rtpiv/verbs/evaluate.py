@@ -133,8 +133,7 @@ def evaluate(
     how = PairMethod("", details, choice.settings, preparation, output.pictures, choice.out_of_plane)
     screen = console()
     if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
-        name = readable_name(run)
-        mine = partial(holds_series_of, name=name)
+        mine = partial(holds_series_of, run=run, dt_us=dt_us)
         with results_in(out, USUAL, mine, COPIES, output.overwrite) as out:
             series = series_input(run, out, choice, scene, recipe, dt_us, timed=False)
             return _series(screen, series, how, output, workers)
@@ -220,10 +219,14 @@ def _shown(
     return tuple(found), failed
 
 
-def holds_series_of(folder: Path, name: str) -> bool:
-    """Whether the series of this run was begun in a folder."""
+def holds_series_of(folder: Path, run: Path, dt_us: float | None) -> bool:
+    """Return whether the series of this run was begun in a folder, with this time between its frames."""
+    series = SeriesFolder(folder)
     try:
-        return SeriesFolder(folder).about["run"] == name
+        if series.about["run"] != readable_name(run):
+            return False
+        own = dt_us is None and is_run(run)  # a run knows the time itself
+        return own or series.agrees_with_dt(None if dt_us is None else 1e-6 * dt_us)
     except (RunUnsuitable, SeriesError):
         return False
 

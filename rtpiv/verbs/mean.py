@@ -108,10 +108,11 @@ def mean(
     with ExitStack() as held:
         series = None
         if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
-            name, choice = readable_name(path), piv_choice(**options)
+            choice = piv_choice(**options)
             if is_run(path) and out is None:
                 out = RunFolder(path).own("series")
-            alone = results_in(out, USUAL, partial(holds_series_of, name=name), COPIES, output.overwrite)
+            mine = partial(holds_series_of, run=path, dt_us=dt_us)
+            alone = results_in(out, USUAL, mine, COPIES, output.overwrite)
             folder = held.enter_context(alone)
             given = series_input(path, folder, choice, scene, recipe, dt_us)
             books = run_series(given, workers)

@@ -89,7 +89,9 @@ def results_in(
             others = [folder / name for name in OF_VECTORS if (folder / name).exists()]
             if others and not overwrite:
                 cure = "give another folder with -o, or --overwrite"
-                raise RunUsageError("holds vectors of other frames", place=folder, cure=cure)
+                raise RunUsageError(
+                    "holds vectors of other frames, or with another time between them", place=folder, cure=cure
+                )
             for file in others:
                 file.unlink()
         if made_from:

@@ -18,6 +18,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from math import isclose
 from pathlib import Path
 from typing import Annotated, Any, NotRequired
 
@@ -213,6 +214,17 @@ class SeriesFolder:
             if marker is not None:
                 found[int(file.stem)] = marker.key
         return found
+
+    def agrees_with_dt(self, dt_s: float | None) -> bool:
+        """Return whether the vectors there are of frames this time apart; True where there are none yet."""
+        for number, key in self.finished().items():
+            try:
+                fields = self.chunk(number, key).fields
+            except SeriesError:
+                continue
+            for field in fields:
+                return isclose(field.dt_s or 0.0, dt_s or 0.0)  # of displacements there is none
+        return True
 
     def unlike(self, about: SeriesFile) -> "Unlike":
         """Compare the finished chunks of the folder with a series that is to be evaluated into it."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from piv.files.vector_file import read_vectors
 from rtpiv.analysis.pairs.plausible import scale_warnings
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
@@ -100,9 +101,35 @@ def test_a_folder_with_vectors_of_other_frames_is_not_overwritten(tmp_path, caps
         for frames in others:
             assert main(["evaluate", *frames, *words]) == USAGE
             assert (
-                "holds vectors of other frames; give another folder with -o, or --overwrite"
+                "holds vectors of other frames, or with another time between them; give another folder with -o,"
                 in capsys.readouterr().err
             )
         assert {file: file.read_bytes() for file in out.rglob("*") if file.is_file()} == before
     assert main(["mean", str(other), *SCALE, "--workers", "1", "-o", str(out)]) == USAGE
     assert main(["mean", str(one), "--final-window", "32", *SCALE, "--workers", "1", "-o", str(out)]) == DONE
+
+
+def test_a_mean_with_another_time_between_its_frames_is_kept_beside_the_first(tmp_path, monkeypatch, capsys):
+    """The second replaced the first: the same vectors, at twice the speed."""
+    day = time_resolved(tmp_path / "day", 4)
+    monkeypatch.chdir(tmp_path)
+    words = ["mean", str(day), "--final-window", "32", "--workers", "1", "--mm-per-px", "0.1"]
+
+    def speed(folder):
+        return float(np.nanmedian(read_vectors(tmp_path / folder / "mean.nc").fields["u"]))
+
+    for dt in ([], ["--dt-us", "1000"], ["--dt-us", "500"], ["--dt-us", "1000"]):
+        assert main([*words, *dt]) == DONE
+    assert sorted(path.name for path in tmp_path.glob("evaluation*")) == [
+        "evaluation", "evaluation-2", "evaluation-3"
+    ]  # fmt: skip
+    slow, fast = speed("evaluation-2"), speed("evaluation-3")
+    assert fast == pytest.approx(2.0 * slow)
+    capsys.readouterr()
+    for dt in (["--dt-us", "1000"], []):
+        before = (tmp_path / "evaluation-3" / "mean.nc").read_bytes()
+        assert main([*words, *dt, "-o", "evaluation-3"]) == USAGE
+        assert "with another time between them" in capsys.readouterr().err
+        assert (tmp_path / "evaluation-3" / "mean.nc").read_bytes() == before
+    assert main([*words, "--dt-us", "1000", "-o", "evaluation-3", "--overwrite"]) == DONE
+    assert speed("evaluation-3") == pytest.approx(slow)
