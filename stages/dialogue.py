@@ -5,7 +5,7 @@
     > 2f 0a                 the host has sent this
     < 40 30 31 +0.013       this came, so many seconds after what the host had sent last
 
-`rtpiv probe` writes one.  With the environment variable RTPIV_RECORD every port that is opened writes one as well,
+`rtpiv doctor --probe` writes one.  With the environment variable RTPIV_RECORD every opened port writes one too,
 a file of its own in the folder that the variable names, line by line.  A thread of its own writes it: a stop never
 waits for a disk, and one that fails or hangs meanwhile ends the recording, never the motion.
 """

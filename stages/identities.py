@@ -60,6 +60,6 @@ def confusable(config: StagesTable) -> list[str]:
         if len(twins) > 1 and loose:
             found.append(
                 f"{' and '.join(loose)} ({driver}) would be taken for another box on a swapped cable; "
-                "give each an identity (save in rtpiv stage writes it), or a port in /dev/serial/by-id"
+                "give each an identity (save in rtpiv bench stage writes it), or a port in /dev/serial/by-id"
             )
     return found

@@ -95,7 +95,7 @@ class Link(ABC):
         sent = [chunk.data for chunk in port.trace if chunk.sent]
         own = type(self).__module__.rpartition(".")[2]
         words = [f"{where} {describe_reply(port.heard(), sent, own)}", self.first_day]
-        return " ".join([*filter(None, words), f"rtpiv probe {port.url} tries other rates and boxes"])
+        return " ".join([*filter(None, words), f"rtpiv doctor --probe {port.url} tries other rates and boxes"])
 
     def close(self) -> None:
         """Close the port; safe at any time."""

@@ -342,7 +342,7 @@ class Stage:
                 continue
             if ask is None:
                 raise StageUsageError(
-                    f"{name} is homed by hand: see where it stands and say it; in `rtpiv stage`, confirm {name}=MM"
+                    f"{name} is homed by hand: read its position, then `confirm {name}=MM` in `rtpiv bench stage`"
                 )
             self.confirm(name, ask(name))
         return set(by_hand)

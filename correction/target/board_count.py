@@ -186,14 +186,14 @@ def _why(
         return (
             f"{seen}, and no mark that says which they are, and the camera is known to {reach:.2g} squares only:"
             " say how many squares the board has (squares: [columns, rows] in board.yaml) and bring one of its"
-            " corners into view, or print one with marks (rtpiv target)"
+            " corners into view, or print one with marks (rtpiv setup target)"
         )
     columns, rows = board.squares
     if found:
         return (
             f"{seen}, which may be any of {len(found)} places on a board of {columns} x {rows} squares: bring a"
-            " corner of the board into view with white paper around it, print one with marks (rtpiv target), or"
-            " give the camera's place better in fit.camera"
+            " corner of the board into view with white paper around it, print one with marks"
+            " (rtpiv setup target), or give the camera's place better in fit.camera"
         )
     apart = [
         f"{high - low} squares from edge to edge" for low, high in ends if low is not None and high is not None

@@ -50,7 +50,7 @@ SIZES = {
     "dots": ("pitch_mm", "dot_mm", "large_dot_mm"),
     "particles": ("particles", "particle_mm", "seed", "size_mm"),
 }
-HEAD = "# What was printed, by `rtpiv target`; measured_mm: the bars in the margin on paper, along x and y\n"
+HEAD = "# What was printed, by `rtpiv setup target`; measured_mm: the bars in the margin on paper, along x and y\n"
 
 
 class PrintedBoard(Table):
@@ -75,7 +75,7 @@ class PrintedBoard(Table):
     layout : {"new", "legacy"}, optional
         Which squares of a charuco board with an even number of rows carry markers: legacy, as OpenCV before 4.6,
         calib.io and others print it, with a bright square in the upper left corner. Default: as a frame shows it,
-        and new for a board with bars, which `rtpiv target` has drawn.
+        and new for a board with bars, which `rtpiv setup target` has drawn.
     pitch_mm, dot_mm, large_dot_mm : float, optional
         Of dots: from one to the next, and diameters of the usual and of the large ones.
     large_dots, bright_dots : optional
@@ -172,7 +172,7 @@ class PrintedBoard(Table):
             assert self.marker_mm is not None
             assert self.square_mm is not None
             assert self.dictionary is not None
-            layout = self.layout or ("" if self.bars_mm is None else "new")  # bars are of `rtpiv target`
+            layout = self.layout or ("" if self.bars_mm is None else "new")  # bars are of `rtpiv setup target`
             board = with_codes(board, Codes(self.dictionary, self.marker_mm / self.square_mm, layout))
         return board
 

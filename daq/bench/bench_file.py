@@ -14,7 +14,7 @@
       timeout_s: 5.0
     devices: {...}                       # any more, each with its `kind` and what that needs; a further camera
                                          # has a `scene` of its own
-    target: {square_mm: 2.5, disc_mm: 1.0}  # or {board: board.yaml}, the file that `rtpiv target` has written
+    target: {square_mm: 2.5, disc_mm: 1.0}  # or {board: board.yaml}, written by `rtpiv setup target`
     keep_out: {...}                      # see daq.bench.keep_out; without it nothing but limits is judged
     simulation: {bench: "sim.bench:SimulatedBench", ...}   # what --simulate puts in place of the hardware
 

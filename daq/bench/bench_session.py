@@ -1,4 +1,4 @@
-"""A bench that stays open in a person's hands: the verbs of `rtpiv stage`, as calls that return values.
+"""A bench that stays open in a person's hands: the verbs of `rtpiv bench stage`, as calls that return values.
 
     with open_session("bench.yaml") as bench:
         bench.home()

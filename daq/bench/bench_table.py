@@ -2,7 +2,7 @@
 
 Ways of triggering a camera have names (`PRESETS`: what has to be set for each, in SFNC names).  A trigger that is
 half set up looks like a broken wire, so a bench file may name one of these instead of four to seven settings.
-Whatever is set is read back, and `rtpiv camera test` tries it out.
+Whatever is set is read back, and `rtpiv bench camera test` tries it out.
 
 ==============  ==============================================================================================
 preset          a frame is

@@ -132,7 +132,7 @@ def why_not(path: Path) -> str | None:
     if path.is_symlink() and not path.exists():
         return f"{path} leads to nothing; is it plugged in and switched on?"
     if not path.exists():
-        return f"there is no {path}; is it plugged in and switched on? rtpiv devices lists what is"
+        return f"there is no {path}; is it plugged in and switched on? rtpiv doctor lists what is"
     if os.access(path, os.R_OK | os.W_OK):
         return None
     about = path.stat()

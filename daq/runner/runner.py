@@ -4,9 +4,9 @@
         route to its positions -> settle -> read positions back -> frames -> all on the disk -> journal
 
 A step is finished when every frame of it is on the disk; only then it enters the journal.  Whatever comes between
-(Ctrl-C, a lost camera, kill -9) leaves a run that `rtpiv resume` continues: frames of an unfinished step are
-discarded, and the step is taken again from the start, so that the frames of a pair always belong together.  A step
-that may have gaps keeps every frame instead and goes on behind the last one (runner.step_frames).
+(Ctrl-C, a lost camera, kill -9) leaves a run that `rtpiv acquire --resume` continues: frames of an unfinished step
+are discarded, and the step is taken again from the start, so that the frames of a pair always belong together.  A
+step that may have gaps keeps every frame instead and goes on behind the last one (runner.step_frames).
 
 A session in which a frame may have been filed under the wrong stop says so in its lines; its run is never done.
 """

@@ -116,7 +116,7 @@ def steps_to_retake(
         raise RunDamaged(
             f"{folder.path}: {len(faults)} of {len(counting)} frames are not what was written"
             f" ({name_faults(faults)}); restore them from a copy,"
-            f" or take their steps again with rtpiv resume {folder.path} --retake"
+            f" or take their steps again with rtpiv acquire --resume {folder.path} --retake"
         )
     return _with_partners({fault.step for fault in faults}, steps) & kept
 

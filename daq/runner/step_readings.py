@@ -60,7 +60,8 @@ class Gauges:
             return
         if name in self._needed:
             raise ReadingMissing(
-                f"no reading of {name}, which the plan needs: {reading.missing}; see to it, then rtpiv resume"
+                f"no reading of {name}, which the plan needs: {reading.missing}; see to it, then"
+                " rtpiv acquire --resume"
             )
         if name not in self._silent:
             self._silent.add(name)

@@ -107,7 +107,7 @@ def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any
 
 def _require(path: Path) -> None:
     if not path.is_file():
-        raise RunDamaged(f"{path}: is missing; restore it, or take it again with rtpiv resume --retake")
+        raise RunDamaged(f"{path}: is missing; restore it, or take it again with rtpiv acquire --resume --retake")
 
 
 def run_of(path: Path) -> RunFolder | None:

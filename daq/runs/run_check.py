@@ -112,7 +112,7 @@ def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
     if is_done and len(finished) < (1 if is_alignment else total):
         return Finding("journal", False, f"has {len(finished)} of {total} steps, and done.json says that all are")
     sessions = sum(entry["kind"] == "session" for entry in entries)
-    rest = "" if is_done else "; not finished, rtpiv resume goes on"
+    rest = "" if is_done else "; not finished, rtpiv acquire --resume goes on"
     return Finding(
         "journal", True, f"{len(finished)} of {counted(total, 'step')} in {counted(sessions, 'session')}{rest}"
     )
@@ -131,7 +131,7 @@ def _clock(entries: list[Entry]) -> Iterator[Finding]:
 def _frames(count: int, faults: list[FrameFault]) -> Finding:
     if not faults:
         return Finding("frames", True, f"all {count} are what was written")
-    cure = "restore them from a copy, or take their steps again with rtpiv resume --retake"
+    cure = "restore them from a copy, or take their steps again with rtpiv acquire --resume --retake"
     return Finding(
         "frames", False, f"{len(faults)} of {count} are not what was written: {name_faults(faults)}; {cure}"
     )

@@ -3,8 +3,8 @@
 import argparse
 import re
 
-from rtpiv.options import parser
-from rtpiv.options.command import VERBS
+from rtpiv.options import parser, parser_of
+from rtpiv.options.command import commands
 
 EVERYWHERE = ("help", "threads", "trust")  # options of every verb: said once
 
@@ -12,13 +12,11 @@ EVERYWHERE = ("help", "threads", "trust")  # options of every verb: said once
 def text() -> str:
     """Write Markdown: the options that every verb has, then the verbs in the order of `rtpiv --help`."""
     words = parser()
-    verbs = next(action for action in words._actions if isinstance(action, argparse._SubParsersAction))
-    said = {action.dest: action.help or "" for action in verbs._choices_actions}
     shared = [action for action in words._actions if action.dest in (*EVERYWHERE, "version")]
     parts = ["## With every verb", *map(_option, shared)]
-    for name in VERBS:
-        parts += [f"## {name}", escaped(_whole(said[name].replace("%%", "%")))]
-        parts += _verb(verbs.choices[name])
+    for name in commands():
+        verb = parser_of(name)
+        parts += [f"## {name}", escaped(_whole(verb.description or "")), *_verb(verb)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -27,7 +27,7 @@ from ground.jit.compile_news import CompileCount
 from ground.jit.kernel_cache import cache_folder, digest_of
 from ground.jit.signatures import plain
 
-use_shipped = True  # False: compile for this very processor what the wheel has for its kind (`rtpiv warm`)
+use_shipped = True  # False: compile for this very processor what the wheel has for its kind (`rtpiv setup warm`)
 
 
 class _ByContent:

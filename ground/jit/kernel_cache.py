@@ -71,7 +71,7 @@ def _base(wanted: str | None) -> Path | None:
     """Folder of all compiled code; what a person should know about it is said at once.
 
     One that cannot be written is replaced by a temporary one, which the processes that this one starts share and
-    which goes with it; if it was filled before, as by `rtpiv warm` in an image, what it holds is taken from it.
+    which goes with it; if it was filled before, as by `rtpiv setup warm` in an image, its contents are used.
     Numba would look for others by itself, and end the program if it finds none.
     """
     base: Path | None = None

@@ -6,8 +6,8 @@ Two kinds of processor are compiled for, by the names that compilers share: x86-
 and FMA).  A computer takes the first that it can run.  The digest is that of all that a kernel is compiled from
 (`kernel_cache`): after an edit, or with another numba, nothing fits, and kernels are compiled as without a wheel.
 
-What this computer has compiled for itself (``rtpiv warm``) is preferred: it is a little faster, and gives the same
-bits, because the kinds differ in how many operations are done at once and not in which.
+What this computer has compiled for itself (``rtpiv setup warm``) is preferred: it is a little faster, and gives
+the same bits, because the kinds differ in how many operations are done at once and not in which.
 """
 
 import platform

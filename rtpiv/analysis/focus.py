@@ -316,7 +316,9 @@ def focus_scan(run: Path) -> FocusScan:
         )
     if len(places) < FEWEST:
         raise RunUnsuitable(
-            f"has {len(places)} places, {FEWEST} are needed", place=run, cure="rtpiv resume takes the rest"
+            f"has {len(places)} places, {FEWEST} are needed",
+            place=run,
+            cure="rtpiv acquire --resume takes the rest",
         )
     order = np.argsort(places)
     z_mm = np.array(places)[order]

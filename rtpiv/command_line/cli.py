@@ -27,7 +27,7 @@ from rtpiv.command_line.exit_codes import DONE as DONE
 from rtpiv.command_line.exit_codes import INTERRUPTED as INTERRUPTED
 from rtpiv.command_line.exit_codes import USAGE as USAGE
 from rtpiv.command_line.exit_codes import exit_code, sentence
-from rtpiv.options import call_of, parser
+from rtpiv.options.command import call_of, current, parser
 from rtpiv.options.near import near_option
 
 THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
@@ -47,10 +47,13 @@ DRAWS = {  # verb -> what it draws with, imported while it computes
 }
 
 
-def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
-    """Read the words of a command; axes may stand behind options too, where argparse looks for them no more."""
-    words = parser(sys.argv[1:] if arguments is None else arguments)
-    known, left = words.parse_known_args(arguments)
+def _options(arguments: Sequence[str]) -> dict[str, Any]:
+    """Read the words of a command; axes may also follow options, where argparse expects none."""
+    given, notice = current(arguments)
+    if notice:
+        print(notice, file=sys.stderr)
+    words = parser(given)
+    known, left = words.parse_known_args(given)
     options = vars(known)
     refuse = options.pop("refuse", words.error)
     if left and options["verb"] == "stage" and not any(word.startswith("-") for word in left):
@@ -67,8 +70,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a letter that the terminal lacks ends no verb
             stream.reconfigure(errors="backslashreplace")
-    options = _options(arguments)
+    options = _options(sys.argv[1:] if arguments is None else arguments)
     verb, threads, trusted = options.pop("verb"), options.pop("threads"), options.pop("trust")
+    command = f"rtpiv {options.pop('command', '')}"
     if verb is None:
         parser(()).print_help()
         return USAGE
@@ -78,21 +82,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling
-    compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
+    compile_news.complain = lambda complaint: print(f"{command}: {complaint}", file=sys.stderr)
     compile_news.make_helper, compile_news.helper = lambda: _first_use(verb), None
     with handle_signals(), _without_helper(), warnings.catch_warnings():
         warnings.showwarning = print_warning
         try:
-            code = _carried_out(verb, options)
+            code = _run_verb(verb, options, command)
             if code is None:  # the person has said that the programs of the bench file may be called
-                code = _carried_out(verb, options) or DONE
+                code = _run_verb(verb, options, command) or DONE
         except SystemExit as end:
             if isinstance(end.code, int) and end.code > SIGNALLED:
-                print(f"rtpiv {verb}: ended by {signal.Signals(end.code - SIGNALLED).name}", file=sys.stderr)
+                print(f"{command}: ended by {signal.Signals(end.code - SIGNALLED).name}", file=sys.stderr)
             raise
         failed = flush_or_leave()
     if failed is not None and code == DONE:
-        print(f"rtpiv {verb}: {sentence(failed)}", file=sys.stderr)
+        print(f"{command}: {sentence(failed)}", file=sys.stderr)
         return DEVICE
     return code
 
@@ -130,7 +134,7 @@ def _without_helper() -> Iterator[None]:
         compile_news.make_helper = compile_news.helper = None
 
 
-def _carried_out(verb: str, options: dict[str, Any]) -> int | None:
+def _run_verb(verb: str, options: dict[str, Any], command: str) -> int | None:
     """Run a verb; exit code, or None if it may be run anew, for a person trusts now what its bench file names."""
     try:
         function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
@@ -143,13 +147,13 @@ def _carried_out(verb: str, options: dict[str, Any]) -> int | None:
     except UntrustedProgram as error:
         if _is_trusted_now(error):
             return None
-        print(f"rtpiv {verb}: {sentence(error)}", file=sys.stderr)
+        print(f"{command}: {sentence(error)}", file=sys.stderr)
         return USAGE
     except Exception as error:
         code = exit_code(error)
         if code is None:
             raise
-        print(f"rtpiv {verb}: {sentence(error, options.get('out'))}", file=sys.stderr)
+        print(f"{command}: {sentence(error, options.get('out'))}", file=sys.stderr)
         return code
     return DONE
 

@@ -1,7 +1,7 @@
 """The whole command line: words and options of each verb as `rtpiv.options.signature` reads them."""
 
 import argparse
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -9,13 +9,32 @@ from typing import Any
 from rtpiv.options import numbers
 from rtpiv.options.signature import REQUIRED, Option, signature, summary, title
 
-VERBS = (  # in the order in which they are listed
-    "init", "examples", "schema", "warm", "completion", "benchmark", "demo",
-    "compare", "trace", "target", "calibrate", "mask", "correct", "evaluate", "focus", "sheet", "join", "mean",
-    "timeseries", "campaign", "report", "export",
-    "acquire", "resume", "align", "check", "stage", "laser", "camera", "live", "devices", "probe", "doctor",
-    "emulate",
-)  # fmt: skip
+GROUPS = {  # verbs as `rtpiv --help` lists them
+    "measure": (
+        "trace", "compare", "calibrate", "correct", "evaluate", "mean", "campaign", "report", "export", "sheet",
+        "focus",
+    ),
+    "bench": ("acquire", "align", "bench", "laser"),
+    "set-up": ("init", "setup", "check", "doctor", "demo"),
+}  # fmt: skip
+VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
+PARTS = {  # verbs that need a second word, and what each is for
+    "bench": ("stage", "camera", "live", "emulate"),
+    "setup": ("examples", "schema", "target", "mask", "completion", "warm"),
+}
+PARTS_HELP = {
+    "bench": "stages and camera by hand, live images, the simulated bench for other programs",
+    "setup": "example files, schemas, printed targets, masks, shell completion, compilation",
+}
+VARIANTS = {  # options that make another function of a verb, with other options
+    "acquire": {"--resume": "resume"},
+    "mean": {"--join": "join", "--at": "timeseries", "--line": "timeseries"},
+    "doctor": {"--probe": "probe"},
+}
+RENAMED = {  # until the next release
+    "resume": "acquire --resume", "join": "mean --join", "timeseries": "mean", "devices": "doctor",
+    "probe": "doctor --probe",
+} | {part: f"{verb} {part}" for verb, parts in PARTS.items() for part in parts}  # fmt: skip
 WORDS = {  # options that are not called what their parameter is
     "out": ("-o", "--out"),
     "ask": ("--yes",),
@@ -31,6 +50,7 @@ WORDS = {  # options that are not called what their parameter is
 UNITS = ("mm", "um", "px", "us", "s", "hz", "nm", "deg")
 TRUST = "programs named by the bench file that may be called, as package.module:name, with commas between"
 CORES = "cores to use (default: all)"
+WITH_VALUE = ("--threads", "--trust")
 
 
 class _Version(argparse.Action):
@@ -43,13 +63,47 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def current(words: Sequence[str]) -> tuple[list[str], str]:
+    """Replace a renamed verb in the words of a command.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Words of the command line.
+
+    Returns
+    -------
+    list of str, str
+        The words with today's names, and the sentence that says so; "" if nothing was renamed.
+    """
+    for at, word in enumerate(words):
+        if not word.startswith("-") and (at == 0 or words[at - 1] not in WITH_VALUE):
+            if word not in RENAMED:
+                break
+            notice = (
+                f"rtpiv {word} has been renamed: rtpiv {RENAMED[word]}; the old name goes with the next release"
+            )
+            return [*words[:at], *RENAMED[word].split(), *words[at + 1 :]], notice
+    return list(words), ""
+
+
+def commands() -> dict[str, str]:
+    """Return the function of every command: of verbs, their parts, and their variants."""
+    found: dict[str, str] = {}
+    for verb in VERBS:
+        found |= {f"{verb} {part}": part for part in PARTS[verb]} if verb in PARTS else {verb: verb}
+        found |= {f"{verb} {option}": name for option, name in VARIANTS.get(verb, {}).items()}
+    return found
+
+
 def parser(said: Collection[str] | None = None) -> argparse.ArgumentParser:
     """Return the parser of the command line.
 
     Parameters
     ----------
     said : collection of str, optional
-        Words that are to be read: only verbs among them get their options, as others cannot be asked for.
+        Words that are to be read: only verbs among them get their options, and those of the variant that the
+        words ask for.  Without them every verb gets its own options.
 
     Returns
     -------
@@ -57,20 +111,71 @@ def parser(said: Collection[str] | None = None) -> argparse.ArgumentParser:
         With one subparser a verb.
     """
     words = argparse.ArgumentParser(
-        prog="rtpiv", description="Particle image velocimetry through glass: acquire, trace, correct, prove."
+        prog="rtpiv", description=_listing(), formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    words.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="say which and end")
-    words.add_argument("--threads", type=numbers.count, metavar="N", help=CORES)
-    words.add_argument("--trust", metavar="NAMES", help=TRUST)
-    verbs = words.add_subparsers(dest="verb", metavar="VERB")
-    for name in VERBS:
-        verb = verbs.add_parser(name, help=summary(name).replace("%", "%%"))
-        if said is None or name in said:
-            _add_options(verb, name)
-        verb.add_argument("--threads", type=numbers.count, metavar="N", default=argparse.SUPPRESS, help=CORES)
-        verb.add_argument("--trust", metavar="NAMES", default=argparse.SUPPRESS, help=TRUST)
-        verb.set_defaults(refuse=verb.error)  # which shows the verb's own usage
+    words.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="print the version")
+    _add_shared(words, None)
+    verbs = words.add_subparsers(dest="verb", metavar="VERB", help="one of these")
+    for verb in VERBS:
+        if verb in PARTS:
+            about = help_of(verb)
+            parts = verbs.add_parser(verb, description=about).add_subparsers(
+                dest="verb", metavar="PART", required=True
+            )
+            for part in PARTS[verb]:
+                _fill(parts.add_parser(part, help=help_of(part).replace("%", "%%")), part, f"{verb} {part}", said)
+        else:
+            _fill(verbs.add_parser(verb), verb, verb, said)
     return words
+
+
+def parser_of(command: str) -> argparse.ArgumentParser:
+    """Return the parser of one command, such as "bench stage" or "mean --join"."""
+    found = parser(words := command.split())
+    for word in words:
+        choices = next((each.choices for each in found._actions if each.dest == "verb"), None)
+        found = choices[word] if isinstance(choices, dict) else found
+    return found
+
+
+def _listing() -> str:
+    """Return the purpose of the program, and what each verb is for."""
+    lines = ["Particle image velocimetry through glass: acquire, trace, correct, evaluate."]
+    for group, verbs in GROUPS.items():
+        lines += ["", f"{group}:", *(f"  {verb:<10} {help_of(verb)}" for verb in verbs)]
+    return "\n".join(lines)
+
+
+def help_of(verb: str) -> str:
+    """Return the purpose of a verb, a part or the function of a variant."""
+    return PARTS_HELP.get(verb) or summary(verb)
+
+
+def _fill(parser: argparse.ArgumentParser, verb: str, command: str, said: Collection[str] | None) -> None:
+    """Give a parser the options of its function, or of the variant that is asked for."""
+    variants = VARIANTS.get(verb, {})
+    given = () if said is None else [word.partition("=")[0] for word in said]
+    asked = next((option for option in variants if option in given), "")
+    function = variants.get(asked, verb)
+    if said is None or verb in said:
+        parser.description = help_of(function)
+        _add_options(parser, function)
+        if asked and asked not in parser._option_string_actions:
+            parser.prog += f" {asked}"
+            parser.add_argument(asked, action="store_true", dest="variant", help=argparse.SUPPRESS)
+        elif not asked and variants:
+            also = {name: option for option, name in reversed(variants.items())}  # the first option of each
+            parser.epilog = "Also: " + "; ".join(
+                f"{option}, {help_of(name)} (rtpiv {verb} --help {option})" for name, option in also.items()
+            )
+    _add_shared(parser, argparse.SUPPRESS)
+    parser.set_defaults(verb=function, command=f"{command} {asked}".strip(), refuse=parser.error)
+
+
+def _add_shared(parser: argparse.ArgumentParser, default: str | None) -> None:
+    """Add the options of every verb, which may stand before it and behind."""
+    parser.add_argument("--threads", type=numbers.count, metavar="N", default=default, help=CORES)
+    parser.add_argument("--trust", metavar="NAMES", default=default, help=TRUST)
 
 
 def call_of(verb: str, options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
+"""`rtpiv acquire`: execute a plan on a bench or its simulation."""
 
 import shlex
 from collections.abc import Iterator, Sequence
@@ -234,7 +234,8 @@ def run_and_report(
             error_console().print(said, soft_wrap=True, highlight=False)
             raise
         homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
-        said = f"the run is in {folder.path}; go on with: rtpiv resume {shlex.quote(str(folder.path))}{homing}"
+        said = f"the run is in {folder.path}; go on with: rtpiv acquire --resume"
+        said += f" {shlex.quote(str(folder.path))}{homing}"
         if isinstance(person, ScriptOperator):
             said += f" --operator {shlex.quote(person.name)}"
         error_console().print(said, soft_wrap=True, highlight=False)

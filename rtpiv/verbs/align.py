@@ -1,4 +1,4 @@
-"""`rtpiv align`: bring glass and camera to the places of the scene file, by what the camera sees."""
+"""`rtpiv align`: align glass and camera with the scene file by vision."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`rtpiv calibrate`: find the bench's true geometry from frames of its target."""
+"""`rtpiv calibrate`: fit the geometry of the bench to frames of its target."""
 
 import re
 import time
@@ -67,7 +67,7 @@ def calibrate(
     square_mm, disc_mm : float, optional
         The board, of a folder that is no run (default 2.5, and 0.4 of a square): a run knows its own.
     board : path, optional
-        Or its board.yaml, written by ``rtpiv target``, with the scale of the print.
+        Or its board.yaml, written by ``rtpiv setup target``, with the scale of the print.
     pictures : bool
         Draw pictures, after all else is written.
     overwrite : bool

@@ -1,4 +1,4 @@
-"""`rtpiv camera`: say which camera there is, take a frame to look at, or try its trigger out."""
+"""`rtpiv bench camera`: identify the camera, take one frame, or test its trigger."""
 
 from pathlib import Path
 from typing import Literal

@@ -1,4 +1,4 @@
-"""`rtpiv campaign`: many runs, evaluated chunk by chunk on whatever computers there are, and averaged."""
+"""`rtpiv campaign`: evaluate and average many runs, on one computer or a cluster."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor

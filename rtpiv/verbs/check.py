@@ -1,4 +1,4 @@
-"""`rtpiv check`: whether files say what can be done, and whether runs on the disk are what was acquired."""
+"""`rtpiv check`: validate input files and verify runs."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""`rtpiv compare`: what the arrangements that a lab could build would show, before one is built."""
+"""`rtpiv compare`: compare lenses, distances and balls before a bench is built."""
 
 import csv
 import io

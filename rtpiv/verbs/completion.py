@@ -1,116 +1,104 @@
-"""`rtpiv completion`: completion of verbs and options in a shell.
+"""`rtpiv setup completion`: print the completion script of a shell.
 
-The script is made from the parser itself.  A word that begins with a dash is completed to options of the verb, the
-first other word to a verb, the words of a choice to its choices; everything else to files.
+The script is made from the parsers.  A word that begins with a dash is completed to options of the command, the
+first words to verbs and their parts, the values of a choice to its choices; everything else to files.
 """
 
 import argparse
-from collections.abc import Iterator
 from typing import Literal
 
-from rtpiv.options import parser
+from rtpiv.options.command import PARTS, VARIANTS, VERBS, commands, help_of, parser_of
 
-
-def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """Return the script for a shell.
-
-    Parameters
-    ----------
-    parser : ArgumentParser
-        Of the command, with verbs as its only subparsers.
-    shell : {"bash", "zsh", "fish"}
-        Which one.
-    """
-    verbs = _verbs(parser)
-    return _fish(verbs) if shell == "fish" else _bash(verbs, shell == "zsh")
-
-
-def _verbs(parser: argparse.ArgumentParser) -> dict[str, tuple[str, argparse.ArgumentParser]]:
-    """Each verb with its help and parser."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            helps = {choice.dest: choice.help or "" for choice in action._choices_actions}
-            return {name: (helps.get(name, ""), verb) for name, verb in action.choices.items()}
-    return {}
-
-
-def _options(verb: argparse.ArgumentParser) -> Iterator[tuple[str, str, list[str]]]:
-    """Long name, help and choices of each option."""
-    for action in verb._actions:
-        choices = [str(choice) for choice in action.choices or ()]
-        yield from ((name, action.help or "", choices) for name in action.option_strings if name.startswith("--"))
-
-
-def _words(verb: argparse.ArgumentParser) -> list[str]:
-    """Choices of words that are no options."""
-    return [str(c) for action in verb._actions if not action.option_strings for c in action.choices or ()]
-
-
-def _bash(verbs: dict[str, tuple[str, argparse.ArgumentParser]], zsh: bool) -> str:
-    cases = []
-    for name, (_, verb) in verbs.items():
-        options = list(_options(verb))
-        lines = [f"    {name})"]
-        if chosen := [(option, choices) for option, _, choices in options if choices]:
-            lines.append('      case "$before" in')
-            lines += [f'        {option}) words="{" ".join(choices)}" ;;' for option, choices in chosen]
-            lines.append("      esac")
-        every = " ".join(option for option, _, _ in options)
-        lines.append(f'      if [[ -z "$words" && "$now" == -* ]]; then words="{every}"')
-        lines.append(f'      elif [[ -z "$words" ]]; then words="{" ".join(_words(verb))}"; fi ;;')
-        cases.append("\n".join(lines))
-    begin = "autoload -U +X bashcompinit && bashcompinit\n" if zsh else ""
-    body = "\n".join(cases)
-    return f"""\
-{begin}_rtpiv() {{
+BASH = """\
+_rtpiv() {{
   local now="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" words=""
   if [[ $COMP_CWORD -eq 1 ]]; then
-    COMPREPLY=($(compgen -W "{" ".join(verbs)} --help --version --threads" -- "$now"))
+    COMPREPLY=($(compgen -W "{verbs} --help --version --threads" -- "$now"))
     return
   fi
-  case "${{COMP_WORDS[1]}}" in
-{body}
+  case "${{COMP_WORDS[1]}} ${{COMP_WORDS[2]}}" in
+{cases}
   esac
   COMPREPLY=($(compgen -W "$words" -- "$now"))
   if [[ -z "$words" ]]; then COMPREPLY=($(compgen -f -- "$now")); fi
 }}
 complete -o filenames -F _rtpiv rtpiv
 """
-
-
-def _fish(verbs: dict[str, tuple[str, argparse.ArgumentParser]]) -> str:
-    lines = [
-        "complete -c rtpiv -n __fish_use_subcommand -l help",
-        "complete -c rtpiv -n __fish_use_subcommand -l version",
-    ]
-    for name, (help_text, verb) in verbs.items():
-        lines.append(f"complete -c rtpiv -f -n __fish_use_subcommand -a {name} -d {_quoted(help_text)}")
-        seen = f"'__fish_seen_subcommand_from {name}'"
-        for option, about, choices in _options(verb):
-            value = f" -x -a {_quoted(' '.join(choices))}" if choices else ""
-            lines.append(f"complete -c rtpiv -n {seen} -l {option[2:]}{value} -d {_quoted(about)}")
-        if words := _words(verb):
-            lines.append(f"complete -c rtpiv -n {seen} -a {_quoted(' '.join(words))}")
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"
+ZSH = "autoload -U +X bashcompinit && bashcompinit\n"
 
 
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> str:
-    """Print the script that completes `rtpiv` in a shell; ``source <(rtpiv completion bash)`` switches it on.
+    """Print the completion script of a shell; ``source <(rtpiv setup completion bash)`` enables it.
 
     Parameters
     ----------
     shell : {"bash", "zsh", "fish"}
-        Which one.
+        The shell.
 
     Returns
     -------
     str
         The script.
     """
-    script = completion_script(parser(), shell)
+    script = completion_script(shell)
     print(script, end="")
     return script
+
+
+def completion_script(shell: str) -> str:
+    """Return the script for "bash", "zsh" or "fish"."""
+    if shell == "fish":
+        return _fish()
+    cases = [_bash_case(command) for command in sorted(commands(), key=lambda each: -each.count(" "))]
+    cases += [f'    "{verb} "*) words="{" ".join(parts)}" ;;' for verb, parts in PARTS.items()]
+    script = BASH.format(verbs=" ".join(VERBS), cases="\n".join(cases))
+    return ZSH + script if shell == "zsh" else script
+
+
+def _options(command: str) -> dict[str, tuple[str, str]]:
+    """Return help and choices of each long option of a command; without a name those of its words."""
+    found = {each: (help_of(name), "") for each, name in VARIANTS.get(command, {}).items()}
+    for action in parser_of(command)._actions:
+        choices = " ".join(map(str, action.choices or ()))
+        names = [name for name in action.option_strings if name.startswith("--")]
+        if action.help != argparse.SUPPRESS:
+            found |= {name: (action.help or "", choices) for name in names or [""] if names or choices}
+    return found
+
+
+def _bash_case(command: str) -> str:
+    """Return the completion of one command."""
+    options = _options(command)
+    chosen = [f'{name}) words="{choices}" ;;' for name, (_, choices) in options.items() if name and choices]
+    of_options = [f'      case "$before" in {each} esac' for each in [" ".join(chosen)] if each]
+    every, plain = " ".join(filter(None, options)), options.get("", ("", ""))[1]
+    pattern = f'"{command}"' if " " in command else f'"{command} "*'
+    return "\n".join([
+        f"    {pattern})",
+        *of_options,
+        f'      if [[ -z "$words" && "$now" == -* ]]; then words="{every}"',
+        f'      elif [[ -z "$words" ]]; then words="{plain}"; fi ;;',
+    ])  # fmt: skip
+
+
+def _fish() -> str:
+    """Return the script for fish."""
+    lines = [f"complete -c rtpiv -n __fish_use_subcommand -l {name}" for name in ("help", "version")]
+    for verb in VERBS:
+        lines.append(f"complete -c rtpiv -f -n __fish_use_subcommand -a {verb} -d {_quote(help_of(verb))}")
+        for part in PARTS.get(verb, ()):
+            seen = f"'__fish_seen_subcommand_from {verb}'"
+            lines.append(f"complete -c rtpiv -f -n {seen} -a {part} -d {_quote(help_of(part))}")
+    for command in commands():
+        seen = _quote("; and ".join(f"__fish_seen_subcommand_from {word}" for word in command.split()))
+        for name, (text, choices) in _options(command).items():
+            values = (
+                f" -x -a {_quote(choices)}" if name and choices else f" -a {_quote(choices)}" if choices else ""
+            )
+            option = f" -l {name[2:]}" if name else ""
+            lines.append(f"complete -c rtpiv -n {seen}{option}{values} -d {_quote(text)}")
+    return "\n".join(lines) + "\n"
+
+
+def _quote(text: str) -> str:
+    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"

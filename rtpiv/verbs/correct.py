@@ -1,4 +1,4 @@
-"""`rtpiv correct`: frames as if the glass were not there.
+"""`rtpiv correct`: dewarp frames as if the glass were not there.
 
 Results are written while the next ones are made, by a thread of its own that holds one (`WriteBehind`).
 """

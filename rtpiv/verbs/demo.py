@@ -1,4 +1,4 @@
-"""`rtpiv demo`: a whole campaign through two glass balls on a simulated bench, without any hardware."""
+"""`rtpiv demo`: run a simulated campaign through two glass balls."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`rtpiv emulate`: the simulated bench for other programs."""
+"""`rtpiv bench emulate`: run the simulated bench for other programs."""
 
 import time
 from dataclasses import replace

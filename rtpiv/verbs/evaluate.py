@@ -1,4 +1,4 @@
-"""`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
+"""`rtpiv evaluate`: evaluate image pairs: vectors, uncertainties and a page."""
 
 import json
 from collections.abc import Iterable, Sequence

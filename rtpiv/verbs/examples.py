@@ -1,4 +1,4 @@
-"""`rtpiv examples`: the example scenes, benches and plans, to read and to change."""
+"""`rtpiv setup examples`: copy the example scenes, benches and plans."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`rtpiv export`: vectors as CSV and for MATLAB, ParaView and Tecplot, maps of a scene as NetCDF or TIFF.
+"""`rtpiv export`: export vectors (CSV, MATLAB, ParaView, Tecplot) and maps (NetCDF, TIFF).
 
 PIVPy and xarray read the NetCDF files of vectors as they are.
 """

@@ -1,4 +1,4 @@
-"""`rtpiv focus`: where a view through glass is sharp, and which aperture makes all of it sharp."""
+"""`rtpiv focus`: evaluate a focus scan: best focus and the f-number for a sharp view."""
 
 import json
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""`rtpiv init`: the files that a new lab begins with."""
+"""`rtpiv init`: write scene, bench and plan files for a new lab."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""`rtpiv join`: the means of two runs of one flow, focused beside the glass and behind it, as one."""
+"""`rtpiv mean --join`: join the means of two runs, focused beside the glass and behind it."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`rtpiv laser`: switch lasers off from anywhere, see whether one is, align with weak pulses, test a timing unit.
+"""`rtpiv laser`: switch lasers off, show their state, align with weak pulses, test a timing unit.
 
 `off` goes to every laser that a bench file of the lab or a running process names.  It first writes the bytes that
 switch off, past any program that holds the port, as the watchdog does; then it opens the box, if it is free,

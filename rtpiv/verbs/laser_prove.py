@@ -1,4 +1,4 @@
-"""`rtpiv laser prove`: what a box really does at each of its plugs, counted and kept beside the bench file."""
+"""Proof of a timing unit (`rtpiv laser prove`): pulses at each output, counted and kept beside the bench file."""
 
 import getpass
 import platform

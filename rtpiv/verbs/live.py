@@ -1,4 +1,4 @@
-"""`rtpiv live`: a page in the browser with frames as the camera gives them, raw and corrected; nothing is kept."""
+"""`rtpiv bench live`: show live frames, raw and corrected, in the browser; nothing is stored."""
 
 import time
 from collections.abc import Iterator

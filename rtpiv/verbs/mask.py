@@ -1,4 +1,4 @@
-"""`rtpiv mask`: a page in the browser to draw on a frame what is to be left out of it."""
+"""`rtpiv setup mask`: draw a mask on a frame in the browser."""
 
 from contextlib import suppress
 from importlib.util import find_spec

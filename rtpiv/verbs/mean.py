@@ -1,4 +1,4 @@
-"""`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
+"""`rtpiv mean`: mean flow and Reynolds stresses; evaluates missing pairs first."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack

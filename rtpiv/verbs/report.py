@@ -1,4 +1,4 @@
-"""`rtpiv report`: a run as one page that goes into a lab book."""
+"""`rtpiv report`: evaluate a run and write its report."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`rtpiv resume`: go on with a run that was interrupted, by whatever."""
+"""`rtpiv acquire --resume`: resume an interrupted run."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`rtpiv schema`: JSON schemas of the three files, for editors that complete and check while one writes."""
+"""`rtpiv setup schema`: write JSON schemas of the input files for editors."""
 
 import json
 from functools import cache

@@ -1,4 +1,4 @@
-"""`rtpiv sheet`: where the light sheet is, from the particles that are seen twice."""
+"""`rtpiv sheet`: locate the light sheet by particles that are visible along two paths."""
 
 from collections.abc import Sequence
 from dataclasses import replace

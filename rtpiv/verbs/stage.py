@@ -1,11 +1,11 @@
-"""`rtpiv stage`: where the axes are; home, move or jog them, once or from a prompt that keeps the bench open.
+"""`rtpiv bench stage`: show, home, move or jog axes, once or from a prompt.
 
-The prompt takes one verb a line.  From a terminal an error is one sentence and the prompt comes back. Ctrl-C stops
-what moves and holds the bench; the prompt says so, and how to go on. Pressed once more with nothing in between, or
-with Ctrl-D or `quit`, it is left.
+The prompt takes one verb a line.  At a terminal an error prints one sentence and the prompt returns.  Ctrl-C stops
+all motion and holds the bench; the prompt says so, and how to go on.  A second Ctrl-C with nothing in between,
+Ctrl-D or `quit` ends it.
 
-From a pipe (`rtpiv stage < first-day.txt`) the lines are obeyed in order and shown; the first error ends it with
-its exit code, so a script never goes on from a place that it did not reach.
+From a pipe (`rtpiv bench stage < first-day.txt`) the lines are executed in order and echoed; the first error ends
+it with its exit code, so a script never continues from a position that it did not reach.
 """
 
 import contextlib

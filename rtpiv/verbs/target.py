@@ -1,4 +1,4 @@
-"""`rtpiv target`: a target to print, its squares chosen for a scene, and how large the printer made them."""
+"""`rtpiv setup target`: write a calibration target to print, or record the size of a print."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +126,7 @@ def target(
         columns, rows = printed.pages
         many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
         screen.print(
-            f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and say so: rtpiv target"
+            f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and say so: rtpiv setup target"
             f" {folder / 'board.yaml'} --measured-mm X Y",
             soft_wrap=True, highlight=False,
         )  # fmt: skip
@@ -143,7 +143,7 @@ def _measured(file: Named | Scene | None, measured_mm: tuple[float, float]) -> T
     board = read_board(path)
     drawn = board.bars_mm
     if drawn is None:
-        raise RunUsageError("has no bars", place=path, cure="give the board.yaml that rtpiv target has written")
+        raise RunUsageError("has no bars", place=path, cure="give a board.yaml of rtpiv setup target")
     board = board.model_copy(update={"measured_mm": [float(length) for length in measured_mm]})  # of NumPy, too
     far = max(abs(scale - 1.0) for scale in board.scale)
     if far > FAR:

@@ -1,4 +1,4 @@
-"""`rtpiv timeseries`: velocity over time at places of a series, along a line, and its spectrum."""
+"""`rtpiv mean --at`: velocity over time at points and along a line, with spectra."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`rtpiv trace`: what a scene shows of the plane."""
+"""`rtpiv trace`: ray-trace a scene: field of view, magnification, viewing slope, what is lost and why."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

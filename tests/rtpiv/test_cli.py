@@ -16,7 +16,7 @@ from daq import cameras
 from ground.errors import RtpivWarning
 from rtpiv.command_line import cli
 from rtpiv.command_line.cli import DEVICE, USAGE, main
-from rtpiv.options.command import parser
+from rtpiv.options.command import commands, parser_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = """
@@ -54,9 +54,8 @@ def test_help_sends_nobody_into_the_code():
     """Who installs a wheel has no modules to read: no dotted name of ours stands in any help."""
     ours = "rtpiv|ground|piv|tracer|correction|stages|daq|sim"
     dotted = re.compile(rf"\b(?:{ours})\.(?!json|yaml|html)[a-z_]{{3,}}\b")
-    verbs = next(each.choices for each in parser()._actions if each.dest == "verb")
-    for verb, each in verbs.items():
-        said = dotted.findall(" ".join(each.format_help().split()))
+    for verb in commands():
+        said = dotted.findall(" ".join(parser_of(verb).format_help().split()))
         assert not said, (verb, said)
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import inspect
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -16,9 +17,8 @@ from ground.jit.compile_news import CompileCount
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE, THREADS, USAGE, main, print_compiling
-from rtpiv.options import call_of, parser
-from rtpiv.options.command import VERBS
-from rtpiv.options.signature import REQUIRED, signature, summary
+from rtpiv.options.command import RENAMED, VERBS, call_of, commands, current, parser
+from rtpiv.options.signature import REQUIRED, signature
 from rtpiv.verbs.completion import completion_script
 from tests.loops import loop_over
 
@@ -26,7 +26,7 @@ from tests.loops import loop_over
 def completed(tmp_path, *words):
     """What bash offers for the last word."""
     script = tmp_path / "completion.sh"
-    script.write_text(completion_script(parser(), "bash"))
+    script.write_text(completion_script("bash"))
     line = " ".join(f'"{word}"' for word in words)
     program = (
         f'source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _rtpiv; echo "${{COMPREPLY[@]}}"'
@@ -35,16 +35,46 @@ def completed(tmp_path, *words):
     return ran.stdout.split()
 
 
-def test_every_verb_is_listed_once():
+def test_every_function_is_a_command_and_at_most_twenty_verbs_are_listed():
     homes = sorted(Path(rtpiv.verbs.__file__).parent.glob("*.py"))
-    found = [
-        home.stem for home in homes if home.read_text(encoding="utf-8").startswith(f'"""`rtpiv {home.stem}`: ')
-    ]
-    assert sorted(VERBS) == found
-    assert all(summary(verb) for verb in VERBS)
+    named = {home.stem: re.match(r'"""`rtpiv ([^`]+)`: ', home.read_text(encoding="utf-8")) for home in homes}
+    assert {found[1]: name for name, found in named.items() if found} == {
+        command: function for command, function in commands().items() if command != "mean --line"
+    }
+    assert len(VERBS) <= 20
+    help_text = parser().format_help()
+    assert [re.search(rf"^  {verb} +\w", help_text, re.MULTILINE) for verb in VERBS].count(None) == 0
 
 
-@loop_over("verb", VERBS)
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("stage where --home", "bench stage where --home"),
+        ("--threads 2 examples place", "--threads 2 setup examples place"),
+        ("resume run --retake", "acquire --resume run --retake"),
+        ("join a b -o out", "mean --join a b -o out"),
+        ("timeseries series --line 0 0 1 1", "mean series --line 0 0 1 1"),
+        ("probe /dev/ttyUSB0", "doctor --probe /dev/ttyUSB0"),
+        ("devices", "doctor"),
+    ],
+)
+def test_a_renamed_verb_is_read_as_its_new_name_and_named_once(old, new):
+    words, notice = current(old.split())
+    assert words == new.split()
+    assert f"rtpiv {' '.join(RENAMED[next(each for each in old.split() if each in RENAMED)].split())};" in notice
+    function = vars(parser(words).parse_args(words))["verb"]
+    assert function == {"devices": "doctor"}.get(each := next(w for w in old.split() if w in RENAMED), each)
+    assert current(words) == (words, "")
+
+
+def test_a_renamed_verb_still_works_and_names_the_new_one_on_standard_error(tmp_path, capsys):
+    assert main(["schema", "-o", str(tmp_path)]) == DONE
+    said = capsys.readouterr().err
+    assert said == "rtpiv schema has been renamed: rtpiv setup schema; the old name goes with the next release\n"
+    assert (tmp_path / "scene.schema.json").is_file()
+
+
+@loop_over("verb", sorted(set(commands().values())))
 def test_what_a_verb_takes_is_what_its_function_takes(verb):
     """Read from the source, and as Python itself says it."""
     function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
@@ -88,7 +118,7 @@ def test_values_are_put_together():
         ("mean run --passes two", "should be a whole number, not 'two'"),
         ("mean run --workers 0", "should be 1, 2, 3 ..., not '0'"),
         ("correct a.tif", "required: --scene"),
-        ("live --port 70000", "should be 0 to 65535"),
+        ("bench live --port 70000", "should be 0 to 65535"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(words, said, capsys):
@@ -104,15 +134,17 @@ def test_completion(tmp_path):
     assert {"init", "check", "--version"} <= set(completed(tmp_path, "rtpiv", ""))
     assert completed(tmp_path, "rtpiv", "acquire", "--sim") == ["--simulate"]
     assert completed(tmp_path, "rtpiv", "correct", "--method", "q") == ["quintic"]
-    assert completed(tmp_path, "rtpiv", "camera", "l") == ["list"]
+    assert completed(tmp_path, "rtpiv", "bench", "camera", "l") == ["list"]
+    assert completed(tmp_path, "rtpiv", "bench", "st") == ["stage"]
+    assert completed(tmp_path, "rtpiv", "acquire", "--resume", "--ret") == ["--retake"]
     assert completed(tmp_path, "rtpiv", "trace", "sc") == ["scene.yaml"]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_every_verb_is_in_every_script(shell, capsys):
-    assert main(["completion", shell]) == DONE
+    assert main(["setup", "completion", shell]) == DONE
     script = capsys.readouterr().out
-    for verb in ("init", "check", "acquire", "report", "schema", "doctor", "devices"):
+    for verb in ("init", "check", "acquire", "report", "setup", "schema", "doctor", "stage"):
         assert verb in script
 
 
@@ -120,13 +152,13 @@ def test_every_verb_is_in_every_script(shell, capsys):
 def test_threads(monkeypatch, tmp_path, before):
     for name in THREADS:
         monkeypatch.setenv(name, "")
-    words = ["examples", str(tmp_path / "examples")]
+    words = ["setup", "examples", str(tmp_path / "examples")]
     assert main(["--threads", "3", *words] if before else [*words, "--threads", "3"]) == DONE
     assert [os.environ[name] for name in THREADS] == ["3"] * len(THREADS)
     assert (tmp_path / "examples" / "demo" / "scene.yaml").is_file()
-    assert main(["examples", str(tmp_path / "examples")]) == USAGE
+    assert main(["setup", "examples", str(tmp_path / "examples")]) == USAGE
     (tmp_path / "empty").mkdir()
-    assert main(["examples", str(tmp_path / "empty")]) == DONE
+    assert main(["setup", "examples", str(tmp_path / "empty")]) == DONE
     assert (tmp_path / "empty" / "tour.py").is_file()
     with pytest.raises(SystemExit):
         main(["--threads", "0", "completion", "bash"])

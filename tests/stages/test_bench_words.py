@@ -80,7 +80,9 @@ def mute():
 def test_silence(mute, sort_of_box):
     url, clock = mute
     rate = USUAL[sort_of_box]
-    words = rf"rail on sim://mute at {rate} baud says nothing; is it switched on, .* rtpiv probe sim://mute"
+    words = (
+        rf"rail on sim://mute at {rate} baud says nothing; is it switched on, .* rtpiv doctor --probe sim://mute"
+    )
     with pytest.raises(NoReply, match=words):
         driver_of(sort_of_box, clock).connect(url)
 

@@ -8,12 +8,15 @@ import re
 import shlex
 from pathlib import Path
 
+from rtpiv.options.command import commands as all_commands
+
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 FIRST = [ROOT / "README.md", DOCS / "commands.md"]  # what they leave is used by the pages after them
 PAGES = [*FIRST, *sorted(set(DOCS.glob("*.md")) - set(FIRST))]
 SITE = [ROOT / "README.md", *(page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts)]
 
+COMMANDS = set(all_commands())
 HARDWARE = "opens real devices: no --simulate"
 CLUSTER = "needs a cluster"
 REHEARSED = "in a lab of its own: tests/faces/test_rehearsal_page.py"
@@ -22,9 +25,8 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
     "init lab": "asks a person: tests/rtpiv/verbs/test_init.py answers",
     "init . --yes --balls 1 --sensor-px 128 128 --pixel-pitch-um 86": REHEARSED,
     "acquire plan-target.yaml --simulate --faults faults.yaml --seed 3 --home --no-correct": REHEARSED,
-    "live --bench bench-sim.yaml --simulate": "in the lab of examples, by its own test",
-    "benchmark scene.yaml": "many minutes, its rounds fewer in tests/rtpiv/verbs/test_benchmark.py",
-    "stage --bench bench.yaml": "a prompt: tests/system/test_first_day.py types the lines of at-the-bench.md",
+    "bench live --bench bench-sim.yaml --simulate": "in the lab of examples, by its own test",
+    "bench stage --bench bench.yaml": "a prompt: tests/system/test_first_day.py types what at-the-bench.md has",
     "align plan-align.yaml --bench bench.yaml --home": HARDWARE,
     "acquire plan-target.yaml --bench bench.yaml --home": HARDWARE,
     "acquire plan-shift.yaml --bench bench.yaml --scene fit/scene.yaml": HARDWARE,
@@ -32,7 +34,7 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
     "acquire plan-flow.yaml --bench bench-flow.yaml": HARDWARE,
     "laser off": "reaches lasers of all programs here: tests/rtpiv/verbs/test_laser_verb.py has its own",
     "laser prove --bench bench-flow.yaml": HARDWARE,
-    "probe /dev/ttyUSB0": HARDWARE,
+    "doctor --probe /dev/ttyUSB0": HARDWARE,
     "focus runs/*focus": "its run is one of plan-focus.yaml, with a lens of its own: tests/system/test_focus.py",
     "campaign run -o week --scheduler tcp://10.0.0.1:8786": CLUSTER,
     "campaign run -o week --slurm 64 --slurm-set slurm_partition=long timeout_min=120 mem_gb=4": CLUSTER,
@@ -40,11 +42,11 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
 NAMED = "a word for what another page gives as a whole"
 BOARD = "a board that somebody has printed: tests/rtpiv/analysis/prints"
 IN_TEXT = {  # with words behind the verb -> the same in a lab after its first hour, or why not
-    "camera list": "camera list --simulate",
-    "camera snap -o snap.tif": "camera snap -o snap.tif --simulate",
-    "camera test": "camera test --simulate",
+    "bench camera list": "bench camera list --simulate",
+    "bench camera snap -o snap.tif": "bench camera snap -o snap.tif --simulate",
+    "bench camera test": "bench camera test --simulate",
     "init lab --by-hand": "init hands --yes --by-hand",
-    "target scene.yaml": "target scene.yaml",
+    "setup target scene.yaml": "setup target scene.yaml",
     "correct ... --scene scene.yaml --square-mm 4 --target-clear target_clear.tif":
         "correct frames/target_glass.tif --scene scene.yaml --square-mm 4 --target-clear frames/target_clear.tif",
     "mean RUN --ensemble 16": "mean runs/*flow --scene fit/scene.yaml --ensemble 16",
@@ -60,7 +62,7 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "report runs/<run> --scene fit/scene.yaml": NAMED,
     "sheet runs/...flow --scene fit/scene.yaml -o sheet": NAMED,
     "sheet RUN --scene fit/scene.yaml -o sheet": NAMED,
-    "timeseries FOLDER --at X Y -o OUT": NAMED,
+    "mean FOLDER --at X Y -o OUT": NAMED,
     "report RUN": NAMED,
     "mean RUN": NAMED,
     "check RUN": NAMED,
@@ -68,21 +70,20 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "check runs/<run>": NAMED,
     "check FILE...": NAMED,
     "trace scene.yaml": NAMED,
-    "probe PORT": NAMED,
+    "doctor --probe PORT": NAMED,
     "laser prove": NAMED,
-    "benchmark SCENE": NAMED,
-    "stage < morning.txt": "a shell's own word: tests/system/test_stage_terminal.py",
-    "stage move --home glass_y=-20": "tests/system/test_first_day.py",
-    "resume runs/<run>": "a run that was stopped: tests/system/test_kill.py",
-    "resume --home": "the same",
-    "resume RUN --home": REHEARSED,
-    "resume runs/<run> --retake": "a run with damage: tests/daq/runs/test_damaged_frames.py",
+    "bench stage < morning.txt": "a shell's own word: tests/system/test_stage_terminal.py",
+    "bench stage move --home glass_y=-20": "tests/system/test_first_day.py",
+    "acquire --resume runs/<run>": "a run that was stopped: tests/system/test_kill.py",
+    "acquire --resume --home": "the same",
+    "acquire --resume RUN --home": REHEARSED,
+    "acquire --resume runs/<run> --retake": "a run with damage: tests/daq/runs/test_damaged_frames.py",
     "focus RUN": "tests/system/test_focus.py",
-    "join week/runs/BESIDE week/runs/BEHIND": "two runs, focused apart: tests/system/test_split_focus.py",
-    "join RUN/series RUN/cameras/behind/series": "two cameras: tests/system/test_split_focus.py",
-    "mask FRAME": "a page for a person: tests/rtpiv/verbs/test_masks.py",
-    "target [SCENE]": BOARD,
-    "target board.yaml --measured-mm X Y": BOARD,
+    "mean --join week/runs/BESIDE week/runs/BEHIND": "two runs, focused apart: tests/system/test_split_focus.py",
+    "mean --join RUN/series RUN/cameras/behind/series": "two cameras: tests/system/test_split_focus.py",
+    "setup mask FRAME": "a page for a person: tests/rtpiv/verbs/test_masks.py",
+    "setup target [SCENE]": BOARD,
+    "setup target board.yaml --measured-mm X Y": BOARD,
 }  # fmt: skip
 
 
@@ -95,7 +96,7 @@ def in_text(page: Path) -> list[str]:
     """What stands behind `rtpiv` in the text of a page, with words behind the verb, that no block has."""
     found = re.findall(r"`rtpiv (\w[^`]*)`", prose(page))
     plain = [" ".join(each.split()) for each in found]
-    return [each for each in plain if " " in each and not each.startswith(("VERB", "--"))]
+    return [each for each in plain if " " in each and each not in COMMANDS and not each.startswith(("VERB", "--"))]
 
 
 def prose(page: Path) -> str:

@@ -53,8 +53,8 @@ def test_a_run_without_printed_truth_cannot_be_judged(tmp_path):
 
 def test_a_ring_or_a_small_sensor_is_refused(tmp_path):
     write_bench(tmp_path / "a", side_px=12, simulation="samples: 1\nprints_truth: true")
-    arguments = ["stage", "where", "--bench", str(tmp_path / "a" / "bench.yaml"), "--simulate"]
+    arguments = ["bench", "stage", "where", "--bench", str(tmp_path / "a" / "bench.yaml"), "--simulate"]
     assert main(arguments) == 2
     write_bench(tmp_path / "b", simulation="prints_truth: true\nring: frames")
-    arguments = ["stage", "where", "--bench", str(tmp_path / "b" / "bench.yaml"), "--simulate"]
+    arguments = ["bench", "stage", "where", "--bench", str(tmp_path / "b" / "bench.yaml"), "--simulate"]
     assert main(arguments) == 2

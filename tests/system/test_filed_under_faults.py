@@ -52,7 +52,7 @@ def test_no_frame_is_filed_under_a_stop_it_does_not_show(tmp_path, seed, backend
     for _ in range(3):
         if code == DONE:
             break
-        code = main(["resume", str(run), "--home"])
+        code = main(["acquire", "--resume", str(run), "--home"])
         assert misfiled(run) == []
     if code == DONE:
         assert len(frame_entries(RunFolder(run).entries())) == 6

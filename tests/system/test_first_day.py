@@ -36,7 +36,7 @@ def test_the_prompt_goes_through_as_written(bench):
     lines = lines_of_the_prompt()
     assert {line.split()[0] for line in lines} >= {"home", "where", "move", "jog", "here", "save", "quit"}
     before = bench.path.read_text()
-    code, out, errors = bench.run("stage", "--bench", "bench.yaml", lines="\n".join(lines) + "\n")
+    code, out, errors = bench.run("bench", "stage", "--bench", "bench.yaml", lines="\n".join(lines) + "\n")
     assert code == DONE, errors
     for axis in bench.world.motors:
         assert bench.true_mm(axis) == pytest.approx(0.0, abs=0.1)  # the boards' zeros are off by the play
@@ -55,9 +55,9 @@ def test_the_prompt_goes_through_as_written(bench):
 @pytest.mark.slow
 def test_what_follows_goes_through_as_well(bench):
     """Jog after home in two programs was impossible with isel and Grbl; `--home` is the cure the page names."""
-    code, _, errors = bench.run("stage", "home")
+    code, _, errors = bench.run("bench", "stage", "home")
     assert code == DONE, errors
-    code, _, errors = bench.run("stage", "jog", "rail_z=+10")
+    code, _, errors = bench.run("bench", "stage", "jog", "rail_z=+10")
     assert code != DONE
     assert "home" in errors
     commands = re.findall(

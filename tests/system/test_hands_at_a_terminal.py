@@ -73,11 +73,11 @@ def test_a_person_turns_and_reads_ends_the_run_with_ctrl_c_and_goes_on(lab, at):
     one.expect("Turn target_x to 1.000 mm")
     one.expect(READ)
     one.type(CTRL_C)
-    one.expect("go on with: rtpiv resume")
+    one.expect("go on with: rtpiv acquire --resume")
     assert one.process.wait(20) == INTERRUPTED
     assert lab.steps() == [{"target_z": 0.0, "glass_y": 0.0, "target_x": 0.01, "target_y": 0.0}]
 
-    two = at("resume", str(lab.run), "--home")
+    two = at("acquire", "--resume", str(lab.run), "--home")
     for axis, reads in (("target_z", "0.0"), ("glass_y", "0.0"), ("target_x", "0.7"), ("target_y", "0.0")):
         answer(two, f"{axis} is moved by hand", reads)
     answer(two, "Turn target_x to 1.000 mm", "1.0 mm", "0.99")
@@ -98,7 +98,7 @@ def test_a_terminal_that_goes_ends_the_run_and_loses_nothing(lab, at):
 
 
 def test_ctrl_c_at_the_prompt_holds_the_bench(at):
-    one = at("stage")
+    one = at("bench", "stage")
     one.expect("stage> ")
     one.type("home")
     for axis, reads in (("target_z", "0.0"), ("glass_y", "0.0"), ("target_x", "0.0"), ("target_y", "0.0")):

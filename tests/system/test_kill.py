@@ -89,7 +89,7 @@ def run_with_kills(folder, kills, seed, most_s, *options):
         done += 1
         progress.append(check_what_was_acknowledged(path))
         before = sessions(path)
-        process = start(folder, "resume", path)
+        process = start(folder, "acquire", "--resume", path)
         wait_for_session(process, runs, before)
     _, errors = process.communicate(timeout=240)
     assert process.returncode == DONE, errors.decode()
@@ -173,7 +173,7 @@ def stream_with_kills(folder, kills, seed, most_s, of_camera):
             assert of_camera, errors
             assert "camera is lost" in errors
             before = sessions(path)
-            process = start(folder, "resume", path)
+            process = start(folder, "acquire", "--resume", path)
             wait_for_session(process, runs, before)
             continue
         kept.append(set(frame_entries(RunFolder(path).entries())))
@@ -185,11 +185,11 @@ def stream_with_kills(folder, kills, seed, most_s, of_camera):
         process.send_signal(signal.SIGKILL)
         process.communicate()
         before = sessions(path)
-        process = start(folder, "resume", path)
+        process = start(folder, "acquire", "--resume", path)
         wait_for_session(process, runs, before)
     _, errors = process.communicate(timeout=240)
     if process.returncode == DEVICE and of_camera:
-        process = start(folder, "resume", path)
+        process = start(folder, "acquire", "--resume", path)
         _, errors = process.communicate(timeout=240)
     assert process.returncode == DONE, errors.decode()
     return RunFolder(path), kept

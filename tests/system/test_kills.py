@@ -81,7 +81,9 @@ class Campaign:
         simulate = [] if self.victim == "bench" else ["--simulate"]
         runs = list((self.folder / "runs").glob("*_plan"))
         words = (
-            ["resume", str(runs[0])] if runs else ["acquire", "plan.yaml", "-o", "runs", "--no-correct", *simulate]
+            ["acquire", "--resume", str(runs[0])]
+            if runs
+            else ["acquire", "plan.yaml", "-o", "runs", "--no-correct", *simulate]
         )
         command = [sys.executable, "-m", "rtpiv.command_line.cli", *words, "--home"]
         where = {"cwd": self.folder, "env": os.environ | {"TMPDIR": str(self.folder)}}

@@ -39,7 +39,7 @@ QUICK = [  # of a second or two each, on a lab that nobody has measured in
     "check .",
     "acquire plan-target.yaml --bench bench.yaml --dry-run",
     "check bench.yaml",
-    "devices",
+    "doctor",
     "doctor --bench bench.yaml",
 ]
 SMALL = ["--sensor-px", "504", "504", "--pixel-pitch-um", "11"]
@@ -49,8 +49,10 @@ SIMULATED = {  # commands at real devices -> what makes them commands of this la
     for command, why in NOT_RUN.items()
     if why == HARDWARE and command.startswith(("acquire", "align", "laser prove"))
 }
-ENDED = {"live --bench bench.yaml": ["--simulate", "--for-s", "2"]}  # what else would last until somebody ends it
-UNTIL_CTRL_C = ("mask a.tif -o mask.png",)  # the same, of what knows no other end
+ENDED = {
+    "bench live --bench bench.yaml": ["--simulate", "--for-s", "2"]
+}  # what else would last until somebody ends it
+UNTIL_CTRL_C = ("setup mask a.tif -o mask.png",)  # the same, of what knows no other end
 FIRST = {"report": "runs/*plan-shift/report/report.html", "mean": "runs/*flow/series/*.html"}  # through glass
 FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
 FEW = ((r"\bpairs: (20|1000)\b", "pairs: 10"), (r"chunk: \d+", "chunk: 10"), (r"{pairs: \d+}", "{pairs: 4}"))
@@ -90,14 +92,14 @@ SAID = {  # what must be said
     "campaign merge": "20 pairs in the mean",  # of two runs, docs/campaigns.md
     "check runs/*": "hash",
     "mean day1": "10 of 10 pairs",
-    "live": "look at",  # "print an address for a browser"
+    "bench live": "look at",  # "print an address for a browser"
     "acquire plan-target.yaml --bench bench.yaml --dry-run": "steps",
 }
 
 
 @loop_over("command", sorted({command for _, command in ALL}))
 def test_every_command_is_one_that_the_program_takes(command):
-    parser().parse_args(words(command))
+    parser(words(command)).parse_args(words(command))
 
 
 def test_what_is_not_run_stands_on_a_page_and_what_is_quick_too():
@@ -133,7 +135,7 @@ def test_every_other_line_of_a_block_is_known():
 def test_what_a_text_names_is_taken_as_well():
     for command in IN_TEXT.values():
         if command.split()[0] in VERBS:
-            parser().parse_args(command.split())
+            parser(command.split()).parse_args(command.split())
 
 
 def test_every_link_leads_to_a_file_and_to_a_place_in_it():
@@ -216,10 +218,10 @@ def test_the_first_hour_and_what_follows_it(tmp_path, monkeypatch, capsys):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_the_lab_of_examples(tmp_path, monkeypatch, capsys):
-    """What README says of `rtpiv examples`, and what the files say in comments, with a quarter of the view."""
+    """README on `rtpiv setup examples`, and the comments of the files, with a quarter of the view."""
     monkeypatch.chdir(tmp_path)
     lab = tmp_path / "examples"
-    assert main(["examples"]) == DONE
+    assert main(["setup", "examples"]) == DONE
     monkeypatch.chdir(lab)
     for check in ("check .", "trace two_spheres_500.yaml -o trace"):
         assert not (wrong := _wrong(check, lab, capsys)), wrong
@@ -242,7 +244,7 @@ def test_the_lab_of_examples(tmp_path, monkeypatch, capsys):
 
 def test_what_the_examples_say_in_their_comments_is_taken():
     for command in in_files(ROOT / "examples"):
-        parser().parse_args(command.split())
+        parser(command.split()).parse_args(command.split())
 
 
 def _wrong(command, lab, capsys):

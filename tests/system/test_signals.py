@@ -48,7 +48,7 @@ def test_stage_move_by_the_others(bench, number):
 
 def check_move(bench, number):
     bench.clock.set_speed(100.0)
-    process = bench.start("stage", "move", "--home", "rail_z=1000", "target_x=20")
+    process = bench.start("bench", "stage", "move", "--home", "rail_z=1000", "target_x=20")
     try:
         while process.stderr.readline() != "homing camera_x\n":  # the last one; the rail waits at its switch
             assert process.poll() is None
@@ -79,7 +79,7 @@ def test_stage_home_by_the_others(bench, number):
 
 
 def check_home(bench, number):
-    process = bench.start("stage", "home", "rail_z")
+    process = bench.start("bench", "stage", "home", "rail_z")
     try:
         begun(bench, "rail_z", process)
         process.send_signal(number)
@@ -146,7 +146,7 @@ def test_acquire_between_its_steps(tmp_path, number, presses):
             code, _, errors = end(process)
             # the last of five may meet a program that has closed everything and is about to end
             assert code == INTERRUPTED or (presses == 5 and code in (-number, 128 + number)), errors
-            assert "go on with: rtpiv resume" in errors
+            assert "go on with: rtpiv acquire --resume" in errors
             assert "Traceback" not in errors or presses == 5
             done = steps_on_disk(RunFolder(run).entries())
             if presses == 1:

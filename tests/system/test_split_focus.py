@@ -33,7 +33,7 @@ def test_one_run_of_two_cameras_becomes_one_mean(tmp_path, capsys):
         assert main(["mean", str(folder), *windows]) == DONE
     capsys.readouterr()
     out = tmp_path / "joined"
-    assert main(["join", str(run / "series"), str(beside / "series"), "-o", str(out)]) == DONE
+    assert main(["mean", "--join", str(run / "series"), str(beside / "series"), "-o", str(out)]) == DONE
     apart = float(capsys.readouterr().out.split("differ by ")[1].split()[0])
     assert apart < 2.0  # they saw the same light on the same particles
     with netcdf_file(out / "mean.nc", mmap=False) as file:

@@ -1,4 +1,4 @@
-"""The prompt of `rtpiv stage` on a real terminal: Ctrl-C, Ctrl-D, questions, and what the motors really do."""
+"""The prompt of `rtpiv bench stage` on a real terminal: Ctrl-C, Ctrl-D, questions, and real motions."""
 
 import fcntl
 import os
@@ -64,7 +64,7 @@ def bench(tmp_path):
 
 @pytest.fixture
 def terminal(bench):
-    opened = Terminal(bench, "stage")
+    opened = Terminal(bench, "bench", "stage")
     yield opened
     opened.close()
 
@@ -178,7 +178,7 @@ def test_save_asks_first(bench, terminal):
 @pytest.mark.slow
 def test_two_programs_on_one_bench(bench, terminal):
     terminal.expect("stage> ")
-    process = bench.start("stage", "where")
+    process = bench.start("bench", "stage", "where")
     process.wait(120)
     code, _, errors = end(process)
     assert code == 3

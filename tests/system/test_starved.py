@@ -42,7 +42,7 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
     assert main(["acquire", str(tmp_path / "plan.yaml"), *options, "--no-correct"]) == DEVICE
     said = capsys.readouterr().err
     assert "no buffer was free (disk or computer too slow)" in said
-    assert "rtpiv resume" in said
+    assert "rtpiv acquire --resume" in said
 
     run = RunFolder(next((tmp_path / "runs").glob("*_plan")))
     assert not run.is_done
@@ -57,9 +57,9 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
 
     monkeypatch.setattr(pipeline_module, "write_raw", write_raw)
     # A computer that has much else to do may lose some again, and says so; each resume has fewer left to take.
-    ends = [main(["resume", str(run.path), "--home"])]
+    ends = [main(["acquire", "--resume", str(run.path), "--home"])]
     while ends[-1] == DEVICE and len(ends) < 20:
-        ends.append(main(["resume", str(run.path), "--home"]))
+        ends.append(main(["acquire", "--resume", str(run.path), "--home"]))
     assert ends[-1] == DONE
     assert f"of {FRAMES} frames never came" in capsys.readouterr().out
     assert set(frames) < set(frame_entries(run.entries()))

@@ -25,15 +25,15 @@ def test_stage_verbs_move_and_refuse(tmp_path, capsys):
     """Each call is a new simulated world, so it wakes up without a reference, as a bench after power-up."""
     write_bench(tmp_path, camera=FILES_CAMERA)
     options = bench_options(tmp_path)
-    assert main(["stage", "where", *options]) == DONE
+    assert main(["bench", "stage", "where", *options]) == DONE
     assert "unreferenced" in capsys.readouterr().out
-    assert main(["stage", "move", "target_x=1.0", *options]) == USAGE
+    assert main(["bench", "stage", "move", "target_x=1.0", *options]) == USAGE
     assert "home it first" in capsys.readouterr().err
-    assert main(["stage", "home", "target_x", *options]) == DONE
+    assert main(["bench", "stage", "home", "target_x", *options]) == DONE
     assert re.search(r"target_x\D+target\s+\S\s+x\s+\S\s+-?\d+\.\d{4}\s+\S\s+ready", capsys.readouterr().out)
-    assert main(["stage", "move", "target_x=wide", *options]) == USAGE
+    assert main(["bench", "stage", "move", "target_x=wide", *options]) == USAGE
     assert "say axis=mm" in capsys.readouterr().err
-    assert main(["stage", "jog", "nonsense=1.0", *options]) == USAGE
+    assert main(["bench", "stage", "jog", "nonsense=1.0", *options]) == USAGE
     assert "there is no axis 'nonsense'" in capsys.readouterr().err
 
 
@@ -64,10 +64,10 @@ def test_what_is_not_there_is_a_device_error(tmp_path, capsys):
     assert main([*arguments, "-o", str(tmp_path / "runs"), "--no-correct"]) == DEVICE
     said = capsys.readouterr().err
     assert "/dev/ttyUSB0" in said
-    assert "rtpiv resume" not in said  # there is nothing to go on with
+    assert "rtpiv acquire --resume" not in said  # there is nothing to go on with
     assert "nothing was taken, so this run is not kept; without hardware: --simulate" in said
     assert not list((tmp_path / "runs").iterdir())
-    assert main(["resume", str(tmp_path / "nowhere")]) == USAGE
+    assert main(["acquire", "--resume", str(tmp_path / "nowhere")]) == USAGE
     assert "is no run folder" in capsys.readouterr().err
 
 
@@ -109,10 +109,10 @@ def test_camera_snap(tmp_path, capsys):
     folder = tmp_path / "frames_in"
     path = write_bench(tmp_path, camera=FILES_CAMERA.replace("frames_in", str(folder)))
     out = tmp_path / "snap.tif"
-    assert main(["camera", "snap", "--bench", str(path), "-o", str(out)]) == DONE
+    assert main(["bench", "camera", "snap", "--bench", str(path), "-o", str(out)]) == DONE
     assert "saturated" in capsys.readouterr().out
     assert out.exists()
-    assert main(["camera", "snap", "--bench", str(path), "-o", str(out)]) == DEVICE
+    assert main(["bench", "camera", "snap", "--bench", str(path), "-o", str(out)]) == DEVICE
     assert "never overwritten" in capsys.readouterr().err
 
 
@@ -127,7 +127,7 @@ def start(folder, *arguments, **options):
 def test_other_programs_can_use_the_simulated_bench(tmp_path):
     """A stranger with pyserial talks to a controller on the device file that `emulate` names."""
     write_bench(tmp_path)
-    process = start(tmp_path, "emulate", "bench.yaml")
+    process = start(tmp_path, "bench", "emulate", "bench.yaml")
     try:
         ports = {}
         while "camera" not in ports:
@@ -182,7 +182,7 @@ def test_ctrl_c_on_terminals(tmp_path, presses):
         assert time.monotonic() - pressed_s < 10.0
     else:
         assert steps_on_disk(RunFolder(run).entries()) == {0, 1}
-    resumed = start(tmp_path, "resume", str(run), "--home")
+    resumed = start(tmp_path, "acquire", "--resume", str(run), "--home")
     _, errors = resumed.communicate(timeout=240)
     assert resumed.returncode == DONE, errors
     assert steps_on_disk(RunFolder(run).entries()) == set(range(6))

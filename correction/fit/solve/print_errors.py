@@ -2,8 +2,8 @@
 
 A printer sets whole dots.  At 600 dpi each line of a board is moved to the nearest dot, by up to 21 um, with all
 its corners, and every frame shows the same board: a thousand corners in five frames then err as some fifty
-columns and as many rows, not as five thousand numbers.  (`rtpiv target` draws squares of whole dots, whose lines
-are moved alike; prints of others, and paper that stretches here and there, are not so kind.)
+columns and as many rows, not as five thousand numbers.  (`rtpiv setup target` draws squares of whole dots, whose
+lines are moved alike; prints of others, and paper that stretches here and there, are not so kind.)
 
 With r the residuals of corners in sigmas, g how much of r one square of the print is, u = sum g . r over all
 corners of a line, in whatever frame, and p the same over all views of one point of it, pairs of different points

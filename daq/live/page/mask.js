@@ -76,7 +76,7 @@ function connect() {
   socket.binaryType = "arraybuffer";
   let size = null;
   socket.onopen = () => socket.send(JSON.stringify({ token: location.hash.slice(1) }));
-  socket.onclose = (event) => said(event.reason || "the page is gone: give rtpiv mask again", true);
+  socket.onclose = (event) => said(event.reason || "the page is gone: give rtpiv setup mask again", true);
   socket.onmessage = (message) => {
     if (typeof message.data !== "string") {
       const grey = new Uint8Array(message.data), image = new ImageData(size.width, size.height);

@@ -239,7 +239,7 @@ function fitContrast(picture, white) {
 
 function figures() {
   const worth = words.figures || {};
-  say(at("run"), words.run || "rtpiv live");
+  say(at("run"), words.run || "rtpiv bench live");
   const now_ms = performance.now(), rate = (1000 * (drawn - drawn_then)) / (now_ms - drawn_ms);
   [drawn_ms, drawn_then] = [now_ms, drawn];
   laser(now_ms);

@@ -27,11 +27,11 @@ def bench(path):
 
 @pytest.fixture
 def piped(path, monkeypatch, capsys):
-    """Obey lines as `rtpiv stage < lines` does; exit code, output, errors."""
+    """Obey lines as `rtpiv bench stage < lines` does; exit code, output, errors."""
 
     def run(lines, *options):
         monkeypatch.setattr("sys.stdin", io.StringIO(lines))
-        code = main(["stage", "--bench", str(path), "--simulate", *options])
+        code = main(["bench", "stage", "--bench", str(path), "--simulate", *options])
         said = capsys.readouterr()
         return code, said.out, said.err
 
@@ -213,13 +213,13 @@ def test_a_script_ends_at_its_first_error(piped, lines, sentence):
 
 def test_home_before_one_verb(piped, path, capsys):
     options = ["--bench", str(path), "--simulate"]
-    assert main(["stage", "jog", "--home", "target_x=+1.5", *options]) == DONE
+    assert main(["bench", "stage", "jog", "--home", "target_x=+1.5", *options]) == DONE
     assert re.search(r"target_x\D+target\s+\S\s+x\s+\S\s+1\.5", capsys.readouterr().out)
-    assert main(["stage", "move", *options, "--home", "target_x=1.5", "target_y=-2"]) == DONE
+    assert main(["bench", "stage", "move", *options, "--home", "target_x=1.5", "target_y=-2"]) == DONE
     assert re.search(r"target_y\D+target\s+\S\s+y\s+\S\s+-2\.0", capsys.readouterr().out)
-    assert main(["stage", "where", "--home", *options]) == DONE
+    assert main(["bench", "stage", "where", "--home", *options]) == DONE
     assert "unknown" not in capsys.readouterr().out
-    assert main(["stage", "move", "--home", "target_x=wide", *options]) == USAGE
+    assert main(["bench", "stage", "move", "--home", "target_x=wide", *options]) == USAGE
     said = capsys.readouterr()
     assert "say axis=mm" in said.err
     assert "homing" not in said.err  # what makes no sense is said before anything moves

@@ -53,7 +53,7 @@ def test_the_prompt_takes_it_too(path, monkeypatch, capsys):
     words = " ".join(f"{name}={mm}" for name, mm in STANDS.items())
     for lines, code in ((f"confirm {words}\nhome\nmove glass_z=30\n", DONE), ("home\n", USAGE)):
         monkeypatch.setattr("sys.stdin", io.StringIO(lines))
-        assert main(["stage", "--bench", str(path), "--simulate"]) == code
+        assert main(["bench", "stage", "--bench", str(path), "--simulate"]) == code
         said = capsys.readouterr()
         assert "glass_z is at 30.0" in said.out if code == DONE else "confirm glass_z=MM" in said.err
 

@@ -188,7 +188,7 @@ def test_nobody_is_said_so_with_what_came(tmp_path, monkeypatch, capsys):
     assert len([line for line in asked.dialogue if line.startswith("@")]) == len(RATES)
     with pytest.raises(PortUnavailable):
         probe("/dev/no-port")
-    assert main(["probe", "/dev/no-port"]) == DEVICE
+    assert main(["doctor", "--probe", "/dev/no-port"]) == DEVICE
     assert "does not exist" in capsys.readouterr().err
 
 
@@ -198,10 +198,10 @@ def test_the_verb_writes_what_was_said(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("daq.bench.probe.SYSTEM_CLOCK", clock)
     monkeypatch.setattr("rtpiv.verbs.probe.ask_port", lambda port: probe(port, clock))
     with on_a_line(QuantumComposersEmulator(clock, Variant("BNC,575-8")), clock, 38_400):
-        assert main(["probe", "sim://probed"]) == DONE
+        assert main(["doctor", "--probe", "sim://probed"]) == DONE
     said = " ".join(capsys.readouterr().out.split())
     assert "BNC,575-8,02311" in said
     assert "box: bnc575" in said
     text = (tmp_path / "probe-sim-probed.txt").read_text()
-    assert text.startswith("# rtpiv probe sim://probed: BNC,575-8")
+    assert text.startswith("# rtpiv doctor --probe sim://probed: BNC,575-8")
     assert "> 2a 49 44 4e 3f 0d 0a" in text

@@ -183,6 +183,6 @@ def test_sockets_without_a_token_keep_no_viewer_out() -> None:
 
 def test_a_port_that_cannot_be_is_a_slip_of_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["live", "--bench", "bench.yaml", "--port", "70000"])
+        main(["bench", "live", "--bench", "bench.yaml", "--port", "70000"])
     assert ended.value.code == 2
     assert "should be 0 to 65535, not '70000'" in capsys.readouterr().err

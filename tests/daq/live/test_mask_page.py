@@ -120,13 +120,23 @@ def test_the_verb_refuses_what_it_cannot_draw_on(tmp_path, capsys):
         ([str(tmp_path / "a.tif"), "-o", "mask.jpg"], "mask.jpg: a mask is written as PNG; name it mask.png"),
         ([str(tmp_path / "a.tif"), "-o", str(tmp_path / "small.png")], "is 20 x 20 px, and the camera 80 x 60"),
     ):
-        assert main(["mask", *words]) == USAGE
+        assert main(["setup", "mask", *words]) == USAGE
         error = capsys.readouterr().err
         assert said in error
         assert len(error.strip().splitlines()) == 1
     with shown(tmp_path / "mask.png") as page:
         assert (
-            main(["mask", str(tmp_path / "a.tif"), "-o", str(tmp_path / "m.png"), "--port", str(page.access.port)])
+            main(
+                [
+                    "setup",
+                    "mask",
+                    str(tmp_path / "a.tif"),
+                    "-o",
+                    str(tmp_path / "m.png"),
+                    "--port",
+                    str(page.access.port),
+                ]
+            )
             == USAGE
         )
         assert "the page cannot be shown: Address already in use" in capsys.readouterr().err

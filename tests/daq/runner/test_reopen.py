@@ -37,7 +37,7 @@ def test_a_run_in_doubt_is_refused_whatever_followed(run, capsys):
     journal.close()
     with pytest.raises(ResumeRefused, match=r"do not balance .*begin a new run"):
         reopen(run.path)
-    assert main(["resume", str(run.path), "--retake"]) == USAGE
+    assert main(["acquire", "--resume", str(run.path), "--retake"]) == USAGE
     assert "do not balance" in capsys.readouterr().err
 
 

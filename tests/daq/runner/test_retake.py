@@ -90,12 +90,12 @@ def test_from_the_command_line(run, capsys):
     before = json.loads((folder.path / "done.json").read_text())["sha256"]
     path = str(folder.path)
     assert main(["check", path]) == DEVICE
-    assert main(["resume", path]) == USAGE
-    assert main(["resume", path, "--retake", "--home"]) == DONE
+    assert main(["acquire", "--resume", path]) == USAGE
+    assert main(["acquire", "--resume", path, "--retake", "--home"]) == DONE
     assert "taken again for missing or damaged frames: 2 steps" in capsys.readouterr().out
     assert main(["check", path]) == DONE
     assert json.loads((folder.path / "done.json").read_text())["sha256"] != before
-    assert main(["resume", path, "--retake"]) == USAGE
+    assert main(["acquire", "--resume", path, "--retake"]) == USAGE
 
 
 def test_killed_while_taking_again_goes_on(run):

@@ -124,12 +124,12 @@ def test_the_verb_says_it(tmp_path, capsys, monkeypatch):
     bench = write_bench(tmp_path, camera=CAMERA.format(settings=""))
     monkeypatch.chdir(tmp_path)
     write_frames(tmp_path / "in", 8)
-    assert main(["camera", "test", "--bench", str(bench)]) == DONE
+    assert main(["bench", "camera", "test", "--bench", str(bench)]) == DONE
     assert "trigger    ok   6 of 6 frames by Software" in capsys.readouterr().out
     write_frames(tmp_path / "few", 3)
     bench.write_text(bench.read_text().replace("folder: in", "folder: few") + "\n")
     bench.write_text(bench.read_text().replace("  trigger:", "  timeout_s: 0.2\n  trigger:"))
-    assert main(["camera", "test", "--bench", str(bench)]) == DEVICE
+    assert main(["bench", "camera", "test", "--bench", str(bench)]) == DEVICE
     said = capsys.readouterr()
     assert "trigger    BAD" in said.out
     assert "the camera's trigger is not as the bench file sets it up" in " ".join(said.err.split())

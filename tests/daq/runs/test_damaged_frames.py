@@ -78,10 +78,10 @@ def test_every_frame_of_a_whole_run_is_read(done_run):
 
 def test_resume_refuses_and_names_frame_and_cure(open_run, damage, capsys):
     damage(open_run.frame_path(3))
-    assert main(["resume", str(open_run.path)]) == DEVICE
+    assert main(["acquire", "--resume", str(open_run.path)]) == DEVICE
     said = capsys.readouterr().err
     assert "frames/000003.tif" in said
-    assert f"rtpiv resume {open_run.path} --retake" in said
+    assert f"rtpiv acquire --resume {open_run.path} --retake" in said
     assert "1 of 8 frames are not what was written" in said
     with pytest.raises(RunDamaged, match=r"000003\.tif"):
         reopen(open_run.path)

@@ -248,7 +248,7 @@ def test_frames_of_several_steps_without_lines_are_never_removed(open_run, capsy
     steps = [number for number, line in enumerate(lines) if b'"kind":"step"' in line]
     open_run.journal_path.write_bytes(b"".join(lines[: steps[2] + 1]))
     before = sorted((open_run.path / "frames").iterdir())
-    assert main(["resume", str(open_run.path), "--home"]) == DEVICE
+    assert main(["acquire", "--resume", str(open_run.path), "--home"]) == DEVICE
     assert "frames/ holds 000003.tif, 000004.tif" in capsys.readouterr().err
     assert sorted((open_run.path / "frames").iterdir()) == before
     assert "other files" in {finding.part for finding in check_run(open_run.path).findings if not finding.sound}

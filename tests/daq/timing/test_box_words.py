@@ -65,7 +65,8 @@ def box_of(driver, clock=None):
 
 def test_off_or_silent(driver, on_line):
     _, clock = on_line(Mute)
-    words = rf"laser on sim://desk at {WIRED[driver][2]} baud says nothing; is it switched on, .* rtpiv probe sim://desk"
+    words = rf"laser on sim://desk at {WIRED[driver][2]} baud says nothing; is it switched on, .*"
+    words += " rtpiv doctor --probe sim://desk"
     with pytest.raises(StageError, match=words):
         box_of(driver, clock).connect("sim://desk")
 
@@ -74,7 +75,7 @@ def test_a_wrong_rate(driver, on_line):
     line, clock = on_line(WIRED[driver][1])
     line.baud = 57_600
     with pytest.raises(
-        StageError, match=rf"laser on sim://desk at {WIRED[driver][2]} baud .* rate .* rtpiv probe"
+        StageError, match=rf"laser on sim://desk at {WIRED[driver][2]} baud .* rate .* rtpiv doctor --probe"
     ):
         box_of(driver, clock).connect("sim://desk")
     assert box_of(driver, clock).connect("sim://desk", 57_600)
@@ -87,14 +88,14 @@ def test_a_wrong_rate(driver, on_line):
 def test_a_swapped_cable(driver, on_line, there, motors, words):
     _, clock = on_line(there, motors)
     with pytest.raises(
-        StageError, match=rf"laser on sim://desk at {WIRED[driver][2]} baud .*{words}.*rtpiv probe"
+        StageError, match=rf"laser on sim://desk at {WIRED[driver][2]} baud .*{words}.*rtpiv doctor --probe"
     ):
         box_of(driver, clock).connect("sim://desk")
 
 
 def test_another_box_of_a_laser(on_line):
     _, clock = on_line(QuantumComposersEmulator)
-    with pytest.raises(StageError, match=r"pulse generator .box: qc9520.*rtpiv probe"):
+    with pytest.raises(StageError, match=r"pulse generator .box: qc9520.*rtpiv doctor --probe"):
         box_of(OltSyncBox, clock).connect("sim://desk")
 
 

@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rtpiv.command_line.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
-from rtpiv.options import parser
+from rtpiv.options import parser_of
+from rtpiv.options.command import commands
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, TARGET, write_bench
 from tests.fuzz.files.damage import damaged_text, spoil_file
 from tests.fuzz.files.damaged_files import Hung, alarm
@@ -29,16 +30,14 @@ from tests.fuzz.files.originals import write_originals
 
 LEFT_OUT = {
     "demo",
-    "warm",
-    "benchmark",
-    "emulate",
-    "live",
-    "mask",
-    "devices",
-    "probe",
+    "setup warm",
+    "bench emulate",
+    "bench live",
+    "setup mask",
     "doctor",
+    "doctor --probe",
     "laser",
-    "camera",
+    "bench camera",
 }
 LONGEST_S = 60
 WORDS = (
@@ -99,7 +98,7 @@ class CommandGround:
     def command(self, rng):
         """A verb with what may stand behind it."""
         verb, wild = rng.choice(list(self.verbs)), rng.choice((0.02, 0.02, 0.2, 0.6))
-        words = [verb]
+        words = verb.split()
         for action in self.verbs[verb]:
             flag = action.option_strings[-1:]
             wanted = not flag or action.required or rng.random() < 0.2
@@ -144,13 +143,10 @@ class CommandGround:
 
 def _verbs():
     """Verb -> its actions, but for help."""
-    choices = next(a for a in parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
-    kept = {verb: _leaves(one) for verb, one in choices.items() if verb not in LEFT_OUT}
-    return {verb: [a for a in actions if a.dest not in ("help", "trust")] for verb, actions in kept.items()}
-
-
-def _leaves(one):
-    return [action for action in one._actions if not isinstance(action, argparse._SubParsersAction)]
+    kept = {verb: parser_of(verb)._actions for verb in commands() if verb not in LEFT_OUT}
+    return {
+        verb: [a for a in actions if a.dest not in ("help", "trust", "variant")] for verb, actions in kept.items()
+    }
 
 
 def hostile(seed, numbers, ground, tell=print):

@@ -1,4 +1,4 @@
-"""`rtpiv devices` and `doctor`: what is there, what it lacks, and lines that a bench file takes as they are."""
+"""`rtpiv doctor`: what is there, what it lacks, and lines that a bench file takes as they are."""
 
 import grp
 import os
@@ -12,8 +12,7 @@ import yaml
 from daq.bench import surroundings
 from daq.errors import BenchLacks
 from rtpiv.command_line.cli import DONE, USAGE, main
-from rtpiv.verbs.devices import devices
-from rtpiv.verbs.doctor import doctor
+from rtpiv.verbs.doctor import bench_lines, doctor
 from stages.drivers_by_name import DRIVERS
 from tests.daq.small_bench import write_bench
 
@@ -24,6 +23,12 @@ def plug(device, **says):
     """A port as pyserial lists it."""
     nothing = dict.fromkeys(("vid", "pid", "serial_number", "manufacturer", "product"))
     return SimpleNamespace(**nothing | {"device": str(device), "description": "n/a"} | says)
+
+
+def connected():
+    """Serial ports, cameras and producers of the computer, and the lines of a bench file that open them."""
+    found = surroundings.serial_ports(), surroundings.usb_cameras(), surroundings.producers()
+    return *found, yaml.safe_load(bench_lines(*found))
 
 
 @pytest.fixture
@@ -72,13 +77,12 @@ def test_what_is_plugged_in_is_found_and_its_lines_are_taken(surrounded, tmp_pat
         usb=[(("ef", "05", "00"), CAMERA), (("ef", "05", "01"), CAMERA), (("08", "06", "50"), CAMERA)],
         cti=["vendor.cti"],
     )
-    assert main(["devices"]) == DONE
+    assert main(["doctor"]) == DONE
     said = capsys.readouterr().out
     for words in ("27000001", "0403:faf0", "Maker U3-1", "vendor.cti", "discovery is a broadcast", "thorlabs_apt"):
         assert words in said
-    found = devices()
-    assert [camera.serial for camera in found.cameras] == ["0042"]
-    lines = yaml.safe_load(found.lines)
+    _, cameras, _, lines = connected()
+    assert [camera.serial for camera in cameras] == ["0042"]
     boxes = lines["stages"]["controllers"]
     assert boxes["thorlabs_apt_1"] == {
         "driver": "thorlabs_apt",
@@ -102,12 +106,12 @@ def test_what_is_plugged_in_is_found_and_its_lines_are_taken(surrounded, tmp_pat
 )
 def test_a_plug_that_tells_its_maker_gets_its_driver_and_no_other(surrounded, says, driver):
     surrounded(plugs=[plug("/dev/ttyUSB0", **says)])
-    assert [port.driver for port in devices().ports] == [driver]
+    assert [port.driver for port in connected()[0]] == [driver]
 
 
 def test_who_pastes_a_driver_that_nobody_chose_is_told_which_there_are(surrounded, tmp_path, capsys):
     surrounded(plugs=[plug("/dev/ttyS0")])
-    pasted = yaml.safe_load(devices().lines)["stages"]["controllers"]["box_1"]["driver"]
+    pasted = connected()[-1]["stages"]["controllers"]["box_1"]["driver"]
     path = write_bench(tmp_path)
     path.write_text(path.read_text().replace("driver: isel_dnc", f"driver: {pasted}"))
     assert main(["check", str(path)]) == USAGE
@@ -121,26 +125,26 @@ def test_a_producer_that_this_shell_was_not_told_of_is_found_and_each_once(surro
         (tmp_path / "opt" / place).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "opt" / place).touch()
     monkeypatch.setenv(surroundings.GENTL_PATH, str(tmp_path / "opt" / "Maker/lib/gentl"))
-    assert [path.name for path in devices().producers] == ["a.cti", "b.cti"]
+    assert [path.name for path in connected()[2]] == ["a.cti", "b.cti"]
 
 
 def test_a_camera_on_usb_is_not_offered_by_an_address(surrounded):
     surrounded(usb=[(("ef", "05", "00"), CAMERA)])
-    camera = yaml.safe_load(devices().lines)["camera"]
+    camera = connected()[-1]["camera"]
     assert (camera["backend"], camera["options"]["serial"]) == ("harvesters", "0042")
 
 
 def test_nothing_plugged_in_still_shows_how(surrounded):
     surrounded()
-    lines = yaml.safe_load(devices().lines)
+    lines = connected()[-1]
     assert lines["stages"]["controllers"]["box_1"]["port"].startswith("/dev/serial/by-id")
     assert lines["camera"] == {"backend": "aravis", "options": {"address": "192.168.10.8"}}
 
 
 def test_what_a_plug_says_of_itself_cannot_write_into_the_file(surrounded, capsys):
     surrounded(plugs=[plug(f"/dev/{EVIL}", product=EVIL)], usb=[(("ef", "05", "00"), CAMERA | {"serial": EVIL})])
-    found = devices()
-    assert yaml.safe_load(found.lines)["stages"]["controllers"]["box_1"]["port"] == f"/dev/{EVIL}"
+    doctor()
+    assert connected()[-1]["stages"]["controllers"]["box_1"]["port"] == f"/dev/{EVIL}"
     assert "\x1b" not in capsys.readouterr().out
 
 
@@ -192,7 +196,7 @@ def test_the_doctor_tells_per_device_what_it_lacks(surrounded, tmp_path, monkeyp
     found = {what: (fine, words) for what, fine, words in lacks.value.findings}
     assert found["controller rail"] == (
         False,
-        "there is no /dev/ttyUSB0; is it plugged in and switched on? rtpiv devices lists what is",
+        "there is no /dev/ttyUSB0; is it plugged in and switched on? rtpiv doctor lists what is",
     )
     assert found["camera second"][0] is False
     assert "rtpiv[camera]" in found["camera second"][1]

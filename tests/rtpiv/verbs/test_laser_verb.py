@@ -119,7 +119,7 @@ def labs(tmp_path_factory):
     """A lab of `rtpiv init`, with its laser in bench-flow.yaml beside a bench.yaml without one; and `examples`."""
     base = tmp_path_factory.mktemp("labs")
     assert main(["init", str(base / "lab")]) == DONE
-    assert main(["examples", str(base / "examples")]) == DONE
+    assert main(["setup", "examples", str(base / "examples")]) == DONE
     return base
 
 

@@ -1,4 +1,4 @@
-"""`rtpiv live --simulate`: the simulated axes stand where the correction is for, and the page shows it."""
+"""`rtpiv bench live --simulate`: the simulated axes stand where the correction is for, and the page shows it."""
 
 import numpy as np
 

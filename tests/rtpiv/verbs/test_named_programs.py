@@ -64,7 +64,7 @@ class Terminal:
         return self.line
 
 
-@pytest.mark.parametrize("words", [["check"], ["stage", "home", "--bench"]])
+@pytest.mark.parametrize("words", [["check"], ["bench", "stage", "home", "--bench"]])
 def test_without_a_person_it_is_refused_with_the_cure(bench, capsys, words):
     assert main([*words, str(bench)]) == USAGE
     said = capsys.readouterr().err

@@ -49,7 +49,7 @@ def test_verbs_of_one_run_take_several(verb, tmp_path, capsys):
 
 def test_what_is_too_much_is_said_with_the_usage_of_the_verb(tmp_path, capsys):
     with pytest.raises(SystemExit):
-        main(["resume", str(tmp_path), str(tmp_path)])
+        main(["acquire", "--resume", str(tmp_path), str(tmp_path)])
     said = capsys.readouterr().err
-    assert said.startswith("usage: rtpiv resume")
+    assert said.startswith("usage: rtpiv acquire --resume")
     assert f"one is wanted here, and more are given: {tmp_path}" in said

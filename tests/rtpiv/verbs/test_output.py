@@ -50,7 +50,14 @@ def test_full_read_only_and_forbidden(tmp_path, monkeypatch, number, kind):
 
 
 @pytest.mark.parametrize(
-    "words", [["demo", "-o"], ["schema", "-o"], ["examples"], ["init", "--yes"], ["join", "a", "b", "-o"]]
+    "words",
+    [
+        ["demo", "-o"],
+        ["setup", "schema", "-o"],
+        ["setup", "examples"],
+        ["init", "--yes"],
+        ["mean", "--join", "a", "b", "-o"],
+    ],
 )
 def test_verbs_say_so_before_they_work(tmp_path, words, capsys):
     (tmp_path / "file").write_text("mine")

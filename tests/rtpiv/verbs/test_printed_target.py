@@ -1,4 +1,4 @@
-"""Targets as a new user has them: from `rtpiv target` by a foreign program to dots, photographed, calibrated.
+"""Targets of a new user: from `rtpiv setup target` by a foreign program to dots, photographed, calibrated.
 
 The labs are two of the paper's, and those that `rtpiv init` makes: of the words in the README, and of three balls
 beside each other; these are calibrated by their own plan, from squares chosen for their scene.  Where a page has

@@ -12,6 +12,7 @@ import tifffile
 from daq.runs.run_folder import RunFolder
 from ground.file_lock import folder_held
 from rtpiv.command_line.cli import DONE, USAGE, main
+from rtpiv.options.command import commands
 from tests.daq.small_run import about_run, planned
 
 SCENE = """camera: {{focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0]}}
@@ -22,7 +23,7 @@ WORDS = {  # verb -> one call and another, of other settings, into one folder
     "correct": (["frame.tif", "--scene", "one.yaml"], ["frame.tif", "frame2.tif", "--scene", "other.yaml"]),
     "trace": (["one.yaml"], ["other.yaml"]),
     "export": (["one.yaml", "--to", "tiff"], ["other.yaml", "one.yaml", "--to", "netcdf"]),
-    "target": (["--kind", "dots"], ["--square-mm", "5", "--paper", "A3"]),
+    "setup target": (["--kind", "dots"], ["--square-mm", "5", "--paper", "A3"]),
     "compare": ([*LAB, "--sensor-px", "96", "96"], [*LAB, "--sensor-px", "96", "80", "--counts", "3"]),
     "init": (["--yes", "--balls", "1"], ["--yes", "--balls", "3", "--overwrite"]),
 }
@@ -30,15 +31,15 @@ ALONE = {  # what the second is refused before it reads anything, or has nothing
     "calibrate": [".", "--scene", "one.yaml"],
     "sheet": ["frame.tif", "frame2.tif", "--scene", "one.yaml"],
     "report": ["report_of"],
-    "join": ["a", "b"],
-    "timeseries": ["series", "--at", "0", "0"],
+    "mean --join": ["a", "b"],
+    "mean --line": ["0", "0", "1", "1", "series"],
     "focus": ["run"],
-    "examples": [],
+    "setup examples": [],
     "demo": [],
     "mean": ["."],
     "campaign": ["run", "run"],
 }
-FIRST = {"init", "examples"}  # verbs that take their folder without -o
+FIRST = {"init", "setup examples"}  # verbs that take their folder without -o
 CHILD = """import sys, time
 from pathlib import Path
 from rtpiv.command_line.cli import main
@@ -51,7 +52,7 @@ sys.exit(main(sys.argv[2:]))
 
 
 def called(verb, words, out):
-    return [verb, str(out), *words] if verb in FIRST else [verb, *words, "-o", str(out)]
+    return [*verb.split(), str(out), *words] if verb in FIRST else [*verb.split(), *words, "-o", str(out)]
 
 
 @pytest.fixture
@@ -92,7 +93,7 @@ def test_nothing_is_mixed(folder, verb):
     for number in range(3):
         (folder / "go").unlink(missing_ok=True)
         out = folder / f"out{number}"
-        program = CHILD.format(verb=verb)
+        program = CHILD.format(verb=commands()[verb])
         both = [
             subprocess.Popen(
                 [sys.executable, "-c", program, f"{out}.{name}", *called(verb, words, out)],

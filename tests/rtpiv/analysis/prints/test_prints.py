@@ -96,7 +96,7 @@ def test_squares_on_paper_are_where_the_page_says(tmp_path):
 
 def test_every_line_of_a_board_lies_between_two_dots_of_a_printer(tmp_path):
     """Measured in the file from the corner of the page: a printer moves none of them, or all alike."""
-    assert main(["target", "--square-mm", "5", "-o", str(tmp_path)]) == 0
+    assert main(["setup", "target", "--square-mm", "5", "-o", str(tmp_path)]) == 0
     board = read_board(tmp_path / "board.yaml")
     assert board.square_mm == pytest.approx(118 * 25.4 / 600, abs=1e-6)
     (page,) = streams(tmp_path / "target.pdf")
@@ -178,14 +178,14 @@ def test_the_squares_chosen_tell_most_of_the_ball_seen_worst(scene):
 
 
 def test_a_board_file_keeps_what_the_bars_measure(tmp_path, capsys):
-    assert main(["target", "-o", str(tmp_path)]) == 0
+    assert main(["setup", "target", "-o", str(tmp_path)]) == 0
     assert read_board(tmp_path / "board.yaml").scale_sigma == (0.005, 0.005)
-    assert main(["target", str(tmp_path / "board.yaml"), "--measured-mm", "189.62", "280.28"]) == 0
+    assert main(["setup", "target", str(tmp_path / "board.yaml"), "--measured-mm", "189.62", "280.28"]) == 0
     board = read_board(tmp_path / "board.yaml")
     assert board.scale == pytest.approx((0.998, 1.001))
     assert board.scale_sigma == pytest.approx((0.1 / 190.0, 0.1 / 280.0))
     before = (tmp_path / "board.yaml").read_bytes()
-    assert main(["target", str(tmp_path / "board.yaml"), "--measured-mm", "280.0", "190.0"]) == 2
+    assert main(["setup", "target", str(tmp_path / "board.yaml"), "--measured-mm", "280.0", "190.0"]) == 2
     assert "print at 100 %" in capsys.readouterr().err
     assert (tmp_path / "board.yaml").read_bytes() == before
 

@@ -87,10 +87,10 @@ def test_the_verb_writes_one_mean_with_its_sources(tmp_path, capsys):
     capsys.readouterr()
     shutil.copytree(series[0], tmp_path / "copy")
     for twice in (series[0], str(tmp_path / "copy")):
-        assert main(["join", series[0], twice, "-o", str(out)]) == USAGE
+        assert main(["mean", "--join", series[0], twice, "-o", str(out)]) == USAGE
         assert "are the same vectors" in capsys.readouterr().err
     assert not out.exists()
-    assert main(["join", *series, "-o", str(out)]) == DONE
+    assert main(["mean", "--join", *series, "-o", str(out)]) == DONE
     assert "where both have a mean they differ by" in capsys.readouterr().out
     with netcdf_file(out / "mean.nc", mmap=False) as file:
         source, n = (np.array(file.variables[name][0]) for name in ("source", "n"))

@@ -89,7 +89,7 @@ def test_a_series_says_what_moved_at_places_and_along_a_line(tmp_path, monkeypat
     quick = ["--final-window", "32", "--workers", "1"]
     assert main(["evaluate", str(run), "--scene", "scene.yaml", "-o", "series", *quick]) == DONE
     middle = ["--at", "0", "0", "-20", "10", "--line", "-20", "0", "20", "0"]
-    assert main(["timeseries", "series", *middle, "-o", "found"]) == DONE
+    assert main(["mean", "series", *middle, "-o", "found"]) == DONE
     assert "12 pairs at" in capsys.readouterr().out
     with netcdf_file(tmp_path / "found" / "time_series.nc", mmap=False) as file:
         u, v, sigma = (np.array(file.variables[name][:]) for name in ("u", "v", "sigma_u"))
@@ -110,7 +110,7 @@ def test_a_series_says_what_moved_at_places_and_along_a_line(tmp_path, monkeypat
         ([], "say x and y of each place"),
         (["--at", "0", "900"], "(0, 900) mm: vectors reach from"),
     ):
-        assert main(["timeseries", "series", *words, "-o", "other"]) == USAGE
+        assert main(["mean", "series", *words, "-o", "other"]) == USAGE
         assert said in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "other").exists()
     assert json.loads((tmp_path / "series" / "series.json").read_text())["pairs"] == 12
