@@ -16,7 +16,7 @@ from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of
 from rtpiv.analysis.views.figures import ViewFigures
 from rtpiv.options.numbers import Positive
-from rtpiv.templates.scene_text import scene_text
+from rtpiv.templates.files import scene_text
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 

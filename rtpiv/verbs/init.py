@@ -16,11 +16,9 @@ from ground.plain_words import counted
 from ground.terminal import console
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.templates.arrangement import ARRANGEMENTS, Arrangement, most_balls, usual
-from rtpiv.templates.bench_text import bench_text
+from rtpiv.templates.files import bench_text, flow_plan, scene_text, shift_plan, target_plan
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.plan_texts import flow_plan, shift_plan, target_plan
-from rtpiv.templates.scene_text import scene_text
-from rtpiv.templates.stage_text import room_of
+from rtpiv.templates.room import room_of
 from rtpiv.verbs.check import check_files
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
@@ -289,7 +287,7 @@ def _line(prompt: str) -> str:
 
 def _print(lab: Lab, folder: Path, lens: bool) -> None:
     from rtpiv.analysis.through_glass import through_scene
-    from rtpiv.templates.scene_text import scene_of
+    from rtpiv.templates.files import scene_of
 
     screen, scene = console(), scene_of(lab)
     width, height = lab.field_mm

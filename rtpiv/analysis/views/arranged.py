@@ -14,8 +14,8 @@ from typing import TypeVar
 from daq.errors import RunUsageError
 from rtpiv.analysis.through_glass import coarse_share, percent
 from rtpiv.templates.arrangement import AIR_MM, ARRANGEMENTS, BEDS, most_balls
+from rtpiv.templates.files import scene_of
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.scene_text import scene_of
 from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
@@ -76,7 +76,7 @@ def best_gap(lab: Lab, lens: bool) -> Arranged | None:
 @cache  # `init` asks for the same labs to place the balls and to say what else would show more
 def arranged(lab: Lab) -> Arranged | None:
     """The lab with the share that it shows; None if it cannot be."""
-    from rtpiv.templates.stage_text import room_of  # of a bench: who has a scene does not wait
+    from rtpiv.templates.room import room_of  # of a bench: who has a scene does not wait
 
     try:
         room_of(lab)

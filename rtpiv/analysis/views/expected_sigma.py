@@ -21,7 +21,7 @@ from correction.fit.solve.solver import Corners, free_rates
 from correction.fit.solve.unknowns import unknowns_of
 from correction.fitted.scene_sigma import SceneSigma
 from correction.target import Chessboard
-from rtpiv.templates.stage_text import BOARD_MM
+from rtpiv.templates.room import BOARD_MM
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose, landings_through

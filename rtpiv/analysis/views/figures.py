@@ -33,10 +33,9 @@ from daq.errors import RunUsageError
 from rtpiv.analysis.through_glass import behind, coarse_map, hiding, reach
 from rtpiv.analysis.views.expected_sigma import expected_sigma
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
+from rtpiv.templates.files import scene_of
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.plan_texts import GLASS_HEIGHTS_MM, bare_heights_mm
-from rtpiv.templates.scene_text import scene_of
-from rtpiv.templates.stage_text import room_of
+from rtpiv.templates.room import GLASS_HEIGHTS_MM, bare_heights_mm, room_of
 from tracer.errors import SceneError
 from tracer.pupil import depth_of_field_mm
 from tracer.scene.scene import Scene

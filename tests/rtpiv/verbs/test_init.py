@@ -19,11 +19,9 @@ from ground.config import load_yaml
 from rtpiv.analysis.through_glass import coarse_map, percent, through_glass
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.templates.arrangement import centres_mm, rods_mm, usual
-from rtpiv.templates.bench_text import bench_text
+from rtpiv.templates.files import bench_text, scene_of, shift_plan, target_plan
 from rtpiv.templates.lab import LENSES_MM, Lab
-from rtpiv.templates.plan_texts import shift_plan, target_plan
-from rtpiv.templates.scene_text import scene_of
-from rtpiv.templates.stage_text import room_of
+from rtpiv.templates.room import room_of
 from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import FileCheck, check

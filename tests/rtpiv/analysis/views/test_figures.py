@@ -9,8 +9,8 @@ from correction.maps.correction_map import build_correction_map
 from daq.errors import RunUsageError
 from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of, unbeaten
 from rtpiv.analysis.views.figures import ViewFigures, view_figures, with_sigma
+from rtpiv.templates.files import scene_of, scene_text
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.scene_text import scene_of, scene_text
 from tracer.pupil import Pupil
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.blur import pupil_views

@@ -1,0 +1,166 @@
+"""Files of a new lab, from the YAML files beside this module; and the scene that scene.yaml describes.
+
+A mark ``@{name}`` stands for a value, and a line ``@hands,lift|...`` is kept if all of these conditions hold.
+"""
+
+import re
+import textwrap
+from pathlib import Path
+from string import Template
+
+from rtpiv.templates.lab import Lab, medium_of_glass
+from rtpiv.templates.room import CLEARANCE_MM, GLASS_HEIGHTS_MM, SHEET_OFF_MM, Room, bare_heights_mm
+from tracer.bodies import Rod, Sphere
+from tracer.camera import Camera, look_at, thin_lens_distance_mm
+from tracer.media import MEDIA, ConstantMedium, known_media
+from tracer.scene.scene import Scene
+
+NAMES = {
+    ("behind", 1): ("ball",),
+    ("triangle", 3): ("top", "left", "right"),
+    ("pyramid", 4): ("top", "left", "right", "tip"),
+    ("pyramid", 5): ("southwest", "southeast", "northeast", "northwest", "tip"),
+}
+CONDITION = re.compile(r"@([\w,]+)\|")
+
+
+class Marks(Template):
+    """Text with marks ``@{name}``."""
+
+    delimiter = "@"
+
+
+def fill(file: str, conditions: set[str], /, **values: str) -> str:
+    """Return the text of a template.
+
+    Parameters
+    ----------
+    file : str
+        Its name in this folder.
+    conditions : set of str
+        Conditions that hold.
+    **values : str
+        Values of its marks.
+    """
+    kept = []
+    for line in Path(__file__).with_name(file).read_text(encoding="utf-8").splitlines(keepends=True):
+        found = CONDITION.match(line)
+        if found is None or conditions.issuperset(found[1].split(",")):
+            kept.append(line[found.end() :] if found else line)
+    return Marks("".join(kept)).substitute(values)
+
+
+def scene_text(lab: Lab) -> str:
+    """Return scene.yaml."""
+    wide = max(map(len, ball_names(lab)))
+    bodies = [
+        f"  - {{name: {name + ',':{wide + 1}} kind: sphere, centre_mm: [{_decimals(centre)}], "
+        f"radius_mm: {size / 2.0:.4g}, material: {_material(glass)}}}"
+        for name, centre, size, glass in zip(
+            ball_names(lab), lab.centres_mm, lab.each_mm, lab.each_glass, strict=True
+        )
+    ]
+    bodies += [
+        f"  - {{name: rod{number}, kind: rod, start_mm: [{_decimals(start)}], "
+        f"end_mm: [{_decimals(end)}], radius_mm: {lab.support_mm / 2.0:.4g}}}  # opaque"
+        for number, (start, end) in enumerate(lab.rods_mm, start=1)
+    ]
+    plain = ("wavelength_nm", "lens_mm", "distance_mm", "pixel_pitch_um")
+    return fill(
+        "scene.yaml",
+        set() if lab.support_mm else {"no_rods"},
+        **{name: f"{getattr(lab, name):g}" for name in plain},
+        field=" x ".join(f"{side:.0f}" for side in lab.field_mm),
+        px_per_mm=f"{lab.px_per_mm:.1f}",
+        width=str(lab.sensor_px[0]),
+        height=str(lab.sensor_px[1]),
+        hide="" if lab.turn_deg else "# ",
+        pinhole=", ".join(f"{c:g}" for c in lab.pinhole_mm),
+        media=str(known_media()),
+        bodies="\n".join(bodies),
+    )
+
+
+def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
+    """Return bench.yaml, or with a laser and a double-frame camera bench-flow.yaml."""
+    touching = [] if lab.gap_mm >= CLEARANCE_MM else list(ball_names(lab))
+    lifts = laser and lab.gap_mm < SHEET_OFF_MM
+    conditions = {"hands" if lab.by_hand else "motors", "flow" if laser else "frames"}
+    conditions |= {"touching"} if touching else set()
+    conditions |= {"lift"} if lifts else set()
+    out, rail, top = room.glass_out_mm, room.rail_homed_mm, room.retract_mm
+    lengths = {
+        "out_mm": out, "glass_mm": out - 10.0, "glass_low_mm": out - 5.0, "glass_travel_mm": 25.0 - out,
+        "rail_mm": rail, "rail_low_mm": rail + 5.0,
+        "retract_mm": top, "lift_mm": top + 10.0, "lift_travel_mm": top + 20.0,
+    }  # fmt: skip
+    return fill(
+        "bench.yaml",
+        conditions,
+        **{name: f"{mm:.1f}" for name, mm in lengths.items()},
+        name=lab.name,
+        file="bench-flow.yaml" if laser else "bench.yaml",
+        glass_order="glass_z, glass_y" if lifts else "glass_y",
+        ahead_mm=f"{room.lens_ahead_mm:g}",
+        touching=textwrap.fill(", ".join(touching), 100, subsequent_indent=" " * 12),
+        square_mm=f"{lab.board_mm:g}",
+        disc_mm=f"{0.4 * lab.board_mm:g}",
+    )
+
+
+def target_plan(lab: Lab, room: Room) -> str:
+    """Return the plan of a calibration: the target, bare and behind the glass."""
+    heights = {"bare_mm": bare_heights_mm(room), "behind_mm": GLASS_HEIGHTS_MM}
+    texts = {name: ", ".join(f"{height:.1f}" for height in each) for name, each in heights.items()}
+    return fill("plan-target.yaml", {"hands" if lab.by_hand else "motors"}, **texts)
+
+
+def shift_plan(lab: Lab) -> str:
+    """Return the plan of a known shift of printed particles, which checks the measurement."""
+    return fill("plan-shift.yaml", {"hands" if lab.by_hand else "motors"})
+
+
+def flow_plan(lab: Lab, dt_us: float) -> str:
+    """Return the plan of a flow lit by a double-pulse laser; glass too close to the sheet is moved away."""
+    off_mm = SHEET_OFF_MM - lab.gap_mm
+    conditions = {"near"} if off_mm > 0.0 else set()
+    return fill("plan-flow.yaml", conditions, dt_us=f"{dt_us:g}", off_mm=f"{off_mm:.1f}")
+
+
+def ball_names(lab: Lab) -> tuple[str, ...]:
+    """Names of the balls, in the order of `centres_mm`."""
+    return NAMES.get((lab.arrangement, lab.balls)) or tuple(f"ball{number + 1}" for number in range(lab.balls))
+
+
+def _material(glass: str) -> str:
+    return f"{{n: {glass}}}" if isinstance(medium_of_glass(glass), ConstantMedium) else repr(glass)
+
+
+def _decimals(place: tuple[float, float, float]) -> str:
+    return ", ".join(f"{c:.4f}" for c in place)
+
+
+def scene_of(lab: Lab) -> Scene:
+    """Return the scene that ``scene_text`` describes, without writing a file.
+
+    Raises
+    ------
+    SceneError
+        A ball reaches the lens.
+    """
+    width, height = lab.sensor_px
+    pinhole = lab.pinhole_mm
+    camera = Camera(
+        focal_px=thin_lens_distance_mm(lab.lens_mm, lab.distance_mm) / (lab.pixel_pitch_um * 1e-3),
+        principal_px=(0.5 * (width - 1), 0.5 * (height - 1)),
+        sensor_px=(width, height),
+        position_mm=pinhole,
+        rotation=look_at(pinhole, (0.0, 0.0, 0.0)),
+    )
+    each = zip(ball_names(lab), lab.centres_mm, lab.each_mm, lab.each_glass, strict=True)
+    balls = [Sphere(name, centre, size / 2.0, medium_of_glass(glass)) for name, centre, size, glass in each]
+    rods = [
+        Rod(f"rod{number}", start, end, lab.support_mm / 2.0)
+        for number, (start, end) in enumerate(lab.rods_mm, start=1)
+    ]
+    return Scene(camera, (*balls, *rods), lab.wavelength_nm, MEDIA["air"])
