@@ -87,14 +87,15 @@ class QuantumComposersBox(TimingBox):
     def drop(self) -> None:
         """Write everything off now; again and again, pauses apart, to a box that is known to lose lines.
 
-        Of each write such a box hears its first line, and may be too busy even for that one: another output comes
-        first each time, for a box that refuses T0.  Asking who answers may take a second, so it comes later.
+        Of each write such a box hears its first line, and may be too busy even for that one: every second time a
+        Q-switch comes first, for a box that refuses T0.  Asking who answers may take a second, so it comes later.
         """
         super().drop()
         if self._pause_s > 0.0:
             for again in range(1, INSISTS + 1):
                 self.clock.sleep_s(self._pause_s)
-                self._write_off([self._off_string(again % (1 + len(self._numbers(*Q_SWITCHES))))])
+                first = 0 if again % 2 else again // 2 % (1 + len(self._numbers(*Q_SWITCHES)))
+                self._write_off([self._off_string(first)])
 
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts.
@@ -343,8 +344,7 @@ class QuantumComposersBox(TimingBox):
     def _start(self, burst: Sequence[int]) -> None:
         """Begin a burst in one string, of which the first line asks whether T0 was stopped.
 
-        An exchange more would be time in which a STOP is undone.  A box that refuses to stop T0 gives pulses while
-        its outputs come on, until the reset that follows at once.
+        An exchange more would be time in which a STOP is undone.  A box that refuses to stop T0 is reset at once.
         """
         lines = [(T0, "0"), *((number, "1") for number in [*burst, T0])]
         words = [Command(f":PULSE{T0}:STAT", asks=True), *(Command(f":PULSE{n}:STAT", v) for n, v in lines)]
