@@ -13,7 +13,7 @@ from tests.wheel.build import ROOT, build_wheel
 
 SAYS = {
     "piv": r"(100|9\d)% valid, u = 3\.(39|40)\d \+- 0\.00\d px",
-    "tracer": r"\d+% of the pixels see the plane, by the ways \(\(\), \('ball',\)\)",
+    "tracer": r"\d+% of the pixels see the plane, by the branches \(\(\), \('ball',\)\)",
     "stages": r"42\.000\d mm read back, 42\.0\d+ mm in truth|42\.000\d mm read back, 41\.99\d+ mm in truth",
 }
 MOST_LINES = 12_500  # the tracer has 12 100 with mirrored cameras, label masks and balls moved apart
