@@ -24,9 +24,9 @@ calls = []
 class Recorder:
     def __init__(self, verb):
         self.form = None
-    def begun(self, place, form):
+    def start(self, place, form):
         self.form, self.since = form, time.process_time()
-    def done(self, place):
+    def finish(self, place):
         if self.form is not None:
             calls.append((place, self.form, round(time.process_time() - self.since, 2)))
         self.form = None

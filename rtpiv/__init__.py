@@ -1,28 +1,28 @@
-"""Particle image velocimetry through glass: the eight things people need, under one name.
+"""Particle image velocimetry through glass: eight functions under one name.
 
-    load_scene   what you know of your bench: camera, glass, light
-    trace        what of the plane that scene shows
-    acquire      carry a plan out, on the bench or on its simulation
-    calibrate    where everything really is, from frames of the target
-    correct      frames as if the glass were not there
-    evaluate     vectors of pairs, with errors and uncertainty
+    load_scene   read a description of camera, glass and light
+    trace        ray-trace a scene: field of view and what is lost
+    acquire      execute a plan, on the bench or on its simulation
+    calibrate    fit the geometry of the bench to frames of the target
+    correct      dewarp frames as if the glass were not there
+    evaluate     vectors of image pairs, with errors and uncertainties
     mean         mean flow and Reynolds stresses of many pairs
-    report       a run as one page
+    report       evaluate a run and write its report
 
-What belongs together is one value: `CorrectionRecipe` (`correct`, `evaluate`, `mean`), `Resampling` (`correct`),
-`PairDetails` and `EvaluationOutput` (`evaluate`), `MeanOutput` (`mean`), `LiveFrames` and `Rehearsal` (`acquire`).
-Values come in and values go out: nothing is printed but by `acquire` and `report`, and `trace`, `calibrate`,
-`evaluate` and `mean` write only into a folder that is named (`out`).  Files may be named as text or as `Path`.
-`docs/python.md` goes through them.  ERRORS holds the root of all that they raise on purpose,
-`ground.errors.RtpivError`: ``except rtpiv.ERRORS``.  What else there is lies in packages of their own; each is
-imported when it is first used.
+Options that belong together are one value: `CorrectionRecipe` (`correct`, `evaluate`, `mean`), `Resampling`
+(`correct`), `PairDetails` and `EvaluationOutput` (`evaluate`), `MeanOutput` (`mean`), `LiveFrames` and `Rehearsal`
+(`acquire`).
+Functions return values: only `acquire` and `report` print, and `trace`, `calibrate`, `evaluate` and `mean` write
+only into a folder given as `out`.  Files may be given as text or as `Path`.  `docs/python.md` shows them in use.
+ERRORS holds the base class of all errors that they raise on purpose, `ground.errors.RtpivError`:
+``except rtpiv.ERRORS``.  Everything else is in packages of its own; each is imported when it is first used.
 """
 
 import sys
 
 
 def _end_quietly(kind, error, trace) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001 - types load later
-    """Say of Ctrl-C before `rtpiv.command` is loaded what it says after that; of all else what Python says."""
+    """Print Ctrl-C before `rtpiv.command` is loaded as that does later; other errors as Python does."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return

@@ -14,10 +14,10 @@ NO_DEVICES = (  # verbs that open none, whose libraries might have an end of the
 
 
 def run() -> int:
-    """Be the whole process: run one verb, and end at once when it is done; return the exit code.
+    """Run one verb as the whole process, and end at once when it is done; return the exit code.
 
-    When a process ends, Python takes every object apart, which is a third of a second after kernels or pictures.
-    That alone is left out: threads are joined, what was to be called at the end is called, streams are flushed.
+    At its end Python destroys every object, which takes a third of a second after kernels or pictures.
+    Only that is left out: threads are joined, exit functions are called, streams are flushed.
     """
     if atexit._ncallbacks() or not set(NO_DEVICES).intersection(sys.argv[1:2]):  # coverage is there before us
         return main()
@@ -28,20 +28,20 @@ def run() -> int:
 
 
 def _leave(done: list[int]) -> None:
-    """End the process with the exit code of a verb that has come to its end; else let Python end it."""
+    """End the process with the exit code of a verb that is done; otherwise let Python end it."""
     if not done:
         return
     try:
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
                 stream.flush()
-    except (OSError, ValueError):  # Python says it
+    except (OSError, ValueError):  # Python reports it
         return
     os._exit(done[0])
 
 
-def _be_in_utf8() -> None:
-    """Begin again with UTF-8 as the encoding of names, where the locale (LC_ALL=C) has plain ASCII or another."""
+def _restart_in_utf8() -> None:
+    """Restart with UTF-8 as the encoding of names where the locale (LC_ALL=C) has another."""
     if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
         os.environ["PYTHONUTF8"] = "1"
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
@@ -49,7 +49,7 @@ def _be_in_utf8() -> None:
 
 def main() -> int:
     """Run one verb; return the exit code."""
-    _be_in_utf8()
+    _restart_in_utf8()
     try:
         gc.set_threshold(GARBAGE)  # by Python's own threshold a tenth of a short command's time was such looking
         sys.excepthook = sys.__excepthook__  # from here on it is answered below

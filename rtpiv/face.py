@@ -1,8 +1,7 @@
-"""What functions at the top of rtpiv do otherwise than the verbs of the command line that they are.
+"""Python functions of the package, made from the verbs of the command line.
 
-Saving and printing belong to the command line.  From Python values come in and values go out: nothing is printed,
-and without a folder (`out`) nothing is left on the disk either; what the work itself writes on its way, such as
-chunks of a series that its processes share, lies in a folder of the system for as long as the call lasts.
+They print nothing, and without a folder (`out`) they leave nothing on the disk: intermediate files, such as chunks
+of a series that its processes share, are in a temporary folder until the call returns.
 """
 
 from collections.abc import Callable
@@ -18,37 +17,37 @@ from rtpiv.analysis.pictures.own_style import own_style
 
 P = ParamSpec("P")
 R = TypeVar("R")
-FOR_PEOPLE = ("pictures", "files")  # whether pages and the like are written, of a verb or of its `output`
+FOR_PEOPLE = ("pictures", "files")  # options for pages and pictures, of a verb or of its `output`
 
 
 def in_own_style(verb: Callable[P, R]) -> Callable[P, R]:
-    """Return the same function, whose pictures do not depend on the settings of a script."""
+    """Return the function with pictures that do not depend on matplotlib settings of a script."""
 
     @wraps(verb)
-    def called(*args: P.args, **named: P.kwargs) -> R:
+    def call(*args: P.args, **named: P.kwargs) -> R:
         with own_style():
             return verb(*args, **named)
 
-    return called
+    return call
 
 
 def quiet(verb: Callable[P, R]) -> Callable[P, R]:
-    """The same function, that prints nothing."""
+    """Return the function without its printing."""
 
     @wraps(verb)
-    def called(*args: P.args, **named: P.kwargs) -> R:
+    def call(*args: P.args, **named: P.kwargs) -> R:
         with silence(), own_style():
             return verb(*args, **named)
 
-    return called
+    return call
 
 
 def value_of(verb: Callable[P, R]) -> Callable[P, R]:
-    """The same function, that prints nothing and writes only into a folder that is named."""
+    """Return the function without its printing, that writes only into a folder given as `out`."""
     takes = signature(verb)
 
     @wraps(verb)
-    def called(*args: P.args, **named: P.kwargs) -> R:
+    def call(*args: P.args, **named: P.kwargs) -> R:
         given = takes.bind(*args, **named)
         with silence(), own_style():
             if given.arguments.get("out") is not None:
@@ -64,4 +63,4 @@ def value_of(verb: Callable[P, R]) -> Callable[P, R]:
                 _ = getattr(found, "vectors", None)  # read as long as the files are there
                 return found
 
-    return called
+    return call

@@ -56,7 +56,7 @@ class SharedModule(ModuleType):
 
 
 class SharedLoader(Loader):
-    """Makes the module that both live in; running the user's file is left to whoever asks for its names."""
+    """Makes the module of both; the user's file runs when one of its names is first asked for."""
 
     def __init__(self, theirs: ModuleSpec) -> None:
         self._theirs = theirs

@@ -17,10 +17,10 @@ complain: Callable[[str], None] | None = None  # gets what is wrong with the fol
 class Helper(Protocol):
     """Hears of every kernel that is compiled for a call of its own, not of those that it calls itself."""
 
-    def begun(self, place: str, form: object) -> None:
+    def start(self, place: str, form: object) -> None:
         """Hear that "module:name" is missing for arguments of these types, see `ground.jit.signatures`."""
 
-    def done(self, place: str) -> None:
+    def finish(self, place: str) -> None:
         """Hear that it is compiled."""
 
 
@@ -37,7 +37,7 @@ class CompileCount:
         self._functions = 0
         self._begun_s = self._said_s = 0.0
 
-    def begun(self) -> None:
+    def start(self) -> None:
         """One is about to be compiled; the first one is news."""
         with self._lock:
             now_s, first = time.monotonic(), self._begun_s == 0.0
@@ -46,7 +46,7 @@ class CompileCount:
         if first and watch is not None:
             watch(0, 0.0)
 
-    def done(self) -> None:
+    def finish(self) -> None:
         """One is compiled; from time to time it is news."""
         with self._lock:
             self._functions += 1
@@ -64,10 +64,10 @@ def missing(place: str, form: object) -> None:
     if helper is None and make_helper is not None:
         helper = make_helper()
     if helper is not None:
-        helper.begun(place, form)
+        helper.start(place, form)
 
 
 def compiled(place: str) -> None:
     """Notify the helper that it is compiled."""
     if helper is not None:
-        helper.done(place)
+        helper.finish(place)

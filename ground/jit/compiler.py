@@ -217,7 +217,7 @@ class _Compiling(event.Listener):
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
-        self._count.begun()
+        self._count.start()
 
     def on_end(self, event: Any) -> None:  # noqa: ANN401
         """One is compiled."""
@@ -226,7 +226,7 @@ class _Compiling(event.Listener):
             if self._collects:
                 gc.enable()
             compile_news.compiled(_place(event))
-        self._count.done()
+        self._count.finish()
 
 
 def _place(event: Any) -> str:  # noqa: ANN401

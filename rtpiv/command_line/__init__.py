@@ -1,1 +1,1 @@
-"""The command line: a verb is called, and what came of it is an exit code and one sentence."""
+"""The command line: it calls a verb and returns an exit code, with one sentence for an error."""

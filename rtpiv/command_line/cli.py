@@ -1,9 +1,7 @@
-"""The command line: a verb is called, and what came of it is said in one sentence and an exit code.
+"""The command line: it calls a verb and returns an exit code, with one sentence for an error.
 
-Every verb is a public function of the same name in ``rtpiv.verbs``; it is imported only when its verb is
-called, so that ``rtpiv --help`` answers at once.  What people can get wrong comes back as one sentence.
-
-Exit codes and what is said with them: `rtpiv.command_line.exit_codes`.
+Every command is a public function in ``rtpiv.verbs``, imported only when it is called, so that ``rtpiv --help``
+answers at once.  Exit codes and their sentences: `rtpiv.command_line.exit_codes`.
 """
 
 import importlib
@@ -22,7 +20,7 @@ from ground.errors import RtpivWarning, UntrustedProgram
 from ground.named_program import VARIABLE, trust
 from ground.printable import printable
 from rtpiv.analysis.pictures.own_style import ENVIRONMENT
-from rtpiv.command_line.exit_codes import DEVICE as DEVICE  # who calls main compares with these
+from rtpiv.command_line.exit_codes import DEVICE as DEVICE  # for callers of main
 from rtpiv.command_line.exit_codes import DONE as DONE
 from rtpiv.command_line.exit_codes import INTERRUPTED as INTERRUPTED
 from rtpiv.command_line.exit_codes import USAGE as USAGE
@@ -30,15 +28,15 @@ from rtpiv.command_line.exit_codes import exit_code, sentence
 from rtpiv.options.command import call_of, current, parser
 from rtpiv.options.near import near_option
 
-THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
+THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 # Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
-NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}  # it would look through all that is installed for some
+NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}  # it would search all installed packages
 
 
 PICTURES = "rtpiv.analysis.pictures"
-KERNELS = "ground.jit.compiler"  # numba: called by who draws rays as well
-DRAWS = {  # verb -> what it draws with, imported while it computes
+KERNELS = "ground.jit.compiler"  # numba, which drawing rays needs as well
+DRAWS = {  # verb -> modules for drawing, imported while it computes
     "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", KERNELS),
     "compare": (f"{PICTURES}.results",),
     "correct": (f"{PICTURES}.results", "cv2"),
@@ -68,7 +66,7 @@ def _options(arguments: Sequence[str]) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # a letter that the terminal lacks ends no verb
+        if isinstance(stream, TextIOWrapper):  # a letter that the terminal lacks is escaped
             stream.reconfigure(errors="backslashreplace")
     options = _options(sys.argv[1:] if arguments is None else arguments)
     verb, threads, trusted = options.pop("verb"), options.pop("threads"), options.pop("trust")
@@ -88,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = print_warning
         try:
             code = _run_verb(verb, options, command)
-            if code is None:  # the person has said that the programs of the bench file may be called
+            if code is None:  # the user now trusts the programs of the bench file
                 code = _run_verb(verb, options, command) or DONE
         except SystemExit as end:
             if isinstance(end.code, int) and end.code > SIGNALLED:
@@ -101,10 +99,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _drawn_apart(modules: Sequence[str]) -> AbstractContextManager[None]:
-    """Let pictures be drawn by a process of their own; who draws none does not wait for it either.
+def _drawing_process(modules: Sequence[str]) -> AbstractContextManager[None]:
+    """Start a process that draws pictures, if there are modules for it.
 
-    It is forked from this one, so what both need is imported first.
+    It is forked from this one, so modules that both need are imported first.
     """
     if not modules:
         return nullcontext()
@@ -116,7 +114,7 @@ def _drawn_apart(modules: Sequence[str]) -> AbstractContextManager[None]:
 
 
 def _first_use(verb: str) -> compile_news.Helper:
-    """What helps a verb that finds a kernel missing."""
+    """Return the helper of a verb whose kernels are not compiled yet."""
     from rtpiv.command_line.first_use import FirstUse
 
     return FirstUse(verb)
@@ -124,7 +122,7 @@ def _first_use(verb: str) -> compile_news.Helper:
 
 @contextmanager
 def _without_helper() -> Iterator[None]:
-    """Let who helped to compile go in the end."""
+    """End the helper of the compiler with the verb."""
     try:
         yield
     finally:
@@ -135,11 +133,11 @@ def _without_helper() -> Iterator[None]:
 
 
 def _run_verb(verb: str, options: dict[str, Any], command: str) -> int | None:
-    """Run a verb; exit code, or None if it may be run anew, for a person trusts now what its bench file names."""
+    """Run a verb; return the exit code, or None to run it again, as the user now trusts its bench file."""
     try:
         function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
         words, named = call_of(verb, options)
-        with _drawn_apart(DRAWS.get(verb, ()) if options.get("pictures") else ()):
+        with _drawing_process(DRAWS.get(verb, ()) if options.get("pictures") else ()):
             function(*words, **named)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -159,7 +157,7 @@ def _run_verb(verb: str, options: dict[str, Any], command: str) -> int | None:
 
 
 def _is_trusted_now(error: UntrustedProgram) -> bool:
-    """Ask the person at the terminal whether programs may be called; a yes is kept, and holds from then on."""
+    """Ask at the terminal whether programs may be called; a yes is stored."""
     if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
         return False
     names = printable(", ".join(error.names))
@@ -179,16 +177,16 @@ def print_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning of ours, without its file and line; it may quote a name with commands in it.
+    """Print a warning of rtpiv without file and line, control characters escaped.
 
-    Warnings of libraries are for developers: they are printed with Python's option -W or PYTHONWARNINGS.
+    Warnings of libraries are for developers: Python's option -W or PYTHONWARNINGS prints them.
     """
     if issubclass(category, RtpivWarning) or sys.warnoptions:
         print(f"rtpiv: {printable(str(message))} ({category.__name__})", file=sys.stderr)
 
 
 def print_compiling(functions: int, seconds: float) -> None:
-    """Say on standard error why nothing else happens: kernels are compiled once on each computer."""
+    """Report on standard error that kernels are being compiled, once on each computer."""
     if functions == 0:
         text = f"compiling, first use on this computer{_why_not_shipped()}, one to three minutes in all"
     else:
@@ -199,7 +197,7 @@ def print_compiling(functions: int, seconds: float) -> None:
 
 
 def _why_not_shipped() -> str:
-    """Name the numba that the machine code of this wheel was made by, where another one is installed."""
+    """Return the numba version of the machine code in this wheel if another one is installed."""
     import numba
 
     from ground.jit.shipped import FOLDER, other_numba

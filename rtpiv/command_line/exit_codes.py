@@ -1,10 +1,9 @@
-"""What the end of a verb means to the shell, and the one sentence that a person reads about it.
+"""Exit codes of verbs, and the sentence that is printed for an error.
 
     0 done    2 usage or configuration    3 device, disk or memory    4 interrupted and resumable
 
-What is raised on purpose says its own code (`ground.errors.RtpivError`).  Other errors keep their traceback: they
-are bugs; but what the system itself refuses, a full disk, a missing permission, no memory, is none, wherever it
-happens.
+Errors raised on purpose carry their code (`ground.errors.RtpivError`).  Others are bugs and keep their traceback,
+except refusals of the system wherever they happen: a full disk, a missing permission, no memory.
 """
 
 import errno
@@ -22,7 +21,7 @@ _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 def exit_code(error: BaseException) -> int | None:
-    """Exit code of an error that a person can cure; None for a bug."""
+    """Return the exit code of an error that the user can cure; None for a bug."""
     if isinstance(error, RtpivError):
         return error.exit_code
     if isinstance(error, MemoryError):
@@ -33,14 +32,14 @@ def exit_code(error: BaseException) -> int | None:
 
 
 def sentence(error: BaseException, out: Path | None = None) -> str:
-    """What to tell the person; several problems of a file stand in lines of their own.
+    """Return the message for the user; several problems of a file have a line each.
 
     Parameters
     ----------
     error : exception
         With an exit code.
     out : Path, optional
-        Where the verb writes: a library that fails in the middle of a file does not say which.
+        Output folder, for errors of libraries that do not name the file.
     """
     said = str(error)
     if isinstance(error, MemoryError):
@@ -48,12 +47,12 @@ def sentence(error: BaseException, out: Path | None = None) -> str:
         said = f"there is not enough memory{more}; end other programs, or give smaller or fewer frames"
     elif isinstance(error, OSError) and error.strerror:
         cure = "make room on the disk" if error.errno in _FULL else "give another path, or mend this one"
-        name = error.filename if error.filename is not None else (out or "what it writes or prints")
+        name = error.filename if error.filename is not None else (out or "output")
         said = f"{name}: {error.strerror.lower()}; {cure}"
-    return "\n".join(printable(_shortened(line)) for line in said.splitlines()) or type(error).__name__
+    return "\n".join(printable(_shorten(line)) for line in said.splitlines()) or type(error).__name__
 
 
-def _shortened(line: str) -> str:
-    """The beginning, with the name of the file, and the end, with the cure."""
+def _shorten(line: str) -> str:
+    """Return the beginning, with the name of the file, and the end, with the cure."""
     half = LONGEST_LINE // 2
     return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"

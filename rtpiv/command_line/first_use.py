@@ -1,10 +1,10 @@
-"""The first command on a computer compiles its kernels: on all cores, and with a word on how long that takes.
+"""Compilation of kernels on first use, on all cores, with the remaining time.
 
-What each verb calls for scenes of balls is written down in ``first_use.json`` (kernel, types of its arguments,
-seconds that it took), made anew by ``python -m benchmarks.first_use``.  A verb compiles what it needs in the
-order in which it calls it.  As soon as the first kernel is missing, and it is one of those, further processes
-compile the same list from its other end: both find in the cache what the other has left there, and meet in the
-middle.  Nothing depends on them: whatever they do not reach, the verb compiles itself.
+The kernels that each verb calls for scenes of balls are listed in ``first_use.json`` (kernel, types of its
+arguments, seconds of compilation), updated by ``python -m benchmarks.first_use``.  A verb compiles its kernels in
+the order of its calls.  When the first one of the list is missing, further processes compile the list from its
+end: each finds in the cache what the others have compiled, and they meet in the middle.  Nothing depends on them:
+the verb compiles itself what they do not reach.
 """
 
 import json
@@ -20,7 +20,7 @@ from ground.rows import thread_count
 
 TRUST_S = 10.0
 MOST_HELPERS = 3  # beside the verb's own process; kernels share callees, and each compiles those it needs first
-ALSO = {  # verbs that call what others call
+ALSO = {  # verbs that call the kernels of others
     "init": ("trace",),
     "demo": ("calibrate", "correct", "evaluate"),
     "report": ("evaluate",),
@@ -33,14 +33,14 @@ Call = tuple[str, Any, float]  # kernel as "module:name", types of its arguments
 
 
 def calls_of(verb: str) -> list[Call]:
-    """What a verb calls for a scene of balls, in its order."""
+    """Return the kernels that a verb calls for a scene of balls, in order."""
     kept = json.loads(files("rtpiv.command_line").joinpath("first_use.json").read_text(encoding="utf-8"))
     calls = [call for name in ALSO.get(verb, (verb,)) for call in kept.get(name, ())]
     return list({json.dumps(call[:2]): (call[0], call[1], call[2]) for call in calls}.values())
 
 
 class FirstUse:
-    """Watches a verb compile; starts helpers, says how long it will take, and ends them.
+    """Helper processes of a verb that compiles, and the time that is left.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class FirstUse:
         self._begun_s = 0.0
         self._helpers: list[subprocess.Popen[bytes]] = []
 
-    def begun(self, place: str, form: object) -> None:
+    def start(self, place: str, form: object) -> None:
         """One kernel is missing: the first one that is starts the helpers."""
         if self._begun_s:
             return
@@ -77,16 +77,16 @@ class FirstUse:
                 )
             )  # fmt: skip
 
-    def done(self, place: str) -> None:
+    def finish(self, place: str) -> None:
         """One kernel is compiled."""
         if self._left.pop(place, None) is not None:
             self._last_s = time.monotonic()
 
     def seconds_left(self) -> float | None:
-        """How long the list will take still, to which a scene may add kernels; None before the first is compiled.
+        """Return the remaining seconds of the list; None before its first kernel is compiled.
 
-        The first kernels wait for the compiler itself, and one of a tenth of a second says nothing of those of
-        ten: what was measured weighs as much as the list when it comes to `TRUST_S`.
+        A scene may add kernels.  The first kernels include the start of the compiler, and short ones predict long
+        ones badly: measured times have the same weight as those of the list when they reach `TRUST_S`.
         """
         share = self._whole / (len(self._helpers) + 1)
         through = self._whole - sum(self._left.values())
@@ -97,7 +97,7 @@ class FirstUse:
         return whole_s - min(since_s, 0.9 * whole_s)
 
     def end(self) -> None:
-        """Let the helpers go: each ends as soon as its other end is closed."""
+        """End the helpers: each ends when its standard input is closed."""
         for helper in self._helpers:
             assert helper.stdin is not None
             helper.stdin.close()
@@ -123,7 +123,7 @@ def compile_call(call: Call) -> None:
 
 
 def _end_with_parent() -> None:
-    """End when whoever started this process ends, however it does."""
+    """End this process when its parent ends."""
     import os
 
     def watch() -> None:

@@ -1,4 +1,4 @@
-"""The verbs of the command line and their options; nothing is imported for them: ``--help`` answers at once."""
+"""Verbs of the command line and their options, read without importing the verbs."""
 
 from rtpiv.options.command import call_of as call_of
 from rtpiv.options.command import parser as parser

@@ -1,4 +1,4 @@
-"""The whole command line: words and options of each verb as `rtpiv.options.signature` reads them."""
+"""Parsers of the command line: verbs in groups, with the options that `rtpiv.options.signature` reads."""
 
 import argparse
 from collections.abc import Collection, Sequence
@@ -35,7 +35,7 @@ RENAMED = {  # until the next release
     "resume": "acquire --resume", "join": "mean --join", "timeseries": "mean", "devices": "doctor",
     "probe": "doctor --probe",
 } | {part: f"{verb} {part}" for verb, parts in PARTS.items() for part in parts}  # fmt: skip
-WORDS = {  # options that are not called what their parameter is
+WORDS = {  # options with other names than their parameters
     "out": ("-o", "--out"),
     "ask": ("--yes",),
     "as_float": ("--float",),
@@ -54,7 +54,7 @@ WITH_VALUE = ("--threads", "--trust")
 
 
 class _Version(argparse.Action):
-    """Looked up only when asked for: the library that knows it is slow to import."""
+    """Print the version, whose library is slow to import."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -179,14 +179,14 @@ def _add_shared(parser: argparse.ArgumentParser, default: str | None) -> None:
 
 
 def call_of(verb: str, options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
-    """Arguments of a verb's function from its options, values put together.
+    """Return the arguments of a verb's function, with options of one value put together.
 
     Parameters
     ----------
     verb : str
         The verb.
     options : dict
-        What was read, by name.
+        Parsed options, by name.
 
     Returns
     -------
@@ -215,7 +215,7 @@ def call_of(verb: str, options: dict[str, Any]) -> tuple[list[Any], dict[str, An
 
 
 def _add_options(parser: argparse.ArgumentParser, verb: str) -> None:
-    """Add what a verb takes; the fields of a value stand together."""
+    """Add the options of a verb; the fields of a value form a group."""
     groups: dict[str, argparse._ArgumentGroup] = {}
     for option in signature(verb):
         if option.is_word:
@@ -229,7 +229,7 @@ def _add_options(parser: argparse.ArgumentParser, verb: str) -> None:
 
 
 def _add_word(parser: argparse.ArgumentParser, option: Option) -> None:
-    """A word without a name; with a default it may be left out."""
+    """Add a positional argument; one with a default is optional."""
     kind, there = option.kind, option.default is not REQUIRED
     many: Any = ("*" if there else "+") if kind.many else ("?" if there else None)
     more: dict[str, Any] = {"default": option.default} if there else {}
@@ -241,7 +241,7 @@ def _add_word(parser: argparse.ArgumentParser, option: Option) -> None:
 
 
 def _add_option(parser: argparse._ActionsContainer, option: Option) -> None:
-    """An option with a name; a flag turns over what holds without it."""
+    """Add an option; a flag inverts its default."""
     kind = option.kind
     off = "no-" if kind.read == "bool" and option.default else ""
     names = WORDS.get(option.name, (f"--{off}{option.name.replace('_', '-')}",))
@@ -263,7 +263,7 @@ def _reader(name: str) -> Any:  # noqa: ANN401 - argparse takes any callable
 
 
 def _help(option: Option) -> str:
-    """Its description, with the default if that is not said."""
+    """Return the description, with the default if it does not mention one."""
     text, default = option.help.replace("%", "%%").rstrip("."), option.default
     if option.kind.read == "bool" and default:
         text = f"do not {text[:1].lower()}{text[1:]}"

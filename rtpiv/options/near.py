@@ -1,15 +1,15 @@
-"""What somebody may have meant who gave an option that there is not: by its letters, or by what helps speak of."""
+"""Suggestion of an option for an unknown one, by its letters or by words of the help texts."""
 
 import argparse
 import difflib
 
 ALSO_CALLED = {"f": "focal", "resolution": "width", "working": "distance", "index": "glass", "material": "glass"}
 UNITS = {"mm", "um", "px", "us", "s", "hz", "nm", "deg"}
-NEAR, ALIKE = 0.85, 0.7  # letters that are surely a slip, and those that may be one
+NEAR, ALIKE = 0.85, 0.7  # similarity of a certain and of a possible misspelling
 
 
 def near_option(parser: argparse.ArgumentParser, given: str) -> str:
-    """Return a question after the option that is nearest to what was given; "" if none is.
+    """Return "did you mean ..." with the most similar option; "" if none is similar.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
-"""Kinds of options: how a word of the command line is read, and what cannot be is refused with the word.
+"""Readers of option values, and the types of parameters that select them.
 
-The types are those of the verbs' parameters: `Positive` is a float to everybody, and to the command line a number
-that is read by `positive`.
+`Positive` is a float for Python, and for the command line a number that `positive` reads and checks.
 """
 
 import argparse

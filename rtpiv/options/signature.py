@@ -1,15 +1,15 @@
-"""What a verb takes, read from its source: signature and docstring are the one place where an option is declared.
+"""Options of a verb, read from its source: signature and docstring are the only place that declares them.
 
     def correct(frames: Sequence[Named], /, scene: Named, out: Named | None = None, ...)
 
-What stands before the stroke is a word of the command, what stands behind it an option: required without a
-default, ``--no-x`` for a flag that is on.  The type says how it is read (`rtpiv.options.numbers`), a Literal its
-choices, a sequence that there may be several; the help is its description under "Parameters".  A parameter whose
-type is a frozen dataclass, or typed keywords (``**options: Unpack[T]``), gives an option for each field; a flag
-that may be such a value (``simulate: bool | Rehearsal``) gives both, and is that value where a field is said.
+Parameters before the slash are positional, all others are options: required without a default, ``--no-x`` for a
+flag that is on.  The type selects the reader (`rtpiv.options.numbers`); a Literal gives choices, a sequence
+several values; the help is the description under "Parameters".  A parameter whose type is a frozen dataclass, or
+typed keywords (``**options: Unpack[T]``), gives an option for each field; a flag that may be such a value
+(``simulate: bool | Rehearsal``) gives both, and is that value where one of its fields is given.
 
-Nothing is imported for it: the verbs need compiled kernels and pictures, and ``--help`` answers at once.  Names
-are followed through the sources instead, from module to module.
+No verb is imported, as verbs need compiled kernels and ``--help`` has to answer at once (ADR 49): names are
+followed through the sources instead, from module to module.
 """
 
 import ast
@@ -25,22 +25,22 @@ VERBS = "rtpiv.verbs"
 READERS = {"str": "str", "int": "whole", "float": "finite", "Path": "Path", "bool": "bool"}
 SEQUENCES = ("Sequence", "list", "tuple")
 REQUIRED = object()
-FOR_PYTHON = re.compile(r"None$|Sequence\[Mapping\b")  # what no word of a command can be
+FOR_PYTHON = re.compile(r"None$|Sequence\[Mapping\b")  # types without words on the command line
 AS_OF = re.compile(r"As (?:for|of) (?:the verb )?`(\w+)`")
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How the words of an option are read.
+    """Reading of the words of an option.
 
     Parameters
     ----------
     read : str
         Name of the reader: of `rtpiv.options.numbers`, "str", "Path" or "bool".
     many : int or str, optional
-        How many words, "+" for any number.
+        Number of words, "+" for any.
     choices : tuple, optional
-        What may be said.
+        Allowed values.
     """
 
     read: str
@@ -57,7 +57,7 @@ class ValueClass:
     module, name : str
         Where it is.
     keywords : bool
-        Whether its fields are keywords of the verb, and not those of a value.
+        Its fields are keywords of the verb, not of a value.
     """
 
     module: str
@@ -74,13 +74,13 @@ class Option:
     name : str
         Of the parameter, or of the field of a value.
     kind : Kind
-        How it is read.
+        Reading of its words.
     default : object
-        What holds if it is not given; REQUIRED if it must be.
+        Value if it is not given; REQUIRED if it must be.
     help : str
-        What it means.
+        Description.
     is_word : bool
-        Whether it stands without a name.
+        It is positional.
     holder : str
         Name of the parameter that is a value with this field; empty for a parameter itself.
     of : ValueClass, optional
@@ -97,21 +97,21 @@ class Option:
 
 
 def title(value: ValueClass) -> str:
-    """What a class of options is about: the first line of its docstring."""
+    """Return the topic of a class of options: the first line of its docstring."""
     statement = _top(value.module)[value.name]
     assert isinstance(statement, ast.ClassDef)
     return _plain((ast.get_docstring(statement) or "").split("\n")[0]).rstrip(".")
 
 
 def summary(verb: str) -> str:
-    """What a verb is for: the first line of its module."""
+    """Return the purpose of a verb: the first line of its module."""
     with (HOME / VERBS.replace(".", "/") / f"{verb}.py").open(encoding="utf-8") as file:
         return _plain(file.readline().partition(": ")[2].strip().strip('"')).rstrip(".")
 
 
 @cache
 def signature(verb: str) -> tuple[Option, ...]:
-    """Read what a verb takes.
+    """Read the options of a verb.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def signature(verb: str) -> tuple[Option, ...]:
 
 
 def _fields(value: ValueClass, holder: str) -> Iterator[Option]:
-    """Options of the fields of a class; of typed keywords each may be left out."""
+    """Yield the options of the fields of a class; typed keywords are all optional."""
     body, said = _top(value.module)[value.name], _descriptions(value.module, value.name)
     assert isinstance(body, ast.ClassDef)
     for field in body.body:
@@ -169,7 +169,7 @@ def _fields(value: ValueClass, holder: str) -> Iterator[Option]:
 
 @cache
 def _top(module: str) -> dict[str, ast.stmt]:
-    """Names at the top of a module, and the statements that make them."""
+    """Return the statements that define the names of a module."""
     place = HOME / module.replace(".", "/")
     path = place.with_suffix(".py") if place.with_suffix(".py").is_file() else place / "__init__.py"
     found: dict[str, ast.stmt] = {}
@@ -189,7 +189,7 @@ def _top(module: str) -> dict[str, ast.stmt]:
 
 
 def _home(name: str, module: str) -> tuple[ast.stmt, str]:
-    """The statement that makes a name, and its module: imports are followed."""
+    """Return the statement that defines a name, and its module: imports are followed."""
     while isinstance(statement := _top(module)[name], ast.ImportFrom):
         assert statement.module is not None
         name = next(alias.name for alias in statement.names if (alias.asname or alias.name) == name)
@@ -198,7 +198,7 @@ def _home(name: str, module: str) -> tuple[ast.stmt, str]:
 
 
 def _kind(node: ast.expr, module: str) -> Kind | ValueClass:
-    """How a parameter of a type is read."""
+    """Return the reading of a type."""
     if isinstance(node, ast.BinOp):  # a | b: one word, or several; a scene in memory is for Python alone
         words = [side for side in (node.left, node.right) if not FOR_PYTHON.match(ast.unparse(side))]
         sides = [_kind(side, module) for side in words]
@@ -208,7 +208,7 @@ def _kind(node: ast.expr, module: str) -> Kind | ValueClass:
     if isinstance(node, ast.Constant):
         return _kind(ast.parse(str(node.value), mode="eval").body, module)
     if isinstance(node, ast.Subscript):
-        return _subscribed(node, module)
+        return _kind_of_subscript(node, module)
     assert isinstance(node, ast.Name), ast.unparse(node)
     if node.id in READERS:
         return Kind(READERS[node.id])
@@ -220,8 +220,8 @@ def _kind(node: ast.expr, module: str) -> Kind | ValueClass:
     return _kind(statement.value, home)
 
 
-def _subscribed(node: ast.Subscript, module: str) -> Kind | ValueClass:
-    """How a type of types is read."""
+def _kind_of_subscript(node: ast.Subscript, module: str) -> Kind | ValueClass:
+    """Return the reading of a generic type."""
     name = ast.unparse(node.value)
     parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
     if name == "Literal":
@@ -238,7 +238,7 @@ def _subscribed(node: ast.Subscript, module: str) -> Kind | ValueClass:
 
 
 def _value(node: ast.expr, module: str) -> Any:  # noqa: ANN401 - whatever the default is
-    """The value of a default."""
+    """Return the value of a default."""
     if isinstance(node, ast.Name):
         statement, home = _home(node.id, module)
         if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Tuple):
@@ -255,7 +255,7 @@ def _value(node: ast.expr, module: str) -> Any:  # noqa: ANN401 - whatever the d
 
 @cache
 def _descriptions(module: str, name: str) -> dict[str, str]:
-    """Description of each parameter of a function or field of a class, as its docstring gives it."""
+    """Return the description of each parameter or field, from the docstring."""
     statement = _top(module)[name]
     assert isinstance(statement, ast.FunctionDef | ast.ClassDef)
     said: dict[str, list[str]] = {}
@@ -269,11 +269,11 @@ def _descriptions(module: str, name: str) -> dict[str, str]:
             names = [each.strip("* ") for each in line.partition(" : ")[0].split(",")]
         for each in names if line.startswith(" ") else ():
             said.setdefault(each, []).append(line.strip())
-    return {each: _followed(each, " ".join(text), name) for each, text in said.items()}
+    return {each: _follow_reference(each, " ".join(text), name) for each, text in said.items()}
 
 
-def _followed(name: str, text: str, verb: str) -> str:
-    """A description without marks; one that refers to another verb is that one's."""
+def _follow_reference(name: str, text: str, verb: str) -> str:
+    """Return a description without markup; one that refers to another verb is taken from there."""
     if (
         (there := AS_OF.match(text))
         and there[1] != verb

@@ -1,4 +1,4 @@
-"""Where the balls of a starting scene stand: in contact, but for a hundredth of a millimetre that decimals need.
+"""Positions of the balls of a new scene: in contact, but for a hundredth of a millimetre for rounding.
 
 The plane is z = 0, the camera far above it.
 
@@ -20,9 +20,9 @@ Arrangement = Literal["behind", "beside", "triangle", "pyramid", "sc", "bcc", "h
 ALIASES = {"row": "behind", "side": "beside"}
 ARRANGEMENTS = tuple(name for name in get_args(Arrangement) if name not in ALIASES)
 BEDS = {"sc": (8, 27, 64), "bcc": (9, 35, 91), "hcp": (10, 17)}  # numbers of balls
-AIR_MM = 0.01  # between balls: what is rounded must not overlap
+AIR_MM = 0.01  # between balls, so that rounded positions do not overlap
 ROD_LENGTH_MM = 60.0
-ROD_GAP_MM = 0.01  # what is rounded must not overlap
+ROD_GAP_MM = 0.01  # the same between balls and rods
 
 
 def most_balls(arrangement: str) -> Sequence[int]:
@@ -31,7 +31,7 @@ def most_balls(arrangement: str) -> Sequence[int]:
 
 
 def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
-    """Return number and arrangement where only one of them, or none, was said; two behind each other show most."""
+    """Return number and arrangement if only one of them, or none, is given; two in line show most."""
     if arrangement is None:
         return balls or 2, {3: "triangle", 4: "pyramid", 5: "pyramid"}.get(balls or 2, "behind")
     arrangement = ALIASES.get(arrangement, arrangement)
@@ -74,7 +74,7 @@ def span_mm(centres: Sequence[Vector], ball_mm: float) -> tuple[float, float]:
 
 
 def outline_mm(centres: Sequence[Vector], ball_mm: float, distance_mm: float) -> tuple[float, float]:
-    """Width and height, on the plane, of what all balls hide from a camera on the axis, about the axis.
+    """Width and height on the plane of the region that all balls hide from a camera on the axis.
 
     A side is where a plane through the pinhole touches a ball: L tan(angle of its centre + asin(R / distance)).
     """

@@ -1,4 +1,4 @@
-"""What a lab says of itself, and what follows from it by a thin lens.
+"""Description of a lab, and the imaging that follows from it by a thin lens.
 
 A lens of focal length f focused on a plane at L has the magnification M = f / (L - f), so the plane is seen with
 M / pixel pitch, and the sensor sees its own size divided by M.
@@ -28,7 +28,7 @@ from tracer.media import ConstantMedium, Medium, known_media, medium_called
 NAME = TypeAdapter(Name, config=ConfigDict(defer_build=True))
 DENSEST = 4.0  # index
 LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
-LEAST_BALL_PX, LEAST_CORNER_PX = 16.0, 4.0  # of a ball and of a square, below which a lab shows nothing of them
+LEAST_BALL_PX, LEAST_CORNER_PX = 16.0, 4.0  # below, balls and squares are not resolved
 LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
 AROUND = 1.05  # of what the balls hide
 LINES = ("behind", "beside")  # whose balls may differ
@@ -164,7 +164,7 @@ class Lab:
 
     @property
     def pinhole_mm(self) -> Vector:
-        """Where the camera's pinhole is; it looks at the origin."""
+        """Position of the camera's pinhole; it looks at the origin."""
         turn = math.radians(self.turn_deg)
         x, z = self.distance_mm * math.sin(turn), self.distance_mm * math.cos(turn)
         return round(x, 4), 0.0, round(z, 4)
@@ -174,8 +174,8 @@ class Lab:
         """Width and height of the balls together."""
         return span_mm(self.centres_mm, self.ball_mm)
 
-    def alike(self, **changes: Any) -> "Lab":  # noqa: ANN401 - of its fields
-        """Return the same lab with changes, and with balls that are all alike, as in other arrangements."""
+    def with_equal_balls(self, **changes: Any) -> "Lab":  # noqa: ANN401 - of its fields
+        """Return the lab with changes, and with balls of one size and glass."""
         return replace(self, sizes_mm=(), glasses=(), **changes)
 
     def with_usual_lens(self) -> "Lab":
@@ -202,7 +202,7 @@ class Lab:
 
     @property
     def too_small(self) -> str:
-        """What this camera could not show, as one sentence with the likely slip; "" if all can be seen."""
+        """Objection to balls or squares below the camera's resolution, with the likely slip, or ""."""
         sizes = [("ball_mm", size, LEAST_BALL_PX) for size in self.each_mm] + [
             ("square_mm", self.board_mm, LEAST_CORNER_PX)
         ]
@@ -224,7 +224,7 @@ class Lab:
 
 
 def medium_of_glass(glass: str) -> Medium:
-    """What a ball is made of, by name or index."""
+    """Return the medium of a ball, by name or index."""
     index = _index(glass)
     known = medium_called(glass) if index is None else ConstantMedium(index)
     assert known is not None  # others are refused

@@ -58,7 +58,7 @@ ENDS_IN_FOREIGN_LIGHT = (
 
 @dataclass(frozen=True)
 class LiveFrames:
-    """What is done with frames as they arrive.
+    """Processing of frames as they arrive.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def acquire(
     operator: str | None = None,
     frames: LiveFrames = LiveFrames(),
 ) -> Path | None:
-    """Carry a plan out on a bench.
+    """Execute a plan on a bench.
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ def acquire(
         Home every axis first, in the configured order; the plan is then judged from the homed place, if the bench
         file says where that is.
     operator : str, optional
-        Who answers for the light of a flow run where nobody sits at a terminal (docs/laser.md).
+        Name of the script that confirms the simulated laser of a flow run without a terminal (docs/laser.md).
     frames : LiveFrames
-        What is done with frames as they arrive.
+        Processing of frames as they arrive.
 
     Returns
     -------
@@ -192,7 +192,7 @@ def require_lens(bench: Bench, plan: Plan) -> None:
 
 
 def _bench_of(bench: Path, plan: Path) -> Bench:
-    """Read a bench; if it is wrong, say what is wrong with the plan as well."""
+    """Read a bench; if it is wrong, report the errors of the plan as well."""
     try:
         return load_bench(bench)
     except ConfigError as error:
@@ -212,10 +212,10 @@ def run_and_report(
     live: bool = False,
     is_new: bool = True,
 ) -> dict[str, Any]:
-    """Do what is left of a run, say what came of it, or how to go on."""
+    """Execute the remaining steps of a run, and print its result or how to resume."""
     request, folder = run.request, run.folder
     try:
-        with watch(error_console()) as watcher, _shown(screen, run, live) as shown:
+        with watch(error_console()) as watcher, _run_page(screen, run, live) as shown:
             watchers = watcher if shown is None else shown.watching(watcher)
             show = None if shown is None else shown.show
             done = run_session(
@@ -223,7 +223,7 @@ def run_and_report(
                 say=lambda sentence: screen.print(sentence, soft_wrap=True, highlight=False),
             )  # fmt: skip
     except (BadBalance, FrameDoubt):
-        said = f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed"
+        said = f"the run is in {folder.path}; its contents are uncertain, so it cannot be resumed"
         error_console().print(said, soft_wrap=True, highlight=False)
         raise
     except BaseException as error:
@@ -233,7 +233,7 @@ def run_and_report(
                 said += "; without hardware: --simulate"
             error_console().print(said, soft_wrap=True, highlight=False)
             raise
-        homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
+        homing = " --home" if home or request.simulate else ""  # a simulated bench forgets its positions
         said = f"the run is in {folder.path}; go on with: rtpiv acquire --resume"
         said += f" {shlex.quote(str(folder.path))}{homing}"
         if isinstance(person, ScriptOperator):
@@ -245,8 +245,8 @@ def run_and_report(
 
 
 @contextmanager
-def _shown(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]":
-    """A page for the run, if one is wanted."""
+def _run_page(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]":
+    """Serve a page of the run, if one is wanted."""
     if not live:
         yield None
         return
@@ -268,7 +268,7 @@ def _shown(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]"
 def forecast_said(
     screen: Console, bench: Bench, plan: Plan, home: bool, with_steps: bool, simulate: bool
 ) -> Forecast:
-    """Work out what a plan will do on an idle bench, and say it."""
+    """Forecast a plan on an idle bench, and print the forecast."""
     stage = idle_stage(bench)
     if home:
         said, sentence = forecast_from_home(bench, stage, plan.steps)
@@ -283,7 +283,7 @@ def forecast_said(
 def print_forecast(
     screen: Console, bench: Bench, plan: Plan, said: Forecast, with_steps: bool, simulate: bool
 ) -> None:
-    """Say what a plan will do."""
+    """Print the forecast of a plan."""
     if with_steps:
         table = Table(title=f"steps of {plan.name}")
         for name in ("step", "frames", "tag", "view", "axes away from the scene's place in mm"):
@@ -312,12 +312,12 @@ def print_forecast(
 
 
 def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:
-    """Say what a finished run has brought."""
-    books, entries = done["conservation"], folder.entries()
+    """Print the result of a finished run."""
+    counts, entries = done["conservation"], folder.entries()
     chunks = chunk_sentences(entries)
     screen.print(
-        f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
-        f"+ {books['rejected']} {'dark or surplus' if chunks else 'rejected'} + {books['lost']} lost"
+        f"{counts['triggered']} triggered = {counts['written']} written + {counts['incomplete']} incomplete "
+        f"+ {counts['rejected']} {'dark or surplus' if chunks else 'rejected'} + {counts['lost']} lost"
     )
     for sentence in filter(None, (rejection_sentence(entries), *chunks)):
         screen.print(sentence, soft_wrap=True, highlight=False)

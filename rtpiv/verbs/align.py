@@ -89,10 +89,10 @@ def align(
     if dry_run:
         screen.print(f"then up to {counted(steps.table.moves, 'move')}, each said and judged before it is made")
         return None
-    return _carried_out(screen, request, loaded, Path(out), home, said.raw_bytes)
+    return _execute(screen, request, loaded, Path(out), home, said.raw_bytes)
 
 
-def _carried_out(screen: Console, request: Request, bench: Bench, out: Path, home: bool, raw_bytes: int) -> Path:
+def _execute(screen: Console, request: Request, bench: Bench, out: Path, home: bool, raw_bytes: int) -> Path:
     plan, person = load_plan(request.plan, bench), operator_of(None, request.simulate)
     require_person(person, plan.steps, [] if request.simulate else list(bench.table.stages.by_hand))
     require_folder(out).mkdir(parents=True, exist_ok=True)

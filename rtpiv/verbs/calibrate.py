@@ -100,7 +100,7 @@ def calibrate(
             progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
         say(f"{counted(len(frames), 'frame')} of the target in {folder}")
-        fit = fit_scene(nominal, frames, target, _as_read(priors, folder), say)
+        fit = fit_scene(nominal, frames, target, _with_read_heights(priors, folder), say)
         seconds = time.monotonic() - began
         say("standard deviation of the map")
         sigma = map_sigma(fit)
@@ -153,8 +153,8 @@ def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
     return load_kept(RunFolder.open(folder), "scene", lambda file: (load_scene(file), load_priors(file)))
 
 
-def _as_read(priors: FitTable, folder: Path) -> FitTable:
-    """What is known before the fit, where a person has read how far the target was moved along z: no better."""
+def _with_read_heights(priors: FitTable, folder: Path) -> FitTable:
+    """Return the priors, with the uncertainty of heights that a person has read."""
     read_mm = height_sigma_mm(folder) if is_run(folder) else 0.0
     if read_mm <= priors.target.z_mm:
         return priors
@@ -175,14 +175,14 @@ def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
     """
     if not folder.is_dir():
         raise ViewsMissing("is no folder", place=folder, cure=f"give a run, or the folder with {WANTED}")
-    views = target_views(folder) if is_run(folder) else _named_views(folder)
+    views = target_views(folder) if is_run(folder) else _views_by_name(folder)
     if not views:
         raise ViewsMissing("holds no frame of the target", place=folder, cure=f"name them {WANTED}")
     return [TargetFrame(view.tag, read_acquired(view.path, shape), view.glass, view.height_mm) for view in views]
 
 
-def _named_views(folder: Path) -> list[TargetView]:
-    """Frames of a folder that is no run: all that somebody knows of them stands in their names."""
+def _views_by_name(folder: Path) -> list[TargetView]:
+    """Return the frames of a folder that is no run, with the heights in their names."""
     views = []
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in FRAME_ENDINGS or not path.stem.startswith("target_"):

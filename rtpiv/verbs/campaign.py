@@ -34,7 +34,7 @@ STRANGERS = 2.0  # sigma: more, and the runs did not see one flow
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the work; by default all cores of this computer.
+    """Workers of a campaign; by default all cores of this computer.
 
     Parameters
     ----------

@@ -42,16 +42,16 @@ TELLING = {  # keys that only one kind of file has
 
 @dataclass(frozen=True)
 class FileCheck:
-    """A file that is right: which kind it is, what it says in one sentence, and what is unusual in it."""
+    """A valid file: its kind, a summary, and questions about unusual numbers."""
 
     path: Path
     kind: str
     said: str
-    questions: tuple[str, ...] = ()  # about what it may say and few labs have, with file and line
+    questions: tuple[str, ...] = ()  # about allowed but unusual numbers, with file and line
 
 
 def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "list[FileCheck | RunCheck]":
-    """Check files before anything is done with them, and runs after; nothing is changed, nothing is opened.
+    """Validate files before use and verify runs after; nothing is changed, nothing is opened.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "lis
 
 
 def _show(file: FileCheck) -> None:
-    """Say what a file says, as soon as it is known: the next one may have kernels to compile."""
+    """Print the summary of a file at once: the next one may have to compile kernels."""
     console().print(f"{file.path}  ok  {file.kind}: {file.said}", soft_wrap=True)
     for question in file.questions:
         console().print(f"  {question}", soft_wrap=True, highlight=False)
@@ -110,7 +110,7 @@ def _show(file: FileCheck) -> None:
 def check_files(
     paths: Iterable[Path], bench: Path | None = None, tell: Callable[[FileCheck], None] = lambda file: None
 ) -> list[FileCheck]:
-    """Check files without printing anything, and tell of each that is right; else as `check`."""
+    """Check files without printing, and report each valid one; otherwise as `check`."""
     found: list[FileCheck] = []
     problems: list[str] = []
     kinds: dict[Path, str] = {}
@@ -124,7 +124,7 @@ def check_files(
     for path, kind in kinds.items():
         beside = path.parent / "bench.yaml"
         try:
-            said, questions = _said(path, kind, benches, named or [beside] * beside.is_file())
+            said, questions = _describe(path, kind, benches, named or [beside] * beside.is_file())
             found.append(FileCheck(path, kind, said, tuple(questions)))
             tell(found[-1])
         except UntrustedProgram:  # a person may be asked
@@ -138,7 +138,7 @@ def check_files(
 
 
 def _benches() -> "Benches":
-    from rtpiv.verbs.check_bench import Benches  # who checks a scene does not wait for what moves
+    from rtpiv.verbs.check_bench import Benches  # checking a scene does not import the bench
 
     return Benches()
 
@@ -158,23 +158,23 @@ def _kind_of(path: Path) -> str:
     return best
 
 
-def _said(path: Path, kind: str, benches: "Benches | None", named: Sequence[Path]) -> tuple[str, list[str]]:
-    """What a file says in one sentence, and questions about it."""
+def _describe(path: Path, kind: str, benches: "Benches | None", named: Sequence[Path]) -> tuple[str, list[str]]:
+    """Return the summary of a file, and questions about it."""
     if kind == "scene":
         scene = load_scene(path)
-        return f"{_scene_said(scene)}{_through(scene)}", scene_questions(path)
+        return f"{_describe_scene(scene)}{_describe_view(scene)}", scene_questions(path)
     if kind == "piv":
         from rtpiv.analysis.pairs.piv_file import piv_choice
 
         return f"last windows of {piv_choice(piv=path).settings.windows_said}", []
     if kind == "board":
-        return _board_said(path), []
+        return _describe_board(path), []
     assert benches is not None
-    return benches.said(path) if kind == "bench" else benches.plan_said(path, named)
+    return benches.describe(path) if kind == "bench" else benches.describe_plan(path, named)
 
 
-def _board_said(path: Path) -> str:
-    """What a board file says in one sentence; ConfigError if nothing such can be."""
+def _describe_board(path: Path) -> str:
+    """Return the summary of a board file; ConfigError if there is no such board."""
     from correction.errors import BoardError
     from correction.target.board_file import read_board
 
@@ -192,11 +192,11 @@ def _board_said(path: Path) -> str:
     )
 
 
-def _through(scene: Scene) -> str:
-    """How much is seen through glass, and what would show more where that is little."""
+def _describe_view(scene: Scene) -> str:
+    """Return the share seen through glass, with advice where it is small."""
     if not scene.bodies:
         return ""
-    from rtpiv.analysis.through_glass import through_scene  # compiled: who checks a plan does not wait
+    from rtpiv.analysis.through_glass import through_scene  # compiled: checking a plan does not wait for it
     from rtpiv.analysis.views.arranged import little
 
     if (shown := through_scene(scene)) is None:
@@ -204,7 +204,7 @@ def _through(scene: Scene) -> str:
     return ". ".join(filter(None, (f"; {shown.sentence}", little(scene, shown.share))))
 
 
-def _scene_said(scene: Scene) -> str:
+def _describe_scene(scene: Scene) -> str:
     counts: dict[str, int] = {}
     for body in scene.bodies:
         counts[body.kind] = counts.get(body.kind, 0) + 1
@@ -236,7 +236,7 @@ def _check_runs(runs: Sequence[Path]) -> "list[RunCheck]":
     checks = []
     for path in [inner for run in runs for inner in (run, *_cameras_of(run))]:
         found = check_run(path, progress)
-        screen.print(path, soft_wrap=True)  # as all lines here: whoever copies a path wants it in one piece
+        screen.print(path, soft_wrap=True)  # as all lines here: a path has to be copied in one piece
         for finding in found.findings:
             sound = "ok " if finding.sound else "BAD"
             screen.print(f"  {finding.part:<13} {sound}  {finding.said}", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""What `check` says of benches, and of plans on them; who checks a scene does not wait for what moves."""
+"""Summaries of benches and of plans on them, for `check`; checking a scene imports none of this."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +16,7 @@ from daq.runs.frame_accounting import UNCHECKED
 from ground.plain_words import counted
 from rtpiv.verbs.check import WRONG
 
-Said = tuple[str, list[str]]  # what a file says in one sentence, and questions about it
+Summary = tuple[str, list[str]]  # of a file, and questions about it
 
 
 class Benches:
@@ -31,32 +31,32 @@ class Benches:
             self._read[path] = load_bench(path)
         return self._read[path]
 
-    def said(self, path: Path) -> Said:
-        """What a bench says."""
+    def describe(self, path: Path) -> Summary:
+        """Return the summary of a bench."""
         bench = self.bench(path)
-        return _bench_said(bench), bench_questions(bench)
+        return _describe_bench(bench), bench_questions(bench)
 
-    def plan_said(self, path: Path, benches: Iterable[Path]) -> Said:
-        """What a plan says on those of the benches on which it can be carried out; it must be one at least."""
+    def describe_plan(self, path: Path, benches: Iterable[Path]) -> Summary:
+        """Return the summary of a plan on each bench that can execute it, at least one."""
         fitting, reasons, questions = [], [], []
         for named in benches:
             try:
                 bench = self.bench(named)
                 plan = load_plan(path, bench)
-                fitting.append(f"{_plan_said(path, plan, bench)} on {named.name}")
+                fitting.append(f"{_describe_plan(path, plan, bench)} on {named.name}")
                 questions += plan_questions(plan, bench)
                 questions += [UNCHECKED] if any(step.is_lit_from_outside for step in plan.steps) else []
             except WRONG as error:
                 reasons.append(error)
         if fitting:
             return "; ".join(fitting), list(dict.fromkeys(questions))
-        _, table = read_plan(path)  # what is wrong with the plan itself comes first
+        _, table = read_plan(path)  # errors of the plan itself come first
         if reasons:
             raise reasons[0]
-        return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)", []
+        return f"{table.experiment}; no bench is given, so its steps are not checked (--bench)", []
 
 
-def _bench_said(bench: Bench) -> str:
+def _describe_bench(bench: Bench) -> str:
     check_devices(bench)
     stages = bench.table.stages
     more = ", ".join(name for name in bench.more)
@@ -68,7 +68,7 @@ def _bench_said(bench: Bench) -> str:
     )
 
 
-def _plan_said(path: Path, plan: Plan, bench: Bench) -> str:
+def _describe_plan(path: Path, plan: Plan, bench: Bench) -> str:
     said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps)
     if said.violations:
         lines = [

@@ -27,18 +27,18 @@ SAID = 3  # reasons why something cannot be
 
 @dataclass(frozen=True)
 class Compared:
-    """What arrangements would show.
+    """Comparison of arrangements.
 
     Parameters
     ----------
     views : list of ViewFigures
-        All that can be built, what shows most first.
+        All that can be built, best first.
     best : list of ViewFigures
-        Those that no other beats.
+        The Pareto front.
     scenes : tuple of Path
         A scene file of each of `best`, in the same order; of the first 50.
     picture : Path or None
-        What was drawn.
+        The figure.
     """
 
     views: list[ViewFigures] = field(repr=False)
@@ -54,7 +54,7 @@ def compare(
     error_px: Positive = 0.1,
     pictures: bool = True,
 ) -> Compared:
-    """Compute what every combination would show; print those that no other beats, and leave their scene files.
+    """Compute the view of every combination; print the Pareto front, and write its scene files.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def compare(
 
 def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count: int) -> Table:
     brightest = max((view.light for view in best), default=1.0)
-    more = f"; the first {SHOWN} of {len(best)} that no other beats" if len(best) > SHOWN else ""
+    more = f"; the first {SHOWN} of {len(best)} on the Pareto front" if len(best) > SHOWN else ""
     title = f"{count} arrangements, f/{f_number:g}, wanted {error_px:g} px{more}"
     table = Table(title=title, box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name in (
@@ -149,7 +149,7 @@ def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count:
 
 
 def _unsaid(best: Sequence[ViewFigures]) -> str:
-    """What it costs not to say in which light the target is photographed."""
+    """Return the uncertainty that an unspecified light source adds."""
     worst = [view.unsaid_px for view in best[:SHOWN]]
     return (
         f"sigma holds if fit.light says in which light the target frames are taken; without that it is"
@@ -166,7 +166,7 @@ LEGEND = (
 
 
 def _csv(views: Sequence[ViewFigures]) -> str:
-    """All figures of all arrangements, a row each."""
+    """Return all figures of all arrangements, a row each."""
     stream = io.StringIO()
     rows = [_flat(view) for view in views]
     writer = csv.DictWriter(stream, rows[0])

@@ -55,10 +55,10 @@ class WriteBehind:
 
     def write(self, call: Callable[[], None]) -> None:
         """Wait until the last call is done, then begin this one."""
-        self._done()
+        self._wait()
         self._last = self._writer.submit(call)
 
-    def _done(self) -> None:
+    def _wait(self) -> None:
         last, self._last = self._last, None
         if last is not None:
             last.result()
@@ -71,18 +71,18 @@ class WriteBehind:
     ) -> None:
         try:
             if error is None:
-                self._done()
+                self._wait()
         finally:
             self._writer.shutdown(wait=True)  # what has begun is whole; another error is raised as it is
 
 
-DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
+DEWARP_LIMIT_PX = 0.2  # several times the noise of a corner
 CELL_PX, PARTICLE_PX = 8.0, 4.0  # of computer-generated particles: seeding that an eye can follow
 
 
 @dataclass(frozen=True)
 class Corrected:
-    """What `correct` has made.
+    """Results of `correct`.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def correct(
 
 
 def _of_flow(shown: tuple[NDArray[Any], NDArray[np.float32]] | None) -> bool:
-    """Whether the first frame shows particles: frames of no run may be of the target as well."""
+    """Return True if the first frame shows particles: frames of no run may show the target."""
     from rtpiv.analysis.pictures.patterns import shows_particles
 
     return shown is not None and shows_particles(shown[0])
@@ -288,9 +288,9 @@ def _print(
     screen.print(f"scene {scene.content_hash()}: {share}")
     if dewarp is not None:
         screen.print(f"dewarp: {dewarp.summary()}")
-        if dewarp.residual_rms_px > DEWARP_DOUBT_PX and dewarp.order < 5:
-            doubt = f"the lens bends more than order {dewarp.order} can follow; try --dewarp-order 5"
-            screen.print(doubt, style="bold")
+        if dewarp.residual_rms_px > DEWARP_LIMIT_PX and dewarp.order < 5:
+            text = f"the lens distorts more than order {dewarp.order} can follow; try --dewarp-order 5"
+            screen.print(text, style="bold")
     if errors:
         table = Table(title="target corners in the corrected frame against the regular grid [px]")
         for name in ("frame", "region", "corners", "bias x, y", "rms x, y", "largest"):

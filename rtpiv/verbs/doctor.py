@@ -67,7 +67,7 @@ def doctor(bench: Named | None = None) -> list[Finding]:
         Something that the bench needs is missing; its `findings` are all that was checked.
     """
     ports, cameras, files = serial_ports(), usb_cameras(), producers()
-    here = [*_software(), *_connected(ports, cameras, files), *_drivers(), *_disk()]
+    here = [*_software(), *_devices_here(ports, cameras, files), *_drivers(), *_disk()]
     needed = [] if bench is None else list(_bench(load_bench(bench)))
     found = [*here, *needed]
     table = Table()
@@ -104,7 +104,7 @@ def _software() -> Iterator[Finding]:
         yield f"package {name}", fine, words
 
 
-def _connected(ports: list[SerialPort], cameras: list[UsbCamera], files: list[Path]) -> Iterator[Finding]:
+def _devices_here(ports: list[SerialPort], cameras: list[UsbCamera], files: list[Path]) -> Iterator[Finding]:
     """Serial ports, cameras on USB and GenTL producers."""
     if not ports:
         yield "serial ports", None, "none (pseudo-terminals and network ports are not listed)"

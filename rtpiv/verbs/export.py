@@ -98,7 +98,7 @@ def export(
                 else:
                     vectors = read_vectors(source)
                     written += FORMATS[to](out / f"{name}{ENDINGS[to][0]}", vectors)
-                    said = _said(vectors, to)
+                    said = _describe(vectors, to)
             except OSError as error:
                 raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
         sync_folder(out)
@@ -128,8 +128,8 @@ def _require_file(source: Path) -> None:
         raise RunUsageError(f"{source}: is not there; name a vectors.nc, mean.nc, chunk of a series or scene.yaml")
 
 
-def _said(vectors: Vectors, to: str) -> str:
-    """What the files of vectors hold, with units, and what stands where nothing was measured."""
+def _describe(vectors: Vectors, to: str) -> str:
+    """Return the variables of the files with units, and the value where nothing was measured."""
     names = [vectors.called(name) for name in vectors.everything]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     gaps = {"tecplot": "0 in them and in measured", "csv": "nothing"}.get(to, "NaN")

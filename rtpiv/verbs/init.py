@@ -34,12 +34,12 @@ Words = dict[str, Any]
 
 @dataclass(frozen=True)
 class Question:
-    """What a person is asked for one number or name of `Lab`."""
+    """Question about one number or name of `Lab`."""
 
     key: str
     text: str
     read: Callable[[str], Any]
-    usual: str = ""  # name of what is taken else, where that is no field
+    usual: str = ""  # field of the default, where it has another name
 
 
 def _sensor(text: str) -> tuple[int, int]:
@@ -73,7 +73,7 @@ QUESTIONS = (
 
 @dataclass(frozen=True)
 class GivenLab:
-    """What is said of a lab; the rest is asked, or as is usual.
+    """Description of the lab; anything else is asked or has a default.
 
     Parameters
     ----------
@@ -128,12 +128,12 @@ class GivenLab:
 
     @property
     def words(self) -> Words:
-        """What was given, as `Lab` takes it."""
+        """Given values, as arguments of `Lab`."""
         words = asdict(self)
         sensor, ball_mm, glass = words.pop("sensor_px"), words.pop("ball_mm"), words.pop("glass")
         words |= _each("ball_mm", "sizes_mm", ball_mm, max) | _each("glass", "glasses", glass, _first)
         words["sensor_px"] = None if sensor is None else (sensor[0], sensor[1])
-        words["by_hand"] = self.by_hand or None  # not said, so it may be asked
+        words["by_hand"] = self.by_hand or None  # not given, so it may be asked
         return {key: value for key, value in words.items() if value is not None}
 
 
@@ -153,7 +153,7 @@ def init(
     lab : GivenLab
         What the lab has.
     ask : bool
-        Ask at the terminal for what is not given; where nobody is asked, the usual is taken.
+        Ask at the terminal for what is not given; use defaults instead of prompting.
     overwrite : bool
         Replace files of these names.
 
@@ -184,7 +184,7 @@ def init(
         _write(Path(trial), texts)
         _check(Path(trial))
     with results_in(folder):
-        _refuse_existing(folder, overwrite)  # nobody was faster
+        _refuse_existing(folder, overwrite)  # another process may have written
         _write(folder, texts)
         write_schemas(folder / "schemas")
     _print(full, folder, "lens_mm" not in given)
@@ -196,14 +196,14 @@ def _first(several: Sequence[Any]) -> Any:  # noqa: ANN401 - of any kind
 
 
 def _each(one: str, each: str, given: Any, chosen: Callable[[Sequence[Any]], Any]) -> Words:  # noqa: ANN401
-    """A number or name that all balls share, or one for each and the one that stands for all."""
+    """Return a value shared by all balls, or one for each and the representative one."""
     if given is None or isinstance(given, str | float | int):
         return {one: given}
     return {one: chosen(given), each: tuple(given) if len(given) > 1 else None}
 
 
 def _lab(given: Words, placed: bool = False) -> Lab:
-    """What was said, and the usual for the rest; if `placed`, balls without a gap stand where they show most."""
+    """Return the lab with defaults; if `placed`, balls without a gap stand where they show most."""
     several = given.get("sizes_mm") or given.get("glasses") or ()
     count, shape = usual(
         given.get("balls", len(several) or None), given.get("arrangement", "behind" if several else None)
@@ -226,7 +226,7 @@ def _write(folder: Path, texts: Iterable[str]) -> None:
 
 
 def _check(folder: Path) -> None:
-    """See that the plans can be carried out on their benches; what cannot be is never written to the lab."""
+    """Check that the plans can be executed on their benches, before anything is written to the lab."""
     try:
         check_files([folder / "plan-target.yaml", folder / "plan-shift.yaml"], folder / "bench.yaml")
         check_files([folder / "plan-flow.yaml"], folder / "bench-flow.yaml")
@@ -255,7 +255,7 @@ def _answers(given: Words) -> Words:
         if question.key == "balls" and len(most_balls(known.arrangement)) == 1:
             continue
         usually = getattr(known, question.usual or question.key)
-        shown = _shown(usually)
+        shown = _answer_text(usually)
         while question.key not in answers:
             said = _line(f"{question.text} [{shown}]: ")
             try:
@@ -270,8 +270,8 @@ def _answers(given: Words) -> Words:
     return answers
 
 
-def _shown(usually: Any) -> str:  # noqa: ANN401 - of any question
-    """An answer as a person would type it."""
+def _answer_text(usually: Any) -> str:  # noqa: ANN401 - of any question
+    """Return an answer as it would be typed."""
     if isinstance(usually, bool):
         return (YES if usually else NO)[0]
     return " x ".join(map(str, usually)) if isinstance(usually, tuple) else f"{usually}"
@@ -315,7 +315,7 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
 
 
 def _too_little(lab: Lab, share: float) -> str:
-    """A sentence on what to change in a lab that shows little; empty where it shows enough."""
+    """Return advice for a lab that shows little; "" where it shows enough."""
     from rtpiv.analysis.views.arranged import LITTLE
 
     if share >= LITTLE:
@@ -331,7 +331,7 @@ def _too_little(lab: Lab, share: float) -> str:
 
 
 def _print_others(lab: Lab, share: float, lens: bool) -> None:
-    """Say what other arrangements of such balls would show, first these balls elsewhere if that shows more."""
+    """Print the views of other arrangements of such balls, first these balls elsewhere if that shows more."""
     from rtpiv.analysis.through_glass import percent
     from rtpiv.analysis.views.arranged import WORTH, best_gap, others
 

@@ -2,7 +2,7 @@
 
 `off` goes to every laser that a bench file of the lab or a running process names.  It first writes the bytes that
 switch off, past any program that holds the port, as the watchdog does; then it opens the box, if it is free,
-and reads back. `state` opens it too, and opening switches off what runs: nobody who watches it would be there.
+and reads back. `state` opens it too, and opening switches off what runs, as it would be unattended.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -64,9 +64,9 @@ def laser(
     """
     file = path_of(bench)
     if action == "off" and not simulate:
-        _switch_off(_known(file, name, anywhere=file is None or not lasers_of(file)))
+        _switch_off(_find_lasers(file, name, anywhere=file is None or not lasers_of(file)))
         return LaserState.SAFE
-    chosen = _one(_known(file, name), file)
+    chosen = _only_laser(_find_lasers(file, name), file)
     assert chosen.bench is not None
     loaded, needed = load_bench(chosen.bench), {chosen.name}
     if action == "prove":
@@ -87,8 +87,8 @@ def laser(
         return opened.state
 
 
-def _known(file: Path | None, name: str | None, anywhere: bool = False) -> list[KnownLaser]:
-    """Lasers that are meant, `anywhere` those near a file and in use as well; RunUsageError if there is none."""
+def _find_lasers(file: Path | None, name: str | None, anywhere: bool = False) -> list[KnownLaser]:
+    """Return the lasers of a file, with `anywhere` also those nearby and in use; RunUsageError without any."""
     folder = Path.cwd() if file is None else file.parent
     found = lasers_near(folder) if file is None or anywhere else lasers_of(file)
     found += open_lasers() if anywhere else []
@@ -106,8 +106,8 @@ def _known(file: Path | None, name: str | None, anywhere: bool = False) -> list[
     )
 
 
-def _one(lasers: list[KnownLaser], file: Path | None) -> KnownLaser:
-    """The one that is meant; RunUsageError if there are several."""
+def _only_laser(lasers: list[KnownLaser], file: Path | None) -> KnownLaser:
+    """Return the only laser; RunUsageError if there are several."""
     if len(lasers) == 1:
         return lasers[0]
     how = "--name" if file is not None else "--name, or --bench"
@@ -142,7 +142,7 @@ def _off(laser: KnownLaser) -> SwitchedOff:
 def _align(hardware: OpenBench, name: str, opened: Laser, rate_hz: float, for_s: float) -> None:
     from daq.runner.laser_session import what_is_proven  # nothing that off does not need is in its way
 
-    opened.low_energy_burst(rate_hz, for_s)  # what is refused is refused before anybody puts goggles on
+    opened.low_energy_burst(rate_hz, for_s)  # limits are checked before goggles are put on
     error_console().print(
         f"{rate_hz:g} weak pulses a second for {for_s:g} s. Goggles on, door shut? Software is no interlock.\n"
         f"Switches: {opened.switches.sentence()}.\nThe box: {what_is_proven(hardware, name, opened)}.\n"

@@ -81,18 +81,18 @@ def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> N
 
 
 class _Person:
-    """Somebody at the terminal."""
+    """User at the terminal."""
 
     def promise_dark(self, challenge: str) -> str:
         """Ask whether no light can leave."""
-        return _asked(
+        return _ask(
             "Turn the laser's key off, or pull its Q-switch plugs: pulses leave the box now, and no light may.\n"
             f"Software is no interlock. Type {challenge} when no light can leave: "
         )
 
     def move_counter(self, output: str, roles: str) -> None:
         """Ask for it; what is counted shows whether it was done."""
-        _asked(f"Put the counter's trigger cable on output {output} ({roles}) of the box, then press Enter: ")
+        _ask(f"Put the counter's trigger cable on output {output} ({roles}) of the box, then press Enter: ")
 
     def pull_cable(self) -> None:
         """Ask for it."""
@@ -104,7 +104,7 @@ class _Person:
 
 
 class _SimulatedPerson:
-    """Somebody at a simulated bench."""
+    """User of a simulated bench."""
 
     def __init__(self, simulation: Any) -> None:  # noqa: ANN401 - stands above us
         self._unit = next(unit for unit in simulation.world.timing if unit.line.opened)
@@ -127,7 +127,7 @@ class _SimulatedPerson:
         self._unit.line.plug_in()
 
 
-def _asked(words: str) -> str:
+def _ask(words: str) -> str:
     error_console().print(words, end="", soft_wrap=True)
     try:
         return input()

@@ -33,12 +33,12 @@ from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_mean, show_series, show_through
 
 SUMMED = 0.0  # weights of windows that are sums of cells: none
-TOLD = ("sigma_w_m_s", "w_over_u")  # options on which sigma alone depends
+OUT_OF_PLANE = ("sigma_w_m_s", "w_over_u")  # options that change only uncertainties
 
 
 @dataclass(frozen=True)
 class MeanOutput:
-    """What is written of a mean.
+    """Files of a mean.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ def mean(
             alone = results_in(out, USUAL, mine, COPIES, output.overwrite)
             folder = held.enter_context(alone)
             given = series_input(path, folder, choice, scene, recipe, dt_us)
-            books = run_series(given, workers)
-            show_series(screen, books)
-            series = given, books
+            done = run_series(given, workers)
+            show_series(screen, done)
+            series = given, done
         elif (path / FILE).is_file():
             folder = path
             if output.files:
@@ -128,13 +128,13 @@ def mean(
                 or recipe != CorrectionRecipe()
                 or dt_us is not None
                 or ensemble is not None
-                or any(value is not None for name, value in options.items() if name not in TOLD)
+                or any(value is not None for name, value in options.items() if name not in OUT_OF_PLANE)
             ):
                 raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
         else:
             raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
-        told = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
-        view = SeriesView(folder, None if series is not None or told == NOTHING_TOLD else told)
+        motion = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
+        view = SeriesView(folder, None if series is not None or motion == NOTHING_TOLD else motion)
         found = mean_of_series(view)
         check = None
         if output.files:

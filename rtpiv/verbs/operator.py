@@ -1,11 +1,11 @@
-"""Who answers what a bench asks: a person at the terminal, or a script where there is no light.
+"""Operators of a bench: a person at the terminal, or a script for a simulated laser.
 
-The laser makes its code up whenever it has been switched off, so nobody can write it down before the bench is
-open.  A script can therefore answer for a simulated laser only, by `--operator NAME`; a real one wants a person
-who reads the code and types it, at the bench, once a run.
+The laser makes a new code whenever it has been switched off, so it cannot be known before the bench is open.  A
+script therefore confirms a simulated laser only (`--operator NAME`); at a real one a person reads and types the
+code, once a run.
 
-Axes without a motor are turned and read by the same person.  What was typed before such a question was shown does
-not count: it is an answer to something else.
+Axes without a motor are moved and read by the same person.  Lines typed before a question is shown are dropped, as
+they answer something else.
 """
 
 import os
@@ -20,7 +20,7 @@ from daq.runner.laser_session import NoOperator, Operator, no_hands
 from ground.terminal import error_console, held_still
 from stages.scale_question import ScaleQuestion, no_place, place_mm
 
-LOOK_S = 0.1  # how often a wait for an answer looks whether the question is given up
+POLL_INTERVAL_S = 0.1  # of a wait for an answer, for a question that is given up
 
 
 class TerminalOperator:
@@ -35,13 +35,13 @@ class TerminalOperator:
                 f"Then type this code: {challenge}",
                 soft_wrap=True,
             )
-            return _typed()
+            return _read_line()
 
     def open_seeding(self) -> None:
         """Wait for Enter."""
         with held_still():
             error_console().print("\nThe background is done. Open the seeding, then press Enter.", soft_wrap=True)
-            _typed()
+            _read_line()
 
     def stands_mm(self, axis: str) -> float:
         """Ask for a number until one is typed; RunUsageError at an empty line, or if the terminal has gone."""
@@ -51,7 +51,7 @@ class TerminalOperator:
                 f"\n{axis} cannot look for its reference. Read on its scale where it stands, and type that in mm:",
                 soft_wrap=True,
             )
-            while text := _typed():
+            while text := _read_line():
                 if (mm := place_mm(text)) is not None:
                     return mm
                 screen.print(f"{no_place(text)} (an empty line gives up):", markup=False, soft_wrap=True)
@@ -60,9 +60,9 @@ class TerminalOperator:
     def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Show the question and return what is typed; None if it is given up, or the terminal has gone."""
         with held_still():
-            _forget_what_was_typed()
+            _drop_typed_lines()
             error_console().print(f"\n{question.words}", markup=False, highlight=False, soft_wrap=True)
-            return _line_unless(given_up)
+            return _read_line_unless(given_up)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class ScriptOperator:
     name: str = ""
 
     def confirmation_code(self, challenge: str, watched: str) -> str:
-        """Say what is asked for."""
+        """Return the code."""
         return challenge
 
     def open_seeding(self) -> None:
@@ -100,12 +100,12 @@ class ScriptOperator:
 
 
 def operator_of(name: str | None, simulate: bool) -> Operator:
-    """Return who answers for the light of a run.
+    """Return the operator of a run.
 
     Parameters
     ----------
     name : str or None
-        What `--operator` says.
+        Value of `--operator`.
     simulate : bool
         Whether the bench is simulated.
 
@@ -129,9 +129,9 @@ def require_person(person: Operator, steps: Sequence[Step], by_hand: Sequence[st
     Parameters
     ----------
     person : Operator
-        Who answers.
+        Operator of the run.
     steps : sequence of Step
-        Some may need light, and so somebody who types the code.
+        Some may need light, and so a person who types the code.
     by_hand : sequence of str
         Axes that a person moves; none on a simulated bench, which has a hand of its own.
     """
@@ -141,25 +141,25 @@ def require_person(person: Operator, steps: Sequence[Step], by_hand: Sequence[st
         person.confirmation_code("", "")
 
 
-def _typed() -> str:
-    """A line from the terminal; nothing if it has gone."""
+def _read_line() -> str:
+    """Return a line from the terminal; "" if it has gone."""
     return sys.stdin.readline().strip()
 
 
-def _line_unless(given_up: Callable[[], bool]) -> str | None:
-    """A line from the terminal; None if it has gone, or the question is given up before a line has come.
+def _read_line_unless(given_up: Callable[[], bool]) -> str | None:
+    """Return a line from the terminal; None if it has gone, or the question is given up before.
 
     A signal that asks for the end does not end a read that waits for a line, so what may be given up waits here.
     """
-    while os.name == "posix" and sys.stdin.isatty() and not select.select([sys.stdin], [], [], LOOK_S)[0]:
+    while os.name == "posix" and sys.stdin.isatty() and not select.select([sys.stdin], [], [], POLL_INTERVAL_S)[0]:
         if given_up():
             return None
     line = sys.stdin.readline()
     return line.rstrip("\r\n") if line and not given_up() else None
 
 
-def _forget_what_was_typed() -> None:
-    """Drop lines that wait to be read; where the system cannot, they are read as answers."""
+def _drop_typed_lines() -> None:
+    """Drop lines that wait to be read, where the system can."""
     if os.name == "posix" and sys.stdin.isatty():
         import termios  # not every system has it
 

@@ -1,4 +1,4 @@
-"""Files and folders as people name them."""
+"""Files and folders given by the user."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -54,6 +54,6 @@ def one_of(named: Sequence[Named] | Named) -> Path:
     if len(plans) > 1:
         raise RunUsageError(f"the runs are of several plans ({', '.join(plans)}); give one: {newest}?")
     finished = "finished " if RunFolder(newest).is_done else ""
-    said = f"{len(runs)} runs of {plans[0]} are given; this is the newest {finished}one: {newest}"
+    said = f"{len(runs)} runs of {plans[0]} are given; using the newest {finished}one: {newest}"
     console().print(said, soft_wrap=True, highlight=False)
     return newest

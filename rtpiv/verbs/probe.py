@@ -38,7 +38,7 @@ def probe(port: str, /, out: Named | None = None) -> Found:
     path = path_of(out) or Path(f"probe-{re.sub(r'[^A-Za-z0-9]+', '-', port).strip('-')}.txt")
     console().print(f"asking {port} at {', '.join(map(str, RATES))} baud; questions only")
     found, asked = ask_port(port)
-    head = f"# rtpiv doctor --probe {port}: {'nobody' if found is None else found.identity}\n"
+    head = f"# rtpiv doctor --probe {port}: {'no reply' if found is None else found.identity}\n"
     with whole_file(path) as file:
         file.write((head + "".join(f"{line}\n" for line in asked.dialogue)).encode())
     if found is None:

@@ -71,12 +71,12 @@ def results_in(
         As `require_folder`; or another process works in the folder, or it holds results of something else.
     """
     with ExitStack() as held:
-        for folder in [Path(out)] if out is not None else _usual(usual):
+        for folder in [Path(out)] if out is not None else _default_names(usual):
             is_ours = out is not None or goes_on(folder)
             if not is_ours and not _is_free(folder):
                 continue
             try:
-                held.enter_context(_alone_in(require_folder(folder), (*copies, MADE_FROM)))
+                held.enter_context(_hold_folder(require_folder(folder), (*copies, MADE_FROM)))
             except BlockingIOError:
                 if is_ours:
                     cure = "let it finish, or name another folder with -o"
@@ -84,7 +84,7 @@ def results_in(
                 continue
             if is_ours or _is_free(folder):
                 break
-            held.close()  # somebody was faster, and has finished
+            held.close()  # another process was faster, and has finished
         if goes_on is not _never and not goes_on(folder):
             others = [folder / name for name in OF_VECTORS if (folder / name).exists()]
             if others and not overwrite:
@@ -115,7 +115,7 @@ def _keep_others(folder: Path, made_from: Mapping[str, str], overwrite: bool) ->
     write_json(folder / MADE_FROM, {**known, **made_from})
 
 
-def _usual(name: str) -> Iterator[Path]:
+def _default_names(name: str) -> Iterator[Path]:
     yield Path(name)
     yield from (Path(f"{name}-{number}") for number in count(2))
 
@@ -125,7 +125,7 @@ def _is_free(folder: Path) -> bool:
 
 
 @contextmanager
-def _alone_in(folder: Path, copies: Collection[str]) -> Iterator[None]:
+def _hold_folder(folder: Path, copies: Collection[str]) -> Iterator[None]:
     """Hold a folder, made if it is not there; BlockingIOError if another process does."""
     place = Path(os.path.realpath(folder))
     if place in _held.get():

@@ -15,7 +15,7 @@ from rtpiv.verbs.paths import Named
 def resume(
     run: Named, /, home: bool = False, retake: bool = False, operator: str | None = None, live: bool = False
 ) -> Path:
-    """Do what is left of a run: plan minus journal.
+    """Execute the remaining steps of a run: plan minus journal.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def resume(
     Raises
     ------
     ResumeRefused
-        The run is finished or in doubt, or plan, bench or scene are not those it began with.
+        The run is finished or uncertain, or plan, bench or scene have changed since its start.
     RunDamaged
         A record is not what was written; or, without `retake`, a frame.
     WrongDevice

@@ -129,7 +129,7 @@ def numbers(named: list[str]) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """What can be asked for."""
+    """Verb of the prompt."""
 
     shown: str
     text: str
@@ -252,14 +252,14 @@ class Prompt:
             yield
             return
         before = readline.get_completer()
-        readline.set_completer(self._completed)
+        readline.set_completer(self._complete)
         readline.parse_and_bind("tab: complete")
         try:
             yield
         finally:
             readline.set_completer(before)
 
-    def _completed(self, text: str, state: int) -> str | None:
+    def _complete(self, text: str, state: int) -> str | None:
         words = [*self._verbs, *self._session.stage.axes, *self._session.stage.controllers]
         found = [word for word in words if word.startswith(text)]
         return found[state] if state < len(found) else None

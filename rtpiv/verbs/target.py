@@ -20,12 +20,12 @@ FAR = 0.05  # no printer stretches by so much: fitted to the page, or x and y ex
 
 @dataclass(frozen=True)
 class Target:
-    """What was written.
+    """Printed target.
 
     Parameters
     ----------
     board : PrintedBoard
-        What is on the sheet.
+        The printed board.
     pages : (int, int)
         Columns and rows of pages.
     path : Path
@@ -94,7 +94,7 @@ def target(
     if kind == "particles" and square_mm is not None:
         raise RunUsageError("particles have no squares", cure="leave --square-mm out, or choose another --kind")
     if measured_mm is not None:
-        return _measured(scene, measured_mm)
+        return _record_measure(scene, measured_mm)
     screen, loaded = console(), scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
     size = size_mm or pages.room_on(paper)
     with results_in(out, "target") as folder:
@@ -133,7 +133,7 @@ def target(
         return Target(board, printed.pages, path)
 
 
-def _measured(file: Named | Scene | None, measured_mm: tuple[float, float]) -> Target:
+def _record_measure(file: Named | Scene | None, measured_mm: tuple[float, float]) -> Target:
     """Write into a board file what its bars measure on paper."""
     from correction.target.board_file import read_board, write_board
 

@@ -40,7 +40,7 @@ SHEET_STEP = 4  # corrected pixels between places that may be seen twice; 2 says
 
 @dataclass(frozen=True)
 class Traced:
-    """What a scene shows of the plane.
+    """View of the plane through a scene.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Traced:
 def trace(
     scene: Named | Scene, /, out: Named | None = None, pictures: bool = True, overwrite: bool = False
 ) -> Traced:
-    """Trace a scene; print what it shows of the plane, and leave pictures.
+    """Trace a scene; print its view of the plane, and write pictures.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def trace(
 def _draw_plane(
     draw: Draw, out: Path, name: str, scene: Scene, correction_map: CorrectionMap, share: PlaneShare
 ) -> None:
-    """Draw what is known first, while the rest is computed."""
+    """Draw the first results while the rest is computed."""
     from rtpiv.analysis.pictures.rasters import ShownPlane
 
     draw(f"{PICTURES}.traced:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
@@ -181,19 +181,19 @@ def _draw_views(draw: Draw, out: Path, name: str, scene: Scene, width_mm: float,
 
 
 def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetForecast | None:
-    """What frames of a flow will tell of the sheet, where glass can stand before it at all."""
+    """Return the forecast for finding the light sheet, where glass can stand in front of it."""
     fitted = path is not None and path.with_name(FIT_FILE).is_file()
     sigma = scene_sigma_beside(path, scene, dewarped=False) if path is not None and fitted else "no fit"
     try:
         lit = scene.in_light_sheet()
-    except SceneError:  # said by whoever corrects frames: the glass may stand elsewhere then
+    except SceneError:  # `correct` reports it: the glass may stand elsewhere then
         return None
     views = double_views(lit, ray_map if lit is scene else None, SHEET_STEP)
     return sheet_forecast(lit, views, None if isinstance(sigma, str) else sigma)
 
 
 def _plane_table(title: str, share: PlaneShare) -> Table:
-    """What becomes of the plane that the corrected image covers."""
+    """Return the table of recovered and lost areas of the plane."""
     width, height = share.size_mm
     table = Table(title=title)
     for name in (f"of the plane, {width:.1f} x {height:.1f} mm", "area [mm\u00b2]", "share"):
@@ -208,10 +208,10 @@ def _plane_table(title: str, share: PlaneShare) -> Table:
 
 
 def _body_table(share: PlaneShare) -> Table:
-    """What each body hides, what of that is recovered all the same, and what is seen through it."""
+    """Return the table of what each body hides, what is recovered of it, and what is seen through it."""
     unseen = len(share.bodies) - SHOWN_BODIES
     more = f"; {unseen} smaller ones are left out" if unseen > 0 else ""
-    table = Table(title="what each body hides of the plane" + more)
+    table = Table(title="area of the plane hidden by each body" + more)
     for name in (
         "body", "hides [mm\u00b2]", "recovered", "lost [mm\u00b2]", "mainly lost", "seen through it [mm\u00b2]",
     ):  # fmt: skip

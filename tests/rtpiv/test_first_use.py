@@ -91,14 +91,14 @@ def test_helpers_start_at_the_first_kernel_that_is_listed_and_go_with_the_verb(m
         first_use, "child", lambda *words: ([sys.executable, "-c", "import sys; sys.stdin.read()"], None)
     )
     watched = FirstUse("correct")
-    watched.begun("nobody:knows", ["int64"])
+    watched.start("nobody:knows", ["int64"])
     assert watched._helpers == []
     place, form, _ = calls_of("correct")[0]
-    watched.begun(place, form)
+    watched.start(place, form)
     assert len(watched._helpers) == 1
     assert watched.seconds_left() is None
     time.sleep(0.01)
-    watched.done(place)
+    watched.finish(place)
     left = watched.seconds_left()
     assert left is None or left > 0.0
     watched.end()
@@ -113,10 +113,10 @@ def test_a_missing_kernel_is_told_with_its_types(monkeypatch):
     told = []
 
     class Told:
-        def begun(self, place, form):
+        def start(self, place, form):
             told.append((place, form))
 
-        def done(self, place):
+        def finish(self, place):
             told.append(place)
 
     monkeypatch.setattr(compile_news, "make_helper", Told)

@@ -170,8 +170,8 @@ def test_compiling_is_said_once_and_goes_on(capsys, monkeypatch):
     monkeypatch.setattr(compile_news, "SAY_EVERY_S", 0.0)
     count = CompileCount()
     for _ in range(2):
-        count.begun()
-        count.done()
+        count.start()
+        count.finish()
     assert told == [0, 1, 2]
     print_compiling(0, 0.0)
     print_compiling(7, 12.3)

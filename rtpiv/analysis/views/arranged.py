@@ -100,7 +100,7 @@ def others(lab: Lab, lens: bool) -> list[Arranged]:
         for count in list(most_balls(shape))[: 1 if shape in BEDS else 4]:
             if (shape, count) == (lab.arrangement, lab.balls) or (shape == "beside" and count == 1):
                 continue
-            if (best := best_gap(lab.alike(arrangement=shape, balls=count), lens)) is not None:
+            if (best := best_gap(lab.with_equal_balls(arrangement=shape, balls=count), lens)) is not None:
                 found.append(best)
     return sorted(found, key=lambda one: one.share, reverse=True)
 

@@ -128,7 +128,7 @@ def test_a_plan_that_a_bench_must_not_carry_out(lab):
 def test_a_plan_without_a_bench(lab):
     (lab / "bench.yaml").unlink()
     (found,) = check(lab / "plan-target.yaml")
-    assert "no bench is known" in found.said
+    assert "no bench is given" in found.said
 
 
 @pytest.mark.parametrize("name", ["missing.yaml", "empty"])

@@ -24,7 +24,7 @@ def test_the_newest_finished_run_is_taken_and_said(tmp_path, capsys):
     stopped = begun(tmp_path, "20260103T000000Z_shift")
     assert one_of([older, newest, stopped]) == newest
     said = capsys.readouterr().out
-    assert said == f"3 runs of shift are given; this is the newest finished one: {newest}\n"
+    assert said == f"3 runs of shift are given; using the newest finished one: {newest}\n"
 
 
 def test_one_is_taken_as_it_is(tmp_path, capsys):
