@@ -1,14 +1,13 @@
 """`rtpiv acquire`: execute a plan on a bench or its simulation."""
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.table import Table
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
@@ -21,6 +20,7 @@ from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
 from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home, time_said
 from daq.plans.plan import Plan, load_plan, read_plan
+from daq.plans.steps import Step
 from daq.runner.laser_session import Operator
 from daq.runner.progress import watch
 from daq.runner.session import Request, Run, begin, check_disk, run_session
@@ -37,6 +37,7 @@ from rtpiv.options.numbers import Count, DewarpOrder
 from rtpiv.verbs.operator import ScriptOperator, operator_of, require_person
 from rtpiv.verbs.paths import Named, path_of
 from rtpiv.verbs.results import require_folder
+from rtpiv.verbs.tables import ALL, table_of
 from stages.errors import PortUnavailable
 from stages.identities import confusable
 
@@ -285,15 +286,9 @@ def print_forecast(
 ) -> None:
     """Print the forecast of a plan."""
     if with_steps:
-        table = Table(title=f"steps of {plan.name}")
-        for name in ("step", "frames", "tag", "view", "axes away from the scene's place in mm"):
-            table.add_column(name)
-        home = bench.home_mm
-        for step in plan.steps[:SHOWN_STEPS]:
-            away = ", ".join(f"{n} {mm:+.3f}" for n, mm in step.positions_mm if mm != home[n])
-            last = f"{step.first_frame}..{step.numbers[-1]}" if step.frames > 1 else str(step.first_frame)
-            table.add_row(str(step.index + 1), last, step.tag, step.view, away or "-")
-        screen.print(table)
+        columns = ("step", "frames", "tag", "view", "axes away from the scene's place in mm")
+        rows = [_step_row(step, bench.home_mm) for step in plan.steps[:SHOWN_STEPS]]
+        screen.print(table_of(f"steps of {plan.name}", columns, rows, left=ALL))
         if len(plan.steps) > SHOWN_STEPS:
             screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
     time = f"about {time_said(bench, plan.steps, said, simulate)}"
@@ -309,6 +304,12 @@ def print_forecast(
         screen.print(said.link, soft_wrap=True, highlight=False)
     for violation in said.violations:
         screen.print(f"not allowed: step {violation.step + 1} ({violation.tag}): {violation.text}", style="bold")
+
+
+def _step_row(step: Step, home_mm: Mapping[str, float]) -> tuple[str, ...]:
+    away = ", ".join(f"{n} {mm:+.3f}" for n, mm in step.positions_mm if mm != home_mm[n])
+    frames = f"{step.first_frame}..{step.numbers[-1]}" if step.frames > 1 else str(step.first_frame)
+    return str(step.index + 1), frames, step.tag, step.view, away or "-"
 
 
 def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:
@@ -338,19 +339,21 @@ def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None
 
 
 def _print_displacements(screen: Console, path: Path, found: Sequence[Moved]) -> None:
-    table = Table(title="displacement of the target in mm")
-    for name in ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um"):
-        table.add_column(name)
-    for entry in found[:SHOWN_PAIRS]:
-        commanded = entry["commanded_mm"]
+    def deviation(vector: Vector | None, commanded: Vector) -> str:
+        if vector is None:
+            return "not known on a real bench"
+        return ", ".join(f"{1e3 * (v - c):+.1f}" for v, c in zip(vector, commanded, strict=True))
 
-        def off(vector: Vector | None, commanded: Vector = commanded) -> str:
-            if vector is None:
-                return "not known on a real bench"
-            return ", ".join(f"{1e3 * (v - c):+.1f}" for v, c in zip(vector, commanded, strict=True))
-
-        shown = ", ".join(f"{c:+.4f}" for c in commanded)
-        table.add_row(entry["tag"], shown, off(entry["measured_mm"]), off(entry["true_mm"]))
-    screen.print(table)
+    rows = [
+        (
+            entry["tag"],
+            ", ".join(f"{c:+.4f}" for c in entry["commanded_mm"]),
+            deviation(entry["measured_mm"], entry["commanded_mm"]),
+            deviation(entry["true_mm"], entry["commanded_mm"]),
+        )
+        for entry in found[:SHOWN_PAIRS]
+    ]
+    columns = ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um")
+    screen.print(table_of("displacement of the target in mm", columns, rows, left=ALL))
     if len(found) > SHOWN_PAIRS:
         screen.print(f"... and {len(found) - SHOWN_PAIRS} more in {path}")

@@ -14,7 +14,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
 from correction.errors import MapUsageError
 from correction.evaluate.target_error import TargetError, target_error
@@ -38,6 +37,7 @@ from rtpiv.analysis.through_glass import through_glass
 from rtpiv.analysis.views.arranged import little
 from rtpiv.verbs.paths import Named, path_of, paths_of
 from rtpiv.verbs.results import results_in
+from rtpiv.verbs.tables import table_of
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -292,10 +292,7 @@ def _print(
             text = f"the lens distorts more than order {dewarp.order} can follow; try --dewarp-order 5"
             screen.print(text, style="bold")
     if errors:
-        table = Table(title="target corners in the corrected frame against the regular grid [px]")
-        for name in ("frame", "region", "corners", "bias x, y", "rms x, y", "largest"):
-            table.add_column(name, justify="left" if name in ("frame", "region") else "right")
-        for path, error in zip(frames, errors, strict=True):
-            for row in error.rows():
-                table.add_row(stem_of(path), *row)
-        screen.print(table)
+        title = "target corners in the corrected frame against the regular grid [px]"
+        columns = ("frame", "region", "corners", "bias x, y", "rms x, y", "largest")
+        rows = [(stem_of(path), *row) for path, error in zip(frames, errors, strict=True) for row in error.rows()]
+        screen.print(table_of(title, columns, rows, left=(0, 1)))

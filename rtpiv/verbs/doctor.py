@@ -8,8 +8,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from rich.table import Table
-
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench, CameraSection
 from daq.bench.elements import CAMERA
@@ -33,6 +31,7 @@ from daq.timing.timing_table import TimingTable
 from ground.terminal import console
 from rtpiv.example_files import examples
 from rtpiv.verbs.paths import Named
+from rtpiv.verbs.tables import ALL, table_of
 from stages.controller_tables import ControllerTable, HandTable
 from stages.drivers_by_name import DRIVERS
 from stages.identities import confusable
@@ -70,13 +69,8 @@ def doctor(bench: Named | None = None) -> list[Finding]:
     here = [*_software(), *_devices_here(ports, cameras, files), *_drivers(), *_disk()]
     needed = [] if bench is None else list(_bench(load_bench(bench)))
     found = [*here, *needed]
-    table = Table()
-    for column in ("item", "", "found"):
-        table.add_column(column, overflow="fold")
-    for what, fine, words in found:
-        table.add_row(what, STATES[fine], words)
-    screen = console()
-    screen.print(table)
+    screen, rows = console(), [(what, STATES[fine], words) for what, fine, words in found]
+    screen.print(table_of(None, ("item", "", "found"), rows, left=ALL))
     if bench is None:
         screen.print("Lines for a bench file (docs/add-a-device.md); use those whose device you recognise:\n")
         screen.print(bench_lines(ports, cameras, files), soft_wrap=True)

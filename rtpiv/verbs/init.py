@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from daq.atomic_write import write_text
 from daq.errors import RunUsageError
 from ground.plain_words import counted
@@ -23,6 +21,7 @@ from rtpiv.verbs.check import check_files
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.schema import write_schemas
+from rtpiv.verbs.tables import table_of
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
 SHOWN = 8  # other arrangements
@@ -340,14 +339,13 @@ def _print_others(lab: Lab, share: float, lens: bool) -> None:
         found.insert(0, best)
     if not found:
         return
-    table = Table(title="other arrangements of such balls, each where it shows most", box=None)
-    for name in ("--balls", "--arrangement", "--gap-mm", "--lens-mm", "through glass"):
-        table.add_column(name, justify="left" if name == "--arrangement" else "right")
-    for one in found[:SHOWN]:
-        other = one.lab
-        numbers = str(other.balls), other.arrangement, f"{other.gap_mm:g}", f"{other.lens_mm:g}"
-        table.add_row(*numbers, percent(one.share))
-    console().print(table)
+    rows = [
+        (str(lab.balls), lab.arrangement, f"{lab.gap_mm:g}", f"{lab.lens_mm:g}", percent(share))
+        for lab, share in ((one.lab, one.share) for one in found[:SHOWN])
+    ]
+    columns = ("--balls", "--arrangement", "--gap-mm", "--lens-mm", "through glass")
+    title = "other arrangements of such balls, each where it shows most"
+    console().print(table_of(title, columns, rows, left=(1,), box=None))
 
 
 NEXT = (

@@ -3,13 +3,12 @@
 import re
 from pathlib import Path
 
-from rich.table import Table
-
 from daq.bench.probe import RATES, Found, no_reply_reason
 from daq.bench.probe import probe as ask_port
 from ground.terminal import console
 from ground.whole_file import whole_file
 from rtpiv.verbs.paths import Named, path_of
+from rtpiv.verbs.tables import ALL, table_of
 from stages.errors import NoReply
 
 
@@ -43,16 +42,9 @@ def probe(port: str, /, out: Named | None = None) -> Found:
         file.write((head + "".join(f"{line}\n" for line in asked.dialogue)).encode())
     if found is None:
         raise NoReply(f"{no_reply_reason(asked)}; what was said is in {path}")
-    table = Table(title=f"{found.box} on {port}")
-    for column in ("", "it says"):
-        table.add_column(column, overflow="fold")
-    table.add_row("identity", found.identity)
-    table.add_row("rate", f"{found.baud} baud")
-    for fact in found.facts:
-        table.add_row("", fact)
-    for unknown in found.unknown:
-        table.add_row("cannot be asked", unknown)
-    console().print(table)
+    rows = [("identity", found.identity), ("rate", f"{found.baud} baud")]
+    rows += [("", fact) for fact in found.facts] + [("cannot be asked", unknown) for unknown in found.unknown]
+    console().print(table_of(f"{found.box} on {port}", ("", "it says"), rows, left=ALL))
     console().print("Lines for a bench file:\n")
     console().print(found.lines, soft_wrap=True, markup=False, highlight=False)
     console().print(f"\nwhat was said: {path}")

@@ -1,4 +1,4 @@
-"""What a person sees of results: all printing of figures, so that what computes them prints nothing."""
+"""Printing of results; the code that computes them prints nothing."""
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -10,8 +10,9 @@ from rich.table import Table
 
 from ground.plain_words import counted
 from rtpiv.analysis.digits import places
+from rtpiv.verbs.tables import table_of
 
-if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
+if TYPE_CHECKING:  # printing a calibration must not import the evaluation of a series
     from rtpiv.analysis.calibration import Calibration
     from rtpiv.analysis.campaign.campaign_folder import RunStatus
     from rtpiv.analysis.campaign.campaign_plan import Forecast
@@ -26,7 +27,7 @@ SHOWN = 10  # pairs that are named one by one
 
 
 def show_through(screen: Console, scene: "Scene") -> None:
-    """Say how much is seen through glass."""
+    """Print the share seen through glass."""
     from rtpiv.analysis.through_glass import through_scene
 
     if (through := through_scene(scene)) is not None:
@@ -34,7 +35,7 @@ def show_through(screen: Console, scene: "Scene") -> None:
 
 
 def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:
-    """Say how well a pair was measured, and where the page will be."""
+    """Print the uncertainties of a pair, and the path of its page."""
     from rtpiv.analysis.report.tables import (
         CLAIM_HEAD,
         SHIFT_HEAD,
@@ -79,40 +80,32 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
     if evaluation.no_tracks:
         screen.print(f"no tracks: {evaluation.no_tracks}", style="bold red")
     for title, head, rows in filter(lambda table: table[2], tables):
-        table = Table(title=title)
-        for number, column in enumerate(head):
-            table.add_column(column, justify="right" if number else "left")
-        for row in rows:
-            table.add_row(*row)
-        screen.print(table)
+        screen.print(table_of(title, head, rows))
     if page:
         screen.print(f"look at {evaluation.task.out / 'report.html'}")
 
 
-def show_series(screen: Console, books: "Evaluated") -> None:
-    """Say what became of the pairs of a series."""
-    before = f"; {books.kept} of them had been evaluated before" if books.kept else ""
-    screen.print(books.summary + before, style="bold red" if books.has_few_valid else None)
-    for tag, why in list(books.failed.items())[:SHOWN]:
+def show_series(screen: Console, done: "Evaluated") -> None:
+    """Print the state of the pairs of a series."""
+    before = f"; {done.kept} of them had been evaluated before" if done.kept else ""
+    screen.print(done.summary + before, style="bold red" if done.has_few_valid else None)
+    for tag, why in list(done.failed.items())[:SHOWN]:
         screen.print(f"{tag} is left out: {why}", style="bold red")
-    if len(books.failed) > SHOWN:
-        screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
-    for warning in books.warnings:
+    if len(done.failed) > SHOWN:
+        screen.print(f"and {len(done.failed) - SHOWN} more; the page has them", style="bold red")
+    for warning in done.warnings:
         screen.print(warning, style="bold red")
 
 
 def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
-    """Say what a campaign asks for."""
-    table = Table(title="campaign")
-    for number, column in enumerate(
-        ("run", "pairs", "chunks", "done", "core hours left", "GB to read", "GB to write")
-    ):
-        table.add_column(column, justify="right" if number else "left")
+    """Print the costs of a campaign."""
+    rows = []
     for each in forecasts:
         costs = (each.left_s / 3600.0, each.read_bytes * 1e-9, each.write_bytes * 1e-9)
         counts = (each.pairs, each.chunks, each.done)
-        table.add_row(each.name, *[str(n) for n in counts], *[f"{cost:.2f}" for cost in costs])
-    screen.print(table)
+        rows.append((each.name, *[str(n) for n in counts], *[f"{cost:.2f}" for cost in costs]))
+    columns = ("run", "pairs", "chunks", "done", "core hours left", "GB to read", "GB to write")
+    screen.print(table_of("campaign", columns, rows))
     for each in forecasts:
         if each.again:
             again = f"{counted(each.again, 'finished chunk')} {'is' if each.again == 1 else 'are'} made again"
@@ -122,13 +115,11 @@ def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
 
 def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
     """Print the state of a campaign."""
-    table = Table(title="campaign")
-    for number, column in enumerate(("run", "chunks", "done", "pairs done", "without vectors")):
-        table.add_column(column, justify="right" if number else "left")
+    rows = []
     for state in states:
         pairs = f"{state.done_pairs} of {state.pairs}", str(sum(state.without_vectors.values()))
-        table.add_row(state.name, str(state.chunks), str(state.done), *pairs)
-    screen.print(table)
+        rows.append((state.name, str(state.chunks), str(state.done), *pairs))
+    screen.print(table_of("campaign", ("run", "chunks", "done", "pairs done", "without vectors"), rows))
     lines = [
         f"{s.name}: {counted(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
     ]
@@ -139,21 +130,16 @@ def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
 
 
 def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) -> None:
-    """Say where a view is sharp."""
+    """Print the best focus."""
     from rtpiv.analysis.report.focus import HEAD as FOCUS_HEAD
 
-    table = Table(title="best focus")
-    for number, column in enumerate(FOCUS_HEAD):
-        table.add_column(column, justify="right" if number else "left")
-    for row in rows:
-        table.add_row(*row)
-    screen.print(table)
+    screen.print(table_of("best focus", FOCUS_HEAD, rows))
     screen.print(said)
     screen.print(f"look at {page}")
 
 
 def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collection[str] = ()) -> None:
-    """Say how well a mean flow is known, and why pairs are left out but for those of which it was `said`."""
+    """Print a mean flow with its uncertainties, and why pairs are left out, except those already reported."""
     seen = mean.count > 0
     for each in mean.doubts:
         screen.print(each, style="bold red")
@@ -167,9 +153,6 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
     flows = speed >= 0.5 * highest
     said = f"speed above half of {highest:.3g} {mean.unit}, {int(flows.sum())} of {int(seen.sum())} places"
-    table = Table(title=f"median where it flows: {said}")
-    for name in ("", "u", "v"):
-        table.add_column(name, justify="right" if name else "left")
     rows = [
         (f"mean [{mean.unit}]", mean.mean_m_s),
         (f"its random sigma [{mean.unit}]", mean.sigma_m_s),
@@ -185,10 +168,11 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
         rows.insert(4, (f"sigma by dt, one factor [{mean.unit}]", mean.dt_sigma_m_s))
     if mean.map_sigma_m_s is not None:
         rows.insert(4, (f"sigma by the fitted map [{mean.unit}]", mean.map_sigma_m_s))
+    texts = []
     for name, values in rows:
         there = [values[..., k][flows & np.isfinite(values[..., k])] for k in (0, 1)]
-        table.add_row(name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there))
-    screen.print(table)
+        texts.append((name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there)))
+    screen.print(table_of(f"median where it flows: {said}", ("", "u", "v"), texts))
     if mean.no_map_sigma:
         screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
     if doubt := mean.effective.doubt(mean.used):
@@ -200,7 +184,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
 
 
 def show_calibration(screen: Console, found: "Calibration", page: bool = True) -> None:
-    """Say what a fit has found, and what the frames left open."""
+    """Print the results of a fit, and what the frames leave undetermined."""
     if (through := found.through) is not None:
         from rtpiv.analysis.views.arranged import little
 
@@ -230,30 +214,25 @@ def show_calibration(screen: Console, found: "Calibration", page: bool = True) -
 
 
 def _number_table(found: "Calibration") -> Table:
-    table = Table(
-        title=f"fitted scene {found.fit.measured_scene.content_hash()}; every other number was held fixed"
-    )
-    for name in ("fitted parameter", "fitted", "sigma", "moved", "prior sigma"):
-        table.add_column(name, justify="left" if name == "fitted parameter" else "right")
+    rows = []
     for name, row in found.numbers.items():
         digits = places(row["sigma"])
         unit = f" [{row['unit']}]" if row["unit"] else ""
         fitted, known, moved = (f"{row[part]:z.{digits}f}" for part in ("value", "sigma", "moved"))
-        table.add_row(f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}")
-    return table
+        rows.append((f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}"))
+    title = f"fitted scene {found.fit.measured_scene.content_hash()}; every other number was held fixed"
+    return table_of(title, ("fitted parameter", "fitted", "sigma", "moved", "prior sigma"), rows)
 
 
 def _error_table(found: "Calibration") -> Table:
-    table = Table(title="position error of target points [px] ")
-    for name in ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest"):
-        table.add_column(name, justify="left" if name in ("sense", "scene", "region") else "right")
+    rows = []
     for name, regions in found.senses.items():
         for r in regions:
             bias, rms = (f"{p[0]:+.3f}, {p[1]:+.3f}" for p in (r.bias_px, r.rms_px))
             rms = rms.replace("+", "")
-            row = (r.region, str(r.corners), bias, rms, f"{r.largest_px:.2f}")
-            table.add_row("computed - acquired", name, *row)
+            figures = (r.region, str(r.corners), bias, rms, f"{r.largest_px:.2f}")
+            rows.append(("computed - acquired", name, *figures))
     for name, error in found.grids.items():
-        for figures in error.rows():
-            table.add_row("corrected - grid", name, *figures)
-    return table
+        rows += [("corrected - grid", name, *figures) for figures in error.rows()]
+    columns = ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest")
+    return table_of("position error of target points [px]", columns, rows, left=(0, 1, 2))

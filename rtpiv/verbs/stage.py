@@ -23,6 +23,7 @@ from ground.errors import GroundError
 from ground.terminal import console, error_console
 from rtpiv.verbs.operator import TerminalOperator, operator_of
 from rtpiv.verbs.paths import Named
+from rtpiv.verbs.tables import ALL, table_of
 from stages.errors import StageError
 from tracer.errors import TracerError
 
@@ -89,17 +90,15 @@ def stage(
 
 
 def where_table(session: BenchSession) -> Table:
-    """Return where every axis is as a table."""
-    table = Table()
-    for column in ("axis", "carries", "along", "mm", "state", "limits"):
-        table.add_column(column)
+    """Return the positions of all axes as a table."""
+    rows = []
     for name, mm in session.where().items():
         about = session.bench.table.stages.axes[name]
         low, high = about.limits_mm
         shown = f"{mm:.4f}" if mm is not None else "unknown"
         state = session.stage.axis(name).state.value
-        table.add_row(name, about.carries, about.along, shown, state, f"{low:g} to {high:g}")
-    return table
+        rows.append((name, about.carries, about.along, shown, state, f"{low:g} to {high:g}"))
+    return table_of(None, ("axis", "carries", "along", "mm", "state", "limits"), rows, left=ALL)
 
 
 def numbers(named: list[str]) -> dict[str, float]:

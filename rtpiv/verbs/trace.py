@@ -23,6 +23,7 @@ from rtpiv.analysis.views.arranged import little
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
+from rtpiv.verbs.tables import table_of
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
@@ -195,31 +196,25 @@ def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetFo
 def _plane_table(title: str, share: PlaneShare) -> Table:
     """Return the table of recovered and lost areas of the plane."""
     width, height = share.size_mm
-    table = Table(title=title)
-    for name in (f"of the plane, {width:.1f} x {height:.1f} mm", "area [mm\u00b2]", "share"):
-        table.add_column(name, justify="left" if not table.columns else "right")
+    columns = (f"of the plane, {width:.1f} x {height:.1f} mm", "area [mm\u00b2]", "share")
     rows = [("recovered", share.recovered_mm2), ("  seen directly", share.direct_mm2)]
     rows.append(("  through glass", share.glass_mm2))
     lost = [(MEANING[each], area) for each, area in share.areas_mm2.items() if each != NodeStatus.RECOVERED]
     rows += [("not recovered", share.whole_mm2 - share.recovered_mm2), *((f"  {why}", area) for why, area in lost)]
-    for name, area in rows:
-        table.add_row(name, f"{area:.1f}", f"{100.0 * area / share.whole_mm2:.2f} %")
-    return table
+    texts = [(name, f"{area:.1f}", f"{100.0 * area / share.whole_mm2:.2f} %") for name, area in rows]
+    return table_of(title, columns, texts)
 
 
 def _body_table(share: PlaneShare) -> Table:
     """Return the table of what each body hides, what is recovered of it, and what is seen through it."""
     unseen = len(share.bodies) - SHOWN_BODIES
     more = f"; {unseen} smaller ones are left out" if unseen > 0 else ""
-    table = Table(title="area of the plane hidden by each body" + more)
-    for name in (
+    columns = (
         "body", "hides [mm\u00b2]", "recovered", "lost [mm\u00b2]", "mainly lost", "seen through it [mm\u00b2]",
-    ):  # fmt: skip
-        table.add_column(name, justify="left" if name in ("body", "mainly lost") else "right")
+    )  # fmt: skip
     largest = sorted(share.bodies, key=lambda body: -body.outline_mm2)[:SHOWN_BODIES]
-    for body in largest:
-        table.add_row(*_body_row(body))
-    return table
+    rows = [_body_row(body) for body in largest]
+    return table_of("area of the plane hidden by each body" + more, columns, rows, left=(0, 4))
 
 
 def _body_row(body: BodyShare) -> tuple[str, ...]:
@@ -235,9 +230,6 @@ def _body_row(body: BodyShare) -> tuple[str, ...]:
 def _radial_table(view: FieldOfView) -> Table:
     """Figures of spheres in a row, as Martins et al. (2018) give them."""
     radius = view.radius_mm
-    table = Table(title="balls in a row; lengths in radii R of the balls")
-    table.add_column("")
-    table.add_column("value", justify="right")
     rows = [
         ("share of a ball's cross-section seen through it (FOV_in)", f"{100.0 * view.inside:.1f} %"),
         ("share of the square around its silhouette (FOV_total)", f"{100.0 * view.total:.1f} %"),
@@ -250,6 +242,4 @@ def _radial_table(view: FieldOfView) -> Table:
         ("enlarged at the centre by (r_i/r_o)", f"{view.centre_magnification:+.3f}"),
         ("distance of the camera (L/R)", f"{view.distance_mm / radius:.3g}"),
     ]
-    for name, value in rows:
-        table.add_row(name, value)
-    return table
+    return table_of("balls in a row; lengths in radii R of the balls", ("", "value"), rows)
