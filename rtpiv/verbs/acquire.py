@@ -18,7 +18,8 @@ from daq.bench.rehearsal import Rehearsal
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
-from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home, time_said
+from daq.plans.forecast import Forecast, check_views, forecast_from_home, time_said
+from daq.plans.forecast import forecast as forecast_plan
 from daq.plans.plan import Plan, load_plan, read_plan
 from daq.plans.steps import Step
 from daq.runner.laser_session import Operator
@@ -152,33 +153,59 @@ def acquire(
     request = Request(
         bench, plan, simulate, frames.correct, *given, order, method, queue, rehearsal is not None, seed
     )
-    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run, simulate=simulate)
-    if not simulate:
-        for warning in confusable(loaded.table.stages):
-            error_console().print(warning, soft_wrap=True)
-    if said.violations:
-        first = said.violations[0]
-        raise PlanError(
-            f"{plan}: {len(said.violations)} of its moves or rates are not allowed; "
-            f"step {first.step + 1} ({first.tag}): {first.text}"
-        )
+    forecast = check_plan(screen, request, loaded, steps, home, with_steps=dry_run)
     if simulate:
-        check_views(loaded, steps.steps)
         require_lens(loaded, steps)
     if dry_run:
         return None
     person = operator_of(operator, simulate)
-    require_person(person, steps.steps, [] if simulate else list(loaded.table.stages.by_hand))
-    require_folder(out).mkdir(parents=True, exist_ok=True)
-    check_disk(out, said.raw_bytes + (said.corrected_bytes if frames.correct else 0))
-    folder = begin(request, loaded, steps, out)
-    is_lit = any(step.pulses is not None for step in steps.steps)
-    hangs = "" if is_lit else f"; the target's stage should hold: {steps.table.shows}"
-    screen.print(f"run {folder.path}{hangs}")
-    is_foreign = any(step.is_lit_from_outside for step in steps.steps)
-    screen.print(ENDS_IN_FOREIGN_LIGHT if is_foreign else ENDS_IN_LIGHT if is_lit else ENDS)
+    size = forecast.raw_bytes + (forecast.corrected_bytes if frames.correct else 0)
+    folder = start_run(screen, request, loaded, steps, out, person, size)
     run_and_report(screen, Run(request, rehearsed, steps, folder), home, person, live=frames.live)
     return folder.path
+
+
+def check_plan(
+    screen: Console, request: Request, bench: Bench, plan: Plan, home: bool, with_steps: bool
+) -> Forecast:
+    """Forecast a plan on an idle bench, print the forecast, and refuse a plan that violates limits or keep-out."""
+    stage, simulate = idle_stage(bench), request.simulate
+    if home:
+        found, sentence = forecast_from_home(bench, stage, plan.steps)
+        if not (simulate and found.is_from_scene):  # it concerns hardware alone
+            screen.print(sentence, soft_wrap=True)
+    else:
+        found = forecast_plan(bench, stage, plan.steps)
+    print_forecast(screen, bench, plan, found, with_steps, simulate)
+    if not simulate:
+        for warning in confusable(bench.table.stages):
+            error_console().print(warning, soft_wrap=True)
+    if found.violations:
+        first = found.violations[0]
+        raise PlanError(
+            f"{request.plan}: {len(found.violations)} of its moves or rates are not allowed; "
+            f"step {first.step + 1} ({first.tag}): {first.text}"
+        )
+    if simulate:
+        check_views(bench, plan.steps)
+    return found
+
+
+def start_run(
+    screen: Console, request: Request, bench: Bench, plan: Plan, out: Path, person: Operator, size_bytes: int
+) -> RunFolder:
+    """Create the folder of a run, if operator and disk allow it, and print how to end the run."""
+    require_person(person, plan.steps, [] if request.simulate else list(bench.table.stages.by_hand))
+    require_folder(out).mkdir(parents=True, exist_ok=True)
+    check_disk(out, size_bytes)
+    folder = begin(request, bench, plan, out)
+    is_lit = any(step.pulses is not None for step in plan.steps)
+    is_foreign = any(step.is_lit_from_outside for step in plan.steps)
+    screen.print(
+        f"run {folder.path}" + ("" if is_lit else f"; the target's stage should hold: {plan.table.shows}")
+    )
+    screen.print(ENDS_IN_FOREIGN_LIGHT if is_foreign else ENDS_IN_LIGHT if is_lit else ENDS)
+    return folder
 
 
 def require_lens(bench: Bench, plan: Plan) -> None:
@@ -264,21 +291,6 @@ def _run_page(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | Non
         screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
         through = through_scene(scene)
         yield RunShown(page, run.folder, "" if through is None else through.sentence)
-
-
-def forecast_said(
-    screen: Console, bench: Bench, plan: Plan, home: bool, with_steps: bool, simulate: bool
-) -> Forecast:
-    """Forecast a plan on an idle bench, and print the forecast."""
-    stage = idle_stage(bench)
-    if home:
-        said, sentence = forecast_from_home(bench, stage, plan.steps)
-        if not (simulate and said.is_from_scene):  # it concerns hardware alone
-            screen.print(sentence, soft_wrap=True)
-    else:
-        said = forecast(bench, stage, plan.steps)
-    print_forecast(screen, bench, plan, said, with_steps, simulate)
-    return said
 
 
 def print_forecast(

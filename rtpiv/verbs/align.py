@@ -2,26 +2,21 @@
 
 from pathlib import Path
 
-from rich.console import Console
-
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
 from daq.bench.elements import CAMERA, GLASS
 from daq.bench.opened import require_camera_libraries
 from daq.errors import PlanError
 from daq.plans.experiments.align import AlignPlan
-from daq.plans.forecast import check_views
 from daq.plans.plan import load_plan
-from daq.runner.session import Request, Run, begin, check_disk
+from daq.runner.session import Request, Run
 from ground.plain_words import counted
 from ground.terminal import console, error_console
-from rtpiv.verbs.acquire import ENDS, forecast_said, run_and_report
-from rtpiv.verbs.operator import operator_of, require_person
+from rtpiv.verbs.acquire import check_plan, run_and_report, start_run
+from rtpiv.verbs.operator import operator_of
 from rtpiv.verbs.paths import Named
-from rtpiv.verbs.results import require_folder
-from stages.identities import confusable
 
-MAY_BE_OFF_MM = 1.5  # from which an alignment is made for; less room than that at a limit is said
+MAY_BE_OFF_MM = 1.5  # deviation that an alignment corrects; less room than that at a limit is reported
 
 
 def align(
@@ -75,45 +70,28 @@ def align(
         raise PlanError(
             f"is a plan of experiment: {steps.table.experiment}", place=plan, cure="give one of experiment: align"
         )
-    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run, simulate=simulate)
     for sentence in short_of_room(loaded):
         error_console().print(sentence, soft_wrap=True)
-    if not simulate:
-        for warning in confusable(loaded.table.stages):
-            error_console().print(warning, soft_wrap=True)
-    if said.violations:
-        first = said.violations[0]
-        raise PlanError(f"{plan}: the first look is not allowed: {first.text}")
-    if simulate:
-        check_views(loaded, steps.steps)
+    forecast = check_plan(screen, request, loaded, steps, home, with_steps=dry_run)
     if dry_run:
-        screen.print(f"then up to {counted(steps.table.moves, 'move')}, each said and judged before it is made")
+        screen.print(f"then up to {counted(steps.table.moves, 'move')}, each printed and checked first")
         return None
-    return _execute(screen, request, loaded, Path(out), home, said.raw_bytes)
-
-
-def _execute(screen: Console, request: Request, bench: Bench, out: Path, home: bool, raw_bytes: int) -> Path:
-    plan, person = load_plan(request.plan, bench), operator_of(None, request.simulate)
-    require_person(person, plan.steps, [] if request.simulate else list(bench.table.stages.by_hand))
-    require_folder(out).mkdir(parents=True, exist_ok=True)
-    check_disk(out, raw_bytes)
-    folder = begin(request, bench, plan, out)
-    screen.print(f"run {folder.path}; the target's stage should hold: {plan.table.shows}")
-    screen.print(ENDS)
-    run_and_report(screen, Run(request, bench, plan, folder), home, person)
+    person = operator_of(None, simulate)
+    folder = start_run(screen, request, loaded, steps, Path(out), person, forecast.raw_bytes)
+    run_and_report(screen, Run(request, loaded, steps, folder), home, person)
     return folder.path
 
 
 def short_of_room(bench: Bench) -> list[str]:
-    """Say which axes of glass and camera stand so near to a limit that an alignment may not reach its place."""
-    said = []
+    """Return warnings on axes of glass and camera too close to a limit for an alignment."""
+    warnings = []
     for name, axis in bench.table.stages.axes.items():
         low, high = axis.limits_mm
         home = bench.home_mm[name]
         room = min(home - low, high - home)
         if axis.carries in (GLASS, CAMERA) and room < MAY_BE_OFF_MM:
-            said.append(
-                f"{name} has {room:.2f} mm to its limit from the place of the scene file; what is off by more than"
-                " that cannot be put right"
+            warnings.append(
+                f"{name} has {room:.2f} mm to its limit from its position in the scene file; larger deviations"
+                " cannot be corrected"
             )
-    return said
+    return warnings

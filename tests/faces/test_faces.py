@@ -7,21 +7,21 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-import pytest
+from tests.loops import loop_over
 
 ROOT = Path(__file__).resolve().parents[2]
 FACES = ("tracer", "correction", "stages", "daq", "sim")
 HEAVY = ("numpy", "numba", "scipy", "cv2", "matplotlib", "pydantic", "yaml", "rich", "tifffile", "serial")
 
 
-@pytest.mark.parametrize("name", FACES)
+@loop_over("name", FACES)
 def test_importing_a_package_loads_nothing_heavy(name):
     code = f"import sys, {name}; print(*(m for m in sys.modules if m.partition('.')[0] in {(*FACES, *HEAVY)!r}))"
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == [name]
 
 
-@pytest.mark.parametrize("name", FACES)
+@loop_over("name", FACES)
 def test_every_name_is_there_and_documented(name):
     face = import_module(name)
     assert 2 <= len(face.__all__) <= 10

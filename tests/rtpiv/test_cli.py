@@ -17,6 +17,7 @@ from ground.errors import RtpivWarning
 from rtpiv.command_line import cli
 from rtpiv.command_line.cli import DEVICE, USAGE, main
 from rtpiv.options.command import commands, parser_of
+from tests.loops import loop_over
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = """
@@ -87,7 +88,7 @@ def test_a_missing_extra_is_named_before_anything_is_done(verb, monkeypatch, tmp
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("arguments", [["nonsense"], ["correct"], ["trace"], ["correct", "a.tif"]])
+@loop_over("arguments", [["nonsense"], ["correct"], ["trace"], ["correct", "a.tif"]])
 def test_usage_errors_exit_with_2(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
@@ -114,8 +115,8 @@ def broken(bench):
     (bench / "nan.yaml").write_text(SMALL.replace("500.0", ".nan"))
 
 
-@pytest.mark.parametrize(
-    ("frame", "scene", "options", "words"),
+@loop_over(
+    "frame, scene, options, words",
     [
         ("truncated.tif", "scene.yaml", (), ["truncated.tif", "damaged"]),
         ("inks.tif", "scene.yaml", (), ["inks.tif", "grey"]),
@@ -148,9 +149,7 @@ def test_bad_input_is_one_sentence_with_exit_2_and_nothing_written(bench, capsys
     assert not out.exists()
 
 
-@pytest.mark.parametrize(
-    "option", ["--blend=0", "--blend=-1", "--blend=x", "--square-mm=0", "--square-mm=nan", "--square-mm=x"]
-)
+@loop_over("option", ["--blend=0", "--blend=-1", "--blend=x", "--square-mm=0", "--square-mm=nan", "--square-mm=x"])
 def test_numbers_that_make_no_sense_are_refused(option, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["correct", "a.tif", "--scene", "b.yaml", "-o", "c", option])

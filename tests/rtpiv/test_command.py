@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from rtpiv.command_line.cli import DONE, INTERRUPTED, USAGE
+from tests.loops import loop_over
 
 # Ctrl-C at the moment at which each of some modules is looked for.
 PRESSED = """
@@ -34,7 +35,7 @@ def test_ctrl_c_before_the_command_is_loaded_is_one_word(tmp_path):
     assert (done.returncode, done.stderr) == (INTERRUPTED, "interrupted\n")
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "loaded",
     [
         "rtpiv.command_line.cli",

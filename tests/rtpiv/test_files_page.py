@@ -4,7 +4,6 @@ import dataclasses
 import re
 from pathlib import Path
 
-import pytest
 from pydantic import TypeAdapter
 
 from daq.bench.bench_table import BenchTable
@@ -74,7 +73,7 @@ def test_the_scene_on_the_page_can_be_loaded(tmp_path):
     assert len(load_scene(path).bodies) == 1
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "name", ["bench-sim.yaml", "bench-flow.yaml", "bench-by-hand.yaml", "demo/bench.yaml", "demo/bench-flow.yaml"]
 )
 def test_the_examples_are_benches(name):

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numba
 import numpy as np
-import pytest
 import tifffile
 
 import ground.jit.compile_news as compile_news
@@ -18,6 +17,7 @@ from correction.target.kernels import corner_fit
 from ground.jit.signatures import entry, plain, typed
 from rtpiv.command_line import first_use
 from rtpiv.command_line.first_use import ALSO, FirstUse, calls_of
+from tests.loops import loop_over
 
 ROOT = Path(__file__).resolve().parents[2]
 VERBS = ("trace", "correct", "evaluate", "calibrate")
@@ -41,7 +41,7 @@ print(json.dumps(asked))
 """
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@loop_over("verb", VERBS)
 def test_every_kernel_of_the_list_is_there_and_its_types_are_read_as_they_were_written(verb):
     calls = calls_of(verb)
     assert len(calls) > 10

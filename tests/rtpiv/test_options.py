@@ -46,8 +46,8 @@ def test_every_function_is_a_command_and_at_most_twenty_verbs_are_listed():
     assert [re.search(rf"^  {verb} +\w", help_text, re.MULTILINE) for verb in VERBS].count(None) == 0
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
+@loop_over(
+    "old, new",
     [
         ("stage where --home", "bench stage where --home"),
         ("--threads 2 examples place", "--threads 2 setup examples place"),
@@ -110,8 +110,8 @@ def test_values_are_put_together():
     assert not set(PivOptions.__annotations__) - {"overlap"} & set(named)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
+@loop_over(
+    "words, said",
     [
         ("calibrate run --square-mm 20,5", "should be a number, not '20,5'; write a decimal point: 20.5"),
         ("calibrate run --square-mm 0", "should be above 0, not 0"),
@@ -140,7 +140,7 @@ def test_completion(tmp_path):
     assert completed(tmp_path, "rtpiv", "trace", "sc") == ["scene.yaml"]
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@loop_over("shell", ["bash", "zsh", "fish"])
 def test_every_verb_is_in_every_script(shell, capsys):
     assert main(["setup", "completion", shell]) == DONE
     script = capsys.readouterr().out
@@ -199,8 +199,8 @@ def test_what_turns_something_off_says_what_is_not_done():
     assert "--yes do not ask at the terminal for what is not given" in text
 
 
-@pytest.mark.parametrize(
-    ("verb", "given", "meant"),
+@loop_over(
+    "verb, given, meant",
     [
         ("init", "--f-mm", "--lens-mm"),
         ("init", "--focal-length-mm", "--lens-mm"),

@@ -11,6 +11,7 @@ from rtpiv.analysis.series.series_folder import marker_path
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
 from rtpiv.verbs import campaign
+from tests.loops import loop_over
 from tests.rtpiv.analysis.campaign.small_campaign import two_runs
 from tests.rtpiv.analysis.series.small_series import SCENE, flow_run
 
@@ -142,8 +143,8 @@ def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "out" / "runs" / "one" / "mean.nc").exists()  # that of other chunks
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
+@loop_over(
+    "words, said",
     [
         (("plan",), "name the runs"),
         (("status", "RUN"), "status takes no runs"),

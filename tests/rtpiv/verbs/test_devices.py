@@ -15,6 +15,7 @@ from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.doctor import bench_lines, doctor
 from stages.drivers_by_name import DRIVERS
 from tests.daq.small_bench import write_bench
+from tests.loops import loop_over
 
 EVIL = 'a"b\\c: {\x1b]0;x\x07#'
 
@@ -93,8 +94,8 @@ def test_what_is_plugged_in_is_found_and_its_lines_are_taken(surrounded, tmp_pat
     assert lines["camera"] == {"backend": "harvesters", "options": options}
 
 
-@pytest.mark.parametrize(
-    ("says", "driver"),
+@loop_over(
+    "says, driver",
     [
         ({"vid": 0x0403, "pid": 0xFAF0}, "thorlabs_apt"),
         ({"product": "Kinesis by THORLABS"}, "thorlabs_apt"),

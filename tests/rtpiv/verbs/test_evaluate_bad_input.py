@@ -13,6 +13,7 @@ from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.small_scenes import small_scene
+from tests.loops import loop_over
 from tests.slow_cases import slow
 from tracer.scene.scene_file import dump_scene, load_scene
 
@@ -63,7 +64,7 @@ SENTENCES = {
 }
 
 
-@pytest.mark.parametrize("kind", SENTENCES)
+@loop_over("kind", SENTENCES)
 def test_what_is_no_pair_is_one_sentence(good, tmp_path, capsys, kind):
     scene, frames = good
     assert evaluate(tmp_path, scene, spoiled(frames, kind)) == USAGE

@@ -143,8 +143,8 @@ def test_balls_touch_and_do_not_overlap(arrangement, balls):
         assert end[1] < start[1]
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
+@loop_over(
+    "options, words",
     [
         (["--balls", "7", "--arrangement", "pyramid"], "a pyramid has 4, 5, not 7"),
         (["--glass", "marble"], "glass 'marble' is not known; known are acrylic"),
@@ -249,7 +249,7 @@ def test_the_board_is_the_one_that_the_lab_has():
     assert GivenLab(square_mm=3.0).words == {"square_mm": 3.0}
 
 
-@pytest.mark.parametrize(("gap_mm", "lifts"), [(30.0, False), (2.0, True)])
+@loop_over("gap_mm, lifts", [(30.0, False), (2.0, True)])
 def test_no_axis_of_a_lab_without_motors_has_one_and_its_plans_ask_for_few_places(gap_mm, lifts):
     """Only glass that stands in the light sheet of a flow needs a screw that lifts it."""
     lab = Lab(by_hand=True, gap_mm=gap_mm)
@@ -375,8 +375,8 @@ def test_beds_are_acquired_and_fitted_on_their_simulated_benches(shape, tmp_path
     assert found["map_sigma_px"]["behind glass"]["median"] < 0.02
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
+@loop_over(
+    "words, named",
     [
         (("--ball-mm", "0.012", "--square-mm", "0.004"), "ball_mm: 0.012 mm are 1.4 px"),
         (("--square-mm", "0.004"), "square_mm: 0.004 mm are"),

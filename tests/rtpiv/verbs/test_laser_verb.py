@@ -21,6 +21,7 @@ from sim.mechanics.clock import ScaledClock
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.bench.test_timing_kind import bench_with
+from tests.loops import loop_over
 
 ROOT = Path(__file__).resolve().parents[3]
 GOOD = Conditions(True, True, True, 5.0, 1000)
@@ -164,8 +165,8 @@ def test_off_says_that_the_named_file_cannot_be_read_and_still_goes_to_those_bes
     assert f"{box.path}): off" in said.out
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
+@loop_over(
+    "old, new",
     [
         ("scene: ", "scene: not-there-"),
         ("stages:", "stags:"),
@@ -240,7 +241,7 @@ def test_what_a_killed_process_has_left_is_no_laser_in_use(tmp_path, monkeypatch
     )
     monkeypatch.chdir(tmp_path)
     try:
-        assert child.stdout.readline() == b"register_laser\n"
+        assert child.stdout.readline() == b"noted\n"
         assert main(["laser", "off"]) == DEVICE
         assert f"laser of process {child.pid} (/dev/one): NOT reached" in capsys.readouterr().out
     finally:
@@ -274,7 +275,7 @@ def test_the_shipped_benches_can_align(which, labs, mocker, monkeypatch, capsys)
     assert "laser: safe" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("words", "said"), [(["--rate-hz", "500"], "at most"), (["--for-s", "1e3"], "at most")])
+@loop_over("words, said", [(["--rate-hz", "500"], "at most"), (["--for-s", "1e3"], "at most")])
 def test_alignment_refuses_a_limit_before_it_asks_for_goggles(labs, monkeypatch, capsys, words, said):
     monkeypatch.setattr("builtins.input", lambda: pytest.fail("asked for the code"))
     monkeypatch.chdir(labs / "lab")

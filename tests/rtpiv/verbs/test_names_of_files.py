@@ -11,13 +11,13 @@ import sys
 
 import meshio
 import numpy as np
-import pytest
 import tifffile
 from scipy.io import loadmat
 
 from ground.printable import utf8
 from piv.files.vector_file import Variable, Vectors, netcdf, read_vectors, write_vectors
 from rtpiv.command_line.cli import DONE, main
+from tests.loops import loop_over
 from tests.piv.conftest import make_pair
 
 NAMES = ("Messung ä µ 漢 100% $x$", "Опыт №3 — 50 %d", "e\u0301té 🙂 [a] 'b'")  # the second letter is composed
@@ -111,8 +111,8 @@ def test_titles_units_and_notes_of_variables(tmp_path):
         assert re.match(r'TITLE = "[^"\n]*"\n', (tmp_path / "a.dat").read_text("utf-8"))
 
 
-@pytest.mark.parametrize(
-    ("text", "written"),
+@loop_over(
+    "text, written",
     [("ä", "ä"), ("\udcc3\udca4", "ä"), ("\udce4x", "\ufffdx"), ("\ud800漢", "?漢"), ("plain", "plain")],
 )
 def test_any_text_becomes_utf_8(text, written):

@@ -11,6 +11,7 @@ from daq.runs.run_folder import RunFolder
 from rtpiv.command_line.cli import DONE, INTERRUPTED, USAGE, main
 from rtpiv.verbs.operator import ScriptOperator, TerminalOperator, operator_of
 from tests.daq.flow_bench import write_flow
+from tests.loops import loop_over
 
 
 class Terminal(io.StringIO):
@@ -71,7 +72,7 @@ def test_a_person_reads_where_a_stage_stands(monkeypatch, capsys):
     assert "glass_x cannot look for its reference" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("nobody", [NoOperator(), ScriptOperator()])
+@loop_over("nobody", [NoOperator(), ScriptOperator()])
 def test_who_sees_no_scale_says_nothing_of_it(nobody):
     with pytest.raises(RunUsageError, match="glass_x is homed by hand"):
         nobody.stands_mm("glass_x")
@@ -97,21 +98,21 @@ def test_the_hint_to_resume_repeats_who_answers_and_the_steps_are_those_of_the_p
     assert re.search(r"\W1\W+0\.\.", capsys.readouterr().out)  # the first step, and its frames
 
 
-@pytest.mark.parametrize("wrong", ["1O.0", "10,0", "1_0", "nan", "inf", "1e3", "[red]", "ten"])
+@loop_over("wrong", ["1O.0", "10,0", "1_0", "nan", "inf", "1e3", "[red]", "ten"])
 def test_a_place_that_is_none_is_said_and_asked_for_again(monkeypatch, capsys, wrong):
     monkeypatch.setattr("sys.stdin", Terminal(f"{wrong}\n10.25\n"))
     assert TerminalOperator().stands_mm("target_z") == 10.25
     assert f"'{wrong}' is no place in mm; type digits with a point, as 10.0" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("lines", ["", "\n", "1O.0\n\n"])
+@loop_over("lines", ["", "\n", "1O.0\n\n"])
 def test_who_types_no_place_at_all_gives_up(monkeypatch, lines):
     monkeypatch.setattr("sys.stdin", Terminal(lines))
     with pytest.raises(RunUsageError, match="no place of target_z was typed; nothing has moved"):
         TerminalOperator().stands_mm("target_z")
 
 
-@pytest.mark.parametrize(("text", "mm"), [("10", 10.0), ("-0.5", -0.5), ("+3.25", 3.25)])
+@loop_over("text, mm", [("10", 10.0), ("-0.5", -0.5), ("+3.25", 3.25)])
 def test_places(monkeypatch, text, mm):
     monkeypatch.setattr("sys.stdin", Terminal(text))
     assert TerminalOperator().stands_mm("a") == mm

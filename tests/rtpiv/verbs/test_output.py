@@ -20,6 +20,7 @@ from rtpiv.verbs.correct import correct
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.results import require_folder, results_in
 from rtpiv.verbs.trace import trace
+from tests.loops import loop_over
 from tracer.scene.scene_file import load_scene
 
 
@@ -29,7 +30,7 @@ def test_a_folder_that_can_be_is_not_made_yet(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("below", ["file", "file/deeper", "a\0b", "x" * 300])
+@loop_over("below", ["file", "file/deeper", "a\0b", "x" * 300])
 def test_a_folder_that_cannot_be(tmp_path, below):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(RunUsageError, match="cannot hold results; give another folder"):
@@ -37,8 +38,8 @@ def test_a_folder_that_cannot_be(tmp_path, below):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    ("number", "kind"), [(errno.ENOSPC, DiskError), (errno.EROFS, RunUsageError), (errno.EACCES, RunUsageError)]
+@loop_over(
+    "number, kind", [(errno.ENOSPC, DiskError), (errno.EROFS, RunUsageError), (errno.EACCES, RunUsageError)]
 )
 def test_full_read_only_and_forbidden(tmp_path, monkeypatch, number, kind):
     def refuse(dir):
@@ -49,7 +50,7 @@ def test_full_read_only_and_forbidden(tmp_path, monkeypatch, number, kind):
         results.require_folder(tmp_path / "out")
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "words",
     [
         ["demo", "-o"],

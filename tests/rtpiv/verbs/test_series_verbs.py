@@ -10,6 +10,7 @@ from piv.correlation import pair
 from piv.files.vector_file import read_vectors
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.command_line.cli import DONE, USAGE, main
+from tests.loops import loop_over
 from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, content_of, flow_run
 from tests.rtpiv.conftest import undrawn
 
@@ -77,8 +78,8 @@ def test_an_empty_series_and_a_stranger_are_no_series(tmp_path, run, capsys):
         assert "is neither a run, nor frames in pairs, nor the folder of a series" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
+@loop_over(
+    "words, said",
     [
         (("--prepare", "clahe"), "moves correlation peaks"),
         (("--prepare", "min-max,sliding-minimum"), "raw frames come first"),

@@ -14,6 +14,7 @@ from ground.file_lock import folder_held
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.options.command import commands
 from tests.daq.small_run import about_run, planned
+from tests.loops import loop_over
 
 SCENE = """camera: {{focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0]}}
 bodies: [{{name: ball, kind: sphere, centre_mm: [{x}, 0.0, 25.0], radius_mm: 20.0, material: BK7}}]
@@ -66,10 +67,10 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("verb", [*WORDS, *ALONE])
+@loop_over("verb", [*WORDS, *ALONE])
 def test_the_second_is_refused_before_it_has_written_anything(folder, verb, capsys):
     out = folder / "out"
-    out.mkdir()
+    out.mkdir(exist_ok=True)
     with folder_held(out):
         words = WORDS[verb][0] if verb in WORDS else ALONE[verb]
         if verb == "mean":

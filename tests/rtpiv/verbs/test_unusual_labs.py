@@ -10,6 +10,7 @@ from daq.errors import RunUsageError
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.check import check_files
 from rtpiv.verbs.init import GivenLab, init
+from tests.loops import loop_over
 from tracer.errors import SceneError
 
 FACTORS = (10.0, 0.1, 1000.0, 0.001)
@@ -105,11 +106,11 @@ def scene_with(tmp_path, old, new, text=SCENE):
 @pytest.fixture
 def untraced(monkeypatch):
     """Files are read and asked about; what is seen through the glass, which asks nothing, is not computed."""
-    monkeypatch.setattr("rtpiv.verbs.check._through", lambda scene: "")
+    monkeypatch.setattr("rtpiv.verbs.check._describe_view", lambda scene: "")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
+@loop_over(
+    "old, new, words",
     [
         ("f_mm: 60.0", "f_mm: 0.06", r"f_mm: should be 0.1 or more, not 0.06; m for mm\?"),
         ("pixel_pitch_um: 11.0", "pixel_pitch_um: 5500.0", r"should be 1000 or less, not 5500.0; nm for um\?"),
@@ -131,8 +132,8 @@ def test_what_no_lab_can_be_is_refused_with_the_slip(tmp_path, capsys, old, new,
     assert re.search(r"scene.yaml:\d+: ", said)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
+@loop_over(
+    "old, new, words",
     [
         ("radius_mm: 25.0, material: {n: 1.53}", "radius_mm: 0.02, material: {n: 1.53}", "near: is it .* diam"),
         ("centre_mm: [4.0, -5.0, 77.0]", "centre_mm: [23000.0, -5.0, 77.0]", r"far: is it outside .*um for mm\?"),
@@ -238,8 +239,8 @@ def test_drawn_slips_of_benches_and_plans_are_seen(lab, tmp_path, name):
     assert len(silent) <= 0.35 * min(40, len(cases)), silent
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
+@loop_over(
+    "old, new, words",
     [
         ("distance_mm: 0.5, speed_mm_s: 2.0}", "distance_mm: 0.5, speed_mm_s: 2000.0}",
          "the approach at 2000 mm/s is faster than the axis"),
