@@ -241,10 +241,6 @@ def _value(node: ast.expr, module: str) -> Any:  # noqa: ANN401 - whatever the d
     """Return the value of a default."""
     if isinstance(node, ast.Name):
         statement, home = _home(node.id, module)
-        if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Tuple):
-            assert isinstance(statement.value, ast.Tuple)
-            names = [ast.unparse(name) for name in statement.targets[0].elts]
-            return _value(statement.value.elts[names.index(node.id)], home)
         assert isinstance(statement, ast.Assign | ast.AnnAssign)
         assert statement.value is not None
         return _value(statement.value, home)

@@ -67,17 +67,17 @@ class LiveFrames:
     correct : bool
         Correct frames as they arrive.
     scene : path, optional
-        Scene for the correction, such as a fitted one; default is the bench's.
+        Scene for the correction, such as a fitted one; default that of the bench.
     target_clear : path, optional
-        Bare target without glass: the dewarp is fitted to it.
+        Frame of the bare target, for the dewarp.
     dewarp_order : {2, 3, 4, 5}
         Order of the dewarp polynomial.
     method : {"quintic", "bilinear"}
         Interpolation of the correction.
     live_queue : int
-        Frames that may wait to be corrected; 1 for the lowest latency.
+        Maximum number of frames waiting for correction; 1 for the lowest latency.
     live : bool
-        Show frames on a page in the browser as they are corrected.
+        Show corrected frames in the browser during the run.
     """
 
     correct: bool = True
@@ -111,13 +111,13 @@ def acquire(
     out : path
         Folder in which the run gets a folder of its own.
     simulate : bool or Rehearsal
-        Use the bench's simulation in place of the hardware; a rehearsal has faults and a seed of its own.
+        Use the simulation of the bench instead of the hardware; a rehearsal adds faults and a seed.
     dry_run : bool
-        Print steps, travel, time, disk and violations; open nothing.  With `simulate` also refuse what the
-        simulated bench cannot show.
+        Print steps, travel, time, disk space and violations; open nothing.  With `simulate` also refuse views
+        that the simulated bench cannot show.
     home : bool
-        Home every axis first, in the configured order; the plan is then judged from the homed place, if the bench
-        file says where that is.
+        Home every axis first, in the configured order; the plan is then checked from the homing position, if the
+        bench file gives it.
     operator : str, optional
         Name of the script that confirms the simulated laser of a flow run without a terminal (docs/laser.md).
     frames : LiveFrames

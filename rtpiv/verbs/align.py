@@ -37,12 +37,12 @@ def align(
     bench : path
         bench.yaml.
     out : path
-        Folder in which the run gets a folder of its own.
+        Parent folder of the run.
     simulate : bool
-        Use the bench's simulation in place of the hardware.
+        Use the simulation of the bench instead of the hardware.
     dry_run : bool
-        Print the way to the first look and how far every axis could put right; open nothing.  A plan of
-        ``moves: 0`` takes that look, and says which moves it asks for.
+        Print the path to the first frame and the range of every axis; open nothing.  A plan with ``moves: 0``
+        takes that frame and prints the moves that it asks for.
     home : bool
         Home every axis first, in the configured order.
 

@@ -57,21 +57,21 @@ def calibrate(
         or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
         (through the glass) and, for other heights, ``target_clear_z+10mm.tif`` ...
     scene : path, optional
-        Nominal scene.yaml; its ``fit:`` section says what may change. A run without it is calibrated from the
-        scene of its bench, as it was when the run began.
+        Nominal scene.yaml, with the priors in its section ``fit``; default for a run the scene of its bench at the
+        start of the run.
     out : path, optional
         Folder, default ``fit`` (or ``fit-2`` ... where that has results): ``scene.yaml`` fitted, ``fit.npz``
-        (covariance, corners), ``map_sigma.npz`` and ``.png``, ``residuals.png``, ``smooth_residuals.png`` (what
-        the test of the model looks at), ``convergence.png``, ``calibration.html`` (verdict and numbers),
+        (covariance, corners), ``map_sigma.npz`` and ``.png``, ``residuals.png``, ``smooth_residuals.png`` (for the
+        test of the model), ``convergence.png``, ``calibration.html`` (verdict and numbers),
         ``calibration.json``.
     square_mm, disc_mm : float, optional
-        The board, of a folder that is no run (default 2.5, and 0.4 of a square): a run knows its own.
+        Square and disc of the board (default 2.5, and 0.4 of a square); runs store their own.
     board : path, optional
-        Or its board.yaml, written by ``rtpiv setup target``, with the scale of the print.
+        Or board.yaml of ``rtpiv setup target``, with the scale of the print.
     pictures : bool
-        Draw pictures, after all else is written.
+        Draw figures, after all other results are written.
     overwrite : bool
-        Replace files of these names in the folder that was named, made from something else.
+        Overwrite files in the given folder that were made from other input.
 
     Returns
     -------

@@ -29,14 +29,14 @@ def camera(
     Parameters
     ----------
     action : {"list", "snap", "test"}
-        What to do; `test` takes a few frames by the trigger that the bench file sets up, with the laser off, and
-        says whether they arrive and are exposed as long as was set.
+        `test` takes a few frames with the trigger of the bench file, with the laser off, and checks that they
+        arrive and have the configured exposure.
     bench : path
         bench.yaml.
     simulate : bool
-        Use its simulation.
+        Use the simulation of the bench.
     out : path
-        File of the frame; must not exist.
+        File of the frame, which must not exist.
 
     Returns
     -------

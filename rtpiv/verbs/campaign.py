@@ -61,7 +61,7 @@ class Workers:
         if sum(each is not None for each in (self.workers, self.scheduler, self.slurm)) > 1:
             raise RunUsageError("--workers, --scheduler and --slurm exclude each other; give one")
         if self.slurm is None and (self.slurm_options or self.slurm_here):
-            raise RunUsageError("--slurm-set and --slurm-here belong to --slurm; say how many jobs")
+            raise RunUsageError("--slurm-set and --slurm-here belong to --slurm; give the number of jobs")
         if self.scheduler is not None:
             return dask_workers(self.scheduler)
         if self.slurm is not None:
@@ -128,10 +128,10 @@ def campaign(
     folder, screen = CampaignFolder(Path(out)), console()
     asked = settings != AS_EACH_RUN or any(value is not None for value in options.values())
     if runs and action not in ("plan", "run"):
-        raise RunUsageError(f"{action} takes no runs, as the campaign knows its own; its folder is said with -o")
+        raise RunUsageError(f"{action} takes no runs, as the campaign stores its own; give its folder with -o")
     for path in paths_of(runs):
         if (path / FILE).exists():
-            raise RunUsageError("is a campaign", place=path, cure=f"its own folder is said with -o {path}")
+            raise RunUsageError("is a campaign", place=path, cure=f"give its own folder with -o {path}")
     if not runs and asked:
         raise RunUsageError("scenes and settings belong to runs; name the runs as well")
     if not runs and action == "plan":
@@ -164,7 +164,7 @@ def campaign(
         missing = sum(state.chunks - state.done for state in states)
         if missing:
             raise Unfinished(
-                said_missing(missing), place=folder.path, cure=f"rtpiv campaign run -o {folder.path} goes on"
+                said_missing(missing), place=folder.path, cure=f"resume with rtpiv campaign run -o {folder.path}"
             )
         if action == "run":
             screen.print(f"average with: rtpiv campaign merge -o {folder.path}")

@@ -58,8 +58,8 @@ def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "lis
     paths : path, or list of path
         Scene, bench, plan, board and PIV files; folders that hold such files (``*.yaml``); folders of runs.
     bench : path, optional
-        Bench on which plans are tried as by `acquire --home --dry-run`.  By default one that is among `paths`,
-        else a bench.yaml beside the plan; without any only the plan itself is looked at.
+        Bench for plans, which are checked as by `acquire --home --dry-run`.  Default: a bench among `paths`, or a
+        bench.yaml beside the plan; without any only the plan itself is checked.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> "lis
         )
     caches = [path for path in empty if path.name == MAPS]
     for path in caches:  # beside runs, as `runs/*` names it
-        console().print(f"{path}  correction maps that runs share; they are made again when one is missing")
+        console().print(f"{path}  correction maps shared by runs; missing ones are computed again")
     runs = [path for path in given if path in runs or path in empty]  # among runs one that is none is a finding
     runs = [path for path in runs if path not in caches]
     files = [file for path in given if path not in runs for file in folders.get(path, [path])]

@@ -59,16 +59,16 @@ def compare(
     Parameters
     ----------
     question : ViewQuestion
-        The camera, and what there is to choose from.
+        The camera, and the available lenses, distances and balls.
     out : path, optional
         Folder, default ``compare`` (or ``compare-2`` ...), for ``compare.csv`` (all figures of all arrangements),
         ``compare.png`` and ``scenes``.
     f_number : float
-        At which light, blur and depth of field are stated.
+        For light, blur and depth of field.
     error_px : float
-        Largest noise of a displacement that is of use [corrected px].
+        Largest acceptable noise of a displacement [corrected px].
     pictures : bool
-        Draw.
+        Draw ``compare.png``.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def _unsaid(best: Sequence[ViewFigures]) -> str:
     """Return the uncertainty that an unspecified light source adds."""
     worst = [view.unsaid_px for view in best[:SHOWN]]
     return (
-        f"sigma holds if fit.light says in which light the target frames are taken; without that it is"
+        f"sigma requires fit.light, the light of the target frames; without it sigma is"
         f" {min(worst):.2f} to {max(worst):.2f} px"
     )
 

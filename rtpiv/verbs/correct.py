@@ -118,23 +118,23 @@ def correct(
     Parameters
     ----------
     frames : list of path, or path
-        Acquired frames; all are looked at before the first result is written.
+        Acquired frames; all are checked before the first result is written.
     scene : path or Scene
-        scene.yaml, as known or as fitted, or in Python what `load_scene` made of it.
+        scene.yaml, nominal or fitted, or in Python the value of `load_scene`.
     out : path, optional
         Folder, default ``corrected`` (or ``corrected-2`` ... where that has results): one TIFF a frame,
         ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame, ``correction.json``.
     recipe : CorrectionRecipe
-        Dewarp, and how sure the map must be.
+        Dewarp, and limit of the map uncertainty.
     resampling : Resampling
-        Interpolation, how many views are joined, and how pixels are stored.
+        Interpolation, number of blended views, and storage of pixels.
     check_target : bool
-        The frames show the target: measure its corners against the regular grid.  Frames that do not, and are not
-        of a run that photographed a print, show particles in the scene's light sheet.
+        The frames show the target: compare its corners with the regular grid.  Other frames, unless a run
+        photographed a print, show particles in the light sheet of the scene.
     pictures : bool
-        Draw ``overview.png``, after all else is written.
+        Draw ``overview.png``, after all other results are written.
     overwrite : bool
-        Replace files of these names in the folder that was named, made from something else.
+        Overwrite files in the given folder that were made from other input.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def correct(
             cure = f"give some of its frames, as in {path / 'frames' / '*.tif'}, or evaluate the run"
             raise RunUsageError("is a run", place=path, cure=cure)
     if recipe.mm_per_px is not None:
-        raise MapUsageError("a scene says what its pixels show; leave --mm-per-px out")
+        raise MapUsageError("the scene gives the scale; omit --mm-per-px")
     if recipe.second is not None or recipe.both is not None:
         raise MapUsageError("frames are corrected one by one; leave --second and --both to rtpiv evaluate")
     fitted = recipe.masked(scene if isinstance(scene, Scene) else load_scene(scene))

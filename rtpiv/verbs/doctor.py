@@ -53,7 +53,7 @@ def doctor(bench: Named | None = None) -> list[Finding]:
     Parameters
     ----------
     bench : path, optional
-        A bench file whose ports and producer are looked for as well.
+        Bench file whose ports, libraries and producers are checked as well.
 
     Returns
     -------

@@ -26,9 +26,9 @@ def emulate(
     bench : path
         bench.yaml with a simulation section.
     shows : str
-        What hangs on the target's stage: ``chessboard`` or ``particles``.
+        Object on the stage of the target, or the flow.
     for_s : float, optional
-        End by itself after this time.
+        Stop after this time.
     """
     screen = console()
     loaded = _in_real_time(load_bench(bench))

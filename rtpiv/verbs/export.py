@@ -47,14 +47,14 @@ def export(
     ----------
     files : sequence of path
         NetCDF files of `evaluate` and `mean`: ``vectors.nc``, ``mean.nc``, chunks of a series.  For maps
-        scene files, as known or as fitted: what particles in their light sheet are corrected by.
+        scene files, nominal or fitted: the correction of particles in their light sheet.
     to : {"csv", "matlab", "paraview", "tecplot"}, or {"netcdf", "tiff"} of scene files
-        For whom; ``csv`` is a table for spreadsheets and scripts.
+        Format; ``csv`` is a table for spreadsheets and scripts.
     out : path, optional
         Folder, default ``exported`` (or ``exported-2`` ... where that has results); files keep their names, and
-        have those of their folders before them where several share one.
+        are prefixed by their folders where several are equal.
     overwrite : bool
-        Replace files of that name in the folder that was named, made from something else.
+        Overwrite files in the given folder that were made from other input.
 
     Returns
     -------

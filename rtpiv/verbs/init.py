@@ -77,7 +77,7 @@ class GivenLab:
     Parameters
     ----------
     name : str, optional
-        Of the bench: letters, digits, underscores (default lab).
+        Name of the bench: letters, digits, underscores (default lab).
     sensor_px : (int, int), optional
         Width and height of the camera's frames (default 1280 1024).
     pixel_pitch_um : float, optional
@@ -87,10 +87,10 @@ class GivenLab:
     distance_mm : float, optional
         From the lens to the plane (default 500).
     arrangement : str, optional
-        How the balls stand: one behind the other (behind, row), beside each other (beside, side), ...; sc, bcc,
+        Arrangement: one behind the other (behind, row), beside each other (beside, side), ...; sc, bcc,
         hcp: packed beds (default: behind; triangle of 3, pyramid of 4 or 5).
     balls : int, optional
-        How many (default 2).
+        Number of balls (default 2).
     ball_mm : float or sequence of float, optional
         Diameter of a ball, or of each behind or beside each other (default 40).
     glass : str or sequence of str, optional
@@ -98,15 +98,15 @@ class GivenLab:
     gap_mm : float, optional
         From the plane to the lowest ball (default: where they show most).
     support_mm : float, optional
-        Diameter of steel rods that hold them (default 0).
+        Diameter of steel rods that hold the balls (default 0).
     square_mm : float, optional
-        Side of the board's squares (default: the smallest usual one that this camera resolves well).
+        Squares of the board (default: the smallest standard size that this camera resolves well).
     wavelength_nm : float, optional
-        Of the light (default 532).
+        Wavelength of the light (default 532).
     turn_deg : float, optional
-        By which the camera looks from the side (default 0).
+        Viewing angle of the camera about the y axis (default 0).
     by_hand : bool
-        No motors: micrometers and a rule, turned and read by you when a plan asks for a place.
+        No motors: micrometers and a ruler, moved and read by a person.
     """
 
     name: str | None = None
@@ -148,13 +148,13 @@ def init(
     Parameters
     ----------
     folder : path
-        Where to; made if it is not there.
+        Output folder.
     lab : GivenLab
-        What the lab has.
+        Description of the lab.
     ask : bool
         Ask at the terminal for what is not given; use defaults instead of prompting.
     overwrite : bool
-        Replace files of these names.
+        Overwrite these files.
 
     Returns
     -------
@@ -263,7 +263,7 @@ def _answers(given: Words) -> Words:
             except RunUsageError as error:
                 print(f"  {error}")
             except ValueError:
-                print(f"  {said!r} cannot be read; say something like {shown}")
+                print(f"  {said!r} cannot be read; enter for example {shown}")
             else:
                 answers[question.key] = value
     return answers
@@ -310,7 +310,7 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     )
     for words in NEXT:
         screen.print(f"  {words}", soft_wrap=True)
-    screen.print("Every file says at its top what to edit for real hardware; --simulate is left out then.")
+    screen.print("Comments at the top of each file tell what to edit for real hardware; then omit --simulate.")
 
 
 def _too_little(lab: Lab, share: float) -> str:

@@ -39,14 +39,14 @@ def laser(
     action : {"off", "state", "align", "prove"}
         What to do.
     bench : path, optional
-        Bench file.  Without it: those of this folder, or of the nearest one above that names a laser; and `off`
-        goes to what running processes have open as well.  `off` does the same where the file names no laser.
+        Bench file.  Default: those of this folder, or of the nearest folder above with a laser; `off` also reaches
+        lasers that running processes have open, and does so too if the file has no laser.
     simulate : bool
-        Use its simulation.
+        Use the simulation of the bench.
     name : str, optional
-        Which device of kind `timing`; `off` goes to all without it.
+        Device of kind `timing`; without it `off` reaches all.
     rate_hz, for_s : float
-        Of `align`, within the limits of the bench file; `prove` takes the rate.
+        Rate and duration of `align`, within the limits of the bench file; `prove` uses the rate.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def laser(
         console().print(f"{chosen.name}: {opened.state.value} ({opened.box.identity})")
         console().print(f"switches: {opened.switches.objection() or opened.switches.sentence()}", soft_wrap=True)
         if opened.state is LaserState.UNKNOWN:
-            raise LaserDoubt(f"{chosen.name} does not say that it is off; use its key and its STOP")
+            raise LaserDoubt(f"{chosen.name} does not confirm that it is off; use its key and its STOP")
         return opened.state
 
 
@@ -111,7 +111,7 @@ def _only_laser(lasers: list[KnownLaser], file: Path | None) -> KnownLaser:
     if len(lasers) == 1:
         return lasers[0]
     how = "--name" if file is not None else "--name, or --bench"
-    raise RunUsageError(f"say which laser with {how}; there is {', '.join(map(str, lasers))}")
+    raise RunUsageError(f"choose a laser with {how}; there is {', '.join(map(str, lasers))}")
 
 
 def _switch_off(lasers: list[KnownLaser]) -> None:
@@ -131,7 +131,7 @@ def _off(laser: KnownLaser) -> SwitchedOff:
     if laser.table is None:
         return SwitchedOff(
             False,
-            "NOT reached, its bench file cannot be read, or does not say box and port: use the laser's own key",
+            "NOT reached, its bench file cannot be read, or has no box and port: use the laser's own key",
         )
     try:
         return switch_off(laser.table)

@@ -46,7 +46,7 @@ def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> N
     section = hardware.camera_section
     if section.pairs is None:
         raise RunUsageError(
-            "pulses are placed into the exposures of the camera; say how it takes pairs (camera.pairs)"
+            "pulses are placed into the exposures of the camera; specify how it takes pairs (camera.pairs)"
         )
     simulation = cast("Any", hardware.simulation)  # reached by name only
     helper: Helper = _Person() if simulation is None else _SimulatedPerson(simulation)

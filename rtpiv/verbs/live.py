@@ -45,19 +45,19 @@ def live(
     Parameters
     ----------
     bench : path
-        bench.yaml; its camera is opened with its settings, nothing else is touched.
+        bench.yaml; only its camera is opened, with its settings.
     simulate : bool
-        Use its simulation, with every axis at the place in the scene file.
+        Use the simulation, with every axis at its position in the scene file.
     scene : path, optional
-        Scene for the correction, such as a fitted one; default is the bench's.
+        Scene for the correction, such as a fitted one; default that of the bench.
     correct : bool
         Show corrected frames beside raw ones.
     port : int
-        Where the page listens on this computer; 0 takes a free one.
+        Port of the page on this computer; 0 for any free one.
     shows : {"chessboard", "particles", "flow"}
-        What there is to be seen; a page that looks at a chessboard says nothing of particles.
+        Object in view, which selects the displayed figures.
     for_s : float, optional
-        End by itself after this time.
+        Stop after this time.
 
     Returns
     -------

@@ -20,10 +20,10 @@ def mask(frame: Named, /, out: Named = "mask.png", port: Port = 0) -> Path:
     frame : path
         Any frame of the camera, also one of a run, a stack or a video.
     out : path
-        PNG as large as the frame, white where nothing is to be used; one that is there is gone on from.  A scene
-        names it under `masked`, `--mask` takes it for one evaluation.
+        PNG of the size of the frame, white in excluded regions; an existing one is edited.  Name it in the scene
+        under `masked`, or use it in one evaluation by `--mask`.
     port : int
-        Where the page listens on this computer; 0 takes a free one.
+        Port of the page on this computer; 0 for any free one.
 
     Returns
     -------

@@ -43,11 +43,11 @@ class MeanOutput:
     Parameters
     ----------
     figures : bool
-        Write every figure as SVG and as PNG, not only as it stands in the page.
+        Write every figure as SVG and PNG files too.
     files : bool
         Write ``mean.nc``, ``mean.html`` and ``mean_ensemble.nc``.
     overwrite : bool
-        Replace vectors of other frames in the folder that is named.
+        Overwrite vectors of other frames in the given folder.
     """
 
     figures: bool = False
@@ -67,7 +67,7 @@ def mean(
     ensemble: Literal[8, 16, 32] | None = None,
     **options: Unpack[PivOptions],
 ) -> MeanFlow:
-    """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.
+    """Average the vectors of a flow run: mean flow and Reynolds stresses, with uncertainties.
 
     Parameters
     ----------
@@ -81,10 +81,10 @@ def mean(
     scene, recipe, dt_us, workers
         As for `evaluate`; of a run only.
     output : MeanOutput
-        What is written, beside the chunks of the series.
+        Files, beside the chunks of the series.
     ensemble : {8, 16, 32}, optional
-        Also by ensemble correlation with windows of this side [px], into ``mean_ensemble.nc``: for rims, walls and
-        thin seeding, where single pairs fail; of a run only.
+        Also ensemble correlation with windows of this size [px], in ``mean_ensemble.nc``: for rims, walls and
+        sparse seeding, where single pairs fail; for a run only.
     **options
         How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`; of a run only, but for
         `sigma_w_m_s` and `w_over_u`, which change no vector.

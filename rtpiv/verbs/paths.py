@@ -13,7 +13,7 @@ Named: TypeAlias = str | Path
 def path_of(named: Named | Scene | None) -> Path | None:
     """Return an optional path; RunUsageError for a scene, whose fit would not be found."""
     if isinstance(named, Scene):
-        raise RunUsageError("give the scene's file: the fit beside it says how sure the map is")
+        raise RunUsageError("give the scene's file: the fit beside it holds the map uncertainty")
     return None if named is None else Path(named)
 
 

@@ -13,14 +13,14 @@ from stages.errors import NoReply
 
 
 def probe(port: str, /, out: Named | None = None) -> Found:
-    """Ask a port which box hangs on it, at usual rates and by every grammar; nothing moves, nothing fires.
+    """Identify the device on a port, at common rates and by every protocol; nothing moves, nothing fires.
 
     Parameters
     ----------
     port : str
-        The port, such as /dev/serial/by-id/usb-...
+        Serial port, such as /dev/serial/by-id/usb-...
     out : path, optional
-        File for all that was said, which a test can replay and a lab can send; probe-PORT.txt here without it.
+        File of the dialogue, for replay and for reports; default probe-PORT.txt.
 
     Returns
     -------
@@ -41,11 +41,11 @@ def probe(port: str, /, out: Named | None = None) -> Found:
     with whole_file(path) as file:
         file.write((head + "".join(f"{line}\n" for line in asked.dialogue)).encode())
     if found is None:
-        raise NoReply(f"{no_reply_reason(asked)}; what was said is in {path}")
+        raise NoReply(f"{no_reply_reason(asked)}; the dialogue is in {path}")
     rows = [("identity", found.identity), ("rate", f"{found.baud} baud")]
     rows += [("", fact) for fact in found.facts] + [("cannot be asked", unknown) for unknown in found.unknown]
-    console().print(table_of(f"{found.box} on {port}", ("", "it says"), rows, left=ALL))
+    console().print(table_of(f"{found.box} on {port}", ("", "reply"), rows, left=ALL))
     console().print("Lines for a bench file:\n")
     console().print(found.lines, soft_wrap=True, markup=False, highlight=False)
-    console().print(f"\nwhat was said: {path}")
+    console().print(f"\ndialogue: {path}")
     return found

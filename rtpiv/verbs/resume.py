@@ -22,9 +22,9 @@ def resume(
     run : path
         Folder of the run.
     home : bool
-        Home every axis first, in the configured order; needed if a controller has lost its position.
+        Home every axis first, in the configured order; required if a controller has lost its position.
     retake : bool
-        Take steps again of which a frame is missing or damaged; also those of a finished run.
+        Repeat steps with a missing or damaged frame, also of a finished run.
     operator : str, optional
         As for `acquire`.
     live : bool

@@ -26,8 +26,8 @@ def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = N
         The folder of a flow run; frames of others in pairs (a folder, a pattern in quotes, a stack, a video); or
         frames in order: A, B, A, B ...; some 50 pairs.
     scene : path
-        scene.yaml, fitted; what it says of its `sheet` is where the search begins.  With the fit's ``fit.npz``
-        beside it the sheet's sigma holds what the scene is unsure of.
+        Fitted scene.yaml; the search starts from its `sheet`.  With ``fit.npz`` of the fit beside it the
+        uncertainty of the sheet includes that of the scene.
     out : path, optional
         Folder, default ``sheet`` (or ``sheet-2`` ... where that has results): ``scene.yaml`` with the sheet, a
         copy of ``fit.npz`` if one lies beside `scene`, ``sheet.json`` and ``sheet.png``.
@@ -50,7 +50,7 @@ def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = N
         frames = flow_frames(given, fitted)
         sigma = scene_sigma_beside(scene, fitted, dewarped=False, in_light_sheet=False)
         if isinstance(sigma, str):
-            screen.print(f"the scene is taken to be exact: {sigma}")
+            screen.print(f"the scene is taken as exact: {sigma}")
         found = sheet_of(frames, None if isinstance(sigma, str) else sigma)
         write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet), load_priors(scene)))
         if scene.with_name(FIT_FILE).is_file():

@@ -44,15 +44,15 @@ def stage(
     Parameters
     ----------
     action : {"session", "where", "home", "move", "jog"}
-        What to do; `session` reads what to do from the terminal, or from a pipe.
+        `session` reads verbs from the terminal or from a pipe.
     axes : sequence of str
         ``name=mm`` to move to, ``name=mm`` to jog by, names to home (default all); ignored by `where`.
     bench : path
         bench.yaml.
     simulate : bool
-        Use its simulation.
+        Use the simulation of the bench.
     home : bool
-        Home every axis first, in the configured order: isel and Grbl forget their reference with every program.
+        Home every axis first, in the configured order: isel and Grbl lose their reference with every program.
 
     Returns
     -------
@@ -117,12 +117,12 @@ def numbers(named: list[str]) -> dict[str, float]:
         except ValueError:
             mm = math.nan
         if not math.isfinite(mm):
-            raise RunUsageError(f"{text!r}: say axis=mm, as in target_x=1.5")
+            raise RunUsageError(f"{text!r}: give axis=mm, as in target_x=1.5")
         if name in found:
-            raise RunUsageError(f"{name} is named twice; say one of the two")
+            raise RunUsageError(f"{name} is named twice; give it once")
         found[name] = mm
     if not found:
-        raise RunUsageError("say at least one axis=mm")
+        raise RunUsageError("give at least one axis=mm")
     return found
 
 
@@ -220,9 +220,7 @@ class Prompt:
     # ---- a person ------------------------------------------------------------------------------
 
     def _talk(self) -> None:
-        self._say(
-            f"{self._session.bench.table.name} is open; `help` says what can be asked, Ctrl-C stops and holds"
-        )
+        self._say(f"{self._session.bench.table.name} is open; `help` lists the verbs, Ctrl-C stops and holds")
         presses = 0
         with self._completion():
             while self._goes_on:
@@ -310,7 +308,7 @@ class Prompt:
     def _save(self, words: list[str]) -> None:
         path, changes = self._session.bench.path, self._session.changes()
         if not changes:
-            self._say(f"{path} says all that already")
+            self._say(f"{path} holds these values already")
             return
         self._say(changes)
         if self._talks and input(f"write this into {path.name}? [y/N] ").strip().lower() not in ("y", "yes"):

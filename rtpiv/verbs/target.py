@@ -53,22 +53,22 @@ def target(
     Parameters
     ----------
     scene : path or Scene, optional
-        scene.yaml: the squares are chosen for its glass and camera, and it is said how many corners each ball will
-        show. Without one, squares of 2.5 mm.  With `measured_mm` the board.yaml of the print instead.
+        scene.yaml: squares are chosen for its glass and camera, and the number of corners seen through each ball
+        is printed.  Without it, squares of 2.5 mm.  With `measured_mm` the board.yaml of the print instead.
     measured_mm : (float, float), optional
-        The bars along x and y in the margin, as measured on paper: goes into the board file, nothing is drawn.
+        Measured lengths of the bars along x and y in the margin: recorded in the board file, nothing is drawn.
     kind : {"chessboard", "charuco", "charuco-legacy", "dots", "particles"}
-        What is printed.  Legacy is the layout of OpenCV before 4.6 and of calib.io, which differs where the number
+        Kind of target.  Legacy is the layout of OpenCV before 4.6 and of calib.io, which differs where the number
         of rows is even.  Particles are for shift runs: a printed flow.
     paper : {"A4", "A3", "A2", "letter"}
-        Of the printer.
+        Paper of the printer.
     square_mm : float, optional
         Side of the squares, or from dot to dot, instead of the choice; brought to whole dots of a printer, of
         1/600 inch, as lines that are set unevenly are worse than any noise.
     size_mm : (float, float), optional
-        Width and height of the target; what a page does not hold goes on several.  Default: one page.
+        Width and height of the target, on several pages if necessary.  Default: one page.
     seed : int
-        Of particles: the same seed prints the same page.
+        Seed of particles: the same seed prints the same page.
     out : path, optional
         Folder, default ``target`` (or ``target-2`` ... where that has results): ``target.pdf`` and ``board.yaml``,
         which says what is printed.
@@ -126,8 +126,8 @@ def target(
         columns, rows = printed.pages
         many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
         screen.print(
-            f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and say so: rtpiv setup target"
-            f" {folder / 'board.yaml'} --measured-mm X Y",
+            f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and record them:"
+            f" rtpiv setup target {folder / 'board.yaml'} --measured-mm X Y",
             soft_wrap=True, highlight=False,
         )  # fmt: skip
         return Target(board, printed.pages, path)

@@ -20,14 +20,14 @@ def timeseries(
     line: tuple[float, float, float, float] | None = None,
     out: Named | None = None,
 ) -> TimeSeries:
-    """Say what moved at places of the plane, pair by pair.
+    """Write velocities over time at points of the plane.
 
     Parameters
     ----------
     series : path
         Folder of a series (see `evaluate`).
     at : sequence of float
-        x and y of each place [mm], one after the other: ``--at 0 10 -5 20`` are two.
+        x and y of each point [mm]: ``--at 0 10 -5 20`` are two points.
     line : (float, float, float, float), optional
         x and y of both ends of a line [mm].
     out : path, optional
@@ -49,7 +49,7 @@ def timeseries(
         The folder cannot hold the results.
     """
     if len(at) % 2 or not (len(at) or line is not None):
-        raise RunUsageError("say x and y of each place in mm, as in --at 0 10 -5 20, or both ends of a --line")
+        raise RunUsageError("give x and y of each point in mm, as in --at 0 10 -5 20, or both ends of a --line")
     places = list(zip(at[::2], at[1::2], strict=True))
     with results_in(out, "timeseries") as out:
         found = time_series(Path(series), places, None if line is None else (line[:2], line[2:]))

@@ -72,7 +72,7 @@ def trace(
     Parameters
     ----------
     scene : path or Scene
-        scene.yaml, or in Python what `load_scene` made of it.
+        scene.yaml, or in Python the value of `load_scene`.
     out : path, optional
         Folder, default ``trace`` (or ``trace-2`` ... where that has results), for ``plane.png`` (what is recovered
         of the plane, why the rest is not, and the magnification), ``camera_view.png`` (a board with markers as
@@ -80,9 +80,9 @@ def trace(
         cut where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says
         the camera's aperture.
     pictures : bool
-        Draw them, after the figures are printed; else the folder is left alone.
+        Draw figures, after the numbers are printed; otherwise nothing is written.
     overwrite : bool
-        Replace pictures of another scene in the folder that was named.
+        Overwrite figures of another scene in the given folder.
 
     Returns
     -------

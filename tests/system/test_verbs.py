@@ -32,7 +32,7 @@ def test_stage_verbs_move_and_refuse(tmp_path, capsys):
     assert main(["bench", "stage", "home", "target_x", *options]) == DONE
     assert re.search(r"target_x\D+target\s+\S\s+x\s+\S\s+-?\d+\.\d{4}\s+\S\s+ready", capsys.readouterr().out)
     assert main(["bench", "stage", "move", "target_x=wide", *options]) == USAGE
-    assert "say axis=mm" in capsys.readouterr().err
+    assert "give axis=mm" in capsys.readouterr().err
     assert main(["bench", "stage", "jog", "nonsense=1.0", *options]) == USAGE
     assert "there is no axis 'nonsense'" in capsys.readouterr().err
 

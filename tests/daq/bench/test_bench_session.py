@@ -196,9 +196,9 @@ def test_a_script_of_verbs(piped, path):
     [
         ("home\nfrobnicate\nmove rail_z=0\n", r"line 2: frobnicate\n.*no verb 'frobnicate'"),
         ("move rail_z=0\nhome\n", r"line 1: move rail_z=0\n.*home it first"),
-        ("home\njog rail_z\n", r"line 2: .*\n.*say axis=mm"),
+        ("home\njog rail_z\n", r"line 2: .*\n.*give axis=mm"),
         ("home\nmove rail_z=1 rail_z=2\n", r"line 2: .*\n.*named twice"),
-        ("home\nmove\n", r"say at least one axis=mm"),
+        ("home\nmove\n", r"give at least one axis=mm"),
         ("where now\n", r"where takes no further words"),
         ("home nobody\n", r"no axis nobody"),
         ("home\nstop\nmove rail_z=0\n", r"line 3: .*\n.*clear the stop"),
@@ -221,7 +221,7 @@ def test_home_before_one_verb(piped, path, capsys):
     assert "unknown" not in capsys.readouterr().out
     assert main(["bench", "stage", "move", "--home", "target_x=wide", *options]) == USAGE
     said = capsys.readouterr()
-    assert "say axis=mm" in said.err
+    assert "give axis=mm" in said.err
     assert "homing" not in said.err  # what makes no sense is said before anything moves
     code, out, _ = piped("where\n", "--home")
     assert code == DONE

@@ -155,7 +155,7 @@ def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
         (("plan", "RUN", "RUN"), "named twice"),
         (("plan", "RUN", "--dewarp-order", "3"), "give both"),
         (("plan", "nowhere"), "nowhere"),
-        (("plan", "week", "RUN"), "week: is a campaign; its own folder is said with -o week"),
+        (("plan", "week", "RUN"), "week: is a campaign; give its own folder with -o week"),
         (("plan", "RUN", "--scene", "nowhere.yaml"), "nowhere.yaml"),
     ],
 )

@@ -93,7 +93,7 @@ def test_a_scale_and_a_scene_are_one_too_many(day, tmp_path, capsys):
     assert main(["evaluate", *frames, "--scene", str(tmp_path / "scene.yaml"), *TOLD]) == USAGE
     assert "leave it or --scene out" in capsys.readouterr().err
     assert main(["correct", frames[0], "--scene", str(tmp_path / "scene.yaml"), "--mm-per-px", "0.04"]) == USAGE
-    assert "leave --mm-per-px out" in capsys.readouterr().err
+    assert "omit --mm-per-px" in capsys.readouterr().err
     with pytest.raises(SystemExit, match=str(USAGE)):
         main(["evaluate", *frames, "--mm-per-px", "-0.04"])
     assert "--mm-per-px: should be above 0" in capsys.readouterr().err

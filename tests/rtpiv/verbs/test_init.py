@@ -215,7 +215,7 @@ def test_by_questions_at_a_terminal(tmp_path, terminal, capsys):
     assert "width and height" not in said
     assert "arrangement 'triangel': there are behind, beside, triangle, pyramid, sc, bcc, hcp" in said
     assert "'thirty' cannot be read" in said
-    assert "'perhaps' cannot be read; say something like no" in said
+    assert "'perhaps' cannot be read; enter for example no" in said
     assert "board: squares of 3 mm" in said
     assert "driver: by_hand" in (tmp_path / "lab" / "bench.yaml").read_text()
     assert "target: {square_mm: 3, disc_mm: 1.2}" in (tmp_path / "lab" / "bench.yaml").read_text()
