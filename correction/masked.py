@@ -1,7 +1,7 @@
 """Masked parts of a scene (`tracer.masked`), as pixels, branches and nodes.
 
 Every correction map is made without them: without pixels and branches while it is inverted, without nodes of the
-plane when that is done (`correction.maps.correction_map`).  Who looks at raw pixels asks `masked_pixels`.
+plane when that is done (`correction.maps.correction_map`).  Who looks at raw pixels asks `mask_pixels`.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ STATUS = {
 }
 
 
-def masked_pixels(scene: Scene, ray_map: RayMap | None = None) -> NDArray[np.uint8]:
+def mask_pixels(scene: Scene, ray_map: RayMap | None = None) -> NDArray[np.uint8]:
     """Reasons (H, W) for which pixels of a scene's camera are masked: a NodeStatus, 0 where they are not.
 
     Parameters
@@ -36,13 +36,13 @@ def masked_pixels(scene: Scene, ray_map: RayMap | None = None) -> NDArray[np.uin
     """
     why = np.zeros(scene.camera.shape, np.uint8)
     if ray_map is not None and scene.masked:
-        why[:] = masked_branches(scene, ray_map.branches)[ray_map.branch]
+        why[:] = mask_branches(scene, ray_map.branches)[ray_map.branch]
     for part in scene.masked:
         why[pixels_in(part, why.shape)] = STATUS[part.why]
     return why
 
 
-def masked_branches(scene: Scene, branches: Sequence[Branch]) -> NDArray[np.uint8]:
+def mask_branches(scene: Scene, branches: Sequence[Branch]) -> NDArray[np.uint8]:
     """The same of branches (B,), which are masked as a whole."""
     of_way = {part.through: STATUS[part.why] for part in scene.masked if part.through}
     return np.array([of_way.get(tuple(names), NodeStatus.RECOVERED) for names in branches], np.uint8)
@@ -53,7 +53,7 @@ def pixels_in(part: MaskedPart, shape: tuple[int, int]) -> NDArray[np.bool_]:
     inside = np.zeros(shape, np.bool_)
     if not part.outline_px:
         return inside
-    return _filled(np.array(part.outline_px), shape)
+    return _fill(np.array(part.outline_px), shape)
 
 
 def nodes_in(part: MaskedPart, nodes_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -73,7 +73,7 @@ def points_in(outline: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.boo
     return odd
 
 
-def swept(part: MaskedPart, steps_px: NDArray[np.float64]) -> MaskedPart:
+def sweep(part: MaskedPart, steps_px: NDArray[np.float64]) -> MaskedPart:
     """Return the part with what it covers when moved by any of the steps (N, 2), or by a part of one."""
     if not part.outline_px:
         return part
@@ -87,7 +87,7 @@ def hull_px(points: NDArray[np.float64]) -> tuple[Point, ...]:
     return tuple((round(u, 1), round(v, 1)) for u, v in corners.tolist())
 
 
-def _filled(outline: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _fill(outline: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """`points_in` for all pixels (H, W): in each row those left of an odd number of crossings."""
     height, width = shape
     odd = np.zeros((height, width + 1), np.uint8)

@@ -88,7 +88,7 @@ class Wanted:
         return float(np.hypot(*self.glass_left_mm[:2]))
 
 
-def wanted(looks: Sequence[Look], axes: Mapping[str, str], free_mm: float) -> Wanted:
+def plan_moves(looks: Sequence[Look], axes: Mapping[str, str], free_mm: float) -> Wanted:
     """Return where axes shall carry glass and camera after some looks.
 
     Parameters

@@ -81,7 +81,7 @@ class Votes:
         return np.asarray((sign * self.height).max(axis=1))
 
 
-def smoothed(frame: NDArray[Any]) -> NDArray[np.float32]:
+def smooth_frame(frame: NDArray[Any]) -> NDArray[np.float32]:
     """Return a frame without its finest noise, as float32."""
     import cv2
 
@@ -139,7 +139,7 @@ def texture_anomaly(strip: Strip, expected: NDArray[np.float64], unit: float) ->
     return np.asarray(inside - outside, np.float32)
 
 
-def voted(
+def cast_votes(
     vote: NDArray[np.float32], first_px: float, shift_px: NDArray[np.float64], larger_px: NDArray[np.float64]
 ) -> Votes:
     """Let a rim vote.
@@ -249,16 +249,16 @@ def rim_of(camera: Camera, spheres: NDArray[np.float64], number: int, points: in
     """
     centre, radius = spheres[number, :3], float(spheres[number, 3])
     angle = 2.0 * np.pi * np.arange(points) / points
-    touch = touched(camera, centre, radius, angle)
+    touch = tangent_points(camera, centre, radius, angle)
     ideal = camera.project_ideal(touch)
     pixel = camera.acquired(ideal)
-    across = camera.project_ideal(touched(camera, centre, radius + RADIUS_STEP_MM, angle)) - ideal
+    across = camera.project_ideal(tangent_points(camera, centre, radius + RADIUS_STEP_MM, angle)) - ideal
     outward = across / np.linalg.norm(across, axis=1)[:, None]
     rate = np.empty((points, 4))
     for axis in range(3):
         step = RADIUS_STEP_MM * np.eye(3)[axis]
         ahead, behind = (
-            camera.project_ideal(touched(camera, centre + s * step, radius, angle)) for s in (1.0, -1.0)
+            camera.project_ideal(tangent_points(camera, centre + s * step, radius, angle)) for s in (1.0, -1.0)
         )
         rate[:, axis] = ((ahead - behind) * outward).sum(axis=1) / (2.0 * RADIUS_STEP_MM)
     rate[:, 3] = (across * outward).sum(axis=1) / RADIUS_STEP_MM
@@ -270,7 +270,7 @@ def rim_of(camera: Camera, spheres: NDArray[np.float64], number: int, points: in
     return Rim(pixel, outward, rate, inside & ~hidden, before)
 
 
-def touched(
+def tangent_points(
     camera: Camera, centre: NDArray[np.float64], radius: float, angle: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Points (N, 3) in which lines of sight touch a sphere, at angles (N,) around it; NaN from inside it."""

@@ -39,7 +39,7 @@ from correction.target import Chessboard
 from correction.target.board_count import place_by_count
 from correction.target.board_origin import place_by_prediction
 from correction.target.board_search import SATURATED, corners_in_view
-from correction.target.corners import CornerSearch, saturated_fraction
+from correction.target.corners import CornerSearch, fraction_saturated
 from correction.target.lattice_growth import Patch, grow_patches
 from correction.target.marks import find_marks, refine_marks
 from piv.errors import FrameError
@@ -102,7 +102,7 @@ class CameraSeen:
         """Brightness of the directly seen board at pixels (..., 2): 1 bright, 0 dark."""
         return self.board.shade(self._on_board(pixel))
 
-    def blurred(self, pixel: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
+    def blur(self, pixel: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
         """Return the same with blur: means over nine points, as far apart as pixels of the middle of the frame."""
         nodes, weights = (-blur_px * 3.0**0.5, 0.0, blur_px * 3.0**0.5), (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)
         middle = np.array(self.camera.sensor_px) / 2.0
@@ -196,7 +196,7 @@ def find_camera(
             "the corners of the target beside the glass are too blurred to be measured; focus on it"
         )
     fitted = index[some][found.valid], found.position_px[found.valid]
-    camera, sigma, rms = _fitted(scene, *fitted, board, board_mm, priors or FitTable())
+    camera, sigma, rms = _fit_camera(scene, *fitted, board, board_mm, priors or FitTable())
     off = np.array(camera.position_mm) - np.array(nominal.position_mm)
     levels = _levels(frame, camera, index, board, board_mm)
     return CameraSeen(camera, off, sigma, len(index), rms, index, board, board_mm, levels)
@@ -228,7 +228,7 @@ def _levels(
     return float(np.median(value[~bright])), float(np.median(value[bright]))
 
 
-def _fitted(
+def _fit_camera(
     scene: Scene,
     index: NDArray[np.int64],
     pixel: NDArray[np.float64],
@@ -358,11 +358,11 @@ def find_arrangement(
             _with_camera(one, ball.centre_mm, view) for one, ball in zip(found, there.spheres, strict=True)
         )
     found = tuple(replace(one, off_mm=one.off_mm + expected.glass_mm) for one in found)
-    glass, covariance = _joined(found)
+    glass, covariance = _combine_spheres(found)
     remarks = tuple(_own_places(found))
     if view is None:
         return Arrangement(glass, covariance, found, remarks=remarks)
-    remarks += _unnamed(frame, scene, camera, glass, view)
+    remarks += _find_unlisted(frame, scene, camera, glass, view)
     return Arrangement(glass, covariance, found, view.off_mm + expected.camera_mm, view.sigma_mm, remarks)
 
 
@@ -374,7 +374,7 @@ def usable(frame: NDArray[Any], camera: Camera) -> NDArray[Any]:
     FrameError
         It is of another size, holds NaN, or more of it is saturated than does no harm.
     """
-    full = saturated_fraction(np.asarray(frame))
+    full = fraction_saturated(np.asarray(frame))
     frame = checked_frame(frame)
     if frame.shape != camera.shape:
         raise FrameError(
@@ -406,7 +406,7 @@ def _with_camera(one: SphereSeen, centre_mm: tuple[float, float, float], view: C
     return replace(one, covariance_mm2=one.covariance_mm2 + lever**2 * np.diag(view.sigma_mm**2))
 
 
-def _joined(found: tuple[SphereSeen, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _combine_spheres(found: tuple[SphereSeen, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Place (3,) of the glass and its covariance, of the spheres that show a rim."""
     seen = [one for one in found if one.own_rim]
     own = SPHERE_PLACE_SIGMA_MM**2 * np.eye(3) if len(seen) > 1 else np.zeros((3, 3))
@@ -435,7 +435,7 @@ def _own_places(found: tuple[SphereSeen, ...]) -> list[str]:
     return said
 
 
-def _unnamed(
+def _find_unlisted(
     frame: NDArray[Any], scene: Scene, camera: Camera, glass_mm: NDArray[np.float64], view: CameraSeen
 ) -> tuple[str, ...]:
     """Look for something that hides the board beside the glass of the scene.

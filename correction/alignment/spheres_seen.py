@@ -30,14 +30,14 @@ from correction.alignment.rim import (
     Rim,
     Strip,
     Votes,
+    cast_votes,
     crossings,
     in_deviations,
     rim_of,
     slopes,
-    smoothed,
+    smooth_frame,
     strip_of,
     texture_anomaly,
-    voted,
 )
 from correction.errors import RimNotFound, RimUnclear
 from tracer.bodies import Sphere
@@ -73,7 +73,7 @@ class Behind(Protocol):
         """Bright (1) or dark (0) at pixels (..., 2)."""
         ...
 
-    def blurred(self, pixel: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
+    def blur(self, pixel: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
         """Return the same with blur of this standard deviation."""
         ...
 
@@ -166,7 +166,7 @@ def find_spheres(
     RimUnclear
         Another rim is as good.
     """
-    spheres, look = scene.spheres, _Look(smoothed(frame), camera, priors or FitTable(), behind)
+    spheres, look = scene.spheres, _Look(smooth_frame(frame), camera, priors or FitTable(), behind)
     require_direct_view(scene)
     expected = np.array([[*ball.centre_mm, ball.radius_mm] for ball in spheres])
     rims = {n: _rim(camera, expected, n) for n in range(len(spheres))}
@@ -180,12 +180,12 @@ def find_spheres(
     voters, board = (
         (beside, look) if beside else (shown, replace(look, behind=None))
     )  # before the board, if any is
-    moves, polarity = _voted([(spheres[n], rims[n]) for n in voters], board, reach_mm)
+    moves, polarity = _vote_coarsely([(spheres[n], rims[n]) for n in voters], board, reach_mm)
     start = expected.copy()
     start[:, :2] += moves.mean(axis=0)  # a sphere that cannot vote goes with the others
     start[voters, :2] = expected[voters, :2] + moves
     found = start.copy()
-    seen = {n: _fitted(n, spheres[n], look, expected, found, polarity) for n in shown}
+    seen = {n: _fit_sphere(n, spheres[n], look, expected, found, polarity) for n in shown}
     return tuple(seen.get(n) or _unseen(n, spheres[n], look, found) for n in range(len(spheres)))
 
 
@@ -214,7 +214,9 @@ def _rim(camera: Camera, spheres: NDArray[np.float64], number: int) -> Rim:
     return rim_of(camera, spheres, number, int(np.clip(around / POINTS_PX, 90, MOST_POINTS)))
 
 
-def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tuple[NDArray[np.float64], float]:
+def _vote_coarsely(
+    shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float
+) -> tuple[NDArray[np.float64], float]:
     """Coarse moves (B, 2) [mm] of the spheres that show a rim, and the sign of their edges.
 
     The glass is carried as a whole: all rims vote together for one move, then each for its own near to it.
@@ -227,11 +229,11 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
     votes = [ballot.votes(places) for ballot in ballots]
     signs, least = ((1.0, -1.0), MIN_VOTE_LEAD) if look.behind is None else ((1.0,), LEAST_STRANGE)
 
-    def said(vote: NDArray[np.float64]) -> NDArray[np.float64]:
+    def evidence(vote: NDArray[np.float64]) -> NDArray[np.float64]:
         return in_deviations(vote) if look.behind is None else vote
 
     # Bright outside or dark outside: one sign for all, whichever they agree on better.
-    alike = {sign: said(np.mean([v.at_best_size(sign) for v in votes], axis=0)) for sign in signs}
+    alike = {sign: evidence(np.mean([v.at_best_size(sign) for v in votes], axis=0)) for sign in signs}
     sign = max(alike, key=lambda s: float(alike[s].max()))
     together = alike[sign]
     best = int(together.argmax())
@@ -252,7 +254,7 @@ def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tup
     own = apart <= MAX_STRAY_MM * finest
     moves = []
     for (ball, _), vote, ballot in zip(shown, votes, ballots, strict=True):
-        height = np.where(own, said(vote.at_best_size(sign)), -np.inf)
+        height = np.where(own, evidence(vote.at_best_size(sign)), -np.inf)
         at = int(height.argmax())
         if height[at] < 0.5 * least:
             raise RimNotFound(
@@ -285,7 +287,7 @@ class _Ballot:
 
     def votes(self, places: NDArray[np.float64]) -> Votes:
         """Votes for places (P, 2) [mm] of the sphere."""
-        return voted(self.vote, self.first_px, places @ self.rate[:, :2].T, self.larger_px)
+        return cast_votes(self.vote, self.first_px, places @ self.rate[:, :2].T, self.larger_px)
 
 
 def _ballot(ball: Sphere, rim: Rim, look: _Look, reach_mm: float) -> _Ballot:
@@ -304,17 +306,17 @@ def _ballot(ball: Sphere, rim: Rim, look: _Look, reach_mm: float) -> _Ballot:
     vote = slopes(strip)
     if behind is not None:
         dark, bright = behind.levels
-        vote = texture_anomaly(strip, _expected(strip.place, behind), bright - dark)
+        vote = texture_anomaly(strip, _predict_intensity(strip.place, behind), bright - dark)
     return _Ballot(vote, float(strip.offset_px[0]), rate, larger)
 
 
-def _expected(place: NDArray[np.float64], behind: Behind) -> NDArray[np.float64]:
+def _predict_intensity(place: NDArray[np.float64], behind: Behind) -> NDArray[np.float64]:
     """Intensity (N, M) that would be seen without glass, with some blur."""
     dark, bright = behind.levels
-    return np.asarray(dark + (bright - dark) * behind.blurred(place, BLUR_PX))
+    return np.asarray(dark + (bright - dark) * behind.blur(place, BLUR_PX))
 
 
-def _fitted(
+def _fit_sphere(
     number: int,
     ball: Sphere,
     look: _Look,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from correction.grid import PlaneGrid
 from correction.maps.aperture import chief_pixels
 from correction.maps.correction_map import CorrectionMap
-from correction.masked import masked_pixels
+from correction.masked import mask_pixels
 from piv.correlation.vector_field import VectorField
 from piv.errors import PairError
 from piv.tracking.particles import SIDE, Particles, find_particles
@@ -77,7 +77,7 @@ def usable_branches(ray_map: RayMap, scene: Scene, least_px: int) -> list[tuple[
     det = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
     with np.errstate(invalid="ignore"):
         largest = np.maximum(np.hypot(by_u[..., 0], by_u[..., 1]), np.hypot(by_v[..., 0], by_v[..., 1]))
-        calm = (largest < scale / LEAST_MAGNIFICATION) & (masked_pixels(scene, ray_map) == 0)
+        calm = (largest < scale / LEAST_MAGNIFICATION) & (mask_pixels(scene, ray_map) == 0)
     found = []
     for number in np.unique(ray_map.branch[ray_map.recovered]):
         mask = ray_map.recovered & (ray_map.branch == number) & calm

@@ -12,29 +12,29 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.judge.prior_pulls import LENGTHS, length_errors, prior_pulls, widened
+from correction.fit.judge.prior_pulls import LENGTHS, length_errors, prior_pulls, widen_priors
 from correction.fit.judge.result import FitStep, FittedCorners, SceneFit
-from correction.fit.judge.verdict import Left, judge_model
+from correction.fit.judge.verdict import ResidualsGivenCause, judge_model
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors, whitening
 from correction.fit.seen.pixel_lock import NAMES as LOCK
-from correction.fit.seen.pixel_lock import PixelLock, unlocked, with_lock, without_lock
-from correction.fit.solve.contact import largest_overlap_mm
-from correction.fit.solve.correlation import with_correlation
-from correction.fit.solve.doubted import (
+from correction.fit.seen.pixel_lock import PixelLock, remove_lock, with_lock, without_lock
+from correction.fit.solve.considered import (
     SIZES_MM,
     ShapeRoot,
-    doubted,
-    doubted_shapes,
+    considered_shapes,
     likely_scale,
     shape_parts,
+    with_considered,
     with_shapes,
 )
+from correction.fit.solve.contact import largest_overlap_mm
+from correction.fit.solve.correlation import with_correlation
 from correction.fit.solve.print_errors import OnPrint, print_errors
 from correction.fit.solve.solver import (
     Corners,
     Residuals,
     Solution,
-    cleared,
+    clear_spheres,
     minimise,
     newton_step,
     normal_equations,
@@ -60,11 +60,11 @@ class Adjustment:
         locked, at = with_lock(unknowns), np.concatenate((x, self.lock))
         locks = [PixelLock.of(frame) for frame in frames]
         for _ in range(2):
-            data = [self.weighted(frame) for frame in frames]
+            data = [self.weigh_corners(frame) for frame in frames]
 
             def evaluate(at: NDArray[np.float64], data: list[Corners] = data) -> list[Residuals]:
                 pairs = zip(data, locks, strict=True)
-                return [unlocked(locked, at, one, lock, residuals(locked, at, one)) for one, lock in pairs]
+                return [remove_lock(locked, at, one, lock, residuals(locked, at, one)) for one, lock in pairs]
 
             solution = minimise(locked, evaluate, at, knee=CAUCHY_SIGMAS)
             at = solution.x
@@ -72,7 +72,7 @@ class Adjustment:
         self.lock = at[len(x) :]
         return replace(solution, x=at[: len(x)], normal=without_lock(locked, solution.normal))
 
-    def left(
+    def frame_residuals(
         self,
         unknowns: Unknowns,
         x: NDArray[np.float64],
@@ -81,10 +81,10 @@ class Adjustment:
     ) -> Residuals:
         """Residuals of a frame as weighted, or of its corners with other weights, the lock on pixels taken off."""
         locked, at = with_lock(unknowns), np.concatenate((x, self.lock))
-        corners = corners or self.weighted(frame)
-        return unlocked(locked, at, corners, PixelLock.of(frame), residuals(locked, at, corners))
+        corners = corners or self.weigh_corners(frame)
+        return remove_lock(locked, at, corners, PixelLock.of(frame), residuals(locked, at, corners))
 
-    def weighted(self, frame: MeasuredFrame) -> Corners:
+    def weigh_corners(self, frame: MeasuredFrame) -> Corners:
         """Corners with their present sigmas."""
         return replace(frame.corners, whiten=whitening(frame.sigma_px, by_region(frame.behind, self.scales)))
 
@@ -98,7 +98,9 @@ class Adjustment:
     ) -> NDArray[np.float64]:
         """Residuals (N, 2) in raw px."""
         eye = [replace(f.corners, whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
-        parts = [self.left(unknowns, x, frame, corners) for frame, corners in zip(frames, eye, strict=True)]
+        parts = [
+            self.frame_residuals(unknowns, x, frame, corners) for frame, corners in zip(frames, eye, strict=True)
+        ]
         return np.concatenate([part.value for part in parts])
 
     def step(
@@ -119,7 +121,7 @@ class Adjustment:
 
     def inliers(self, unknowns: Unknowns, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:
         """Corners within OUTLIER sigmas."""
-        value = self.left(unknowns, x, frame).value
+        value = self.frame_residuals(unknowns, x, frame).value
         return np.asarray(np.linalg.norm(value, axis=1) < OUTLIER)  # False for NaN
 
     def corners(
@@ -140,11 +142,13 @@ class Adjustment:
             np.concatenate([frame.rim_px for frame in measured]),
         )
 
-    def pulled_alike(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> NDArray[np.float64]:
+    def common_mode_gradients(
+        self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]
+    ) -> NDArray[np.float64]:
         """Half the gradients (P, K) by which corners pull together: by colours, pupil, the bending of each way."""
         pulls: dict[str, NDArray[np.float64]] = {}
         for frame, part in zip(frames, parts, strict=True):
-            whiten, rate = np.asarray(self.weighted(frame).whiten), np.nan_to_num(part.rate)
+            whiten, rate = np.asarray(self.weigh_corners(frame).whiten), np.nan_to_num(part.rate)
             causes = {"colours": frame.smear_px[:, 0], "pupil": frame.smear_px[:, 1]}
             for way in np.unique(frame.branch_name).tolist():
                 causes[f"way {way}"] = frame.bent_px * (frame.branch_name == way)[:, None]
@@ -176,21 +180,21 @@ class Adjustment:
         """
         solution = self.solve(unknowns, unknowns.free(full), measured)
         kept = [self.inliers(unknowns, solution.x, frame) for frame in measured]
-        used = [frame.taken(which) for frame, which in zip(measured, kept, strict=True)]
+        used = [frame.take(which) for frame, which in zip(measured, kept, strict=True)]
         solution = self.solve(unknowns, solution.x, used)
         # The loss halves the say of honest corners at the edge of it; their information counts in full.
-        locked, balls = with_lock(unknowns), doubted_shapes(unknowns)
-        wide, free = with_shapes(doubted(locked), balls), len(locked.names)
+        locked, balls = with_lock(unknowns), considered_shapes(unknowns)
+        wide, free = with_shapes(with_considered(locked), balls), len(locked.names)
         at = np.concatenate((solution.x, self.lock, np.zeros(len(wide.names) - free)))
-        parts = [self.doubted_part(unknowns, wide, at, frame) for frame in used]
-        weighted = [self.weighted(frame) for frame in measured]
-        left = [self.doubted_part(unknowns, wide, at, frame) for frame in measured]
+        parts = [self.extended_residuals(unknowns, wide, at, frame) for frame in used]
+        weighted = [self.weigh_corners(frame) for frame in measured]
+        left = [self.extended_residuals(unknowns, wide, at, frame) for frame in measured]
         verdict, rest = judge_model(locked, wide, at, measured, weighted, left)
         weights = self
         if verdict.unexplained is not None:
-            weights, used, parts = self.explained(measured, left, rest)
+            weights, used, parts = self.reweight_given_cause(measured, left, rest)
         _, slope, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
-        slope = pull_of_doubted(slope, normal, free)
+        slope = marginal_gradient(slope, normal, free)
         of_shapes = np.tile(SIZES_MM, len(balls))
         unit = np.ones(len(at))
         unit[len(at) - len(of_shapes) :] = 0.0 if verdict.alarms else likely_scale(normal, slope, len(of_shapes))
@@ -204,7 +208,7 @@ class Adjustment:
                 verdict = replace(verdict, pulls=pulls)
             elif pulls and pulls[0].kind == LENGTHS and pulls[0].sigmas ** 2 > verdict.cause.gain:  # one for all
                 verdict = replace(verdict, pulls=pulls, suspects=())
-        prior, step = widened(unknowns, solution.x, verdict.pulls, len(at))
+        prior, step = widen_priors(unknowns, solution.x, verdict.pulls, len(at))
         alone = np.asarray(np.linalg.inv(normal + np.diag(prior)), dtype=np.float64)
         on_print = [weights.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)]
         printed = print_errors(on_print)
@@ -213,7 +217,7 @@ class Adjustment:
         draws = root_of(covariance)
         if len(at) > free:
             draws = np.column_stack((draws, newton_step(wide, at, slope, normal)))
-        draws = np.column_stack((draws, alone @ (unit[:, None] * weights.pulled_alike(used, parts))))
+        draws = np.column_stack((draws, alone @ (unit[:, None] * weights.common_mode_gradients(used, parts))))
         draws = np.column_stack((draws, alone @ step))
         root = wide.columns @ draws
         sizes = (unit[len(at) - len(of_shapes) :] * of_shapes)[:, None]
@@ -223,7 +227,7 @@ class Adjustment:
             shapes = shapes.with_change(ball, shape)
         scale = length_errors(unknowns, solution.x, verdict.pulls)
         root, shapes = np.column_stack((root, scale)), shapes.with_columns(scale.shape[1])
-        scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
+        scene, pushed = feasible_scene(unknowns, unknowns.full(solution.x))
         corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(
             scene,
@@ -234,8 +238,8 @@ class Adjustment:
             root,
             tuple(frame.name for frame in measured),
             corners,
-            _summed([frame.expected for frame in measured]),
-            _summed([frame.refused for frame in measured]),
+            _sum_counts([frame.expected for frame in measured]),
+            _sum_counts([frame.refused for frame in measured]),
             pushed,
             scene,
             verdict,
@@ -247,8 +251,8 @@ class Adjustment:
             shapes=shapes,
         )
 
-    def explained(
-        self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], rest: Left
+    def reweight_given_cause(
+        self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], rest: ResidualsGivenCause
     ) -> tuple["Adjustment", list[MeasuredFrame], list[Residuals]]:
         """Weights, frames and residuals as they would be if the cause of an alarm had been known."""
         weights = Adjustment()
@@ -260,27 +264,27 @@ class Adjustment:
             value = value / scale
             near = np.linalg.norm(value, axis=1) < OUTLIER  # False for NaN
             near &= np.isfinite(part.rate).all(axis=(1, 2))  # a ray that meets the board with the cause alone
-            used.append(frame.taken(near))
+            used.append(frame.take(near))
             left.append(Residuals(value[near], (part.rate / scale[:, :, None])[near]))
         return weights, used, left
 
     def on_print(self, frame: MeasuredFrame, part: Residuals, unit: NDArray[np.float64]) -> OnPrint:
         """Corners of a frame as the print moves them, their derivatives in units (P,)."""
-        per_square = np.asarray(self.weighted(frame).whiten) @ frame.axes_px
+        per_square = np.asarray(self.weigh_corners(frame).whiten) @ frame.axes_px
         rate = np.nan_to_num(part.rate) * unit
         way, height = frame.branch_name, frame.corners.height_number
         return OnPrint(frame.index, way, height, np.nan_to_num(part.value), per_square, rate)
 
-    def doubted_part(
+    def extended_residuals(
         self, unknowns: Unknowns, wide: Unknowns, at: NDArray[np.float64], frame: MeasuredFrame
     ) -> Residuals:
         """Residuals of a frame with derivatives by what is free, held and doubted, shapes of balls the last."""
-        corners = self.weighted(frame)
-        part = unlocked(wide, at, corners, PixelLock.of(frame), residuals(wide, at, corners))
+        corners = self.weigh_corners(frame)
+        part = remove_lock(wide, at, corners, PixelLock.of(frame), residuals(wide, at, corners))
         return shape_parts(unknowns, wide.full(at), corners, frame.branch_name, part)
 
 
-def pull_of_doubted(slope: NDArray[np.float64], normal: NDArray[np.float64], free: int) -> NDArray[np.float64]:
+def marginal_gradient(slope: NDArray[np.float64], normal: NDArray[np.float64], free: int) -> NDArray[np.float64]:
     """Gradient (P,) of what is doubted when the first `free` numbers have followed, which pull no more.
 
     They lie where corners fit best that weigh less the farther they are off, the gradient counts all in full.
@@ -295,14 +299,14 @@ def root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def legal_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:
+def feasible_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:
     """Return the scene of a full vector with overlaps pushed apart, and the largest overlap [mm]."""
     overlap = largest_overlap_mm(unknowns.spheres(full), unknowns.shapes(full))
-    moved, cut = cleared(unknowns, full)
-    return unknowns.moved(moved), max(overlap, cut)
+    moved, cut = clear_spheres(unknowns, full)
+    return unknowns.scene_at(moved), max(overlap, cut)
 
 
-def _summed(counts: Sequence[dict[str, int]]) -> dict[str, int]:
+def _sum_counts(counts: Sequence[dict[str, int]]) -> dict[str, int]:
     """Sum counts by their names."""
     total: dict[str, int] = {}
     for one in counts:

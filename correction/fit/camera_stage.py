@@ -23,9 +23,9 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.errors import FitFailed, TargetNotFound
-from correction.fit.adjustment import Adjustment, legal_scene
+from correction.fit.adjustment import Adjustment, feasible_scene
+from correction.fit.judge.hypothesis_words import NAMED_TERM_SIGMAS, target_heights
 from correction.fit.judge.result import SHARE_LIMIT, FitStep, rms_limit_px
-from correction.fit.judge.suspect_words import NAMED_TERM_SIGMAS, target_heights
 from correction.fit.judge.verdict import PRIOR_LIMIT
 from correction.fit.levels_shown import levels_shown, look_like_levels
 from correction.fit.progress import Progress
@@ -35,10 +35,10 @@ from correction.fit.seen.measurement import (
     TargetFrame,
     bare_frame,
     bare_frame_through_walls,
-    centred,
+    centre_dots,
 )
 from correction.fit.seen.prediction import expect
-from correction.fit.solve.contact import clear_of, pushed_apart
+from correction.fit.solve.contact import clear_of, push_apart
 from correction.fit.solve.solver import Solution
 from correction.fit.solve.unknowns import Unknowns, lens_reach, unknowns_of
 from correction.target.board_search import Predict, corners_in_view
@@ -118,7 +118,7 @@ def files_exchanged(work: Progress) -> str:
         if frame.height_mm != own.height_mm:
             continue
         try:
-            other, _ = bare_frame(frame, work.board, _predicted_view(work, frame, work.unknowns.start), 0, reach)
+            other, _ = bare_frame(frame, work.board, _predict_view(work, frame, work.unknowns.start), 0, reach)
         except TargetNotFound:
             continue
         if not other.refused.get("FOREIGN") and len(other) > MORE * sum(found):
@@ -168,7 +168,7 @@ def _fit_camera(
     unknowns = work.unknowns.only((*ON_BARE, *work.walls))
     for frame in frames:
         number = work.height_number(frame)
-        found, work.board = bare_frame(frame, work.board, _predicted_view(work, frame, work.full), number, reach)
+        found, work.board = bare_frame(frame, work.board, _predict_view(work, frame, work.full), number, reach)
         work.bare.append(found)
         solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
         work.full = unknowns.full(solution.x)
@@ -176,7 +176,7 @@ def _fit_camera(
     return unknowns, solution
 
 
-def _predicted_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64]) -> Predict:
+def _predict_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64]) -> Predict:
     """Return where a scene shows points of the board in a bare frame, through walls that stand there."""
     camera, number = work.unknowns.camera(full), work.height_number(frame)
 
@@ -185,7 +185,7 @@ def _predicted_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64
 
     if not work.walls:
         return by_camera
-    scene = legal_scene(work.unknowns, full)[0].bare()
+    scene = feasible_scene(work.unknowns, full)[0].bare()
     view = expect(scene, work.unknowns.pose(full, number), work.board, COARSER)
     if not len(view):
         return by_camera
@@ -201,7 +201,7 @@ def _predicted_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64
 
 def _measure_through_walls(work: Progress, unknowns: Unknowns) -> Solution:
     """Measure the bare target where camera and walls show it, and fit these again."""
-    scene = legal_scene(work.unknowns, work.full)[0].bare()
+    scene = feasible_scene(work.unknowns, work.full)[0].bare()
     work.bare = [
         bare_frame_through_walls(
             frame,
@@ -221,9 +221,9 @@ def _measure_through_walls(work: Progress, unknowns: Unknowns) -> Solution:
 
 def _centre_dots(work: Progress, unknowns: Unknowns) -> Solution:
     """Take the middles of pictures of dots back to their centres, as the scene shows them, and fit again."""
-    scene = legal_scene(work.unknowns, work.full)[0].bare()
+    scene = feasible_scene(work.unknowns, work.full)[0].bare()
     work.bare = [
-        centred(one, work.board, scene, work.unknowns.pose(work.full, one.corners.height_number))
+        centre_dots(one, work.board, scene, work.unknowns.pose(work.full, one.corners.height_number))
         for one in work.bare
     ]
     _refuse_few_marks(work, "seen whole and large enough")
@@ -248,7 +248,7 @@ def _follow_board(work: Progress, unknowns: Unknowns, solution: Solution) -> tup
     """Turn the nominal bench as the board shows it turned, if that explains the camera."""
     turn = turn_of_bench(work.nominal.camera, unknowns.camera(work.full), work.priors.camera)
     travel = (float(turn[0, 2]), float(turn[1, 2]), float(turn[2, 2]))
-    followed = work.unknowns_of(turned(work.nominal, turn), work.priors, travel)
+    followed = work.unknowns_of(turn_scene(work.nominal, turn), work.priors, travel)
     other = followed.only((*ON_BARE, *work.walls))
     again = work.fits.solve(other, np.zeros(len(other.names)), work.bare)
     if again.pull > PRIOR_LIMIT:
@@ -375,7 +375,7 @@ def size_told(work: Progress) -> str:
     """Say how much larger than told the first bare frame shows the board, if no camera near the told one would."""
     frame, found = work.bare_frames[0], work.bare[0]
     camera = work.nominal.camera
-    view = corners_in_view(work.board, _predicted_view(work, frame, work.unknowns.start), camera.shape)
+    view = corners_in_view(work.board, _predict_view(work, frame, work.unknowns.start), camera.shape)
     size = size_seen(found.corners.pixel, found.axes_px, view, work.board)
     longer = dict(zip(work.unknowns.names, work.unknowns.sigma.tolist(), strict=True)).get("camera.focal_px", 0.0)
     nearer = work.priors.camera.position_mm / float(np.linalg.norm(camera.position_mm))
@@ -409,7 +409,7 @@ def turn_of_bench(nominal: Camera, seen: Camera, known: FitCameraTable) -> NDArr
     )
 
 
-def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
+def turn_scene(scene: Scene, turn: NDArray[np.float64]) -> Scene:
     """Return the scene turned as a whole about the world's origin, its spheres clear of the plane."""
 
     def point(world: Vector3) -> Vector3:
@@ -420,7 +420,7 @@ def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
     camera = replace(scene.camera, position_mm=point(scene.camera.position_mm), rotation=(a, b, c))
     spheres = scene.sphere_table()
     spheres[:, :3] = spheres[:, :3] @ turn.T
-    places = map(vector3, pushed_apart(spheres)[:, :3])
+    places = map(vector3, push_apart(spheres)[:, :3])
     placed = {s.name: replace(s, centre_mm=place) for s, place in zip(scene.spheres, places, strict=True)}
     balls = tuple(placed.values())
     bodies = tuple(

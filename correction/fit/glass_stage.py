@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from correction.errors import GlassNotSeen
-from correction.fit.adjustment import legal_scene
+from correction.fit.adjustment import feasible_scene
 from correction.fit.judge.result import FitStep
 from correction.fit.progress import Progress
-from correction.fit.seen.lost_sphere import likely_places, lost_spheres
+from correction.fit.seen.lost_sphere import find_lost_spheres, likely_places
 from correction.fit.seen.measurement import (
     FLOOR_PX,
     TargetFrame,
@@ -21,9 +21,9 @@ from correction.fit.seen.measurement import (
 )
 from correction.fit.seen.pairing import Candidates, candidates_of, pair
 from correction.fit.seen.prediction import MIN_VIEW_SQUARE_PX, expect, square_behind_px
-from correction.fit.seen.silhouettes import followed, seen_outlines
+from correction.fit.seen.silhouettes import find_outlines, follow_outlines
 from correction.fit.solve.unknowns import Unknowns
-from correction.target.turned_frame import turned_against
+from correction.target.turned_frame import turn_between
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import SPHERE
@@ -53,7 +53,7 @@ def find_glass(work: Progress) -> None:
     _refuse_undisturbed(work, work.glass_frames[0], candidates)
     _pair(work, coarse, candidates)
     _fit_glass(work, unknowns, "pass 1", only_behind=True)
-    lost = _lost(work)
+    lost = _lost_spheres(work)
     if lost and (work.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
         _find_all_lost(work, unknowns, coarse, candidates)
     _fit_glass(work, unknowns, "pass 2", only_behind=False)
@@ -64,7 +64,7 @@ def _refuse_turned(work: Progress) -> None:
     bare = {frame.height_mm: frame for frame in reversed(work.bare_frames)}
     for frame in work.glass_frames:
         own = bare.get(frame.height_mm)
-        words = turned_against(own.image, frame.image) if own else ""
+        words = turn_between(own.image, frame.image) if own else ""
         if own and words:
             raise GlassNotSeen(
                 f"{frame.name} {words} against {own.name}: turn the file back, or take the frame again with the"
@@ -78,18 +78,18 @@ def _follow_outlines(work: Progress) -> None:
     least = MIN_SADDLE_RATIO * float(np.median(work.saddles(work.bare_frames[0]).strength))
     number = work.height_number(frame)
     saddles = work.saddles(frame)
-    work.outlines = seen_outlines(work.unknowns, work.full, work.bare[0], saddles, least, number, work.board)
+    work.outlines = find_outlines(work.unknowns, work.full, work.bare[0], saddles, least, number, work.board)
     if work.outlines is None:
         return
     known = [work.priors.sphere(name).centre_mm for name in work.outlines.names]
     off = work.outlines.surely_off(ASIDE_MM) & (work.outlines.sideways_mm > FOLLOW * np.array(known))
     if off.any():
-        work.others = [followed(work.unknowns, work.full, work.outlines, alone=True), work.full]
-        work.full = followed(work.unknowns, work.full, work.outlines)
+        work.others = [follow_outlines(work.unknowns, work.full, work.outlines, alone=True), work.full]
+        work.full = follow_outlines(work.unknowns, work.full, work.outlines)
         start = work.unknowns.start.copy()
         start[work.unknowns.glass] = work.full[work.unknowns.glass]
         depths = [f"{name}.z" for name in work.outlines.names]
-        work.unknowns = work.unknowns.around(start).loosened(depths, STRAY_DEPTH_SIGMA_MM)
+        work.unknowns = work.unknowns.around(start).loosen(depths, STRAY_DEPTH_SIGMA_MM)
         work.note(FitStep(f"{work.outlines.in_words(ASIDE_MM)}; glass follows"))
 
 
@@ -131,7 +131,7 @@ def _pair(work: Progress, coarse: Unknowns, candidates: Candidates) -> None:
 def _fit_glass(work: Progress, unknowns: Unknowns, name: str, only_behind: bool) -> None:
     """Measure the corners where the scene shows them, and fit the glass to them."""
     _measure(work, only_behind)
-    behind = [frame.taken(frame.behind) for frame in work.behind]
+    behind = [frame.take(frame.behind) for frame in work.behind]
     solution = work.fits.solve(unknowns, unknowns.free(work.full), behind)
     work.full = unknowns.full(solution.x)
     work.note(work.fits.step(f"glass, {name}", unknowns, solution.x, behind))
@@ -139,7 +139,7 @@ def _fit_glass(work: Progress, unknowns: Unknowns, name: str, only_behind: bool)
 
 def _measure(work: Progress, only_behind: bool) -> None:
     """Predict and measure the corners of all frames with glass."""
-    scene, _ = legal_scene(work.unknowns, work.full)
+    scene, _ = feasible_scene(work.unknowns, work.full)
     work.behind = [
         glass_frame(
             frame,
@@ -159,7 +159,7 @@ def _measure(work: Progress, only_behind: bool) -> None:
 def _why_none(work: Progress, scene: Scene) -> str:
     """Explain that no corner behind glass could be measured, as far as the scene shows, nominal and present."""
     pose = work.unknowns.pose(work.full, work.height_number(work.glass_frames[0]))
-    given, _ = legal_scene(work.unknowns, work.unknowns.start)
+    given, _ = feasible_scene(work.unknowns, work.unknowns.start)
     widths = [square_behind_px(one, pose, work.board) for one in (given, scene)]
     if 0.0 < widths[0] < MIN_VIEW_SQUARE_PX:
         return (
@@ -179,11 +179,11 @@ def _why_none(work: Progress, scene: Scene) -> str:
     return "no corner behind glass could be measured; check focus, light and scene, or print smaller squares"
 
 
-def _lost(work: Progress) -> list[int]:
+def _lost_spheres(work: Progress) -> list[int]:
     """Numbers of the spheres through which the frames do not show what the scene says."""
     x = work.unknowns.free(work.full)
     kept = [work.fits.inliers(work.unknowns, x, frame) for frame in work.behind]
-    return lost_spheres(work.unknowns, work.behind, kept)
+    return find_lost_spheres(work.unknowns, work.behind, kept)
 
 
 def _find_all_lost(work: Progress, unknowns: Unknowns, coarse: Unknowns, first: Candidates) -> None:
@@ -193,13 +193,13 @@ def _find_all_lost(work: Progress, unknowns: Unknowns, coarse: Unknowns, first: 
     itself, or touching it, it is found only after that one.
     """
     frames = [first, *(_candidates(work, coarse, frame) for frame in work.glass_frames[1:LOOKED_THROUGH])]
-    lost, before = _lost(work), len(work.unknowns.scene.spheres) + 1
+    lost, before = _lost_spheres(work), len(work.unknowns.scene.spheres) + 1
     while 0 < len(lost) < before:
         before = len(lost)
         for number in lost:
-            if number in _lost(work):
+            if number in _lost_spheres(work):
                 _find_lost(work, unknowns, coarse, frames, number)
-        lost = _lost(work)
+        lost = _lost_spheres(work)
 
 
 def _find_lost(
@@ -214,7 +214,7 @@ def _find_lost(
     please three wrong corners, but not quite.
     """
     name, before, behind = work.unknowns.scene.spheres[number].name, work.full, work.behind
-    scales, before_px, lost = dict(work.fits.scales), _off_px(work, number)[1], set(_lost(work))
+    scales, before_px, lost = dict(work.fits.scales), _off_px(work, number)[1], set(_lost_spheres(work))
     centre = slice(row := work.unknowns.glass.start + number * len(SPHERE), row + 3)
     believed = work.unknowns.start[centre]
     for place in likely_places(coarse, before, frames, work.board, work.pitch_mm, number):
@@ -222,11 +222,11 @@ def _find_lost(
         for _ in range(AGAIN):
             stood = work.full[centre]
             _fit_glass(work, unknowns, f"{name} elsewhere", only_behind=True)
-            still = set(_lost(work))
+            still = set(_lost_spheres(work))
             if number not in still:
                 own_px, others_px = _off_px(work, number)
                 alike = own_px <= OWN_WORSE * max(others_px, FLOOR_PX)
-                elsewhere = name in work.rims_elsewhere(legal_scene(work.unknowns, work.full)[0])
+                elsewhere = name in work.rims_elsewhere(feasible_scene(work.unknowns, work.full)[0])
                 if still < lost and alike and others_px <= WORSE * before_px and not elsewhere:
                     return
                 break
@@ -240,7 +240,7 @@ def _find_lost(
 def _off_px(work: Progress, number: int) -> tuple[float, float]:
     """Root mean square distance of corners from where they should be [px]: of a sphere, of all others."""
     sphere = work.unknowns.scene.spheres[number]
-    behind, x = [frame.taken(frame.behind) for frame in work.behind], work.unknowns.free(work.full)
+    behind, x = [frame.take(frame.behind) for frame in work.behind], work.unknowns.free(work.full)
     off = np.linalg.norm(work.fits.reprojection(work.unknowns, x, behind), axis=1)
     near = np.concatenate([work.fits.inliers(work.unknowns, x, frame) for frame in behind])
     ways = np.concatenate([frame.branch_name for frame in behind])

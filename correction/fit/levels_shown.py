@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.verdict import PRIOR_LIMIT
 from correction.fit.progress import Progress
-from correction.fit.solve.solver import landed, residuals
+from correction.fit.solve.solver import land_corners, residuals
 from correction.fit.solve.unknowns import Unknowns
 from correction.target.chessboard import LEVEL_BY
 from tracer.board import Dots
@@ -55,7 +55,7 @@ def levels_shown(work: Progress, limit_px: float) -> str:
     told = work.board.dots
     if told is None:
         return ""
-    tried = [_tried(work, levels) for levels in LEVEL_BY]
+    tried = [_try_levels(work, levels) for levels in LEVEL_BY]
     fits = [one for one in tried if one.rms_px <= limit_px and one.pull <= PRIOR_LIMIT]
     if not fits:
         return ""
@@ -69,7 +69,7 @@ def levels_shown(work: Progress, limit_px: float) -> str:
         return ""
     return (
         f"the frames show dots on two levels, by {best.levels}, the other one {best.step_mm:.4g} mm behind that of"
-        f" the origin, and the board file says {_said(told)}; say levels: {best.levels} and step_mm:"
+        f" the origin, and the board file says {_describe_levels(told)}; say levels: {best.levels} and step_mm:"
         f" {best.step_mm:.4g}, or show the plate that it describes"
     )
 
@@ -79,13 +79,13 @@ def look_like_levels(work: Progress, unknowns: Unknowns, x: NDArray[np.float64])
     if work.board.dots is None or work.board.dots.levels:
         return False
     full, share = unknowns.full(x), 0.0
-    weighted = [work.fits.weighted(frame) for frame in work.bare]
+    weighted = [work.fits.weigh_corners(frame) for frame in work.bare]
     parts = [residuals(unknowns, x, corners) for corners in weighted]
     value = np.concatenate([part.value.ravel() for part in parts])
     rate = np.concatenate([part.rate.reshape(-1, len(x)) for part in parts])
     by_depth = []
     for corners in weighted:
-        rays = landed(unknowns, full, corners)
+        rays = land_corners(unknowns, full, corners)
         normal = np.array(unknowns.pose(full, corners.height_number).axes[2])
         step = rays.rate[:, :, -6:-3] @ normal
         to_sigma = np.full_like(rays.pixel_rate, np.nan)
@@ -102,7 +102,7 @@ def look_like_levels(work: Progress, unknowns: Unknowns, x: NDArray[np.float64])
     return share > MUCH and share * len(value) > CERTAIN
 
 
-def _tried(work: Progress, levels: str) -> _Tried:
+def _try_levels(work: Progress, levels: str) -> _Tried:
     """Fit the camera to the bare target as if its dots stood on such levels, by a step that is free."""
     dots, pitch_mm = work.board.dots, work.board.square_mm
     assert dots is not None
@@ -122,6 +122,6 @@ def _tried(work: Progress, levels: str) -> _Tried:
     return _Tried(levels, rms_px, found_mm, abs(step_mm) * sigma, solution.pull)
 
 
-def _said(dots: Dots) -> str:
+def _describe_levels(dots: Dots) -> str:
     """Describe the levels of a board file."""
     return f"levels: {dots.levels}, step_mm: {dots.step_mm:g}" if dots.levels else "nothing of levels"

@@ -17,7 +17,7 @@ from correction.fit.seen.smear import Dispersion
 from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.target import Chessboard
 from correction.target.board_search import SATURATED
-from correction.target.corners import saturated_fraction
+from correction.target.corners import fraction_saturated
 from correction.target.lattice_growth import Saddles, lattice_saddles
 from correction.target.marks import find_marks
 from tracer.camera import Vector3
@@ -115,7 +115,7 @@ class Progress:
 
 def _saturation_warning(frame: TargetFrame) -> str:
     """Return a warning about a frame with saturated paper: its edges move, those of a corner all alike."""
-    share = saturated_fraction(frame.image)
+    share = fraction_saturated(frame.image)
     if share <= SATURATED:
         return ""
     return (

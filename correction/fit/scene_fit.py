@@ -27,10 +27,10 @@ from correction.fit.progress import Progress
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.seen_through import balls_seen_otherwise
 from correction.fit.seen.smear import Dispersion
-from correction.fit.seen.unconfirmed_ways import masked_around, unconfirmed_ways
+from correction.fit.seen.unconfirmed_ways import find_unconfirmed, mask_around
 from correction.fit.seen.unlisted_parts import View, compare_views
 from correction.fit.seen.unsure_rims import beside_rim, unsure_rims, windows_beside
-from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
+from correction.fit.solve.light import Rival, any_lamp, back_from_light, in_light, light_uncertainty
 from correction.fit.solve.solver import Corners, residuals
 from correction.target import Chessboard
 from tracer.light import Light
@@ -88,24 +88,24 @@ def fit_scene(
         except GlassNotSeen as missing:  # a board of another size is seen elsewhere than the scene shows it
             words = files_exchanged(work), size_told(work), _balls_in_words(work)
             raise GlassNotSeen("; ".join(filter(None, words)) or str(missing)) from None
-    fit = _looked_through(work, _estimated(work))
+    fit = _compare_frames_with_model(work, _estimate(work))
     say(str(fit.history[-1]))
     try:
         check(fit)
     except FitFailed as failed:
-        raise FitFailed(failed.gate, failed.value, failed.limit, _blamed(work, failed.reason)) from None
+        raise FitFailed(failed.gate, failed.value, failed.limit, _diagnose_failure(work, failed.reason)) from None
     seen = None
     if light is not None and priors.light is not None:
         seen = light_of_glass(fit, nominal, light, priors.light.is_believed)
     if seen is not None:
         fit = replace(fit, verdict=replace(fit.verdict, wrong_light=str(seen) if seen.alarm else ""))
         light = replace(seen.told, unsure_nm=seen.unsure_nm)
-    doubt = doubt_of(nominal, light, _rivals(fit, priors, light), priors.wavelength_nm)
+    doubt = light_uncertainty(nominal, light, _rivals(fit, priors, light), priors.wavelength_nm)
     measured = replace(back_from_light(fit.scene, nominal, light), masked=(*by_hand, *fit.verdict.masked))
     return replace(fit, measured_scene=measured, light=doubt)
 
 
-def _estimated(work: Progress) -> SceneFit:
+def _estimate(work: Progress) -> SceneFit:
     """Fit all corners; then again without those whose windows may meet a rim that is not known."""
     measured = [*work.bare, *work.behind]
     fit = work.fits.estimate(work.unknowns, work.full, measured, work.history)
@@ -116,12 +116,12 @@ def _estimated(work: Progress) -> SceneFit:
     ]
     if not any(map(np.any, doubtful)):
         return fit
-    kept = [frame.taken(~which) for frame, which in zip(measured, doubtful, strict=True)]
+    kept = [frame.take(~which) for frame, which in zip(measured, doubtful, strict=True)]
     left = FitStep(f"{sum(map(np.count_nonzero, doubtful))} corners beside rims that are not known are left out")
     return work.fits.estimate(work.unknowns, fit.unknowns.full(fit.x), kept, [*work.history, left])
 
 
-def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
+def _compare_frames_with_model(work: Progress, fit: SceneFit) -> SceneFit:
     """Look in all frames with glass whether they show, and corners confirm, what the fitted scene shows."""
     full = fit.unknowns.full(fit.x)
     views = []
@@ -131,14 +131,14 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
         views.append(View(frame.name, frame.image, pose, sigma_mm))
     sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
     place = {name[:-2]: size for name, size in sigma.items() if name.endswith(".x")}
-    board = work.board.stretched(fit.unknowns.stretch(full))
+    board = work.board.stretch(fit.unknowns.stretch(full))
     radii = np.linalg.norm(fit.ball_root[:, -1], axis=1).tolist()
     sizes = {ball.name: size for ball, size in zip(fit.scene.spheres, radii, strict=True)}
     lattice = [frame.index for frame in work.bare]
     compared = compare_views(fit.scene, views, board, lattice, place, sizes)
-    paired = {way: fit.paired(way) for way in fit.expected}
+    paired = {way: fit.count_paired(way) for way in fit.expected}
     rather = balls_seen_otherwise(fit.scene, views[0].image, views[0].pose, board) if views else {}
-    lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene), rather)
+    lost = find_unconfirmed(fit.scene, fit.expected, paired, place, work.rims_elsewhere(fit.scene), rather)
     lost_balls = {one.name for one in lost if one.is_ball}
     off = tuple(rim for rim in compared.rims if rim.ball not in lost_balls)
     rims = unsure_rims(fit.scene, fit.ball_root, lost_balls)
@@ -150,7 +150,7 @@ def _looked_through(work: Progress, fit: SceneFit) -> SceneFit:
         hidden=hidden,
         rims=rims,
         misfits=compared.misfits,
-        rims_off=tuple((rim, masked_around(rim, fit.scene)) for rim in off),
+        rims_off=tuple((rim, mask_around(rim, fit.scene)) for rim in off),
     )
     return replace(fit, verdict=verdict, board=board)
 
@@ -164,7 +164,7 @@ def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float6
     return np.asarray(np.sqrt(((by_number @ fit.root) ** 2).sum(axis=2)))
 
 
-def _blamed(work: Progress, reason: str) -> str:
+def _diagnose_failure(work: Progress, reason: str) -> str:
     """Say how large the bare board is seen, and what rims and views of the balls show, then why the fit failed."""
     seen = work.outlines.in_words(0.0) if work.outlines else ""
     return "; ".join(each for each in (size_told(work), _balls_in_words(work), seen, reason) if each)

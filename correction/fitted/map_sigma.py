@@ -146,7 +146,7 @@ def map_sigma(fit: "SceneFit", step: int = SIGMA_NODE_STEP) -> MapSigma:
     )
     sigma = np.full((*sheets.status.shape, 2), np.nan, np.float32)
     for glass in (False, True):
-        chosen = _seen(sheets, glass)
+        chosen = _nodes_seen(sheets, glass)
         sigma[chosen] = sigma_at(fit, sheets.pixel[0][chosen], glass) / full_grid.pitch_mm
     return MapSigma(grid, sigma, sheets.behind_glass, full_grid.pitch_mm, fit.measured_scene.content_hash())
 
@@ -156,7 +156,7 @@ def sigma_at(fit: "SceneFit", pixels: NDArray[np.float64], glass: bool) -> NDArr
     return SceneSigma.of(fit).sigma(fit.measured_scene if glass else fit.measured_scene.bare(), pixels)
 
 
-def _seen(sheets: CorrectionMap, glass: bool) -> NDArray[np.bool_]:
+def _nodes_seen(sheets: CorrectionMap, glass: bool) -> NDArray[np.bool_]:
     """Nodes of the best layer seen through glass, or directly."""
     return sheets.behind_glass if glass else sheets.recovered & ~sheets.behind_glass
 

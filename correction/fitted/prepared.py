@@ -167,7 +167,7 @@ def _other(grid: PlaneGrid | None, scene: Scene) -> PlaneGrid | None:
 
 def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -> CorrectionMap:
     if maps is None:
-        return build_correction_map(scene, build_ray_map(scene), grid, layers=layers).rounded()
+        return build_correction_map(scene, build_ray_map(scene), grid, layers=layers).as_stored()
     own = ""
     for what in (grid, scene.masked or None):
         own += "" if what is None else "_" + hashlib.sha256(repr(what).encode()).hexdigest()[:16]
@@ -181,7 +181,7 @@ def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -
                 return stored
         except (GroundError, TracerError):
             path.unlink()  # damaged or of an older layout: made again below
-    built = build_correction_map(scene, build_ray_map(scene), grid, layers=layers).rounded()
+    built = build_correction_map(scene, build_ray_map(scene), grid, layers=layers).as_stored()
     path.parent.mkdir(parents=True, exist_ok=True)
     built.save(path)
     _remove_old(maps)

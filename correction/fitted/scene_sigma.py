@@ -1,7 +1,7 @@
 """Uncertainty of a fitted scene, in the tracer's own numbers, and of the points of the plane.
 
-A fit gives a root of the covariance of its full vector, of what was free and of what was held (`doubted`); the
-tracer gives the derivative G of a landing point by the numbers of the scene (`tracer.strategies.sensitivity`;
+A fit gives a root of the covariance of its full vector, of what was free and of what was held (`with_considered`);
+the tracer gives the derivative G of a landing point by the numbers of the scene (`tracer.strategies.sensitivity`;
 rotations about the world's axes at the fitted pose).  With T = d numbers / d vector one matrix says everything:
 
     root = T root of the vector,   spread of a pixel's plane point = G root,   sigma^2 = sum of its squares.
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
-from correction.fit.solve.doubted import ShapeRoot
-from correction.fit.solve.unknowns import left_jacobian
+from correction.fit.solve.considered import ShapeRoot
+from correction.fit.solve.unknowns import rotation_jacobian
 from ground.config import Table
 from ground.errors import MapFileError
 from ground.map_file import Hash, checked, load_arrays, save_arrays
@@ -99,7 +99,7 @@ class SceneSigma(SceneBound):
         rows = unknowns.other_bodies.row_rates(full[unknowns.others], glass=True)
         shapes = fit.root[unknowns.all_shapes]
         root = np.concatenate((fit.root[: unknowns.glass.stop], rows @ fit.root[unknowns.others], shapes))
-        root[3:6] = left_jacobian(full[3:6]) @ root[3:6]
+        root[3:6] = rotation_jacobian(full[3:6]) @ root[3:6]
         if fit.light.step.size:
             step = np.zeros(len(root))
             step[: len(fit.light.step)] = fit.light.step
@@ -146,7 +146,7 @@ class SceneSigma(SceneBound):
             if name.endswith(f".{NAMES[0]}"):
                 root[at : at + COUNT] = turning(axes) @ root[at : at + COUNT]
         seen = scene.in_light_sheet().content_hash()
-        shapes = self.shapes.turned(axes)
+        shapes = self.shapes.rotate(axes)
         return replace(self, scene_hash=seen, root=root, plane_root=scene.lit.pose_root(), shapes=shapes)
 
     def of_glass(self) -> "SceneSigma":

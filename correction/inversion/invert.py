@@ -37,7 +37,7 @@ from correction.inversion.kernels.direct import direct_rows
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, Ways
 from correction.inversion.kernels.views import NodeScratch, join_weights, solve_nodes
 from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts
-from correction.masked import masked_branches, masked_pixels
+from correction.masked import mask_branches, mask_pixels
 from ground.rows import run_parts, run_rows
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.lanes import Bundle
@@ -203,7 +203,7 @@ class Inversion:
         self.arrays = out
         self.masked = np.zeros((1, 1), np.uint8), np.zeros(0, np.uint8)
         if scene.masked:
-            self.masked = masked_pixels(scene), masked_branches(scene, ray_map.branches)
+            self.masked = mask_pixels(scene), mask_branches(scene, ray_map.branches)
         self.longest_mm = 2.0 * grid.pitch_mm / limits[0]
         self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
         self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]

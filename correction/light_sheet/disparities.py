@@ -196,10 +196,10 @@ def disparities(
             planes[block] += found
     places = np.bincount(cell, minlength=cells)
     planes /= np.maximum(places, 1)[None, :, None, None]
-    return _measured(scene, views, cell, weights[0] + weights[1], planes, reach_mm)
+    return _match_planes(scene, views, cell, weights[0] + weights[1], planes, reach_mm)
 
 
-def _measured(
+def _match_planes(
     scene: Scene,
     views: DoubleViews,
     cell: NDArray[np.int64],

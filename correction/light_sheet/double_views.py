@@ -211,7 +211,7 @@ def _of_layers(
     with np.errstate(invalid="ignore", divide="ignore"):
         along = gap / parallax[:, None] * (1.0, -1.0)  # nodes run down, y runs up
     for pixel, rate in zip(pixels, rates, strict=True):
-        good &= _followed(scene, pitch_mm, pixel, np.einsum("nij,nj->ni", rate, along), along)
+        good &= _goes_on(scene, pitch_mm, pixel, np.einsum("nij,nj->ni", rate, along), along)
     ways = [found.branch[layer][at].tolist() for layer in layers]
     sides = [(np.linalg.det(rate) > 0.0).tolist() for rate in rates]
     keys = zip(*ways, *sides, strict=True)
@@ -259,7 +259,7 @@ def some_of_each(cell: NDArray[np.int64], most: int) -> NDArray[np.bool_]:
     return np.asarray(rank % np.ceil(np.bincount(cell) / most).astype(np.int64)[cell] == 0)
 
 
-def _followed(
+def _goes_on(
     scene: Scene,
     pitch_mm: float,
     pixel: NDArray[np.float64],

@@ -65,8 +65,8 @@ class SheetForecast:
             doubt = ": too little to find it, so measure it"
         return (
             f"{self.area_mm2:.0f} mm\u00b2 of the light sheet are seen twice; {PAIRS} pairs with {PER_PX:g}"
-            f" particles a pixel would tell its height to {_said(*self.range_mm)} mm and its tilt to"
-            f" {_said(*_range(self.tilt_sigma_deg, UNMEASURED_DEG))} degrees{doubt}"
+            f" particles a pixel would tell its height to {_format_range(*self.range_mm)} mm and its tilt to"
+            f" {_format_range(*_range(self.tilt_sigma_deg, UNMEASURED_DEG))} degrees{doubt}"
         )
 
 
@@ -76,7 +76,7 @@ def _range(sigma: float, without_frames: float) -> tuple[float, float]:
     return low, high
 
 
-def _said(low: float, high: float) -> str:
+def _format_range(low: float, high: float) -> str:
     return f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"
 
 

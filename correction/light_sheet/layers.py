@@ -256,7 +256,7 @@ class Model:
         low = np.array([self.height_mm[0], -ROOM, LEAST_MM**2, SMALLEST])[free]
         high = np.array([self.height_mm[-1], ROOM, MOST_MM**2, LARGEST])[free]
 
-        def solved(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+        def solve(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
             values = start.copy()
             values[free] = x
             bell = self.plane(values)
@@ -266,11 +266,11 @@ class Model:
 
         first = np.clip(start[free], low + 1e-9, high - 1e-9)
         answer = scipy.optimize.least_squares(
-            lambda x: solved(x)[0] / size, first, bounds=(low, high), x_scale=STEPS[free], max_nfev=30
+            lambda x: solve(x)[0] / size, first, bounds=(low, high), x_scale=STEPS[free], max_nfev=30
         ).x
         values = start.copy()
         values[free] = answer
-        light = solved(answer)[1]
+        light = solve(answer)[1]
         inside = self.height_mm[2] < values[0] < self.height_mm[-3]
         return Match(values, light) if light > 0.0 and inside else None
 
@@ -284,11 +284,11 @@ class Model:
         design = self._design(match, free)
         whole = blocks.sum(axis=0)
         left = (whole - blocks) * count / (count - 1.0)
-        answers = _solved(design, left.T)
+        answers = _least_squares(design, left.T)
         steps = answers[2:]
         variance = (count - 1.0) / count * np.sum((steps - steps.mean(axis=1)[:, None]) ** 2, axis=1)
         chance = count * blocks.var(axis=0, ddof=1).sum()
-        off = whole - design @ _solved(design, whole)
+        off = whole - design @ _least_squares(design, whole)
         more = max(0.0, float(off @ off) / max(float(chance), 1e-300) - 1.0)
         return np.asarray(np.sqrt(np.stack((variance, more * variance))), np.float64)
 
@@ -298,7 +298,7 @@ class Model:
         The step is linear in the plane, so noise draws its numbers to no side, however faint the plane is.
         """
         values = match.values.copy()
-        values[free] += _solved(self._design(match, free), plane)[2:]
+        values[free] += _least_squares(self._design(match, free), plane)[2:]
         return values
 
     def _design(self, match: Match, free: list[int]) -> NDArray[np.float64]:
@@ -321,7 +321,7 @@ class Model:
         return float(lights.mean() / max(float(lights.std(ddof=1)), 1e-300) * np.sqrt(len(lights)))
 
 
-def _solved(design: NDArray[np.float64], planes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _least_squares(design: NDArray[np.float64], planes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Least squares; columns of a design may differ by powers of ten."""
     norm = np.sqrt(np.sum(design**2, axis=0))
     norm[norm == 0.0] = 1.0

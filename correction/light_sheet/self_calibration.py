@@ -244,7 +244,7 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
             cells = replace(cells, common_mm=np.column_stack((cells.common_mm, doubt[cells.number])))
         # What was known before counts as a measurement, wherever the rounds have come to.
         fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
-        before, now = now, _moved(now, fit, known)
+        before, now = now, _correct_sheet(now, fit, known)
         step = np.abs(_numbers(now) - _numbers(before))
         # Settled: no number moves by more than a part of its own sigma.
         near = step < np.maximum(SETTLED * np.sqrt(np.diag(fit.covariance)), AT_REST)
@@ -252,7 +252,7 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
             break
     assert fit is not None
     assert cells is not None
-    wrong = [*_moved_glass(fit, views), *_far(now, known)]
+    wrong = [*_describe_moved_glass(fit, views), *_far(now, known)]
     said = [*wrong, *_untold(now, known)]
     if wrong:
         now = known
@@ -291,7 +291,7 @@ def _untold(now: LightSheet, known: LightSheet) -> list[str]:
     ]
 
 
-def _moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
+def _describe_moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
     """Describe the evidence for a body that is not in its place."""
     said = []
     if fit.across_px:
@@ -301,7 +301,7 @@ def _moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
         )
     if fit.kinds_disagree:
         named = "; ".join(
-            f"{' and '.join(_said(way) for way in views.kinds[kind])}: {1e3 * off:+.0f} +- {1e3 * sigma:.0f} um"
+            f"{' and '.join(map(_name_view, views.kinds[kind]))}: {1e3 * off:+.0f} +- {1e3 * sigma:.0f} um"
             for kind, (off, sigma) in fit.kinds_mm.items()
         )
         said.append(f"views through different bodies see different heights ({named})")
@@ -328,7 +328,7 @@ def _far(now: LightSheet, known: LightSheet) -> list[str]:
     ]
 
 
-def _said(branch: tuple[str, ...]) -> str:
+def _name_view(branch: tuple[str, ...]) -> str:
     return "through " + ", ".join(branch) if branch else "direct"
 
 
@@ -343,7 +343,7 @@ def _covariance(sheet: LightSheet) -> NDArray[np.float64]:
     return np.asarray(root @ root.T + np.diag([1e-6**2, 1e-8**2, 1e-8**2]))
 
 
-def _moved(now: LightSheet, fit: PlaneFit, known: LightSheet) -> LightSheet:
+def _correct_sheet(now: LightSheet, fit: PlaneFit, known: LightSheet) -> LightSheet:
     """The sheet with a correction of its plane, and its sigma."""
     return _with_plane(_numbers(now) + fit.step, fit.covariance, known.thickness_mm)
 

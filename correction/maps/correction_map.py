@@ -41,7 +41,7 @@ from pydantic import Field
 from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
 from correction.inversion.invert import Inversion
-from correction.maps.packed import deflated, inflated, pack, rounded, unpack
+from correction.maps.packed import deflate, inflate, pack, round_to_step, unpack
 from correction.masked import STATUS, nodes_in
 from correction.node_status import NodeStatus
 from ground.config import Pair
@@ -77,7 +77,7 @@ FINE_STEP_WIDTH_PX = (
 )
 
 
-def stored_steps(sensor_px: Sequence[int]) -> dict[str, float]:
+def storage_steps(sensor_px: Sequence[int]) -> dict[str, float]:
     """Return the step of each stored field of a sensor."""
     wider = 2.0 ** np.ceil(np.log2(max(max(sensor_px) / FINE_STEP_WIDTH_PX, 1.0)))
     return STEPS | {"pixel": float(STEPS["pixel"] * wider)}
@@ -180,11 +180,13 @@ class CorrectionMap(SceneBound):
         """Its arrays by name, in the order in which kernels take them."""
         return {name: getattr(self, name) for name in ARRAYS}
 
-    def rounded(self) -> "CorrectionMap":
+    def as_stored(self) -> "CorrectionMap":
         """Return the map with the bits that it has once stored."""
-        seen, steps = self.weight > 0.0, stored_steps(self.sensor_px)
+        seen, steps = self.weight > 0.0, storage_steps(self.sensor_px)
         fields: dict[str, Any] = {
-            name: _last(rounded(_first(getattr(self, name)), _each(seen, trailing), steps[name], hidden), kind)
+            name: _last(
+                round_to_step(_first(getattr(self, name)), _each(seen, trailing), steps[name], hidden), kind
+            )
             for name, (kind, trailing, hidden) in FIELDS.items()
         }
         return replace(self, **fields)
@@ -201,15 +203,15 @@ class CorrectionMap(SceneBound):
             "branch_kind": self.branch.dtype.str,
             "made_by": code_here(),
         }
-        seen, steps = self.weight > 0.0, stored_steps(self.sensor_px)
-        arrays = {"status": self.status, "seen": deflated(np.packbits(seen)), "branch": deflated(self.branch)}
+        seen, steps = self.weight > 0.0, storage_steps(self.sensor_px)
+        arrays = {"status": self.status, "seen": deflate(np.packbits(seen)), "branch": deflate(self.branch)}
         for name, (_, trailing, _) in FIELDS.items():
             arrays[name] = pack(_first(getattr(self, name)), _each(seen, trailing), steps[name])
         save_arrays(path, KIND, header, arrays)
 
     @classmethod
     def load(cls, path: Path | str) -> "CorrectionMap":
-        """Read a map, to half of `stored_steps`.
+        """Read a map, to half of `storage_steps`.
 
         Raises
         ------
@@ -226,10 +228,10 @@ class CorrectionMap(SceneBound):
         number = np.dtype(said.branch_kind)
         require_memory(float(BYTES_PER_VIEW * count), f"a correction map of {count} nodes and views")
         try:
-            bits = inflated(arrays["seen"], -(-count // 8))
+            bits = inflate(arrays["seen"], -(-count // 8))
             seen = np.unpackbits(bits, count=count).astype(bool).reshape(shape)
-            steps = stored_steps(said.sensor_px)
-            branch = inflated(arrays["branch"], count * number.itemsize).view(number).reshape(shape)
+            steps = storage_steps(said.sensor_px)
+            branch = inflate(arrays["branch"], count * number.itemsize).view(number).reshape(shape)
             fields = {
                 name: _last(unpack(arrays[name], _each(seen, trailing), steps[name], hidden), kind)
                 for name, (kind, trailing, hidden) in FIELDS.items()

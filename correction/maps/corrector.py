@@ -74,7 +74,7 @@ class Corrector:
         views = Views(correction_map.pixel, correction_map.jacobian, correction_map.weight)
         width, height = correction_map.sensor_px
         if dewarp is not None and not (skip and dewarp.largest_shift_px((width, height)) <= NEGLIGIBLE_PX):
-            views = _bent(correction_map, dewarp)
+            views = _bend_views(correction_map, dewarp)
             lost = (self.status == NodeStatus.RECOVERED) & ~(views.weight > 0.0).any(axis=0)
             self.status = np.where(lost, np.uint8(NodeStatus.OUT_OF_FRAME), self.status)
         self.recovered: NDArray[np.bool_] = self.status == NodeStatus.RECOVERED
@@ -136,7 +136,7 @@ class Corrector:
         return result
 
 
-def _bent(correction_map: CorrectionMap, dewarp: Dewarp) -> Views:
+def _bend_views(correction_map: CorrectionMap, dewarp: Dewarp) -> Views:
     """Views on the acquired frame; weight 0 where one is off the sensor."""
     position, jacobian = np.empty_like(correction_map.pixel), np.empty_like(correction_map.jacobian)
     weight = np.empty_like(correction_map.weight)

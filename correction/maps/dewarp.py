@@ -89,7 +89,7 @@ class Dewarp:
 
     def apply(self, ideal_px: ArrayLike) -> NDArray[np.float64]:
         """Acquired pixels (..., 2) of ideal pixels (..., 2); NaN stays NaN."""
-        x, y = self._normalised(ideal_px)
+        x, y = self._normalise(ideal_px)
         u, v = np.zeros_like(x), np.zeros_like(x)
         for (k, m), (a, b) in zip(powers(self.order), self.coefficients, strict=True):
             term = x**k * y**m
@@ -99,7 +99,7 @@ class Dewarp:
 
     def jacobian(self, ideal_px: ArrayLike) -> NDArray[np.float64]:
         """Derivatives (..., 2, 2): row u, v acquired by column u, v ideal."""
-        x, y = self._normalised(ideal_px)
+        x, y = self._normalise(ideal_px)
         out = np.zeros((*x.shape, 2, 2))
         for (k, m), pair in zip(powers(self.order), self.coefficients, strict=True):
             by_x = k * x ** max(k - 1, 0) * y**m
@@ -169,7 +169,7 @@ class Dewarp:
             raise DewarpError(f"a number of the dewarp cannot be read ({error}); fit it again") from error
         return cls(centre_px=(u, v), coefficients=pairs, **whole, **rest)  # type: ignore[arg-type]
 
-    def _normalised(self, ideal_px: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _normalise(self, ideal_px: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         xy = (np.asarray(ideal_px, dtype=np.float64) - np.array(self.centre_px)) / self.scale_px
         return xy[..., 0], xy[..., 1]
 
@@ -274,7 +274,7 @@ def fit_dewarp_pairs(
     sigma = np.ones_like(acquired) if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
     weight = 1.0 / np.maximum(sigma, 0.3 * np.median(sigma))  # no corner is ten times as good as the others
     keep = _sound(x, y, wanted, weight)
-    solution = _weighted(terms[keep], wanted[keep], weight[keep])
+    solution = _fit_weighted(terms[keep], wanted[keep], weight[keep])
     miss = (wanted - terms @ solution) * scale
     condition = float(np.linalg.cond(terms[keep] * weight[keep].mean(axis=1, keepdims=True)))
     if not condition < 1e6:
@@ -311,7 +311,7 @@ def coverage(points_px: NDArray[np.float64], sensor_px: tuple[int, int], spacing
     return float(inside.mean())
 
 
-def _weighted(
+def _fit_weighted(
     terms: NDArray[np.float64], wanted: NDArray[np.float64], weight: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Least squares for u and v (N, 2), each with its own weights; coefficients (P, 2)."""
@@ -332,7 +332,7 @@ def _sound(
     fitting = [order for order in range(2, JUDGE_ORDER + 1) if 3 * len(powers(order)) <= len(x)]
     terms = np.stack([x**k * y**m for k, m in powers(max(fitting, default=2))], axis=-1)
     for _ in range(10):
-        miss = np.abs(wanted - terms @ _weighted(terms[keep], wanted[keep], weight[keep]))
+        miss = np.abs(wanted - terms @ _fit_weighted(terms[keep], wanted[keep], weight[keep]))
         limit = max(GROSS * 1.4826 * float(np.median(miss[keep])), 1e-9)
         now = np.asarray((miss <= limit).all(axis=1), dtype=bool)
         if np.count_nonzero(now) < terms.shape[1] or np.array_equal(now, keep):

@@ -24,19 +24,21 @@ def pack(values: NDArray[Any], shown: NDArray[np.bool_], step: float) -> NDArray
     whole = _whole(values, shown, step).view(np.uint32)
     for axis in (-1, -2):
         whole = np.diff(whole, axis=axis, prepend=np.uint32(0))
-    return deflated(np.ascontiguousarray(whole.reshape(-1, 1).view(np.uint8).T))
+    return deflate(np.ascontiguousarray(whole.reshape(-1, 1).view(np.uint8).T))
 
 
 def unpack(data: NDArray[np.uint8], shown: NDArray[np.bool_], step: float, hidden: float) -> NDArray[np.float64]:
     """Return the fields that `pack` took, `hidden` where nothing is shown; ValueError if they are not there."""
-    parts = inflated(data, 4 * shown.size).reshape(4, -1)
+    parts = inflate(data, 4 * shown.size).reshape(4, -1)
     whole = np.ascontiguousarray(parts.T).view(np.uint32).reshape(shown.shape)
     for axis in (-1, -2):
         whole = np.cumsum(whole, axis=axis, dtype=np.uint32)
     return _fields(whole.view(np.int32), shown, step, hidden)
 
 
-def rounded(values: NDArray[Any], shown: NDArray[np.bool_], step: float, hidden: float) -> NDArray[np.float64]:
+def round_to_step(
+    values: NDArray[Any], shown: NDArray[np.bool_], step: float, hidden: float
+) -> NDArray[np.float64]:
     """Return fields as `unpack` gives them."""
     return _fields(_whole(values, shown, step), shown, step, hidden)
 
@@ -52,12 +54,12 @@ def _fields(steps: NDArray[np.int32], shown: NDArray[np.bool_], step: float, hid
     return np.where(shown, np.where(steps == NO_NUMBER, np.nan, steps * step), hidden)
 
 
-def deflated(values: NDArray[Any]) -> NDArray[np.uint8]:
+def deflate(values: NDArray[Any]) -> NDArray[np.uint8]:
     """Return an array as deflated bytes (B,)."""
     return np.frombuffer(zlib.compress(values.tobytes(), LEVEL), np.uint8)
 
 
-def inflated(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+def inflate(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
     """Return exactly `size` bytes; ValueError if there are others.  Memory is taken for so many and no more."""
     stream = zlib.decompressobj()
     found = stream.decompress(data.tobytes(), size + 1)

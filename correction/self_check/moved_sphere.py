@@ -27,7 +27,7 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.light_sheet.disparities import Light
-from correction.self_check.seen_twice import Finder, SeenTwice, joined
+from correction.self_check.seen_twice import Finder, SeenTwice, join_pairs
 from tracer.light_sheet import LightSheet
 from tracer.scene.scene import Scene
 
@@ -92,7 +92,7 @@ class SelfCheck:
     false_alarms: float = MOVE_FALSE_ALARMS
 
     @property
-    def moved(self) -> tuple[Move, ...]:
+    def likely_moves(self) -> tuple[Move, ...]:
         """The sphere that has moved, and those that explain it nearly as well; none if nothing has."""
         if not self.moves or min(m.probability for m in self.moves) >= self.false_alarms / len(self.moves):
             return ()
@@ -101,7 +101,7 @@ class SelfCheck:
     @property
     def attributes(self) -> dict[str, str]:
         """Attributes of a file of results; `spheres_moved` only where one has."""
-        names = " or ".join(one.name for one in self.moved)
+        names = " or ".join(one.name for one in self.likely_moves)
         return {"self_check": self.sentence} | ({"spheres_moved": names} if names else {})
 
     @property
@@ -110,14 +110,14 @@ class SelfCheck:
         seen = f"{self.particles} particles seen twice in {self.pairs} pairs"
         if not self.moves:
             return f"{seen}: too few to tell whether a sphere has moved"
-        if not self.moved:
+        if not self.likely_moves:
             told = [m for m in self.moves if m.is_told]
             untold = ", ".join(m.name for m in self.moves if not m.is_told)
             said = f"{seen} agree: no sphere has moved by more than chance"
             said += "".join(f", {m.name} +- {1e3 * float(m.sigma_mm[:2].max()):.0f} um" for m in told)
             return said + (f"; they tell nothing of {untold}" if untold else "")
-        x, y, z = (1e3 * self.moved[0].move_mm).tolist()
-        names = " or ".join(m.name for m in self.moved)
+        x, y, z = (1e3 * self.likely_moves[0].move_mm).tolist()
+        names = " or ".join(m.name for m in self.likely_moves)
         return (
             f"{seen} do not agree: {names} has moved, by about ({x:+.0f}, {y:+.0f}, {z:+.0f}) um; calibrate again"
             f" (false alarms: fewer than {self.false_alarms:g} a check)"
@@ -149,7 +149,7 @@ def check_spheres(scene: Scene, pairs: Pairs) -> SelfCheck:
         for number, pair in enumerate(pairs())
         for pulse, frame in enumerate(pair)
     ]
-    return judged(finder.spheres, joined(found), count, scene.lit)
+    return judge_pairs(finder.spheres, join_pairs(found), count, scene.lit)
 
 
 class RunningCheck:
@@ -180,7 +180,7 @@ class RunningCheck:
         for mean, frame in zip(self._mean, frames, strict=True):
             mean += (frame - mean) / np.float32(self._count)
         free = [frame - mean for frame, mean in zip(frames, self._mean, strict=True)]
-        self._seen.append(joined([self._finder.find(frame, 0) for frame in free]))
+        self._seen.append(join_pairs([self._finder.find(frame, 0) for frame in free]))
 
     @property
     def found(self) -> SelfCheck:
@@ -188,10 +188,10 @@ class RunningCheck:
         parts = [replace(seen, frame_pair=np.full(len(seen), n)) for n, seen in enumerate(self._seen)]
         if not parts:
             return SelfCheck((), 0, 0)
-        return judged(self._finder.spheres, joined(parts), len(parts), self._known)
+        return judge_pairs(self._finder.spheres, join_pairs(parts), len(parts), self._known)
 
 
-def judged(spheres: tuple[str, ...], seen: SeenTwice, pairs: int, known: LightSheet) -> SelfCheck:
+def judge_pairs(spheres: tuple[str, ...], seen: SeenTwice, pairs: int, known: LightSheet) -> SelfCheck:
     """Judge particles seen twice in some pairs of frames.
 
     Parameters

@@ -69,7 +69,7 @@ class SeenTwice:
         return len(self.frame_pair)
 
 
-def joined(parts: list[SeenTwice]) -> SeenTwice:
+def join_pairs(parts: list[SeenTwice]) -> SeenTwice:
     """Return particles of several frames together."""
     names = ("frame_pair", "place_mm", "apart_mm", "weight", "by_sphere", "by_height")
     return SeenTwice(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -85,7 +85,7 @@ def place_by_count(
     reach = max(reach or 0.0, HALF_SQUARE)
     found = _possible(corners, board, ends, turn, expected, reach)
     if len(found) != 1:
-        raise TargetNotFound(_why(found, corners, board, ends.turned(turn), turn, reach))
+        raise TargetNotFound(_why(found, corners, board, ends.ends_along(turn), turn, reach))
     if board.is_plain:
         board = replace(board, odd_bright=_odd_bright(corners, found[0]))
     return board, found[0]
@@ -142,7 +142,7 @@ def _possible(
         if board.outer_lines is not None:
             first, last = board.outer_lines[:, axis]
             near = near[(low[axis] + near > first) & (high[axis] + near < last)]
-            for line, edge in zip(ends.turned(turn)[axis], (first, last), strict=True):
+            for line, edge in zip(ends.ends_along(turn)[axis], (first, last), strict=True):
                 near = near if line is None else near[line + near == edge]
         moves.append(near.astype(int).tolist())
     (a, b), (c, d) = turn.tolist()

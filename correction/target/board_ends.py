@@ -50,7 +50,7 @@ class Ends:
     low: tuple[int | None, int | None]
     high: tuple[int | None, int | None]
 
-    def turned(self, turn: NDArray[np.int64]) -> list[tuple[int | None, int | None]]:
+    def ends_along(self, turn: NDArray[np.int64]) -> list[tuple[int | None, int | None]]:
         """Lower and higher end along x and y, where relative = turn @ board but for a shift."""
         found: list[tuple[int | None, int | None]] = []
         for column in turn.T:
@@ -86,12 +86,12 @@ def ends_of(frame: NDArray[Any], patch: Patch, marker_share: float = 0.0) -> End
         towards_x, towards_y = (back @ (0.0, 1.0)).astype(int).tolist()
         corners = patch.index @ turn.T
 
-        def turned(
+        def turn_back(
             places: NDArray[np.float64], around: NDArray[np.float64], back: NDArray[np.float64] = back
         ) -> NDArray[np.float64]:
             return shade(places @ back.T, around)
 
-        line = _upper_end(corners, _brightness(patch, back), turned, spots)
+        line = _upper_end(corners, _brightness(patch, back), turn_back, spots)
         found[towards_x, towards_y] = None if line is None else line * (towards_x + towards_y)
     return Ends((found[-1, 0], found[0, -1]), (found[1, 0], found[0, 1]))
 

@@ -120,7 +120,7 @@ def track_board(
         As in `find_board`, or neither the discs nor the prediction place any patch.
     """
     if _is_mirrored(board, predict):
-        return _found_in_mirror(image, board, predict, mask, reach)
+        return _find_in_mirror(image, board, predict, mask, reach)
     frame, patches, markers = _patches(image, board, mask)
     index, predicted = corners_in_view(board, predict, (frame.shape[0], frame.shape[1]))
     if len(index) == 0:
@@ -157,14 +157,14 @@ def track_board(
     if marked is not None:
         placed = [marked]
     if placed:
-        predicted = _corrected(index, predicted, *placed[0])
+        predicted = _correct_prediction(index, predicted, *placed[0])
         patches = [patch for patch in patches if all(patch is not other for other, _ in placed)]
     for patch in patches:
         placing = place_by_prediction(patch, index, predicted, board)
         if placing is not None:
             placed.append((patch, placing))
             if len(placed) == 1:
-                predicted = _corrected(index, predicted, patch, placing)
+                predicted = _correct_prediction(index, predicted, patch, placing)
     if not placed:
         raise TargetNotFound(_why_not_placed(frame, patches[0], (index, predicted), board))
     return measure_lattice(frame, board, placed, mask)
@@ -181,7 +181,7 @@ def _is_mirrored(board: Chessboard, predict: Predict) -> bool:
     return bool(len(sides)) and float(np.median(np.linalg.det(sides))) > 0.0  # v points down
 
 
-def _found_in_mirror(
+def _find_in_mirror(
     image: NDArray[Any],
     board: Chessboard,
     predict: Predict,
@@ -191,11 +191,11 @@ def _found_in_mirror(
     """Find the target of a mirrored camera in the frame with its columns reversed; arguments as `track_board`."""
     last = np.asarray(image).shape[1] - 1.0
 
-    def reversed_view(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mirror_view(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(predict(place_mm), np.float64) * (-1.0, 1.0) + (last, 0.0)
 
     seen = None if mask is None else np.ascontiguousarray(mask[:, ::-1])
-    found = track_board(np.ascontiguousarray(image[:, ::-1]), board, reversed_view, seen, reach)
+    found = track_board(np.ascontiguousarray(image[:, ::-1]), board, mirror_view, seen, reach)
     across = np.array((-1.0, 1.0))
     return replace(
         found, position_px=found.position_px * across + (last, 0.0), axes_px=found.axes_px * across[:, None]
@@ -366,7 +366,7 @@ def _why_not_placed(frame: NDArray[Any], patch: Patch, view: View, board: Chessb
     )
 
 
-def _corrected(
+def _correct_prediction(
     index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, placing: Placing
 ) -> NDArray[np.float64]:
     """Predicted pixels moved by the 2nd-order polynomial that takes them to a patch already placed."""

@@ -39,7 +39,7 @@ QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
 
 
 @cache
-def _turned_discs(
+def _turn_discs(
     discs: tuple[Square, ...], odd_bright: bool | None, turn: tuple[Square, Square]
 ) -> frozenset[tuple[int, int, bool]]:
     """Disc squares after a turn, relative to their lowest column and row, with their shade (None: all alike).
@@ -125,7 +125,7 @@ class Chessboard(Board):
             )
 
     def _shape(self, turn: tuple[Square, Square]) -> frozenset[tuple[int, int, bool]]:
-        return _turned_discs(self.discs, self.odd_bright if self.dots is None else None, turn)
+        return _turn_discs(self.discs, self.odd_bright if self.dots is None else None, turn)
 
     @property
     def is_mirror_symmetric(self) -> bool:
@@ -170,7 +170,7 @@ class Chessboard(Board):
         """Places (..., 3) [mm] of marks with index (..., 2) int: x and y on the board, z before its plane."""
         return np.concatenate((self.corner_mm(index), -self.depth_mm(index)[..., None]), axis=-1)
 
-    def stretched(self, by: ArrayLike) -> "Chessboard":
+    def stretch(self, by: ArrayLike) -> "Chessboard":
         """Return the same board, its squares wider and higher by two factors (2,), and its step by a third."""
         wider, higher, *deeper = np.asarray(by, np.float64).tolist()
         x, y = np.multiply(self.scale, (wider, higher)).tolist()
@@ -260,9 +260,9 @@ class Chessboard(Board):
             centre = (np.array(disc) + 0.5) * self.square_mm
             bright = bright ^ (np.sum((points - centre) ** 2, axis=-1) < 0.25 * self.disc_mm**2)
         if self.codes is not None:
-            from correction.target.codes import marked  # it knows boards, and OpenCV loads slowly
+            from correction.target.codes import marker_cells  # it knows boards, and OpenCV loads slowly
 
-            bright = bright & ~marked(self, points / self.square_mm)
+            bright = bright & ~marker_cells(self, points / self.square_mm)
         lines = self.outer_lines
         if lines is not None:  # paper
             bright = bright | ~((squares >= lines[0]) & (squares < lines[1])).all(axis=-1)

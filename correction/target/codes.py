@@ -50,7 +50,7 @@ def with_codes(board: Chessboard, codes: Codes) -> Chessboard:
 
 def layouts_of(board: Chessboard) -> list[Chessboard]:
     """Return the board in each layout that there is of it: one, if the number of rows is odd."""
-    squares, codes, _ = _coded(board)
+    squares, codes, _ = _codes_of(board)
     if squares[1] % 2:
         return [board]
     return [with_codes(board, replace(codes, layout=layout)) for layout in LAYOUTS]
@@ -58,7 +58,7 @@ def layouts_of(board: Chessboard) -> list[Chessboard]:
 
 def marker_squares(board: Chessboard) -> dict[int, tuple[int, int]]:
     """Number of each marker -> square of the board that it is in."""
-    squares, codes, (across, up) = _coded(board)
+    squares, codes, (across, up) = _codes_of(board)
     made = _opencv_board(squares, codes)
     found = {}
     for number, corners in zip(np.ravel(made.getIds()), made.getObjPoints(), strict=True):
@@ -67,9 +67,9 @@ def marker_squares(board: Chessboard) -> dict[int, tuple[int, int]]:
     return found
 
 
-def marked(board: Chessboard, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+def marker_cells(board: Chessboard, places: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Mask of the dark cells of markers at places (..., 2) of a board, in squares from its origin."""
-    squares, codes, origin = _coded(board)
+    squares, codes, origin = _codes_of(board)
     number, dark = _markers(board)
     square = np.floor(places).astype(np.int64) + origin
     inside = np.asarray(((square >= 0) & (square < squares)).all(axis=-1))
@@ -101,7 +101,7 @@ def read_markers(frame: NDArray[Any], board: Chessboard, dictionary: str = "") -
     settings = cv2.aruco.DetectorParameters()
     settings.errorCorrectionRate = 0.0  # what is nearly a marker is none
     settings.adaptiveThreshWinSizeMax = max(window for window, _, _ in READINGS)
-    reader = cv2.aruco.ArucoDetector(_dictionary(dictionary or _coded(board)[1].dictionary), settings)
+    reader = cv2.aruco.ArucoDetector(_dictionary(dictionary or _codes_of(board)[1].dictionary), settings)
     for window, times, enough in READINGS[:-1] if dictionary else READINGS:
         if times > 1:
             grey = cv2.resize(grey, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
@@ -124,7 +124,7 @@ def read_markers(frame: NDArray[Any], board: Chessboard, dictionary: str = "") -
 def square_px(board: Chessboard, markers: Sequence[Marker]) -> float:
     """Side of a square in the frame [px], at the median of markers."""
     sides = [np.linalg.norm(one.corners_px - np.roll(one.corners_px, 1, axis=0), axis=1).mean() for one in markers]
-    return float(np.median(sides)) / _coded(board)[1].marker_share
+    return float(np.median(sides)) / _codes_of(board)[1].marker_share
 
 
 def place_by_codes(
@@ -147,23 +147,23 @@ def place_by_codes(
         return []
     counted = {one: [_votes(patch, markers, one) for patch in patches] for one in layouts_of(board)}
     agreeing = {one: sum(max(votes.values(), default=0) for votes in found) for one, found in counted.items()}
-    most, named = max(agreeing.values()), _coded(board)[1].layout
+    most, named = max(agreeing.values()), _codes_of(board)[1].layout
     best = [one for one, count in agreeing.items() if count == most]
     if named and board in counted:
         if board not in best:
             raise TargetNotFound(
                 f"the markers lie in other squares than in layout {named}, which the board file names: {most}"
-                f" agree with layout {_coded(best[0])[1].layout}; give that one"
+                f" agree with layout {_codes_of(best[0])[1].layout}; give that one"
             )
         best = [board]
-    placed = [(one, _placed(patches, counted[one], one)) for one in best]
+    placed = [(one, _place_by_markers(patches, counted[one], one)) for one in best]
     reasons = [found for _, found in placed if isinstance(found, str)]
     if len(reasons) == len(placed):
         raise TargetNotFound(reasons[0])
     return [(one, found) for one, found in placed if found and not isinstance(found, str)]
 
 
-def _placed(
+def _place_by_markers(
     patches: Sequence[Patch], counted: Sequence[Counter[Placing]], board: Chessboard
 ) -> list[tuple[Patch, Placing]] | str:
     """Patches with the places that their markers give them, or why these contradict each other."""
@@ -182,7 +182,7 @@ def _placed(
 
 def _contradiction(board: Chessboard, count: int, against: int) -> str:
     """Say that markers name several places, with what usually is the cause."""
-    (columns, rows), codes, _ = _coded(board)
+    (columns, rows), codes, _ = _codes_of(board)
     layout = f" in layout {codes.layout}" if codes.layout else ""
     if count < SURE_OF_ONE:
         return (
@@ -199,7 +199,7 @@ def _contradiction(board: Chessboard, count: int, against: int) -> str:
 
 def why_no_codes(frame: NDArray[Any], board: Chessboard, markers: Sequence[Marker], patch: Patch) -> str:
     """Say why markers place nothing of a patch: too few, those of another dictionary, or mirrored ones."""
-    _, codes, _ = _coded(board)
+    _, codes, _ = _codes_of(board)
     mirrored = why_mirrored(frame, board, markers, patch)
     if mirrored:
         return mirrored
@@ -269,7 +269,7 @@ def _placing(patch: Patch, marker: Marker, square: tuple[int, int]) -> Placing |
     return Placing(((a, b), (c, d)), (i, j))
 
 
-def _coded(board: Chessboard) -> tuple[tuple[int, int], Codes, tuple[int, int]]:
+def _codes_of(board: Chessboard) -> tuple[tuple[int, int], Codes, tuple[int, int]]:
     """Squares and codes of a board that has them, and its corner at the origin."""
     lines = board.outer_lines
     if board.codes is None or board.squares is None or lines is None:
@@ -283,7 +283,7 @@ def _markers(board: Chessboard) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Number of the marker in every square (C, R), or -1; dark cells (N, n, n) of each, rows from the top."""
     import cv2
 
-    counts, codes, (across, up) = _coded(board)
+    counts, codes, (across, up) = _codes_of(board)
     names, squares = _dictionary(codes.dictionary), marker_squares(board)
     number = np.full(counts, -1, np.int64)
     for marker, (i, j) in squares.items():

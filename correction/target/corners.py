@@ -165,7 +165,7 @@ def refine_corners(
     FrameError
         Not a frame, NaN in it, or shapes that do not belong together.
     """
-    pixels, usable = checked_pixels(image, mask)
+    pixels, usable = check_pixels(image, mask)
     start = np.ascontiguousarray(start_px, dtype=np.float64).reshape(-1, 2)
     count = len(start)
     axes = np.ascontiguousarray(np.broadcast_to(np.asarray(axes_px, dtype=np.float64), (count, 2, 2)))
@@ -192,7 +192,7 @@ def refine_corners(
     return _judge(out, verdict, sign)
 
 
-def checked_pixels(
+def check_pixels(
     image: NDArray[Any], mask: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Pixels (H, W) of a frame, and which of them may be used, (1, 1) if all; FrameError as `refine_corners`."""
@@ -205,7 +205,7 @@ def checked_pixels(
     return pixels, usable
 
 
-def found_smeared(
+def find_smeared(
     axes_px: NDArray[np.float64],
     window: NDArray[np.float64],
     blur_px: NDArray[np.float64],
@@ -285,7 +285,7 @@ def _judge(
     )
 
 
-def saturated_fraction(image: NDArray[Any]) -> float:
+def fraction_saturated(image: NDArray[Any]) -> float:
     """Fraction of pixels at the full scale of a common bit depth, if that is the largest value; else 0."""
     if not np.issubdtype(image.dtype, np.integer):
         return 0.0

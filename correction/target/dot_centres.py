@@ -94,7 +94,7 @@ def refine_dots(
         for begin in range(first, last, DOTS_AT_ONCE):
             some = order[begin : min(begin + DOTS_AT_ONCE, last)]
             batch = _Batch(pixels, usable, start_px[some], axes_px[some], share[some], reach[some])
-            out[some], verdict[some] = batch.fitted(search.max_shift)
+            out[some], verdict[some] = batch.fit(search.max_shift)
 
     run_rows(rows, len(order), block=DOTS_AT_ONCE, threads=threads)
     amplitude = out[:, 7]
@@ -153,7 +153,7 @@ class _Batch:
         self.free[:, 5] = START_PX
         self.inside, self.clear = inside, clear
 
-    def fitted(self, max_shift: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    def fit(self, max_shift: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Return the rows (n, 11) that `refine_dots` keeps of each dot, and the outcome (n,)."""
         count = len(self.free)
         verdict = np.full(count, int(CornerReason.LOST), np.uint8)

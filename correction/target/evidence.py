@@ -106,7 +106,7 @@ def wrong_size(frame: NDArray[Any], board: Chessboard, patch: Patch, placing: Pl
     turn = np.array(placing.turn)
     shift = turn.T @ np.array(placing.shift)
     index = placing.board_index(patch.index)
-    ends = ends_of(frame, patch, board.codes.marker_share if board.codes else 0.0).turned(turn)
+    ends = ends_of(frame, patch, board.codes.marker_share if board.codes else 0.0).ends_along(turn)
     for axis, (words, way) in enumerate((("columns", "left to right"), ("rows", "bottom to top"))):
         seen = [
             int(end - shift[axis]) - int(line)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from correction.target.chessboard import Chessboard
-from correction.target.corners import ARM_LENGTH, CornerFit, CornerSearch, checked_pixels, refine_corners
+from correction.target.corners import ARM_LENGTH, CornerFit, CornerSearch, check_pixels, refine_corners
 from correction.target.dot_centres import refine_dots
 from correction.target.dots_seen import find_dots
 from correction.target.lattice_growth import Saddles, coarse_saddles, find_saddles
@@ -68,7 +68,7 @@ def refine_marks(
     if board.dots is None:
         sign = board.corner_sign(index)
         return refine_corners(image, start_px, axes_px, sign=sign, mask=mask, window=window, search=search)
-    pixels, usable = checked_pixels(image, mask)
+    pixels, usable = check_pixels(image, mask)
     axes = np.broadcast_to(np.asarray(axes_px, np.float64), (len(index), 2, 2))
     start = np.asarray(start_px, np.float64).reshape(-1, 2)
     return refine_dots(pixels, start, axes, board.dot_share(index), board.dots, usable, search)

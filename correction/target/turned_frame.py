@@ -18,7 +18,7 @@ SAME_TILE_CORRELATION = (
 LEAST, CLEARLY = 0.1, 3.0  # share of tiles that are alike once a frame is turned; times that of the frame as it is
 
 
-def turned_against(bare: NDArray[Any], glass: NDArray[Any]) -> str:
+def turn_between(bare: NDArray[Any], glass: NDArray[Any]) -> str:
     """Say how a frame (H, W) with glass is turned or mirrored against the bare one; "" where it is not."""
     first, second = _shrunk(bare), _shrunk(glass)
     ways = {

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.alignment.rim import touched
+from correction.alignment.rim import tangent_points
 from correction.errors import CorrectionError
 from correction.grid import grid_of
 from correction.maps.correction_map import build_correction_map
@@ -120,7 +120,7 @@ def outlines(scene: Scene) -> dict[str, Any]:
     said: dict[str, Any] = {"raw": {"lines": []}, "corrected": {"lines": []}}
     pinhole = np.array(scene.camera.position_mm)
     for ball in largest:
-        touch = touched(scene.camera, np.array(ball.centre_mm), ball.radius_mm, ANGLES)
+        touch = tangent_points(scene.camera, np.array(ball.centre_mm), ball.radius_mm, ANGLES)
         if not np.isfinite(touch).all():  # the camera stands in it
             continue
         said["raw"]["lines"].append([ball.name, _round_points(scene.camera.project(touch))])

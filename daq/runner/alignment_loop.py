@@ -20,8 +20,8 @@ from correction.alignment.moves import (
     STAGE_STEP_MM,
     Look,
     Wanted,
+    plan_moves,
     require_followed,
-    wanted,
 )
 from correction.alignment.seen import REACH_MM, Expected, find_arrangement, usable
 from correction.alignment.spheres_seen import MAX_STRAY_MM, SphereSeen
@@ -139,7 +139,7 @@ class AlignmentLoop:
             element: "".join(sorted({axis.along for axis in bench.table.axes_of(element).values()}))
             for element in (GLASS, CAMERA)
         }
-        return wanted(self.looks, axes, free_before_target_mm(bench))
+        return plan_moves(self.looks, axes, free_before_target_mm(bench))
 
     # ---- looks -----------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from correction.masked import swept
+from correction.masked import sweep
 from daq.bench.elements import GLASS, Vector
 from daq.errors import RunDamaged
 from daq.runs.journal import Entry
@@ -93,4 +93,4 @@ def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
     ])  # fmt: skip
     steps_px = scene.camera.project(ends + np.array(place_mm)) - scene.camera.project(ends)
     stays = scene.left_out
-    return replace(moved, masked=tuple(p if p in stays else swept(p, steps_px) for p in scene.masked))
+    return replace(moved, masked=tuple(p if p in stays else sweep(p, steps_px) for p in scene.masked))

@@ -96,7 +96,7 @@ class Calibration:
             here = fit.corners.behind == behind
             measured, used = int(np.count_nonzero(here)), int(np.count_nonzero(here & fit.corners.inlier))
             found[name] = {"measured": measured, "used": used, "rejected": measured - used}
-        found["behind glass"]["visible"] = fit.expected_behind
+        found["behind glass"]["visible"] = fit.corners_expected
         return found
 
     def said_of(self, weakness: Weakness) -> str:
@@ -140,8 +140,8 @@ class Calibration:
                 for name, behind in (("seen directly", False), ("behind glass", True))
                 if np.any(corners.inlier & (corners.behind == behind))
             },
-            "visible_behind_glass": fit.expected_behind,
-            "used_behind_glass": fit.paired_behind,
+            "visible_behind_glass": fit.corners_expected,
+            "used_behind_glass": fit.corners_paired,
             "outliers": int(np.count_nonzero(~corners.inlier)),
             "corners": self.account,
             "through_glass": None if self.through is None else self.through.share,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from correction.masked import _filled, masked_pixels, pixels_in, points_in
+from correction.masked import _filled, mask_pixels, pixels_in, points_in
 from correction.node_status import NodeStatus
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
@@ -97,7 +97,7 @@ def test_a_scene_file_names_a_picture_that_stands_beside_it(tmp_path):
     picture[200:, 30:90] = 255
     tifffile.imwrite(tmp_path / "mask.tif", picture)
     read = _loaded(tmp_path, dump_scene(scene) + "masked:\n- {why: left out, picture: mask.tif}\n")
-    np.testing.assert_array_equal(masked_pixels(read) == NodeStatus.LEFT_OUT, picture > 0)
+    np.testing.assert_array_equal(mask_pixels(read) == NodeStatus.LEFT_OUT, picture > 0)
     assert _loaded(tmp_path, dump_scene(read)).masked == read.masked
     for entry, words in (
         ("{why: unconfirmed, picture: mask.tif}", "'left out'"),

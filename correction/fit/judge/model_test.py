@@ -9,10 +9,10 @@ are split, frame by frame, by low polynomials of the pixel (columns of Q, orthon
 
 and F = (S/k) / (R/m) is asked whether corners with no more than that SMOOTH_SHARE of smooth error would reach it:
 Fisher's lack-of-fit test with the non-central F distribution, lambda = 2 N SMOOTH_SHARE for N corners, and the
-squares of what is known to be smooth (`Remainder.doubt_px`).  A residual's size does not matter: what the corners
-can do is the measure.  The chance of one alarm among all ways of a right lab is at most MODEL_FALSE_ALARMS.
-Corners beyond RESIDUAL_CLIP sigmas count as RESIDUAL_CLIP: a few wrong ones must not hide the rest, nor a wrong
-model itself among outliers.
+squares of what is known to be smooth (`Remainder.known_smooth_px`).  A residual's size does not matter: what the
+corners can do is the measure.  The chance of one alarm among all ways of a right lab is at most
+MODEL_FALSE_ALARMS. Corners beyond RESIDUAL_CLIP sigmas count as RESIDUAL_CLIP: a few wrong ones must not hide the
+rest, nor a wrong model itself among outliers.
 
 S - k R/m is an unbiased estimate of the squares of the smooth error: its root per corner and axis is `smooth_px`,
 an error of the map of its own, because corners stand in the plane of the map.
@@ -48,7 +48,7 @@ class Remainder:
         As used by the fit.
     magnified : (N, 2, 2) float64
         Corrected px a raw px: d plane point / d pixel over the pitch.
-    doubt_px : (N,) float64
+    known_smooth_px : (N,) float64
         Standard deviation of what is smooth and known of, and counted in sigma_px already.
     """
 
@@ -57,10 +57,10 @@ class Remainder:
     residual_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
     magnified: NDArray[np.float64]
-    doubt_px: NDArray[np.float64]
+    known_smooth_px: NDArray[np.float64]
 
     @property
-    def clipped(self) -> NDArray[np.float64]:
+    def robust_residuals(self) -> NDArray[np.float64]:
         """Residuals (N, 2) in sigmas, cut to RESIDUAL_CLIP."""
         value = self.residual_px / self.sigma_px
         length = np.maximum(np.linalg.norm(value, axis=1, keepdims=True), 1e-300)
@@ -121,7 +121,7 @@ def smooth_basis(pixel: NDArray[np.float64]) -> NDArray[np.float64]:
 def smooth_part(rest: Remainder) -> SmoothPart:
     """Smooth part of the residuals (N, 2) [px], and the dimensions that it took on the way of each corner (N,)."""
     smooth, taken = np.zeros_like(rest.residual_px), np.zeros(len(rest.pixel), np.int64)
-    value = rest.clipped
+    value = rest.robust_residuals
     for way in np.unique(rest.branch_name):
         here = rest.branch_name == way
         basis = smooth_basis(rest.pixel[here])
@@ -149,12 +149,12 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
             size = int(np.count_nonzero(here))
             own = float(np.sum((smooth[here] / rest.sigma_px[here]) ** 2))
             energy += own
-            rough += float(np.sum(rest.clipped[here] ** 2)) - own
-            known += float(np.sum((rest.doubt_px[here, None] / rest.sigma_px[here]) ** 2)) / 2.0
+            rough += float(np.sum(rest.robust_residuals[here] ** 2)) - own
+            known += float(np.sum((rest.known_smooth_px[here, None] / rest.sigma_px[here]) ** 2)) / 2.0
             k, m, count = k + int(taken[here][0]), m + 2 * size - int(taken[here][0]), count + size
             squares += float(np.sum(smooth[here] ** 2))
             weights += float(np.sum(rest.sigma_px[here] ** -2.0))
-            left += float(np.sum((rest.clipped * rest.sigma_px - smooth)[here] ** 2))
+            left += float(np.sum((rest.robust_residuals * rest.sigma_px - smooth)[here] ** 2))
             shown = (rest.magnified[here] @ smooth[here, :, None])[:, :, 0]
             on_map += float(np.sum(shown**2))
             largest = max(largest, float(np.linalg.norm(smooth[here], axis=1).max()))

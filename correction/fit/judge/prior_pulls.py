@@ -126,7 +126,7 @@ def prior_pulls(
     return tuple({pull.names: pull for pull in reversed(found)}.values())[::-1]
 
 
-def widened(
+def widen_priors(
     unknowns: Unknowns, x: NDArray[np.float64], pulls: tuple[PriorPull, ...], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weights (count,) of the priors once those of failed tests are widened, and the gradient (count, 1 or 0)."""

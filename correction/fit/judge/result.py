@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from correction.errors import FitFailed
 from correction.fit.judge.verdict import PRIOR_LIMIT, Verdict
 from correction.fit.seen.unconfirmed_ways import BRANCH_LIMIT
-from correction.fit.solve.doubted import ShapeRoot
-from correction.fit.solve.light import LightDoubt
+from correction.fit.solve.considered import ShapeRoot
+from correction.fit.solve.light import LightUncertainty
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
 from ground.short_repr import short_repr
@@ -127,7 +127,7 @@ class SceneFit:
         Whether the model is right, and what is wrong with it where it is not.
     history : tuple of FitStep
         What happened.
-    light : LightDoubt
+    light : LightUncertainty
         What is not known of the light of the target frames.
     shapes : ShapeRoot
         What is not known of the shapes of balls taken for spheres, in the draws of `root`.
@@ -149,7 +149,7 @@ class SceneFit:
     measured_scene: Scene
     verdict: Verdict
     history: tuple[FitStep, ...] = field(default=())
-    light: LightDoubt = field(default_factory=LightDoubt)
+    light: LightUncertainty = field(default_factory=LightUncertainty)
     shapes: ShapeRoot = field(default_factory=ShapeRoot)
     board: Chessboard = field(default_factory=Chessboard)
 
@@ -171,12 +171,12 @@ class SceneFit:
         return np.asarray(self.unknowns.sigma * np.sqrt(np.diag(self.covariance)))
 
     @property
-    def expected_behind(self) -> int:
+    def corners_expected(self) -> int:
         """Corners behind glass that the fitted scene shows."""
         return sum(self.expected.values())
 
     @property
-    def paired_behind(self) -> int:
+    def corners_paired(self) -> int:
         """Those measured and used."""
         return int(np.count_nonzero(self.corners.behind & self.corners.inlier))
 
@@ -185,7 +185,7 @@ class SceneFit:
         """Rows (B, 4, P) of `root` that belong to x, y, z and radius of each ball [mm]."""
         return self.root[self.unknowns.glass].reshape(-1, len(SPHERE), self.root.shape[1])[:, :4]
 
-    def paired(self, branch_name: str) -> int:
+    def count_paired(self, branch_name: str) -> int:
         """Corners measured and used that are seen through one branch."""
         return int(np.count_nonzero(self.corners.inlier & (self.corners.branch_name == branch_name)))
 
@@ -193,8 +193,8 @@ class SceneFit:
     def share(self) -> float:
         """Share of the visible corners behind glass that were measured and used, where the target confirms any."""
         lost = self.verdict.unconfirmed
-        expected = self.expected_behind - sum(one.expected for one in lost)
-        return (self.paired_behind - sum(one.paired for one in lost)) / max(expected, 1)
+        expected = self.corners_expected - sum(one.expected for one in lost)
+        return (self.corners_paired - sum(one.paired for one in lost)) / max(expected, 1)
 
     @property
     def rms_confirmed_px(self) -> NDArray[np.float64]:
@@ -204,9 +204,9 @@ class SceneFit:
         return np.asarray(np.sqrt((self.corners.residual_px[kept] ** 2).mean(axis=0)))
 
 
-def rms_limit_px(able_px: float) -> float:
-    """Largest residual that is still taken as a fit, if corners are good to `able_px` where all is right."""
-    return float(np.clip(RMS_TIMES * able_px, *RMS_BOUNDS_PX))
+def rms_limit_px(corner_noise_px: float) -> float:
+    """Largest residual that is still taken as a fit, by the corner noise of a right model."""
+    return float(np.clip(RMS_TIMES * corner_noise_px, *RMS_BOUNDS_PX))
 
 
 def check(fit: SceneFit) -> None:
@@ -225,7 +225,7 @@ def check(fit: SceneFit) -> None:
         cure = f"{fit.verdict.sentences[0]}; {cure}"
     if fit.corners.behind.any():
         lost = fit.verdict.unconfirmed
-        if lost and sum(one.expected for one in lost) > (1.0 - SHARE_LIMIT) * fit.expected_behind:
+        if lost and sum(one.expected for one in lost) > (1.0 - SHARE_LIMIT) * fit.corners_expected:
             worst = min(lost, key=lambda one: (not one.is_ball, one.share))
             raise FitFailed(
                 f"share of corners paired through {worst.name}",
@@ -235,14 +235,14 @@ def check(fit: SceneFit) -> None:
                 f" glass, or hold it fixed in the fit section, and {cure}",
             )
         rms = float(fit.rms_confirmed_px.max())
-        limit = rms_limit_px(fit.verdict.able_px)
+        limit = rms_limit_px(fit.verdict.corner_noise_px)
         if not rms <= limit:
             raise FitFailed("rms behind glass [px]", rms, limit, cure)
         if fit.share < SHARE_LIMIT:
-            if fit.expected_behind < FEW_CORNERS:
+            if fit.corners_expected < FEW_CORNERS:
                 cure = (
-                    f"the scene shows only {fit.expected_behind} corners behind glass, of which"
-                    f" {fit.paired_behind} were found; squares of another size or a longer lens would show"
+                    f"the scene shows only {fit.corners_expected} corners behind glass, of which"
+                    f" {fit.corners_paired} were found; squares of another size or a longer lens would show"
                     f" more, or {cure}"
                 )
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)

@@ -9,8 +9,8 @@ are asked as soon as residuals bend more than noise would, and their changes of 
 
 A cause that is named explains its field of residuals.  What the map is off by is then the difference that the
 cause makes, and what a fit that knew the cause would leave open: its corners err, and err alike, by what the cause
-leaves (`Left`).  Counted by all residuals, the field would be in sigma three times, as noise, as what neighbours
-have in common and as the difference: ten times too much behind glass for a board that is bent.
+leaves (`ResidualsGivenCause`).  Counted by all residuals, the field would be in sigma three times, as noise, as
+what neighbours have in common and as the difference: ten times too much behind glass for a board that is bent.
 """
 
 from collections.abc import Sequence
@@ -20,19 +20,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.fit.judge.hypotheses import ErrorHypothesis, Evidence, likely_cause, rank_hypotheses
 from correction.fit.judge.model_test import MODEL_FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
 from correction.fit.judge.prior_pulls import PriorPull
-from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
-from correction.fit.seen.hidden_patches import Hidden, hidden_patches
+from correction.fit.seen.hidden_patches import Hidden, find_hidden_patches
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
 from correction.fit.seen.pixel_lock import NAMES as LOCK
 from correction.fit.seen.rims_seen import RimSeen
-from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
+from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smear_in_view
 from correction.fit.seen.unconfirmed_ways import Misfit, Unconfirmed
 from correction.fit.seen.unlisted_parts import Unlisted
 from correction.fit.seen.unsure_rims import UnsureRim, in_words
 from correction.fit.solve.correlation import Correlation, Lattice, correlation_of
-from correction.fit.solve.solver import Corners, Residuals, landed
+from correction.fit.solve.solver import Corners, Residuals, land_corners
 from correction.fit.solve.unknowns import Unknowns
 from correction.grid import grid_of
 from tracer.masked import MaskedPart
@@ -53,7 +53,7 @@ class Verdict:
         The test of every way that shows enough corners.
     correlation : dict
         Behind glass or not -> how neighbours err alike.
-    suspects : tuple of Suspect
+    suspects : tuple of ErrorHypothesis
         What would explain what bends more than noise would, alarm or not, the most likely first.
     smooth_px : (N, 2) float64
         Smooth part of the residual of every corner, raw px.
@@ -83,7 +83,7 @@ class Verdict:
 
     ways: tuple[WayTest, ...]
     correlation: dict[bool, Correlation]
-    suspects: tuple[Suspect, ...]
+    suspects: tuple[ErrorHypothesis, ...]
     smooth_px: NDArray[np.float64]
     hidden: tuple[Hidden, ...] = ()
     unlisted: tuple[Unlisted, ...] = ()
@@ -103,12 +103,12 @@ class Verdict:
         return tuple(sorted((way for way in self.ways if way.alarm), key=lambda way: -way.excess))
 
     @property
-    def able_px(self) -> float:
+    def corner_noise_px(self) -> float:
         """Corner noise beside the glass, raw px per axis: the rough part of the residuals."""
         return next((way.rough_px for way in self.ways if not way.way), 0.0)
 
     @property
-    def cause(self) -> Suspect | None:
+    def cause(self) -> ErrorHypothesis | None:
         """The most likely error, if anything on the list explains the residuals."""
         return likely_cause(self.suspects)
 
@@ -125,7 +125,7 @@ class Verdict:
         )
 
     @property
-    def _likely(self) -> list[tuple[float, Suspect]]:
+    def _likely(self) -> list[tuple[float, ErrorHypothesis]]:
         """Possible errors, each with its share."""
         return [(1.0, self.cause)] if self.cause is not None else [(one.share, one) for one in self.suspects]
 
@@ -260,7 +260,7 @@ def unlike_noise(ways: Sequence[WayTest]) -> list[WayTest]:
 
 
 @dataclass(frozen=True)
-class Left:
+class ResidualsGivenCause:
     """Residuals of all corners as the covariance takes them: given the cause, if one is named.
 
     Parameters
@@ -288,7 +288,7 @@ def judge_model(
     frames: Sequence[MeasuredFrame],
     weighted: Sequence[Corners],
     parts: Sequence[Residuals],
-) -> tuple[Verdict, Left]:
+) -> tuple[Verdict, ResidualsGivenCause]:
     """Test the model.
 
     Parameters
@@ -313,21 +313,21 @@ def judge_model(
     views: list[SmearedView] = []
     for frame, corners, part in zip(frames, weighted, parts, strict=True):
         sigma = 1.0 / np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)
-        rays = landed(unknowns, full, corners)
+        rays = land_corners(unknowns, full, corners)
         shown = np.nan_to_num(rays.pixel_rate) / pitch_mm
         off = part.value * sigma
-        rests.append(Remainder(frame.branch_name, corners.pixel, off, sigma, shown, frame.doubt_px))
+        rests.append(Remainder(frame.branch_name, corners.pixel, off, sigma, shown, frame.known_smooth_px))
         rates.append(np.nan_to_num(part.rate))
         sighted.append(replace(frame, corners=corners))
         if frame.corners.glass and len(frame.spread.variance_px2):
             camera = unknowns.camera(full)
             views.append(
-                smeared_view(unknowns.scene, camera, frame.branch_name, frame.axes_px, frame.spread, rays)
+                smear_in_view(unknowns.scene, camera, frame.branch_name, frame.axes_px, frame.spread, rays)
             )
     smooth_parts = [smooth_part(rest) for rest in rests]
     ways = tuple(ways_tested(rests, smooth_parts))
-    left = _left(frames, rests, rates, [part.value for part in parts], {False: 1.0, True: 1.0})
-    found: list[Suspect] = []
+    left = _residuals_given(frames, rests, rates, [part.value for part in parts], {False: 1.0, True: 1.0})
+    found: list[ErrorHypothesis] = []
     own = [name not in LOCK for name in unknowns.names]
     pull = np.abs(x[:free]) * own  # what is free may hide what is wrong
     pulled = float(pull.max(initial=0.0)) > STRAINED
@@ -335,14 +335,14 @@ def judge_model(
     if pulled or any(way.alarm for way in ways) or unlike_noise(ways):
         values = [one.value for one in left.lattices]
         seen = Evidence(sighted, values, [rate[:, :, :free] for rate in rates], x[:free])
-        found = suspects(unknowns, full, seen, sum(way.excess for way in ways) + float(x @ x) * pulled)
+        found = rank_hypotheses(unknowns, full, seen, sum(way.excess for way in ways) + float(x @ x) * pulled)
     smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
     verdict = Verdict(
         ways,
         left.correlation,
         tuple(found),
         smooth,
-        hidden_patches(frames),
+        find_hidden_patches(frames),
         smear=colour_smear(views),
         strained=strained,
     )
@@ -357,26 +357,29 @@ def judge_model(
         )
         for frame, rest, value in zip(frames, rests, verdict.cause.left, strict=True)
     ]
-    left = _left(frames, rests, rates, verdict.cause.left, factors)
+    left = _residuals_given(frames, rests, rates, verdict.cause.left, factors)
     return replace(verdict, unexplained=tuple(ways_tested(rests))), left
 
 
-def _left(
+def _residuals_given(
     frames: Sequence[MeasuredFrame],
     rests: Sequence[Remainder],
     rates: Sequence[NDArray[np.float64]],
     values: Sequence[NDArray[np.float64]],
     factors: dict[bool, float],
-) -> Left:
+) -> ResidualsGivenCause:
     """Assemble residuals from remainders in multiplied sigmas and derivatives in those of the fit."""
     lattices = [
         Lattice(
-            frame.index, frame.branch_name, rest.clipped, rate / by_region(frame.behind, factors)[:, None, None]
+            frame.index,
+            frame.branch_name,
+            rest.robust_residuals,
+            rate / by_region(frame.behind, factors)[:, None, None],
         )
         for frame, rest, rate in zip(frames, rests, rates, strict=True)
     ]
     correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
-    return Left(values, factors, lattices, correlation)
+    return ResidualsGivenCause(values, factors, lattices, correlation)
 
 
 def _where(way: str) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from correction.fit.judge.result import SceneFit
-from correction.fit.solve.doubted import doubted
+from correction.fit.solve.considered import with_considered
 from correction.fit.solve.unknowns import unit_of
 from tracer.bodies import Sphere
 from tracer.harmonics import NAMES
@@ -65,7 +65,7 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
     found = _of_light(fit)
     found += [Weakness((), sentence) for sentence in two_gases(fit.unknowns.scene)]
-    wide = doubted(fit.unknowns)
+    wide = with_considered(fit.unknowns)
     if held := wide.names[len(fit.names) :]:
         sizes = zip(held, wide.sigma[-len(held) :].tolist(), strict=True)
         text = (

@@ -46,7 +46,7 @@ LEFT_BY_RIM, LEFT_OF_DOTS = 0.03, 0.02  # of what is taken off dots, by their ri
 LEFT = 0.2  # of what is taken off, one standard deviation: renders show 0.8 behind two balls, all behind three
 
 
-def taken_aside(
+def window_bias(
     scene: Scene,
     pose: TargetPose,
     board: Chessboard,
@@ -71,7 +71,7 @@ def taken_aside(
     asked = (np.linalg.norm(expected.bent_px, axis=1) > worth) & np.isfinite(blur_px)
     if not asked.any():
         return aside, doubt
-    found = found_bent(scene, pose, board, expected.take(asked), float(np.median(blur_px[asked])))
+    found = find_bent_corners(scene, pose, board, expected.take(asked), float(np.median(blur_px[asked])))
     known = np.isfinite(found[:, 0])
     here = np.flatnonzero(asked)[known]
     left = LEFT if board.dots is None else LEFT_OF_DOTS
@@ -79,12 +79,12 @@ def taken_aside(
     return aside, doubt
 
 
-def found_bent(
+def find_bent_corners(
     scene: Scene, pose: TargetPose, board: Chessboard, expected: Expected, blur_px: float
 ) -> NDArray[np.float64]:
     """Find corners (N, 2) [px] in drawn windows, from their places; NaN where the fit gives up.
 
-    Arguments are those of `taken_aside`, with one blur for all.
+    Arguments are those of `window_bias`, with one blur for all.
     """
     seen, aside = in_target_frame(scene, pose), np.full((len(expected), 2), np.nan)
     node = board.corner_mm(expected.index)
@@ -105,7 +105,7 @@ def found_bent(
         nearest = nearest_there(there)
         squares = (flat + (point - flat)[nearest]) / board.sides_mm
         passed = rays.rays["transmittance"][nearest]
-        tiles = drawn(squares, passed, board, expected.index[some], blur_px)
+        tiles = draw_marks(squares, passed, board, expected.index[some], blur_px)
         height, width = expected.usable.shape
         inside = ((pixel >= 0) & (pixel < (width, height))).all(axis=-1)
         u, v = np.clip(pixel, 0, (width - 1, height - 1)).transpose(3, 0, 1, 2)
@@ -130,7 +130,7 @@ def nearest_there(there: NDArray[np.bool_]) -> tuple[NDArray[np.int64], ...]:
     return tuple(scipy.ndimage.distance_transform_edt(~there, apart, return_distances=False, return_indices=True))
 
 
-def drawn(
+def draw_marks(
     squares: NDArray[np.float64],
     passed: NDArray[np.float64],
     board: Chessboard,
@@ -165,7 +165,7 @@ def drawn(
 def _shade(
     squares: NDArray[np.float64], between: NDArray[np.float64], board: Chessboard, index: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Draw the print, dark -1 and bright 1, between the pixels (N, M, M); arguments are those of `drawn`."""
+    """Draw the print, dark -1 and bright 1, between the pixels (N, M, M); arguments are those of `draw_marks`."""
     fine = np.einsum("av,nvuk,bu->nabk", between, squares, between, optimize=True)
     if board.dots is not None:
         node = np.rint(fine).astype(np.int64)

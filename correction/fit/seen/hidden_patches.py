@@ -58,7 +58,7 @@ class Hidden:
         )
 
 
-def hidden_patches(frames: Sequence[MeasuredFrame]) -> tuple[Hidden, ...]:
+def find_hidden_patches(frames: Sequence[MeasuredFrame]) -> tuple[Hidden, ...]:
     """Patches of lost corners in frames, the largest first."""
     found = []
     bare = [frame.index for frame in frames if not frame.corners.glass and len(frame)]

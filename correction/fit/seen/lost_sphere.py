@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.seen.measurement import MeasuredFrame
-from correction.fit.seen.pairing import Candidates, distances, paired_residuals
-from correction.fit.solve.solver import LOST, Corners, landed
+from correction.fit.seen.pairing import Candidates, distances, pairing_residuals
+from correction.fit.solve.solver import LOST, Corners, land_corners
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
 from tracer.strategies.branches import branch_of
@@ -43,7 +43,7 @@ SAME_MM, NOTHING_MM = 0.05, 1e-6  # places that are one; radius of a sphere that
 TRIES = 6  # places that are measured
 
 
-def lost_spheres(
+def find_lost_spheres(
     unknowns: Unknowns, frames: Sequence[MeasuredFrame], kept: Sequence[NDArray[np.bool_]]
 ) -> list[int]:
     """Numbers of the spheres that the scene shows corners through, and the frames do not."""
@@ -154,7 +154,9 @@ def _own(
 
 def _crosses(unknowns: Unknowns, full: NDArray[np.float64], frame: Candidates, number: int) -> NDArray[np.bool_]:
     """Candidates (N,) whose ray goes through a sphere."""
-    rays = landed(unknowns, full, Corners(frame.height_number, True, frame.pixel, np.zeros_like(frame.pixel), 1.0))
+    rays = land_corners(
+        unknowns, full, Corners(frame.height_number, True, frame.pixel, np.zeros_like(frame.pixel), 1.0)
+    )
     rate = rays.columns([f"{number}.x", f"{number}.y"])
     return np.asarray(rays.recovered & np.any(rate != 0.0, axis=(1, 2)))
 
@@ -199,7 +201,7 @@ def _step(
     """Gauss-Newton step with Cauchy weights, and the cost before it; rays that land nowhere only cost."""
     normal, slope, cost = np.eye(len(x)), x.copy(), float(x @ x)
     for frame in frames:
-        part = paired_residuals(unknowns, x, frame, board, pitch_mm)
+        part = pairing_residuals(unknowns, x, frame, board, pitch_mm)
         square = (part.value**2).sum(axis=1)
         seen = np.isfinite(square) & ~frame.bare
         cost += _cost(square, frame, knee)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
-from correction.fit.seen.bent_view import LEFT_BY_RIM, taken_aside
+from correction.fit.seen.bent_view import LEFT_BY_RIM, window_bias
 from correction.fit.seen.dot_rims import off_centre
 from correction.fit.seen.prediction import Expected, expect, in_target_frame, measure, on_each_level
 from correction.fit.seen.smear import (
@@ -21,10 +21,10 @@ from correction.fit.seen.smear import (
     UNEVEN_COLOURS,
     Dispersion,
     colour_steps,
-    joined,
+    join_smears,
     pupil_smear,
-    smeared,
-    smeared_by_colour,
+    smear_by_colour,
+    smear_of,
     uneven_blur,
 )
 from correction.fit.seen.smear_test import EdgeSpread
@@ -117,7 +117,7 @@ class MeasuredFrame:
         Those of them that the scene shows.
     spread : EdgeSpread
         How wide edges are drawn.
-    doubt_px : (N,) float64
+    known_smooth_px : (N,) float64
         Standard deviation of what is smooth in the errors and known: what smears corners is not known to better.
     smear_px : (N, 2, 2) float64
         What colours, and what the pupil, may do to corners beyond what is taken off, all alike, one standard
@@ -137,12 +137,12 @@ class MeasuredFrame:
     refused: dict[str, int]
     lost: LostCorners = field(default_factory=LostCorners)
     spread: EdgeSpread = field(default_factory=EdgeSpread)
-    doubt_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    known_smooth_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     smear_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))
     bent_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
-        for name, width in (("doubt_px", ()), ("smear_px", (2, 2)), ("bent_px", (2,))):
+        for name, width in (("known_smooth_px", ()), ("smear_px", (2, 2)), ("bent_px", (2,))):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.zeros((len(self), *width)))
 
@@ -154,7 +154,7 @@ class MeasuredFrame:
         """Corners seen through glass (N,)."""
         return np.asarray(self.branch_name != "")
 
-    def taken(self, which: NDArray[np.bool_]) -> "MeasuredFrame":
+    def take(self, which: NDArray[np.bool_]) -> "MeasuredFrame":
         """Return the frame with the chosen corners only."""
         return replace(
             self,
@@ -164,8 +164,8 @@ class MeasuredFrame:
             branch_name=self.branch_name[which],
             rim_px=self.rim_px[which],
             sigma_px=self.sigma_px[which],
-            spread=self.spread.taken(which),
-            doubt_px=self.doubt_px[which],
+            spread=self.spread.take(which),
+            known_smooth_px=self.known_smooth_px[which],
             smear_px=self.smear_px[which],
             bent_px=self.bent_px[which],
         )
@@ -251,20 +251,20 @@ def bare_frame_through_walls(
     fit = measure(frame.image, expected, board)
     nothing = np.zeros_like(fit.blurs_px)
     spread = EdgeSpread(fit.blurs_px**2, nothing, nothing)
-    found = _measured(frame.name, board, expected, fit, spread, height_number)
+    found = _to_measured_frame(frame.name, board, expected, fit, spread, height_number)
     nothing_behind = np.full(len(found), "")
     corners = replace(found.corners, glass=False)
     return replace(found, corners=corners, branch_name=nothing_behind, expected={}, lost=LostCorners())
 
 
-def centred(frame: MeasuredFrame, board: Chessboard, scene: Scene, pose: TargetPose) -> MeasuredFrame:
+def centre_dots(frame: MeasuredFrame, board: Chessboard, scene: Scene, pose: TargetPose) -> MeasuredFrame:
     """Take the middles of pictures of dots of the bare target back to their centres, by a scene without balls."""
     off, depth = np.full((len(frame), 2), np.nan), board.depth_mm(frame.index)
     for depth_mm in board.depths_mm:
         own, seen = depth == depth_mm, in_target_frame(scene, pose.behind(depth_mm))
         off[own] = off_centre(seen, board, frame.index[own], frame.corners.pixel[own], frame.axes_px[own])
     whole = np.isfinite(off[:, 0])
-    frame, off = frame.taken(whole), off[whole]
+    frame, off = frame.take(whole), off[whole]
     corners = replace(frame.corners, pixel=frame.corners.pixel - off)
     return replace(frame, corners=corners, bent_px=LEFT_BY_RIM * off)
 
@@ -288,7 +288,7 @@ def glass_frame(
     aside, bent = (
         np.concatenate(parts)
         for parts in zip(
-            *(taken_aside(scene, on, board, expected.take(own), fit.blur_px[own]) for on, own in levels),
+            *(window_bias(scene, on, board, expected.take(own), fit.blur_px[own]) for on, own in levels),
             strict=True,
         )
     )
@@ -301,14 +301,14 @@ def glass_frame(
             np.concatenate([share for _, share in of_levels], axis=1),
         )
         if board.dots is None:
-            smear = smeared_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
+            smear = smear_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
         else:
-            smear = smeared(*parts, expected.axes_px, fit.blur_px)
+            smear = smear_of(*parts, expected.axes_px, fit.blur_px)
         alike[:, 0], doubt = UNEVEN_COLOURS * smear.shift_px, SMEAR_SIGMA * smear.width_px
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, spread.by_pupil_px2, smear.edges_px2)
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)
     if scene.camera.pupil is not None:
-        smear = joined(
+        smear = join_smears(
             [
                 pupil_smear(
                     scene, scene.camera.pupil, on, expected.pixel[own], expected.axes_px[own], fit.blur_px[own]
@@ -322,11 +322,11 @@ def glass_frame(
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)
     doubt = np.hypot(doubt, np.linalg.norm(alike, axis=(1, 2)))
     fit = replace(fit, sigma_px=np.hypot(fit.sigma_px, doubt[:, None]))
-    measured = _measured(frame.name, board, expected, fit, spread, height_number)
-    return replace(measured, doubt_px=doubt[fit.valid], smear_px=alike[fit.valid], bent_px=bent[fit.valid])
+    measured = _to_measured_frame(frame.name, board, expected, fit, spread, height_number)
+    return replace(measured, known_smooth_px=doubt[fit.valid], smear_px=alike[fit.valid], bent_px=bent[fit.valid])
 
 
-def _measured(
+def _to_measured_frame(
     name: str, board: Chessboard, expected: Expected, fit: CornerFit, spread: EdgeSpread, height_number: int
 ) -> MeasuredFrame:
     branch_names = expected.ways
@@ -352,5 +352,5 @@ def _measured(
             expected.rim_px[lost],
             expected.axes_px[lost],
         ),
-        spread.taken(valid),
+        spread.take(valid),
     )

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.contact import pushed_apart
-from correction.fit.solve.solver import Corners, Residuals, Solution, free_rates, landed, minimise
+from correction.fit.solve.contact import push_apart
+from correction.fit.solve.solver import Corners, Residuals, Solution, free_rates, land_corners, minimise
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
 from correction.target.lattice_growth import Saddles
@@ -89,7 +89,7 @@ def candidates_of(
     wide = np.array(full)
     wide[unknowns.glass].reshape(-1, len(SPHERE))[:, 3] *= SEARCH_WIDENING
     everything = replace(everything, glass=True)
-    through = landed(unknowns, wide, everything, by_walls=True)
+    through = land_corners(unknowns, wide, everything, by_walls=True)
     inside = _behind_balls(unknowns, through, rays) & (saddles.strength > least)
     in_wall = rays.recovered & (rays.key != DIRECT)  # squeezed by the wall of a tube: no ball is there
     chosen = inside | (~bare & ~in_wall & (saddles.strength > least))
@@ -140,7 +140,7 @@ def nearest_marks(
     zeros, found = np.zeros_like(pixel), []
     for depth_mm in board.depths_mm:
         corners = Corners(*view, pixel, zeros, 1.0, np.full(len(pixel), depth_mm))
-        rays = landed(unknowns, full, corners)
+        rays = land_corners(unknowns, full, corners)
         found.append((corners, rays, _nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board, depth_mm)))
     if len(found) == 1:
         return found[0]
@@ -180,7 +180,7 @@ def _nearest_nodes(
     return np.asarray(np.stack((p + q, p - q), axis=-1) * 0.5 * board.sides_mm)
 
 
-def paired_residuals(
+def pairing_residuals(
     unknowns: Unknowns, x: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
 ) -> Residuals:
     """Distance of each candidate to its nearest corner, in corrected or raw pixels, whichever are coarser.
@@ -197,7 +197,7 @@ def distances(
     unknowns: Unknowns, full: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], Landings, Corners]:
     """Distances (N, 2) to the nearest corners [px], mm a px (N, 1), and the rays they come from."""
-    stretched = board.stretched(unknowns.stretch(full)[:2])  # `landed` makes the step deeper by itself
+    stretched = board.stretch(unknowns.stretch(full)[:2])  # `land_corners` makes the step deeper by itself
     view = candidates.height_number, True
     corners, rays, node = nearest_marks(unknowns, full, view, candidates.pixel, candidates.bright, stretched)
     off = rays.point_mm - node
@@ -244,7 +244,7 @@ def pair_from(
     """Minimise the distance to the nearest corners from one start."""
 
     def evaluate(at: NDArray[np.float64]) -> list[Residuals]:
-        return [paired_residuals(unknowns, at, frame, board, pitch_mm) for frame in frames]
+        return [pairing_residuals(unknowns, at, frame, board, pitch_mm) for frame in frames]
 
     for knee in knees_px:
         solution = minimise(unknowns, evaluate, x, knee=knee, steps=25, tolerance=1e-2)
@@ -259,7 +259,9 @@ def group_starts(unknowns: Unknowns, full: NDArray[np.float64], board: Chessboar
     """Full vectors to start from: as given, then the glass as one, moved by half a square along each axis."""
     moves = [np.zeros(3), *(0.5 * sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0))]
     everything = np.ones(len(unknowns.scene.spheres), bool)
-    return [moved(unknowns, full, board.square_mm * np.where(everything[:, None], move, 0.0)) for move in moves]
+    return [
+        move_spheres(unknowns, full, board.square_mm * np.where(everything[:, None], move, 0.0)) for move in moves
+    ]
 
 
 def random_starts(unknowns: Unknowns, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
@@ -267,15 +269,15 @@ def random_starts(unknowns: Unknowns, full: NDArray[np.float64], board: Chessboa
     rng = np.random.default_rng(0)
     count = len(unknowns.scene.spheres)
     moves = rng.uniform(-0.4, 0.4, (RANDOM_STARTS, count, 3))
-    return [moved(unknowns, full, board.square_mm * move) for move in moves]
+    return [move_spheres(unknowns, full, board.square_mm * move) for move in moves]
 
 
-def moved(unknowns: Unknowns, full: NDArray[np.float64], by_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def move_spheres(unknowns: Unknowns, full: NDArray[np.float64], by_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the full vector with the spheres moved by (N, 3), then pushed apart."""
     found = np.array(full)
     rows = found[unknowns.glass].reshape(-1, len(SPHERE))
     rows[:, :3] += by_mm
-    rows[:, :4] = pushed_apart(np.c_[rows, np.zeros(len(rows))])[:, :4]
+    rows[:, :4] = push_apart(np.c_[rows, np.zeros(len(rows))])[:, :4]
     return found
 
 
@@ -308,7 +310,7 @@ def pair(
     def best() -> Start:
         return max(tried, key=lambda one: one.inliers)
 
-    def explained() -> bool:
+    def is_explained() -> bool:
         alike = sum(_same(unknowns, best(), other) for other in tried)
         return best().share >= (TWICE if alike > 1 else GOOD_INLIER_SHARE)
 
@@ -318,12 +320,12 @@ def pair(
     near = group_starts(unknowns, full, board)
     for start in [near[0], *further, *near[1:]]:
         attempt(start)
-        if explained():
+        if is_explained():
             return sorted(tried, key=lambda one: -one.inliers)
     if best().share < TWICE:
         for start in random_starts(unknowns, full, board):
             attempt(start)
-            if explained():
+            if is_explained():
                 break
     return sorted(tried, key=lambda one: -one.inliers)
 

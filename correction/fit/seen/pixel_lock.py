@@ -52,7 +52,7 @@ NAMES = tuple(
 ARMS = 0.84  # length of an edge in a window, squares
 
 
-def believed_px(frame: MeasuredFrame) -> NDArray[np.float64]:
+def lock_prior_px(frame: MeasuredFrame) -> NDArray[np.float64]:
     """Prior sigma (2 TERMS,) of every term in a frame, beside the glass if corners are seen there."""
     beside, variance = ~frame.behind, frame.spread.variance_px2
     measured = variance[beside if beside.any() else ~beside] if len(variance) else variance
@@ -122,7 +122,7 @@ class PixelLock:
     @classmethod
     def of(cls, frame: MeasuredFrame) -> "PixelLock":
         """Return that of a frame."""
-        return cls(fade_of(frame.axes_px), frame.behind, believed_px(frame))
+        return cls(fade_of(frame.axes_px), frame.behind, lock_prior_px(frame))
 
 
 def with_lock(unknowns: Unknowns) -> Unknowns:
@@ -131,7 +131,7 @@ def with_lock(unknowns: Unknowns) -> Unknowns:
     return replace(unknowns, names=(*unknowns.names, *NAMES), columns=np.column_stack((unknowns.columns, still)))
 
 
-def unlocked(
+def remove_lock(
     locked: Unknowns, x: NDArray[np.float64], corners: Corners, lock: PixelLock, part: Residuals
 ) -> Residuals:
     """Return residuals with the lock taken off, and with the derivatives by its terms.

@@ -134,10 +134,10 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
         The target stands where a body is.
     """
     levels = [_on_level(scene, pose, board, depth_mm, times) for depth_mm in board.depths_mm]
-    return levels[0] if len(levels) == 1 else _together(levels)
+    return levels[0] if len(levels) == 1 else _merge_levels(levels)
 
 
-def _together(levels: Sequence[Expected]) -> Expected:
+def _merge_levels(levels: Sequence[Expected]) -> Expected:
     """Marks of all levels, one level after the other; windows may use what is clear of borders on each."""
     branches = tuple(dict.fromkeys(way for level in levels for way in level.branches))
     numbered = [np.array([branches.index(way) for way in level.branches])[level.branch] for level in levels]
@@ -188,7 +188,7 @@ def _on_level(scene: Scene, pose: TargetPose, board: Chessboard, depth_mm: float
     held = np.ones(len(pixel), bool)
     if np.ptp(board.sides_mm):
         node_mm, node_axes = grid.pitch_mm * index.astype(np.float64), axes / grid.pitch_mm
-        pixel, held = _moved_onto(seen_from_target, pixel, node_axes, node_mm, board.corner_mm(index))
+        pixel, held = _move_onto(seen_from_target, pixel, node_axes, node_mm, board.corner_mm(index))
         axes *= board.sides_mm / grid.pitch_mm
     window, bent = _windows(seen_from_target, pixel, axes, board.square_mm)
     at = np.rint(found.pixel[seen]).astype(np.int64)
@@ -260,7 +260,7 @@ def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
     return replace(scene, camera=camera, bodies=tuple(body.moved(point) for body in scene.bodies))
 
 
-def _moved_onto(
+def _move_onto(
     scene: Scene,
     pixel: NDArray[np.float64],
     axes_px: NDArray[np.float64],

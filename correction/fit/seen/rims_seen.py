@@ -173,14 +173,14 @@ def rims_seen(
         here = (np.abs(off) < REACH_PX) & alone & (free | (off < 0.0))
         middle = camera.project(np.array(ball.centre_mm)[None])[0]
         turn = np.arctan2(rows[here] - middle[1], columns[here] - middle[0])
-        if (found := _fitted(turn, off[here], light[here])) is not None:
+        if (found := _fit_sectors(turn, off[here], light[here])) is not None:
             distance = float(np.linalg.norm(np.array(ball.centre_mm) - eye))
             larger, right, down, of_size, off_px, sigma = found
             aside, pixel_mm = (right, down), distance / camera.focal_px
             yield RimSeen(ball.name, larger, aside, of_size, off_px, sigma, ball.radius_mm, pixel_mm)
 
 
-def _fitted(
+def _fit_sectors(
     turn: NDArray[np.float64], off: NDArray[np.float64], light: NDArray[np.bool_]
 ) -> tuple[float, float, float, float, float, float] | None:
     """Return the first numbers of `RimSeen` [px] as sectors show a rim."""

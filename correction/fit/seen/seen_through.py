@@ -84,7 +84,7 @@ def _judge_ball(
     scene: Scene, ball: Sphere, image: NDArray[Any], board: Chessboard, contrast: float, is_refused: bool
 ) -> tuple[float, str]:
     """Agreement of one ball as given, and what it seems to be; "" if as described, or too little is seen of it."""
-    pixels = _seen_alone(scene, ball)
+    pixels = _lone_pixels(scene, ball)
     if len(pixels) < MIN_BALL_PIXELS:
         return 1.0, ""
     light = image[tuple(pixels[:, ::-1].T)].astype(np.float64)
@@ -176,7 +176,7 @@ def _agreement(
     return max(float(np.mean((board.shade(place_mm + step) > 0.5) == bright)) for step in steps)
 
 
-def _seen_alone(scene: Scene, ball: Sphere) -> NDArray[np.int64]:
+def _lone_pixels(scene: Scene, ball: Sphere) -> NDArray[np.int64]:
     """Pixels u, v (N, 2) well inside the outline of a ball, and outside those of all others."""
     height, width = scene.camera.shape
     every = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)

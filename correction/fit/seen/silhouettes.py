@@ -20,7 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.fit.seen.measurement import MeasuredFrame
-from correction.fit.seen.pairing import moved, nearest_marks
+from correction.fit.seen.pairing import move_spheres, nearest_marks
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
 from correction.target.lattice_growth import Saddles
@@ -210,7 +210,7 @@ def outlines_of(
     return Outlines(names, table[:, :3] + move, move, sigma, own, right)
 
 
-def seen_outlines(
+def find_outlines(
     unknowns: Unknowns,
     full: NDArray[np.float64],
     bare: MeasuredFrame,
@@ -260,7 +260,7 @@ def seen_outlines(
     return outlines_of(scene, camera, free, corners[clear], hidden[clear], board.square_mm)
 
 
-def followed(
+def follow_outlines(
     unknowns: Unknowns, full: NDArray[np.float64], outlines: Outlines, alone: bool = False
 ) -> NDArray[np.float64]:
     """Full vector (F,) with the balls where the outlines show them, clear of each other and of the plane.
@@ -273,4 +273,4 @@ def followed(
     move[~(deep & outlines.own_rim), 2] = 0.0
     if outlines.own_rim.any():
         move[~outlines.own_rim] = 0.0 if alone else move[outlines.own_rim].mean(axis=0)
-    return moved(unknowns, full, move)
+    return move_spheres(unknowns, full, move)

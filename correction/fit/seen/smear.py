@@ -7,7 +7,7 @@ With u the corner's pixel at the mean index and X_k what colour k shows, colour 
     X_k(u + d_k) = X(u),
 
 found by Newton's method.  The corner is then drawn as its colours show it side by side, and fitted as those of
-the frame are (`found_smeared`): where the fit finds it is its shift, which is taken off, so that the scene is
+the frame are (`find_smeared`): where the fit finds it is its shift, which is taken off, so that the scene is
 fitted at the mean index alone.  A series will not do where the smear is wider than the edge's own blur: through
 plastics in white light colours lie 1.4 px apart (standard deviation) to a blur of 0.5, and what
 follows was 0.17 px off.  How wide the smear is goes into the corner's sigma: no spectrum is known to better than
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.target.corners import found_smeared
+from correction.target.corners import find_smeared
 from tracer.light import Light
 from tracer.pupil import Pupil
 from tracer.scene.scene import Scene
@@ -90,7 +90,7 @@ class Smear:
     edges_px2: NDArray[np.float64]
 
 
-def joined(parts: Sequence[Smear]) -> Smear:
+def join_smears(parts: Sequence[Smear]) -> Smear:
     """Smear of all corners of several."""
     return Smear(
         np.concatenate([part.shift_px for part in parts]),
@@ -150,15 +150,15 @@ def colour_steps(
         From where the corners are [px].
     (K, N) float64
     """
-    mean = _landed(scene, pose, pixels, np.zeros(len(scene.spheres)))
+    mean = _land(scene, pose, pixels, np.zeros(len(scene.spheres)))
     steps = np.zeros((len(dispersion.index_step), *pixels.shape))
     for steps_of, index_step in zip(steps, dispersion.index_step, strict=True):
         for _ in range(NEWTON_ROUNDS):
-            steps_of += _displaced(_landed(scene, pose, pixels + steps_of, index_step), mean)
+            steps_of += _displacement(_land(scene, pose, pixels + steps_of, index_step), mean)
     return np.nan_to_num(steps), np.array(np.broadcast_to(dispersion.weight[:, None], steps.shape[:2]))
 
 
-def smeared_by_colour(
+def smear_by_colour(
     steps: NDArray[np.float64],
     share: NDArray[np.float64],
     axes_px: NDArray[np.float64],
@@ -170,24 +170,24 @@ def smeared_by_colour(
     Parameters
     ----------
     steps, share, axes_px
-        As of `smeared`.
+        As of `smear_of`.
     window : (N,) float64
         Half length of the window [squares].
     blurs_px : (N, 2) float64
         As measured, smear included.
     """
-    out = smeared(steps, share, axes_px, np.sqrt(np.mean(blurs_px**2, axis=1)))
+    out = smear_of(steps, share, axes_px, np.sqrt(np.mean(blurs_px**2, axis=1)))
     asked = steps.any(axis=(0, 2)) & np.isfinite(blurs_px).all(axis=1)
     own = np.maximum(np.mean(blurs_px**2 - out.edges_px2, axis=1)[asked], SHARPEST_PX**2)
     drawn = axes_px[asked], window[asked], np.sqrt(own), steps[:, asked], share[:, asked]
-    aside, blurs = found_smeared(*drawn)
+    aside, blurs = find_smeared(*drawn)
     found = np.isfinite(aside[:, 0])
     here = np.flatnonzero(asked)[found]
     out.shift_px[here], out.edges_px2[here] = aside[found], (blurs**2 - own[:, None])[found]
     return out
 
 
-def smeared(
+def smear_of(
     steps: NDArray[np.float64],
     share: NDArray[np.float64],
     axes_px: NDArray[np.float64],
@@ -229,17 +229,17 @@ def pupil_smear(
     axes_px: NDArray[np.float64],
     blur_px: NDArray[np.float64],
 ) -> Smear:
-    """Predict what the pupil does to corners; arguments as of `colour_steps` and `smeared`.
+    """Predict what the pupil does to corners; arguments as of `colour_steps` and `smear_of`.
 
     The print has one brightness towards all parts of the pupil, so that each counts by the light it lets through.
     """
     views = pupil_views(scene, pupil, pixels, pose)
     total = views.light.sum(axis=0)
     share = views.light / np.where(total > 0.0, total, 1.0)
-    return smeared(np.nan_to_num(views.offset_px), share, axes_px, blur_px)
+    return smear_of(np.nan_to_num(views.offset_px), share, axes_px, blur_px)
 
 
-def _landed(
+def _land(
     scene: Scene, pose: TargetPose, pixels: NDArray[np.float64], index_step: Sequence[float] | NDArray[np.float64]
 ) -> Landings:
     """Landings with the index of every sphere moved."""
@@ -249,7 +249,7 @@ def _landed(
     return landings_through(scene.camera, world, pixels, pose, scene.n_ambient)
 
 
-def _displaced(colour: Landings, mean: Landings) -> NDArray[np.float64]:
+def _displacement(colour: Landings, mean: Landings) -> NDArray[np.float64]:
     """Pixels (N, 2) from where the mean shows a point to where a colour shows it."""
     j, off = colour.pixel_rate, colour.point_mm - mean.point_mm
     det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]

@@ -2,7 +2,7 @@
 
 A lamp of many colours, taken for one, leaves no residual: every corner stands where the mean index shows it.  What
 it does is to smear edges behind glass along the way on which glass spreads colours.  With b_k^2 the variance of
-edge k of a corner, as fitted, less what a fitted edge takes up of the told light (`smear.smeared_by_colour`) and
+edge k of a corner, as fitted, less what a fitted edge takes up of the told light (`smear.smear_by_colour`) and
 what the told pupil adds, m_k the edge's normal and J the derivative of the landing point X by the pixel,
 
     b_k^2 = b_way + p P_k + c V_k,        V_k = (m_k . J^-1 dX/dn g)^2,        P_k = |m_k . J^-1 D|^2 / 4,
@@ -65,7 +65,7 @@ class EdgeSpread:
     by_pupil_px2: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     by_light_px2: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
-    def taken(self, which: NDArray[np.bool_]) -> "EdgeSpread":
+    def take(self, which: NDArray[np.bool_]) -> "EdgeSpread":
         """Return that of the chosen corners."""
         if not len(self.variance_px2):
             return self
@@ -136,7 +136,7 @@ class ColourSmear:
         )
 
 
-def smeared_view(
+def smear_in_view(
     scene: Scene,
     camera: Camera,
     way: NDArray[np.str_],
@@ -173,7 +173,7 @@ def smeared_view(
     parts = back @ aside - camera.focal_px / focus_mm * np.eye(2)
     return SmearedView(
         way[behind],
-        spread.taken(behind),
+        spread.take(behind),
         (normal @ colours)[:, :, 0] ** 2,
         np.sum((normal @ parts) ** 2, axis=2) / 4.0,
     )

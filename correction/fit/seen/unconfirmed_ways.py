@@ -119,13 +119,13 @@ class Misfit:
         )
 
 
-def masked_around(rim: RimSeen, scene: Scene) -> tuple[MaskedPart, ...]:
+def mask_around(rim: RimSeen, scene: Scene) -> tuple[MaskedPart, ...]:
     """Parts that no map is to use around a ball whose rim is not where the scene shows it."""
     ball = next(ball for ball in scene.spheres if ball.name == rim.ball)
     return (_around(ball, scene.camera, rim.off_px * rim.pixel_mm),)
 
 
-def unconfirmed_ways(
+def find_unconfirmed(
     scene: Scene,
     expected: Mapping[str, int],
     paired: Mapping[str, int],

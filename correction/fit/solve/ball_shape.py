@@ -120,7 +120,7 @@ def shape_rates(
             here = np.flatnonzero(crossed[:, turn] != NOTHING)
             row = spheres[crossed[here, turn]]
             for entering in (True, False):
-                surface = _Surface.met(at[here], way[here], row, entering)
+                surface = _Surface.meet(at[here], way[here], row, entering)
                 at[here], way[here] = row[:, :3] + row[:, 3:4] * surface.out, surface.way_behind()
                 surfaces.append(surface)
         axes = np.array(pose.axes)
@@ -152,7 +152,7 @@ class _Surface:
     side: float
 
     @classmethod
-    def met(cls, at: Points, way: Points, row: Points, entering: bool) -> "_Surface":
+    def meet(cls, at: Points, way: Points, row: Points, entering: bool) -> "_Surface":
         """Meet spheres (M, 6) from positions and in directions (M, 3)."""
         away = at - row[:, :3]
         along = np.sum(away * way, axis=1)

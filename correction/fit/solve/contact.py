@@ -36,7 +36,7 @@ Shapes = Mapping[int, NDArray[np.float64]]
 NO_SHAPES: Shapes = {}
 
 
-def carried(support: Body, before: Sequence[Sphere], after: Sequence[Sphere]) -> Body:
+def carry_support(support: Body, before: Sequence[Sphere], after: Sequence[Sphere]) -> Body:
     """Return a support where it stands once the balls have moved.
 
     Parameters
@@ -137,7 +137,7 @@ def largest_overlap_mm(spheres: NDArray[np.float64], shapes: Shapes = NO_SHAPES)
     return float(walls(spheres, shapes)[0].max(initial=0.0))
 
 
-def pushed_apart(
+def push_apart(
     spheres: NDArray[np.float64], clearance_mm: float = 0.1 * CONTACT_TOL_MM, shapes: Shapes = NO_SHAPES
 ) -> NDArray[np.float64]:
     """Return the sphere table with overlapping spheres moved apart, and up from the plane, just enough.

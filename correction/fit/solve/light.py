@@ -38,7 +38,7 @@ LAMPS_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # white LEDs as they are sol
 
 
 @dataclass(frozen=True)
-class LightDoubt:
+class LightUncertainty:
     """Uncertainty of the light of the target frames.
 
     Parameters
@@ -61,17 +61,17 @@ def in_light(scene: Scene, light: Light | None) -> Scene:
     ViewsMissing
         A glass has no dispersion to move along.
     """
-    return _moved(scene, scene, light, 1.0)
+    return _shift_glass(scene, scene, light, 1.0)
 
 
 def back_from_light(fitted: Scene, nominal: Scene, light: Light | None) -> Scene:
     """Return a scene fitted in a light with its glass as it is at the scene's wavelength."""
-    return _moved(fitted, nominal, light, -1.0)
+    return _shift_glass(fitted, nominal, light, -1.0)
 
 
-def doubt_of(
+def light_uncertainty(
     nominal: Scene, light: Light | None, rivals: Sequence[Rival] = (), particles_unsure_nm: float = 0.0
-) -> LightDoubt:
+) -> LightUncertainty:
     """Return the uncertainty that this light leaves, in the numbers of the scene's camera, spheres and walls.
 
     Parameters
@@ -104,7 +104,7 @@ def doubt_of(
         for number in numbers
     ]
     if not any(sigma) and not any(walls):
-        return LightDoubt() if light else LightDoubt(sentence=_of_numbers(nominal))
+        return LightUncertainty() if light else LightUncertainty(sentence=_of_numbers(nominal))
     of_spheres = np.zeros((len(sigma), len(SPHERE)))
     of_spheres[:, SPHERE.index("n")] = sigma
     rows = others.row_rates(np.array(others.start), glass=True) @ np.array(walls)
@@ -135,7 +135,7 @@ def doubt_of(
             " the map's sigma holds that. The lamp's spectrum as fit.light.points would help; a laser is known"
             " exactly where fit.light says source: laser"
         )
-    return LightDoubt(step, sentence)
+    return LightUncertainty(step, sentence)
 
 
 def _nm(light: Light) -> str:
@@ -183,7 +183,7 @@ def _lamps() -> tuple[Light, ...]:
     return tuple(white_led(temperature) for temperature in LAMPS_K)
 
 
-def _moved(scene: Scene, nominal: Scene, light: Light | None, sign: float) -> Scene:
+def _shift_glass(scene: Scene, nominal: Scene, light: Light | None, sign: float) -> Scene:
     """Move every glass by the difference that the nominal glass of the same body shows."""
     if light is None:
         return scene

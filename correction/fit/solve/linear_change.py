@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.solver import Corners, free_rates, landed
+from correction.fit.solve.solver import Corners, free_rates, land_corners
 from correction.fit.solve.unknowns import Unknowns
 
 ASKED_BESIDE, ASKED = 16, 48  # pixels each way, beside glass and behind it
@@ -55,10 +55,10 @@ def as_linear(
         grid = np.meshgrid(np.linspace(0.0, width - 1.0, count), np.linspace(0.0, height - 1.0, count))
         pixels = np.stack(grid, axis=-1).reshape(-1, 2)
         asked = Corners(0, glass, pixels, np.zeros_like(pixels), 1.0)
-        before, after = landed(every, full, asked), landed(every, other, asked)
+        before, after = land_corners(every, full, asked), land_corners(every, other, asked)
         same = before.recovered & after.recovered & (before.key == after.key)
         if glass:  # differences beside the glass, often a hundred times larger, have been asked
-            same &= before.key != landed(every, full, replace(asked, glass=False)).key
+            same &= before.key != land_corners(every, full, replace(asked, glass=False)).key
         rate = free_rates(every, full, asked, before)[same]
         differ = (after.point_mm - before.point_mm)[same]
         size = np.linalg.norm(differ, axis=1)

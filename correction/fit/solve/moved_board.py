@@ -16,15 +16,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.solver import Corners, Residuals, free_rates, landed
-from correction.fit.solve.unknowns import Unknowns, left_jacobian
+from correction.fit.solve.solver import Corners, Residuals, free_rates, land_corners
+from correction.fit.solve.unknowns import Unknowns, rotation_jacobian
 from tracer.strategies.sensitivity import SPHERE, TARGET
 
 RISE_MM = 1.0  # between the two planes; any does
 RISE = TARGET.index("z")
 
 
-def moved_as_board(unknowns: Unknowns, full: NDArray[np.float64]) -> NDArray[np.float64]:
+def motion_as_board(unknowns: Unknowns, full: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the change (F, 6) of a full vector where camera and balls move as a board would by its six numbers.
 
     Frames show camera and board against each other.  Where a board seems to have moved by v, the camera may have
@@ -35,7 +35,7 @@ def moved_as_board(unknowns: Unknowns, full: NDArray[np.float64]) -> NDArray[np.
         x, y, z = full[at : at + 3]
         moves[at : at + 3, :3] = np.eye(3)
         moves[at : at + 3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]  # turn x place
-    moves[3:6, 3:] = np.linalg.inv(left_jacobian(full[3:6]))
+    moves[3:6, 3:] = np.linalg.inv(rotation_jacobian(full[3:6]))
     return moves
 
 
@@ -67,7 +67,7 @@ def on_moved_board(
     full = unknowns.full(x)
     above = full.copy()
     above[place.start + RISE] += RISE_MM
-    low, high = (landed(posed, at, corners) for at in (full, above))
+    low, high = (land_corners(posed, at, corners) for at in (full, above))
     rate, higher = free_rates(posed, full, corners, low), free_rates(posed, above, corners, high)
     by_board = rate[:, :, len(x) :] @ ways
     risen = (ways @ by)[:, RISE, None, None] / RISE_MM

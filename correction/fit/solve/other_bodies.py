@@ -92,7 +92,7 @@ class OtherBodies:
         """Prior sigmas (K,)."""
         return [_sigma(body, number, priors) for body, numbers in self.bodies for number in numbers]
 
-    def moved(self, values: NDArray[np.float64]) -> dict[str, Body]:
+    def bodies_at(self, values: NDArray[np.float64]) -> dict[str, Body]:
         """Name -> body with the values (K,) of its numbers.
 
         Raises

@@ -126,11 +126,11 @@ def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
         along, weight = np.sum(g * value, axis=1), np.sum(g * g, axis=1)
         of_told = along * told, weight * told
         _, line = np.unique(index[:, axis], return_inverse=True)
-        lines = _shared(line, point, *of_told).counted
-        points = _shared(point, own, *of_told, lines).counted
-        elsewhere = _shared(point, sight, along, weight, lines)
-        points = elsewhere.counted or elsewhere.likely(points)
-        pixels = _shared(sight, own, *of_told, lines + points).counted
+        lines = _shared_variance(line, point, *of_told).significant
+        points = _shared_variance(point, own, *of_told, lines).significant
+        elsewhere = _shared_variance(point, sight, along, weight, lines)
+        points = elsewhere.significant or elsewhere.likely(points)
+        pixels = _shared_variance(sight, own, *of_told, lines + points).significant
         for variance, member in ((lines, line), (points, point), (pixels, sight)):
             if variance:
                 together = np.zeros((member.max() + 1, pull.shape[1]))
@@ -153,7 +153,7 @@ class _Shared:
     groups: int
 
     @property
-    def counted(self) -> float:
+    def significant(self) -> float:
         """The variance; 0 if it does not stand out."""
         return (
             self.variance if self.groups >= MIN_LINES and self.variance > SIGNIFICANT * self.noise > 0.0 else 0.0
@@ -184,7 +184,7 @@ def _mean_between(low: float, high: float) -> float:
     return float(density[0] - density[1])
 
 
-def _shared(
+def _shared_variance(
     member: NDArray[np.intp],
     part: NDArray[np.intp],
     along: NDArray[np.float64],

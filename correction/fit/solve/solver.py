@@ -28,9 +28,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.contact import CONTACT_ROUNDS, WALL_MM, pushed_apart, walls
+from correction.fit.solve.contact import CONTACT_ROUNDS, WALL_MM, push_apart, walls
 from correction.fit.solve.other_bodies import NUMBER_STEP
-from correction.fit.solve.unknowns import Unknowns, left_jacobian
+from correction.fit.solve.unknowns import Unknowns, rotation_jacobian
 from tracer.bodies import CONTACT_TOL_MM, Body
 from tracer.errors import SceneError
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings_through
@@ -47,7 +47,7 @@ def room_depths(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[
     if not sides:
         return depth, rate
     try:
-        walls = unknowns.other_bodies.moved(full[unknowns.others])
+        walls = unknowns.other_bodies.bodies_at(full[unknowns.others])
     except SceneError:
         return depth, rate
     table, first = unknowns.spheres(full), unknowns.others.start
@@ -63,19 +63,22 @@ def room_depths(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[
         for at, name in enumerate(unknowns.other_bodies.names, start=first):
             if name.startswith(f"{pair.wall.name}."):
                 if at not in moved:
-                    moved[at] = _moved(unknowns, full, at, NUMBER_STEP), _moved(unknowns, full, at, -NUMBER_STEP)
+                    moved[at] = (
+                        _change_walls(unknowns, full, at, NUMBER_STEP),
+                        _change_walls(unknowns, full, at, -NUMBER_STEP),
+                    )
                 ahead, back = moved[at]
                 rate[number, at] = (pair.gap_mm(table, back) - pair.gap_mm(table, ahead)) / (2.0 * NUMBER_STEP)
     return depth, rate
 
 
-def pushed_clear(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def push_clear(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Sphere table (N, 6) with balls clear of each other, the plane and the walls, and the deepest cut."""
-    sides, walls = unknowns.other_bodies.sides, unknowns.other_bodies.moved(full[unknowns.others])
+    sides, walls = unknowns.other_bodies.sides, unknowns.other_bodies.bodies_at(full[unknowns.others])
     table, shapes = unknowns.spheres(full), unknowns.shapes(full)
     deepest = max((-pair.gap_mm(table, walls) for pair in sides), default=0.0)
     for _ in range(CONTACT_ROUNDS):
-        table, clean = pushed_apart(table, shapes=shapes), True
+        table, clean = push_apart(table, shapes=shapes), True
         for pair in sides:
             gap = pair.gap_mm(table, walls)
             if gap < 0.0:
@@ -87,16 +90,16 @@ def pushed_clear(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray
     return table, max(deepest, 0.0)
 
 
-def cleared(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def clear_spheres(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Full vector (F,) with balls pushed clear, of which scenes can be made, and the deepest overlap [mm]."""
-    moved, (pushed, deepest) = np.array(full), pushed_clear(unknowns, full)
+    moved, (pushed, deepest) = np.array(full), push_clear(unknowns, full)
     moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed[:, :3]
     return moved, deepest
 
 
-def _moved(unknowns: Unknowns, full: NDArray[np.float64], at: int, by: float) -> dict[str, Body]:
+def _change_walls(unknowns: Unknowns, full: NDArray[np.float64], at: int, by: float) -> dict[str, Body]:
     """Walls with one number of the full vector changed."""
-    return unknowns.other_bodies.moved((full + by * _one(full.shape, (at,)))[unknowns.others])
+    return unknowns.other_bodies.bodies_at((full + by * _one(full.shape, (at,)))[unknowns.others])
 
 
 def _one(shape: tuple[int, ...], place: tuple[int, ...]) -> NDArray[np.float64]:
@@ -176,7 +179,9 @@ class Solution:
         return float(np.abs(self.x).max(initial=0.0))
 
 
-def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, by_walls: bool = False) -> Landings:
+def land_corners(
+    unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, by_walls: bool = False
+) -> Landings:
     """Landing points of the corners' pixels on their target; none if there are no such bodies.
 
     Derivatives by the numbers of windows and tubes are there where these are free, or asked for.
@@ -246,14 +251,14 @@ def free_rates(
     if by_number.any():
         rows = unknowns.other_bodies.row_rates(full[unknowns.others], corners.glass) @ by_number
     turned = np.concatenate((unknowns.columns[camera], glass, rows, shapes, unknowns.columns[place]))
-    turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
-    turned[-3:] = left_jacobian(full[place][3:]) @ turned[-3:]
+    turned[3:6] = rotation_jacobian(full[3:6]) @ turned[3:6]
+    turned[-3:] = rotation_jacobian(full[place][3:]) @ turned[-3:]
     count, _, numbers = rays.rate.shape
     of_rays = (rays.rate.reshape(-1, numbers) @ turned).reshape(count, 2, -1)
     # By the print too where the ray lands, not at its corner: a bench that grows with its print, which no frame
     # tells, must move nothing, or noise beside the corners would shrink it.
     on_print = rays.point_mm / unknowns.stretch(full)[:2]
-    by_print = on_print[:, :, None] * unknowns.columns[unknowns.printed]
+    by_print = on_print[:, :, None] * unknowns.columns[unknowns.print_place]
     if corners.depth_mm.any():
         normal = np.array(unknowns.pose(full, corners.height_number).axes[2])
         by_depth = rays.rate[:, :, -len(TARGET) : -3] @ normal
@@ -264,7 +269,7 @@ def free_rates(
 def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> Residuals:
     """Residuals of corners at the free vector x."""
     full = unknowns.full(x)
-    rays = landed(unknowns, full, corners)
+    rays = land_corners(unknowns, full, corners)
     off = rays.point_mm - unknowns.stretch(full)[:2] * corners.node_mm
     rate = free_rates(unknowns, full, corners, rays)
     if isinstance(corners.whiten, float):
@@ -339,10 +344,10 @@ def newton_step(
 ) -> NDArray[np.float64]:
     """Step (P,) from x to the minimum of the linear model: gradient (P,), normal matrix (P, P) of data alone."""
     depth, wall = touching(unknowns, x)
-    return pushed_step(gradient, normal + np.eye(len(x)), depth, wall @ unknowns.columns)[0]
+    return constrained_step(gradient, normal + np.eye(len(x)), depth, wall @ unknowns.columns)[0]
 
 
-def pushed_step(
+def constrained_step(
     gradient: NDArray[np.float64],
     normal: NDArray[np.float64],
     depth: NDArray[np.float64],

@@ -30,7 +30,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.fit.solve.contact import carried
+from correction.fit.solve.contact import carry_support
 from correction.fit.solve.other_bodies import OtherBodies
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, Vector3
@@ -106,14 +106,14 @@ class Unknowns:
         return slice(self.others.stop, self.others.stop + COUNT * len(self.uneven))
 
     @cached_property
-    def printed(self) -> slice:
+    def print_place(self) -> slice:
         """Place of the print's width and height in the full vector."""
         first = self.full_names.index(f"print.{PRINT[0]}")
         return slice(first, first + 2)
 
     def stretch(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
         """Scale (2 or 3,) of the print against its measured size: in width, height, and a plate's depth."""
-        return np.asarray(1.0 + full[self.printed.start :])
+        return np.asarray(1.0 + full[self.print_place.start :])
 
     def deeper(self, full: NDArray[np.float64]) -> float:
         """Scale of the step of a plate against its measured one; 1 of all else."""
@@ -151,7 +151,7 @@ class Unknowns:
         """Return the same unknowns with another centre for its fixed numbers and priors."""
         return replace(self, start=full)
 
-    def loosened(self, names: Sequence[str], least: float) -> "Unknowns":
+    def loosen(self, names: Sequence[str], least: float) -> "Unknowns":
         """Return the same unknowns with the sigma of some free numbers raised to `least`, in their own unit."""
         chosen = np.array([name in names for name in self.names], dtype=np.bool_)
         factor = np.where(chosen, np.maximum(least / self.sigma, 1.0), 1.0)
@@ -184,15 +184,15 @@ class Unknowns:
     def _tables(self, glass: bool, values: NDArray[np.float64]) -> tuple[Any, ...]:
         """Windows and tubes for the kernels; the last are kept: a search for balls asks thousands of times."""
         asked = glass, values.tobytes()
-        if asked not in self._kept:
+        if asked not in self._table_cache:
             scene = self.scene if glass else self._bare
-            tables = scene.other_tables(self.other_bodies.moved(values))
-            self._kept.clear()
-            self._kept[asked] = tables
-        return self._kept[asked]
+            tables = scene.other_tables(self.other_bodies.bodies_at(values))
+            self._table_cache.clear()
+            self._table_cache[asked] = tables
+        return self._table_cache[asked]
 
     @cached_property
-    def _kept(self) -> dict[tuple[bool, bytes], tuple[Any, ...]]:
+    def _table_cache(self) -> dict[tuple[bool, bytes], tuple[Any, ...]]:
         return {}
 
     @cached_property
@@ -203,7 +203,7 @@ class Unknowns:
         """Return the target's pose at one of the heights."""
         return _pose_of(tuple(full[self.place(height_number)].tolist()))
 
-    def moved(self, full: NDArray[np.float64]) -> Scene:
+    def scene_at(self, full: NDArray[np.float64]) -> Scene:
         """Return the scene of a full vector; supports go with the balls that they hold (`supports`).
 
         Raises
@@ -213,7 +213,7 @@ class Unknowns:
             tube.
         """
         rows = full[self.glass].reshape(-1, len(SPHERE)).tolist()
-        moved = self.other_bodies.moved(full[self.others])
+        moved = self.other_bodies.bodies_at(full[self.others])
         shapes, olds = self.shapes(full), self.start_of_glass()
         for number, (sphere, (x, y, z, radius, n)) in enumerate(zip(self.scene.spheres, rows, strict=True)):
             medium = None if sphere.medium is None else shifted(sphere.medium, n - float(olds[number, 4]))
@@ -224,7 +224,7 @@ class Unknowns:
         balls = Sphere.among(moved.values())
         bodies = tuple(
             moved.get(body.name)
-            or (body if isinstance(body, Sphere) or body.room else carried(body, self.scene.spheres, balls))
+            or (body if isinstance(body, Sphere) or body.room else carry_support(body, self.scene.spheres, balls))
             for body in self.scene.bodies
         )
         return replace(self.scene, camera=self.camera(full), bodies=bodies)
@@ -375,7 +375,7 @@ def distinct_heights(heights_mm: Sequence[float]) -> tuple[float, ...]:
     return tuple(found)
 
 
-def left_jacobian(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_jacobian(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Left Jacobian (3, 3) of a rotation vector (3,)."""
     angle = float(np.linalg.norm(turn))
     x, y, z = turn

@@ -65,10 +65,10 @@ class Target:
         shown = np.zeros((len(plane_mm), 1), np.float32)
         add_target(plane_mm, board.sides_mm, discs, ends, board.odd_bright, shown)
         if board.codes is not None:
-            from correction.target.codes import marked
+            from correction.target.codes import marker_cells
 
             lit = np.flatnonzero(shown[:, 0])
-            shown[lit[marked(board, plane_mm[lit] / board.sides_mm)]] = 0.0
+            shown[lit[marker_cells(board, plane_mm[lit] / board.sides_mm)]] = 0.0
         picture += shown
 
 

@@ -264,7 +264,7 @@ HEAD = ("sphere", "move x, y, z [um]", "sigma [um]", "by chance", "explains")
 def show_self_check(page: Page, found: SelfCheck) -> None:
     """Show what was found."""
     page.heading("Do the spheres stand where they were calibrated?")
-    if found.moved:
+    if found.likely_moves:
         page.warning(found.sentence + ".")
     else:
         page.text(found.sentence + ".")

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.light import doubt_of
+from correction.fit.solve.light import light_uncertainty
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.correction_map import CorrectionMap
 from daq.errors import RunUsageError
@@ -155,7 +155,7 @@ def with_sigma(view: ViewFigures) -> ViewFigures:
     pixel = _Seen.of(scene, found, lab, 1.0).pixel
     times = scene.camera.sensor_px[0] // found.sensor_px[0]
     known = expected_sigma(scene, lab.board_mm, bare_heights_mm(room), GLASS_HEIGHTS_MM, times)
-    step = doubt_of(scene, None).step  # none of glass that is a number
+    step = light_uncertainty(scene, None).step  # none of glass that is a number
     unsaid = known.with_draw(step) if step.size else known
 
     def median_px(sure: SceneSigma) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from correction.alignment.moves import STAGE_STEP_MM, Look, require_followed, wanted
+from correction.alignment.moves import STAGE_STEP_MM, Look, plan_moves, require_followed
 from correction.alignment.seen import Arrangement
 from correction.errors import MoveDoubted
 
@@ -33,7 +33,7 @@ def aligned(rng, follows=(1.0, 1.0, 1.0)):
         camera_true = camera_put_up + camera + rng.normal(0.0, CAMERA_SIGMA_MM)
         looks.append(Look(axes, camera, seen(true + bias + noise, camera_true)))
         require_followed(looks, NAMES)
-        want = wanted(looks, AXES, 0.0)
+        want = plan_moves(looks, AXES, 0.0)
         axes, camera = want.glass_mm, want.camera_mm
     return np.array(places), camera_put_up + camera
 
@@ -52,17 +52,17 @@ def test_a_thousand_benches_are_aligned_and_no_glass_touches():
 
 
 def test_glass_that_stands_right_is_left_alone():
-    want = wanted([Look(np.zeros(3), np.zeros(3), seen((0.0009, -0.0005, 0.3)))], AXES, 0.0)
+    want = plan_moves([Look(np.zeros(3), np.zeros(3), seen((0.0009, -0.0005, 0.3)))], AXES, 0.0)
     assert np.all(want.glass_mm == 0.0)
     assert np.all(want.camera_mm == 0.0)
 
 
 def test_towards_the_target_it_stays_as_far_as_it_is_not_sure():
-    want = wanted([Look(np.zeros(3), np.zeros(3), seen((0.0, 0.0, 8.0)))], AXES, 0.0)
+    want = plan_moves([Look(np.zeros(3), np.zeros(3), seen((0.0, 0.0, 8.0)))], AXES, 0.0)
     assert want.glass_mm[2] + 8.0 == pytest.approx(3.0 * SIGMA_MM[2])
-    far_off = wanted([Look(np.zeros(3), np.zeros(3), seen((0.0, 0.0, 8.0)))], AXES, 5.0)
+    far_off = plan_moves([Look(np.zeros(3), np.zeros(3), seen((0.0, 0.0, 8.0)))], AXES, 5.0)
     assert far_off.glass_mm[2] + 8.0 == pytest.approx(0.0)
-    too_near = wanted([Look(np.zeros(3), np.zeros(3), seen((0.0, 0.0, -2.0)))], AXES, 0.0)
+    too_near = plan_moves([Look(np.zeros(3), np.zeros(3), seen((0.0, 0.0, -2.0)))], AXES, 0.0)
     assert too_near.glass_mm[2] - 2.0 == pytest.approx(3.0 * SIGMA_MM[2])
 
 
@@ -80,6 +80,6 @@ def test_an_axis_that_does_not_follow_is_named_after_the_first_move(follows, wor
 
 
 def test_what_no_axis_carries_is_not_moved():
-    want = wanted([Look(np.zeros(3), np.zeros(3), seen((0.5, 0.5, 0.0)))], {"glass": "x"}, 0.0)
+    want = plan_moves([Look(np.zeros(3), np.zeros(3), seen((0.5, 0.5, 0.0)))], {"glass": "x"}, 0.0)
     assert want.glass_mm.tolist() == [-0.5, 0.0, 0.0]
     assert want.sideways_mm == pytest.approx(np.hypot(0.5, 0.5))

@@ -42,7 +42,7 @@ def known():
 
 def drawn_landings(bench, draw, pixels, glass):
     for _ in range(DRAWS):
-        scene = bench.moved(bench.full(draw()))
+        scene = bench.scene_at(bench.full(draw()))
         yield trace(scene if glass else scene.with_bodies(()), pixels).plane_mm
 
 

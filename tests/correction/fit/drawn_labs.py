@@ -12,11 +12,11 @@ import numpy as np
 
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import SceneFit
-from correction.fit.seen.bent_view import taken_aside
+from correction.fit.seen.bent_view import window_bias
 from correction.fit.seen.measurement import LostCorners, MeasuredFrame, whitening
 from correction.fit.seen.prediction import expect
 from correction.fit.seen.smear_test import EdgeSpread
-from correction.fit.solve.light import doubt_of
+from correction.fit.solve.light import light_uncertainty
 from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import unknowns_of
 from correction.fitted.map_sigma import sigma_at
@@ -176,7 +176,7 @@ def drawn_lab(
     bench = unknowns_of(nominal, [0.0], priors)
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     if lamp is not None:
-        fit = replace(fit, light=doubt_of(nominal, None))
+        fit = replace(fit, light=light_uncertainty(nominal, None))
     true_lab = Lab(truth.camera, balls_with(as_measured))
     behind, beside = (map_error(fit, truth, true_lab, rng, through) for through in (True, False))
     return Drawn(fault, size, noise, ball, fit, *behind, beside)
@@ -254,7 +254,7 @@ def photographed(
         {},
         lost,
         spread,
-        bent_px=taken_aside(truth, TargetPose(), board, shown, np.full(len(shown), EDGE_PX2**0.5))[1],
+        bent_px=window_bias(truth, TargetPose(), board, shown, np.full(len(shown), EDGE_PX2**0.5))[1],
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from correction.fit.seen.bent_view import DRAWN_AT_ONCE, LEFT, drawn
+from correction.fit.seen.bent_view import DRAWN_AT_ONCE, LEFT, draw_marks
 from correction.fit.seen.measurement import TargetFrame, glass_frame
 from correction.fit.seen.prediction import Expected, expect
 from correction.target import Chessboard
@@ -72,7 +72,7 @@ def test_a_corner_is_drawn_as_the_board_shows_it_through_a_bent_view(even, twist
     places = np.arange(-HALF, HALF + 1.0)
     squares, light = view(even, twist, fall, np.stack(np.meshgrid(places, places), axis=-1))
     corner = np.array([[0, 0] if sign < 0 else [1, 0]])
-    seen = drawn(squares[None], light[None], Chessboard(), corner, BLUR_PX)[0]
+    seen = draw_marks(squares[None], light[None], Chessboard(), corner, BLUR_PX)[0]
     points = (np.arange(FINE * len(places)) + 0.5) / FINE - HALF - 0.5
     squares, light = view(even, twist, fall, np.stack(np.meshgrid(points, points), axis=-1))
     board = 0.5 + 0.42 * sign * (1.0 - 2.0 * (np.floor(squares).sum(axis=-1) % 2.0))
@@ -89,7 +89,7 @@ def test_many_corners_at_once_show_each_its_own_squares():
     shift = np.linspace(-0.4, 0.4, count)[:, None, None, None] * (1.0, -0.5)
     squares = np.stack(np.meshgrid(places, places), axis=-1) / 4.5 + shift
     corner = np.array([[number // 3 % 2, 0] for number in range(count)])
-    seen = drawn(squares, np.ones(squares.shape[:3]), Chessboard(), corner, BLUR_PX)
+    seen = draw_marks(squares, np.ones(squares.shape[:3]), Chessboard(), corner, BLUR_PX)
     bright = 1.0 - 2.0 * (np.floor(squares).sum(axis=-1) % 2.0)
     bright[corner[:, 0] == 0] *= -1.0
     away = (np.abs(squares - np.rint(squares)) > 0.35).all(axis=-1)

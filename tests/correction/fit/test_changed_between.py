@@ -7,7 +7,7 @@ import pytest
 
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import SceneFit
-from correction.fit.solve.moved_board import moved_as_board
+from correction.fit.solve.moved_board import motion_as_board
 from correction.fit.solve.solver import Corners, residuals
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
@@ -55,7 +55,7 @@ def test_camera_and_glass_that_move_against_a_board_are_a_board_that_moves_again
     pixels = np.random.default_rng(1).uniform(100.0, 400.0, (200, 2))
     part = residuals(every, np.zeros(len(unknowns.start)), Corners(0, True, pixels, np.zeros_like(pixels), 1.0))
     rate = part.rate[np.isfinite(part.rate).all(axis=(1, 2))]
-    both = rate @ moved_as_board(unknowns, unknowns.start) + rate[:, :, unknowns.place(0)]
+    both = rate @ motion_as_board(unknowns, unknowns.start) + rate[:, :, unknowns.place(0)]
     assert len(rate) > 100
     np.testing.assert_allclose(both, 0.0, atol=1e-6 * float(np.abs(rate).max()))
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from correction.errors import FitError
 from correction.fit.scene_fit import fit_scene
-from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.contact import push_apart
 from tests.correction.fit.benches import bench
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
@@ -25,7 +25,7 @@ def disturbed(truth: Scene, nominal: Scene, rng: np.random.Generator) -> Scene:
     n = float(truth.spheres[0].medium.n(532.0) + rng.uniform(-0.01, 0.01))
     spheres = [
         replace(sphere, centre_mm=tuple(map(float, row[:3])), medium=ConstantMedium(n))
-        for sphere, row in zip(truth.spheres, pushed_apart(table, 1e-5), strict=True)
+        for sphere, row in zip(truth.spheres, push_apart(table, 1e-5), strict=True)
     ]
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-0.5, 0.5, 3))).as_matrix()
     camera = truth.camera

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from correction.errors import FitFailed
 from correction.fit import camera_stage
 from correction.fit.adjustment import Adjustment
-from correction.fit.camera_stage import cause_on_bare, find_camera, turned
+from correction.fit.camera_stage import cause_on_bare, find_camera, turn_scene
+from correction.fit.judge.hypotheses import ErrorHypothesis
 from correction.fit.judge.result import check
-from correction.fit.judge.suspects import Suspect
 from correction.fit.judge.verdict import Verdict
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import TargetFrame
@@ -40,7 +40,9 @@ def lens_aside(seed: int, decentred_mm: float, turn: float = 0.0) -> tuple[Scene
     middle = (truth.camera.principal_px[0] + aside[0], truth.camera.principal_px[1] + aside[1])
     lens = replace(truth.camera.lens, k1=float(rng.uniform(-0.3, 0.3)), p1=p1, p2=p2)
     camera = replace(truth.camera, principal_px=middle, lens=lens)
-    return nominal, truth.with_camera(turned(truth.with_camera(camera), _about(turn)).camera if turn else camera)
+    return nominal, truth.with_camera(
+        turn_scene(truth.with_camera(camera), _about(turn)).camera if turn else camera
+    )
 
 
 def bare_stage(seed: int, decentred_mm: float, turn: float = 0.0) -> Progress:
@@ -149,8 +151,10 @@ def test_a_lens_term_too_small_for_an_alarm_is_said_and_what_it_does_to_balls_is
 
 def test_where_no_cause_is_named_all_that_may_be_reach_sigma_as_far_as_they_are_likely():
     changes = np.arange(1.0, 7.0).reshape(2, 3, 1)
-    rivals = tuple(Suspect("", "", 5.0, share, one) for share, one in zip((0.36, 0.25), changes, strict=True))
-    verdict = Verdict((), {}, (*rivals, Suspect("s0", "", 4.0, 0.2, None)), np.zeros((0, 2)))
+    rivals = tuple(
+        ErrorHypothesis("", "", 5.0, share, one) for share, one in zip((0.36, 0.25), changes, strict=True)
+    )
+    verdict = Verdict((), {}, (*rivals, ErrorHypothesis("s0", "", 4.0, 0.2, None)), np.zeros((0, 2)))
     assert verdict.cause is None
     np.testing.assert_allclose(verdict.changes, (0.6 * changes[0], 0.5 * changes[1]))
     alone = replace(verdict, suspects=(replace(rivals[0], share=0.9), rivals[1]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from correction.fit.scene_fit import fit_scene
-from correction.fit.seen.bent_view import taken_aside
+from correction.fit.seen.bent_view import window_bias
 from correction.fit.seen.dot_rims import off_centre
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import expect, measure
@@ -63,7 +63,7 @@ def test_centres_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_of
     shown = expect(scene, TargetPose(), board)
     shown = shown.take(shown.branch > 0)
     fit = measure(frame, shown, board)
-    aside, _ = taken_aside(scene, TargetPose(), board, shown, fit.blur_px)
+    aside, _ = window_bias(scene, TargetPose(), board, shown, fit.blur_px)
     there = fit.valid & np.isfinite(aside[:, 0])
     raw, off = fit.position_px - shown.pixel, fit.position_px - aside - shown.pixel
     assert there.sum() > 30

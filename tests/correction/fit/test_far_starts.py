@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from correction.errors import FitError
 from correction.fit.judge.weakness import weaknesses
 from correction.fit.scene_fit import fit_scene
-from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.contact import push_apart
 from tests.correction.fit.benches import bench
 from tracer.media import shifted
 from tracer.scene.scene import Scene
@@ -28,7 +28,7 @@ def told(truth: Scene, nominal: Scene, seed: int) -> Scene:
     table = truth.sphere_table()
     chosen = slice(None) if seed % 2 == 0 else rng.integers(len(table))
     table[chosen, :3] += move
-    n, rows = rng.uniform(-0.02, 0.02), pushed_apart(table, 1e-5)[:, :3].tolist()
+    n, rows = rng.uniform(-0.02, 0.02), push_apart(table, 1e-5)[:, :3].tolist()
     balls = [
         replace(ball, centre_mm=tuple(row), medium=shifted(ball.medium, n))
         for ball, row in zip(truth.spheres, rows, strict=True)

@@ -9,7 +9,7 @@ import pytest
 
 from correction.errors import FitFailed
 from correction.fit.judge.result import SceneFit, check
-from correction.fit.seen.unconfirmed_ways import unconfirmed_ways
+from correction.fit.seen.unconfirmed_ways import find_unconfirmed
 from correction.maps.correction_map import build_correction_map
 from correction.masked import pixels_in
 from correction.node_status import NodeStatus
@@ -42,12 +42,12 @@ def fitted(rms_px: float = 0.02, **ways: tuple[int, int]) -> Any:
     corners = SimpleNamespace(
         behind=np.ones(len(names), bool), inlier=np.ones(len(names), bool), branch_name=names, residual_px=residual
     )
-    lost = unconfirmed_ways(SCENE, expected, paired, PLACE_MM)
+    lost = find_unconfirmed(SCENE, expected, paired, PLACE_MM)
     return Fitted(
-        verdict=SimpleNamespace(alarms=(), able_px=0.02, sentences=(), unconfirmed=lost, pulls=()),
+        verdict=SimpleNamespace(alarms=(), corner_noise_px=0.02, sentences=(), unconfirmed=lost, pulls=()),
         corners=corners,
-        expected_behind=sum(expected.values()),
-        paired_behind=sum(paired.values()),
+        corners_expected=sum(expected.values()),
+        corners_paired=sum(paired.values()),
         pushed_mm=0.0,
         x=np.zeros(9),
     )
@@ -93,13 +93,13 @@ def test_what_is_confirmed_must_fit_by_itself() -> None:
 
 
 def test_a_ball_held_in_the_fit_section_is_not_asked() -> None:
-    assert not unconfirmed_ways(SCENE, {"a": 60, "b": 3}, {"a": 60}, {"a": 0.1})
+    assert not find_unconfirmed(SCENE, {"a": 60, "b": 3}, {"a": 60}, {"a": 0.1})
 
 
 def test_few_corners_do_not_confirm_a_ball_whose_rim_is_seen_elsewhere() -> None:
     """Three corners please three numbers anywhere; sixty do not."""
     expected, rims = {"a": 65, "b": 3}, {"a": (0.0, 0.0, 20.0), "b": (1.0, 3.0, 20.0)}
-    (ball,) = unconfirmed_ways(SCENE, expected, {"a": 60, "b": 3}, PLACE_MM, rims)
+    (ball,) = find_unconfirmed(SCENE, expected, {"a": 60, "b": 3}, PLACE_MM, rims)
     assert (ball.name, ball.is_ball) == ("b", True)
     assert "does not stand where its rim is seen, and no more than 3 corners" in str(ball)
     x, y = SCENE.camera.project(np.array([1.0, 12.8, 20.0]))  # of the rim alone
@@ -107,7 +107,7 @@ def test_few_corners_do_not_confirm_a_ball_whose_rim_is_seen_elsewhere() -> None
         False,
         True,
     ]
-    assert not unconfirmed_ways(SCENE, expected, {"a": 60, "b": 3}, PLACE_MM)
+    assert not find_unconfirmed(SCENE, expected, {"a": 60, "b": 3}, PLACE_MM)
 
 
 def test_a_lost_ball_is_masked_with_all_around_it() -> None:

@@ -6,8 +6,8 @@ import pytest
 from correction.fit import adjustment
 from correction.fit.judge.weakness import weaknesses
 from correction.fit.seen import prediction
-from correction.fit.solve import doubted as doubts
-from correction.fit.solve.doubted import ORDINARY, ORDINARY_N, doubted
+from correction.fit.solve import with_considered as doubts
+from correction.fit.solve.considered import ORDINARY, ORDINARY_N, with_considered
 from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
@@ -18,14 +18,16 @@ SCENE = at_size(named_scene("two_spheres_500"), 700)
 
 
 def test_what_is_free_or_has_a_sigma_is_not_doubted_again():
-    assert doubted(unknowns_of(SCENE, [0.0], FitTable())).names == unknowns_of(SCENE, [0.0], FitTable()).names
+    assert (
+        with_considered(unknowns_of(SCENE, [0.0], FitTable())).names == unknowns_of(SCENE, [0.0], FitTable()).names
+    )
     measured = unknowns_of(SCENE, [0.0], FitTable(n=1e-6))
-    assert doubted(measured).names == measured.names
+    assert with_considered(measured).names == measured.names
 
 
 def test_what_is_held_is_doubted_by_its_ordinary_size_and_one_glass_has_one_index():
     held = unknowns_of(SCENE, [0.0], FitTable(n=0.0, named={"sphere1": FitNamedTable(centre_mm=0.0)}))
-    wide = doubted(held)
+    wide = with_considered(held)
     glass = next(name for name in wide.names if name.startswith("glass "))
     assert wide.names[len(held.names) :] == ("sphere1.x", "sphere1.y", "sphere1.z", glass)
     np.testing.assert_allclose(wide.sigma[len(held.names) :], [*[ORDINARY["z"]] * 3, ORDINARY_N])
@@ -43,8 +45,8 @@ def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_i
     # What else is doubted would take the index over: pulled corners, and shapes.
     monkeypatch.setattr(prediction, "PULLED", 0.0)
     for module in (adjustment, doubts):
-        monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
-    monkeypatch.setattr(adjustment, "doubted", lambda unknowns: unknowns)
+        monkeypatch.setattr(module, "considered_shapes", lambda unknowns: ())
+    monkeypatch.setattr(adjustment, "with_considered", lambda unknowns: unknowns)
     assert largest() > 2.5
 
 
@@ -85,7 +87,7 @@ def test_a_ball_out_of_round_by_less_than_is_named_is_in_the_sigma_of_the_map(se
     doubting = largest()
     monkeypatch.setattr(prediction, "PULLED", 0.0)  # the doubt of pulled corners would take it over
     for module in (adjustment, doubts):
-        monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
+        monkeypatch.setattr(module, "considered_shapes", lambda unknowns: ())
     believing = largest()
     assert believing > 2.3
     assert doubting < 0.8 * believing

@@ -8,7 +8,7 @@ import pytest
 from correction.fit.adjustment import Adjustment, root_of
 from correction.fit.seen.measurement import MeasuredFrame, whitening
 from correction.fit.seen.prediction import expect
-from correction.fit.solve.doubted import ShapeRoot
+from correction.fit.solve.considered import ShapeRoot
 from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.fitted.map_sigma import sigma_at
@@ -47,7 +47,7 @@ def bench_off_axis() -> Unknowns:
 
 
 def drawn(bench: Unknowns, rng: np.random.Generator) -> Scene:
-    return bench.moved(bench.full(np.clip(rng.normal(size=len(bench.names)), -2.5, 2.5)))
+    return bench.scene_at(bench.full(np.clip(rng.normal(size=len(bench.names)), -2.5, 2.5)))
 
 
 @pytest.mark.slow
@@ -80,7 +80,9 @@ def test_sigma_is_the_spread_of_landing_points_under_the_covariance():
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(fit.covariance)
     landing = [
-        trace(fit.unknowns.moved(fit.unknowns.full(fit.x + root @ rng.normal(size=len(fit.x)))), pixels).plane_mm
+        trace(
+            fit.unknowns.scene_at(fit.unknowns.full(fit.x + root @ rng.normal(size=len(fit.x)))), pixels
+        ).plane_mm
         for _ in range(150)
     ]
     np.testing.assert_allclose(np.std(landing, axis=0), predicted, rtol=0.25)

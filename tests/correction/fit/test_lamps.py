@@ -11,7 +11,7 @@ import pytest
 from correction.fit.judge.result import SceneFit
 from correction.fit.judge.weakness import weaknesses
 from correction.fit.scene_fit import fit_scene
-from correction.fit.solve.light import any_lamp, doubt_of
+from correction.fit.solve.light import any_lamp, light_uncertainty
 from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
 from correction.maps.correction_map import build_correction_map
@@ -204,7 +204,7 @@ def test_a_width_that_is_told_leaves_the_shape_of_the_light_open():
     steps = []
     for table in (wide, narrow, points):
         light = table.light()
-        doubt = doubt_of(nominal, light, [(rival, 1.0) for rival in table.rivals()])
+        doubt = light_uncertainty(nominal, light, [(rival, 1.0) for rival in table.rivals()])
         steps.append(float(np.abs(doubt.step).max(initial=0.0)))
         assert ("points" in doubt.sentence) == (table is wide)
     true, told = LightTable(band_nm=[450.0, 650.0]).light(), wide.light()
@@ -216,24 +216,27 @@ def test_a_width_that_is_told_leaves_the_shape_of_the_light_open():
 
 def test_a_light_that_the_smear_contradicts_may_be_any_lamp():
     nominal, light = lab_scene(), LightTable(mean_nm=532.0).light()
-    doubt = doubt_of(nominal, light, [(lamp, 1.0) for lamp in any_lamp(nominal.wavelength_nm)])
+    doubt = light_uncertainty(nominal, light, [(lamp, 1.0) for lamp in any_lamp(nominal.wavelength_nm)])
     assert float(np.abs(doubt.step).max()) > 1e-3
 
 
 def test_what_is_not_known_of_a_light_moves_all_glass_together():
     nominal = lab_scene()
-    unsaid, white = doubt_of(nominal, None), doubt_of(nominal, LightTable(colour_temperature_k=4000.0).light())
+    unsaid, white = (
+        light_uncertainty(nominal, None),
+        light_uncertainty(nominal, LightTable(colour_temperature_k=4000.0).light()),
+    )
     for doubt, least, most in ((unsaid, 2e-3, 3e-3), (white, 2e-4, 5e-4)):
         n = np.abs(doubt.step[14:].reshape(-1, 5))
         assert np.all(n[:, :4] == 0.0)
         assert least < n[0, 4] == n[1, 4] < most
-    assert not doubt_of(nominal, LightTable(source="laser").light(532.0)).sentence
+    assert not light_uncertainty(nominal, LightTable(source="laser").light(532.0)).sentence
 
 
 def test_a_lamp_that_lights_the_particles_is_as_unsure_as_the_one_of_the_target():
     nominal, lamp = lab_scene(), LightTable(mean_nm=532.0, source="lamp").light()
     target, both, flow, alike = (
-        doubt_of(nominal, light, particles_unsure_nm=unsure)
+        light_uncertainty(nominal, light, particles_unsure_nm=unsure)
         for light, unsure in ((lamp, 0.0), (lamp, 5.0), (line(590.0), 5.0), (line(532.0), 5.0))
     )
     np.testing.assert_allclose(both.step, np.sqrt(2.0) * target.step)
@@ -244,8 +247,8 @@ def test_a_lamp_that_lights_the_particles_is_as_unsure_as_the_one_of_the_target(
 
 def test_glass_that_is_a_number_is_said_to_hold_in_the_light_of_the_target_alone():
     nominal = at_size(named_scene("two_spheres_500"), 300)
-    unsaid = doubt_of(nominal, None)
+    unsaid = light_uncertainty(nominal, None)
     assert not unsaid.step.size
     assert "the index of sphere1, sphere2 is a number without dispersion" in unsaid.sentence
-    assert not doubt_of(nominal, LightTable(source="laser").light(nominal.wavelength_nm)).sentence
-    assert not doubt_of(nominal.with_bodies(()), None).sentence
+    assert not light_uncertainty(nominal, LightTable(source="laser").light(nominal.wavelength_nm)).sentence
+    assert not light_uncertainty(nominal.with_bodies(()), None).sentence

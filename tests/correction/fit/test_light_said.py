@@ -4,7 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from correction.fit.judge.weakness import _of_light
-from correction.fit.solve.light import doubt_of
+from correction.fit.solve.light import light_uncertainty
 from sim.demo.scenes import named_scene
 from tracer.light import line
 from tracer.media import MEDIA
@@ -13,7 +13,7 @@ from tracer.media import MEDIA
 def doubt(unsure_nm):
     scene = named_scene("two_spheres_500")
     scene = scene.with_bodies([replace(ball, medium=MEDIA["N-BK7"]) for ball in scene.bodies])
-    return doubt_of(scene, replace(line(625.0), unsure_nm=unsure_nm))
+    return light_uncertainty(scene, replace(line(625.0), unsure_nm=unsure_nm))
 
 
 def test_how_well_a_wavelength_is_known_has_no_digits_beyond():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from correction.fit.solve.linear_change import as_linear
-from correction.fit.solve.solver import Corners, free_rates, landed
+from correction.fit.solve.solver import Corners, free_rates, land_corners
 from correction.fit.solve.unknowns import unknowns_of
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import build_correction_map
@@ -33,7 +33,7 @@ def test_derivatives_say_the_difference_where_the_map_shows_anything(name, seed)
     shown = build_correction_map(scene, build_ray_map(scene), coarse, min_magnification=4.0, max_magnification=128)
     pixels = shown.pixel[0][shown.behind_glass].astype(float)
     asked = Corners(0, True, pixels, np.zeros_like(pixels), 1.0)
-    before, after = landed(unknowns, full, asked), landed(unknowns, other, asked)
+    before, after = land_corners(unknowns, full, asked), land_corners(unknowns, other, asked)
     same = before.recovered & after.recovered & (before.key == after.key)
     truly = (after.point_mm - before.point_mm)[same]
     every = replace(unknowns, columns=np.eye(len(full)), names=unknowns.full_names)

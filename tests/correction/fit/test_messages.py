@@ -71,7 +71,7 @@ def test_what_the_search_has_made_of_a_scene_is_no_reason_to_print_larger_square
     case = right(1)
     widths = iter((25.0, 3.0))
     monkeypatch.setattr(glass_stage, "square_behind_px", lambda *given: next(widths))
-    monkeypatch.setattr(glass_stage, "legal_scene", lambda *given: (case.given, 0.0))
+    monkeypatch.setattr(glass_stage, "feasible_scene", lambda *given: (case.given, 0.0))
     unknowns = SimpleNamespace(pose=lambda *given: None, start=None)
     work = SimpleNamespace(
         unknowns=unknowns, full=None, height_number=lambda frame: 0, glass_frames=[None], board=case.board

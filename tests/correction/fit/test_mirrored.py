@@ -7,7 +7,7 @@ import pytest
 
 from correction.errors import GlassNotSeen
 from correction.fit.scene_fit import fit_scene
-from correction.target.turned_frame import turned_against
+from correction.target.turned_frame import turn_between
 from ground.errors import ConfigError
 from tests.correction.fit.benches import bench
 from tracer.scene.scene_file import dump_scene, load_scene
@@ -55,8 +55,8 @@ def test_frames_with_glass_that_alone_are_turned_or_mirrored_are_named(turn, wor
     for frame in frames:  # noise, and a lamp that shines from elsewhere
         dim = 0.3 * frame.image + np.random.default_rng(1).normal(0.0, 8.0, frame.image.shape)
         dim *= np.linspace(0.4, 1.6, len(dim))
-        assert turned_against(bare[0].image, dim.astype(np.float32)) == words
-        assert turned_against(bare[0].image, np.roll(turn(frame.image), (9, 14), (0, 1))) == ""  # camera moved
+        assert turn_between(bare[0].image, dim.astype(np.float32)) == words
+        assert turn_between(bare[0].image, np.roll(turn(frame.image), (9, 14), (0, 1))) == ""  # camera moved
 
 
 def test_a_scene_file_keeps_that_its_camera_is_mirrored(tmp_path):

@@ -22,7 +22,9 @@ LATTICE = np.stack(np.meshgrid(np.arange(20), np.arange(12)), axis=-1).reshape(-
 PIXEL = 40.0 + 22.0 * LATTICE
 
 
-def remainder(residual_px: np.ndarray, way: str = "ball", sigma: float = 0.02, doubt_px: float = 0.0) -> Remainder:
+def remainder(
+    residual_px: np.ndarray, way: str = "ball", sigma: float = 0.02, known_smooth_px: float = 0.0
+) -> Remainder:
     count = len(residual_px)
     return Remainder(
         np.full(count, way),
@@ -30,7 +32,7 @@ def remainder(residual_px: np.ndarray, way: str = "ball", sigma: float = 0.02, d
         residual_px,
         np.full((count, 2), sigma),
         np.tile(np.eye(2), (count, 1, 1)),
-        np.full(count, doubt_px),
+        np.full(count, known_smooth_px),
     )
 
 
@@ -66,8 +68,8 @@ def test_a_field_that_bends_is_found_and_measured_below_the_noise():
 def test_a_field_as_large_as_what_is_known_to_be_smooth_is_no_alarm():
     field, noise = bent(0.3), 0.02 * np.random.default_rng(2).normal(size=PIXEL.shape)
     size = float(np.sqrt(np.mean(np.sum(field**2, axis=1))))
-    (known,) = ways_tested([remainder(noise + field, doubt_px=size)])
-    (larger,) = ways_tested([remainder(noise + 3.0 * field, doubt_px=size)])
+    (known,) = ways_tested([remainder(noise + field, known_smooth_px=size)])
+    (larger,) = ways_tested([remainder(noise + 3.0 * field, known_smooth_px=size)])
     assert not known.alarm
     assert larger.alarm
 

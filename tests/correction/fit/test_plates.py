@@ -7,10 +7,10 @@ import pytest
 
 from correction.errors import FitFailed
 from correction.fit.scene_fit import fit_scene
-from correction.fit.seen.bent_view import taken_aside
+from correction.fit.seen.bent_view import window_bias
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import expect, measure, on_each_level
-from correction.fit.solve.solver import Corners, landed
+from correction.fit.solve.solver import Corners, land_corners
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
@@ -55,11 +55,11 @@ def test_marks_of_a_level_land_where_its_plane_is(levels):
     pixel = scene.camera.project(board.place_mm(index))
     full = bench.start.copy()
     corners = Corners(0, True, pixel, board.corner_mm(index), 1.0, board.depth_mm(index))
-    assert np.abs(landed(bench, full, corners).point_mm - board.corner_mm(index)).max() < 1e-9
+    assert np.abs(land_corners(bench, full, corners).point_mm - board.corner_mm(index)).max() < 1e-9
     full[bench.full_names.index("print.step")] = 0.1
-    deeper = scene.camera.project(board.stretched((1.0, 1.0, 1.1)).place_mm(index))
+    deeper = scene.camera.project(board.stretch((1.0, 1.0, 1.1)).place_mm(index))
     moved = replace(corners, pixel=deeper)
-    assert np.abs(landed(bench, full, moved).point_mm - board.corner_mm(index)).max() < 1e-9
+    assert np.abs(land_corners(bench, full, moved).point_mm - board.corner_mm(index)).max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles
     fit = measure(frame, shown, board)
     levels = list(on_each_level(shown, TargetPose(), board))
     aside = np.concatenate(
-        [taken_aside(scene, pose, board, shown.take(own), fit.blur_px[own])[0] for pose, own in levels]
+        [window_bias(scene, pose, board, shown.take(own), fit.blur_px[own])[0] for pose, own in levels]
     )
     off = fit.position_px - aside - shown.pixel
     for _, own in levels:

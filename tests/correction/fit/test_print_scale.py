@@ -51,7 +51,7 @@ def test_a_bench_that_grows_with_its_print_moves_no_residual_and_noise_does_not_
     start, grown = bench.start, bench.start.copy()
     grown[:3] *= larger
     grown[bench.glass].reshape(-1, 5)[:, :4] *= larger
-    grown[bench.printed] = larger - 1.0
+    grown[bench.print_place] = larger - 1.0
     by = bench.free(grown)
     assert bench.full(by) == pytest.approx(grown)
     assert not np.array_equal(start, grown)

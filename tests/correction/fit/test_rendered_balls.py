@@ -8,7 +8,7 @@ import scipy
 
 from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
-from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.contact import push_apart
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.benches import BOARD, SIZE_PX, errors_behind, photograph
 from tracer.harmonics import NAMES, of_ellipsoid
@@ -27,7 +27,7 @@ def lab(seed: int, which: int, differ_um: float, more_um: dict[str, float] | Non
     radius_mm, shape_mm, _ = of_ellipsoid(axes, rotation)
     for term, height_um in (more_um or {}).items():
         shape_mm[NAMES.index(term)] += 1e-3 * height_um
-    places = pushed_apart(truth.sphere_table(), shapes={which: shape_mm})[:, :3].tolist()
+    places = push_apart(truth.sphere_table(), shapes={which: shape_mm})[:, :3].tolist()
     balls = [replace(ball, centre_mm=tuple(place)) for ball, place in zip(truth.spheres, places, strict=True)]
     balls[which] = replace(balls[which], radius_mm=radius_mm, shape_um=tuple((1e3 * shape_mm).tolist()))
     by_name = {ball.name: ball for ball in balls}

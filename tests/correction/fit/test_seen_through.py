@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from correction.fit.seen.seen_through import balls_seen_otherwise
-from correction.fit.seen.unconfirmed_ways import unconfirmed_ways
+from correction.fit.seen.unconfirmed_ways import find_unconfirmed
 from correction.target.chessboard import Chessboard, Dots
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
@@ -52,7 +52,7 @@ def test_a_ball_that_is_shown_otherwise_is_unconfirmed_and_masked():
     scene = small_scene("two_spheres_500")
     one, other = (ball.name for ball in scene.spheres)
     every = {one: 20, f"{one} > {other}": 10, other: 15}
-    (lost,) = unconfirmed_ways(scene, every, every, {one: 0.1, other: 0.1}, rather={one: "it is hollow"})
+    (lost,) = find_unconfirmed(scene, every, every, {one: 0.1, other: 0.1}, rather={one: "it is hollow"})
     assert str(lost) == "it is hollow; the ball is masked in every map"
     through = [part.through for part in lost.masked if part.through]
     assert {text_of(way) for way in through} == {one, f"{one} > {other}"}

@@ -5,7 +5,7 @@ import pytest
 import scipy
 
 from correction.fit.solve.ball_shape import SHAPES, ShapeRates
-from correction.fit.solve.doubted import LARGEST_UM, SCALES, SIZES_MM, ShapeRoot, likely_scale
+from correction.fit.solve.considered import LARGEST_UM, SCALES, SIZES_MM, ShapeRoot, likely_scale
 
 FREE, SHAPE = 6, 10
 
@@ -49,7 +49,7 @@ def test_the_largest_shape_has_its_rms_over_the_ball():
 def test_shapes_seen_in_other_axes_are_the_same_shapes():
     axes = scipy.spatial.transform.Rotation.random(random_state=np.random.default_rng(2)).as_matrix()
     root = ShapeRoot(("a", "b"), np.random.default_rng(3).normal(size=(10, 7)))
-    for before, after in zip(root.root.reshape(2, 5, 7), root.turned(axes).root.reshape(2, 5, 7), strict=True):
+    for before, after in zip(root.root.reshape(2, 5, 7), root.rotate(axes).root.reshape(2, 5, 7), strict=True):
         one, other = (np.tensordot(part.T, np.array(SHAPES), axes=1) for part in (before, after))
         np.testing.assert_allclose(axes @ one @ axes.T, other, atol=1e-12)
 

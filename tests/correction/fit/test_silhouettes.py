@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from correction.fit.seen.silhouettes import outlines_of
-from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.contact import push_apart
 from sim.demo.scenes import at_size, named_scene
 from sim.renderer.kernels.rays import last_way
 from sim.renderer.patterns import Pose
@@ -39,7 +39,7 @@ def told(truth: Scene, move_mm: np.ndarray) -> Scene:
     """The scene with its balls somewhere else."""
     table = truth.sphere_table()
     table[:, :3] += move_mm
-    rows = pushed_apart(table, 1e-5)[:, :3].tolist()
+    rows = push_apart(table, 1e-5)[:, :3].tolist()
     return truth.with_bodies(
         [replace(ball, centre_mm=tuple(row)) for ball, row in zip(truth.spheres, rows, strict=True)]
     )

@@ -13,8 +13,8 @@ from correction.fit.seen.smear import (
     Dispersion,
     Smear,
     colour_steps,
-    smeared,
-    smeared_by_colour,
+    smear_by_colour,
+    smear_of,
     uneven_blur,
 )
 from correction.target.corners import refine_corners
@@ -52,7 +52,7 @@ def test_an_uneven_smear_moves_both_edges_as_least_squares_sees_them(seed):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     spread = np.sqrt(share @ (along - share @ along) ** 2)
     blur = float(np.hypot(0.7, spread))
-    found = smeared(steps[:, None], share[:, None], AXES, np.array([blur]))
+    found = smear_of(steps[:, None], share[:, None], AXES, np.array([blur]))
     for normal in normals:
         own = edge_found(steps @ normal, share, 0.7)
         assert normal @ found.shift_px[0] == pytest.approx(own, abs=0.012)
@@ -76,10 +76,10 @@ def test_a_smear_wider_than_the_blur_moves_a_corner_as_the_fit_of_a_frame_finds_
     found = refine_corners(1000.0 * (2.0 + frame), [[30.2, 30.1]], axes, window=0.42)
     truly = found.position_px[0] - 30.0
     parts = steps[:, None], share[:, None], axes[None]
-    told = smeared_by_colour(*parts, np.array([0.42]), found.blurs_px)
+    told = smear_by_colour(*parts, np.array([0.42]), found.blurs_px)
     off = np.linalg.norm(told.shift_px[0] - truly)
     assert off < UNEVEN * np.linalg.norm(truly)  # what sigma counts of it
-    assert np.linalg.norm(smeared(*parts, found.blur_px).shift_px[0] - truly) > 0.1  # where a series is no cure
+    assert np.linalg.norm(smear_of(*parts, found.blur_px).shift_px[0] - truly) > 0.1  # where a series is no cure
 
 
 def test_a_blur_that_grows_along_the_frame_may_draw_corners_along():
@@ -125,13 +125,13 @@ def test_colours_show_a_corner_where_independent_optics_do():
     mean = light.index(scene.spheres[0].medium)
     told = with_index(scene, mean)
     parts = colour_steps(told, TargetPose(), dispersion, pixels)
-    found = smeared(*parts, np.repeat(AXES, 3, axis=0), np.full(3, 0.9))
+    found = smear_of(*parts, np.repeat(AXES, 3, axis=0), np.full(3, 0.9))
     for number, pixel in enumerate(pixels):
         point = shown(told, pixel)
         steps = []
         for change in dispersion.index_step[:, 0]:
             steps.append(seen_at(with_index(scene, mean + change), point, pixel) - pixel)
-        alone = smeared(np.array(steps)[:, None], dispersion.weight[:, None], AXES, np.array([0.9]))
+        alone = smear_of(np.array(steps)[:, None], dispersion.weight[:, None], AXES, np.array([0.9]))
         assert found.width_px[number] == pytest.approx(alone.width_px[0], rel=0.02)
         np.testing.assert_allclose(found.shift_px[number], alone.shift_px[0], atol=0.003)
     assert 0.1 < found.width_px.max() < 0.6

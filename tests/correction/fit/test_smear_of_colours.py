@@ -11,7 +11,7 @@ from correction.fit.seen.smear_test import (
     SmearedView,
     colour_smear,
     index_width,
-    smeared_view,
+    smear_in_view,
 )
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
@@ -89,7 +89,7 @@ def test_the_blur_of_a_stop_is_what_traced_parts_of_it_show():
     axes = np.tile(np.array([[20.0, 0.0], [0.0, -20.0]]), (80, 1, 1))
     spread = EdgeSpread(*np.ones((3, 80, 2)))
     way = np.full(80, "way")
-    found = smeared_view(scene, scene.camera, way, axes, spread, rays).by_pupil_px2
+    found = smear_in_view(scene, scene.camera, way, axes, spread, rays).by_pupil_px2
     focus = scene.camera.position_mm[2]
     parts = pupil_views(scene, Pupil(1.0, focus), pixel[rays.recovered], TargetPose()).offset_px
     off = parts - np.nanmean(parts, axis=0)
@@ -104,7 +104,7 @@ def test_a_frame_without_a_corner_behind_glass_has_nothing_to_smear():
     pixel = np.random.default_rng(3).uniform(0.0, 40.0, (20, 2))
     axes = np.tile(np.array([[20.0, 0.0], [0.0, -20.0]]), (20, 1, 1))
     spread = EdgeSpread(*np.ones((3, 20, 2)))
-    found = smeared_view(scene, scene.camera, np.full(20, ""), axes, spread, landings(scene, pixel))
+    found = smear_in_view(scene, scene.camera, np.full(20, ""), axes, spread, landings(scene, pixel))
     assert not found.way.size
 
 

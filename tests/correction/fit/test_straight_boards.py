@@ -14,7 +14,7 @@ from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import MeasuredFrame, TargetFrame, whitening
-from correction.fit.seen.pixel_lock import NAMES, believed_px, fade_of, lock_terms, with_lock, without_lock
+from correction.fit.seen.pixel_lock import NAMES, fade_of, lock_prior_px, lock_terms, with_lock, without_lock
 from correction.fit.seen.smear_test import EdgeSpread
 from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import unknowns_of
@@ -70,7 +70,7 @@ def of_corners(
     bench = unknowns_of(nominal, [0.0], FitTable())
     work = Adjustment()
     fit = work.estimate(bench, bench.start, frames, ())
-    return (*beside(fit, truth), fit, believed_px(frames[0]) * work.lock)
+    return (*beside(fit, truth), fit, lock_prior_px(frames[0]) * work.lock)
 
 
 @pytest.mark.parametrize("roll_rad", TURNS_RAD)
@@ -110,7 +110,7 @@ def test_a_lock_that_would_undo_what_the_camera_does_is_not_found_in_noise():
     bench, work = unknowns_of(nominal, [0.0], FitTable()), Adjustment()
     fit = work.estimate(bench, bench.start, frames, ())
     error, sigma = beside(fit, truth)
-    assert np.abs(believed_px(frames[0]) * work.lock).max() < 0.02
+    assert np.abs(lock_prior_px(frames[0]) * work.lock).max() < 0.02
     assert np.abs(error).max() < 0.02
     assert np.median(sigma) < 0.05
 
@@ -141,7 +141,7 @@ def test_sharp_edges_are_believed_to_lock_more_than_blurred_ones():
             )
             off.append(float(corner.position_px[0, 0]) - 20.0 - phase)
         first, second = np.abs(np.fft.rfft(off))[1:3] / 4.0
-        found[first] = believed_px(bare_of(corner.blurs_px))[0]
+        found[first] = lock_prior_px(bare_of(corner.blurs_px))[0]
         assert second < first / 3.0
     assert max(found) > 0.02
     for size, believed in found.items():

@@ -143,7 +143,7 @@ def as_the_rays_show(made: Supplied, fit: SceneFit) -> Scene:
         shown.append(Corners(place, glass, pixel, node, whitening(np.tile(sigma[:, None], 2))).take(seen))
     unknowns = fit.unknowns
     found = minimise(unknowns, lambda x: [residuals(unknowns, x, one) for one in shown], fit.x, knee=3.0)
-    return unknowns.moved(unknowns.full(found.x))
+    return unknowns.scene_at(unknowns.full(found.x))
 
 
 @pytest.mark.slow

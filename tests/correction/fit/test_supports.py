@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.adjustment import legal_scene
-from correction.fit.camera_stage import turned
+from correction.fit.adjustment import feasible_scene
+from correction.fit.camera_stage import turn_scene
 from correction.fit.solve.contact import HELD_MM
 from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import named_scene
@@ -32,7 +32,7 @@ def fitted(scene, **steps):
     full = unknowns.start.copy()
     for name, step in steps.items():
         full[unknowns.full_names.index(name.replace("_", "."))] += step
-    return {body.name: body for body in legal_scene(unknowns, full)[0].bodies}
+    return {body.name: body for body in feasible_scene(unknowns, full)[0].bodies}
 
 
 @pytest.mark.parametrize("step_mm", [(1.2, -0.8, 0.5), (-0.3, 2.5, -1.0), (0.0, -1.5, 0.0)])
@@ -69,7 +69,7 @@ def test_a_turned_bench_keeps_its_supports_clear():
     scene = scene_of().with_bodies([*close, under])
     angle = np.deg2rad(2.0)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    assert {body.name for body in turned(scene, turn).bodies} == {"left", "right", "under"}
+    assert {body.name for body in turn_scene(scene, turn).bodies} == {"left", "right", "under"}
 
 
 def test_a_turned_bench_looks_the_same_to_its_camera():
@@ -87,6 +87,6 @@ def test_a_turned_bench_looks_the_same_to_its_camera():
         ends = [at for body in scene.bodies if isinstance(body, Rod) for at in (body.start_mm, body.end_mm)]
         return (np.array([*balls, *ends]) - scene.camera.position_mm) @ scene.camera.rotation_matrix.T
 
-    after = turned(scene, turn)
+    after = turn_scene(scene, turn)
     np.testing.assert_allclose(after.spheres[0].centre_mm, turn @ (-25.0, 0.0, 66.0), atol=1e-9)
     np.testing.assert_allclose(seen_mm(after), seen_mm(scene), atol=1e-9)

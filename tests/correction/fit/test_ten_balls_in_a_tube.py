@@ -11,7 +11,7 @@ import pytest
 from correction.errors import FitError
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
-from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.contact import push_apart
 from correction.target import Chessboard
 from sim.demo.scenes import misaligned
 from tests.correction.fit.benches import photograph
@@ -54,7 +54,7 @@ def disturbed(seed: int) -> Scene:
     rng = np.random.default_rng((11, seed))
     table = truth.sphere_table()
     table[:, :3] += rng.uniform(-0.3, 0.3, (len(table), 3))
-    rows = iter(pushed_apart(table, 1e-5)[:, :3].tolist())
+    rows = iter(push_apart(table, 1e-5)[:, :3].tolist())
     bodies = []
     for body in nominal.bodies:
         if isinstance(body, Sphere):

@@ -8,12 +8,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from correction.errors import ViewsMissing
-from correction.fit.adjustment import legal_scene
-from correction.fit.solve.contact import pushed_apart, walls
-from correction.fit.solve.doubted import doubted
+from correction.fit.adjustment import feasible_scene
+from correction.fit.solve.considered import with_considered
+from correction.fit.solve.contact import push_apart, walls
 from correction.fit.solve.light import back_from_light, in_light
 from correction.fit.solve.solver import Corners, residuals
-from correction.fit.solve.unknowns import left_jacobian, unknowns_of
+from correction.fit.solve.unknowns import rotation_jacobian, unknowns_of
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.bodies import Dome, Tube, Window
@@ -62,7 +62,7 @@ def uneven(scene: Scene, seed: int) -> Scene:
     """The scene with every ball out of round by some micrometres, clear of each other."""
     rng = np.random.default_rng(seed)
     shapes = {number: rng.normal(0.0, 1e-3, COUNT) for number in range(len(scene.spheres))}
-    places = pushed_apart(scene.sphere_table(), shapes=shapes)[:, :3].tolist()
+    places = push_apart(scene.sphere_table(), shapes=shapes)[:, :3].tolist()
     return scene.with_bodies(
         [
             replace(one, centre_mm=tuple(place), shape_um=tuple((1e3 * shapes[number]).tolist()))
@@ -98,7 +98,7 @@ def test_every_derivative_by_shapes_agrees_with_differences() -> None:
     full = np.array(bench.start)
     full[bench.glass].reshape(-1, 5)[0, 2] -= 0.01  # into the plane or the other ball
     full[bench.glass].reshape(-1, 5)[1, 2] -= 0.01
-    legal, overlap = legal_scene(bench, full)
+    legal, overlap = feasible_scene(bench, full)
     assert overlap > 0.001
     for one, other in zip(legal.spheres, scene.spheres, strict=True):
         np.testing.assert_allclose(one.shape_um, other.shape_um, rtol=1e-12)
@@ -188,7 +188,7 @@ def test_spheres_of_one_glass_share_n_and_others_do_not():
     assert [name for name in different.names if name.endswith(".n")] == ["glass sphere1.n", "glass sphere2.n"]
     x = np.zeros(len(same.names))
     x[-1] = 1.0
-    moved = same.moved(same.full(x))
+    moved = same.scene_at(same.full(x))
     assert [sphere.medium.n(532.0) for sphere in moved.spheres] == pytest.approx([1.535, 1.535])
 
 
@@ -228,7 +228,7 @@ def test_left_jacobian_is_what_a_small_turn_after_the_rotation_sees(turn):
         ahead = Rotation.from_rotvec(turn + step) * Rotation.from_rotvec(turn).inv()
         behind = Rotation.from_rotvec(turn - step) * Rotation.from_rotvec(turn).inv()
         rate = (ahead.as_rotvec() - behind.as_rotvec()) / 2e-6
-        np.testing.assert_allclose(left_jacobian(turn)[:, axis], rate, atol=1e-8)
+        np.testing.assert_allclose(rotation_jacobian(turn)[:, axis], rate, atol=1e-8)
 
 
 def test_overlaps_are_pushed_apart_exactly_and_no_further():
@@ -237,7 +237,7 @@ def test_overlaps_are_pushed_apart_exactly_and_no_further():
     full = np.array(bench.start)
     full[bench.glass].reshape(-1, 5)[1, 2] -= 0.004
     full[bench.glass].reshape(-1, 5)[0, 2] -= 0.002
-    legal, overlap = legal_scene(bench, full)  # a Scene refuses overlap, so it is legal if it exists
+    legal, overlap = feasible_scene(bench, full)  # a Scene refuses overlap, so it is legal if it exists
     assert overlap == pytest.approx(0.002, abs=1e-9) or overlap == pytest.approx(0.002, rel=1e-3)
     one, two = legal.spheres
     gap = np.linalg.norm(np.subtract(two.centre_mm, one.centre_mm)) - one.radius_mm - two.radius_mm
@@ -247,7 +247,7 @@ def test_overlaps_are_pushed_apart_exactly_and_no_further():
 
 def test_what_does_not_overlap_is_left_alone():
     table = named_scene("pair_off_axis").sphere_table()
-    np.testing.assert_array_equal(pushed_apart(table)[:, :3], table[:, :3])
+    np.testing.assert_array_equal(push_apart(table)[:, :3], table[:, :3])
     assert (walls(table)[0] <= 1e-9).all()
 
 
@@ -258,7 +258,7 @@ def test_a_fitted_index_moves_to_another_wavelength_with_the_dispersion_of_its_g
     bench = unknowns_of(scene, [0.0], FitTable())
     x = np.zeros(len(bench.names))
     x[bench.names.index("glass N-BK7.n")] = 0.3  # 0.3 of 0.005
-    fitted = bench.moved(bench.full(x))
+    fitted = bench.scene_at(bench.full(x))
     there = replace(fitted, wavelength_nm=532.0).spheres[0].medium.n(532.0)
     # Schott's data sheet of N-BK7: n(589.3) = 1.51673, n(532) = 1.51947
     assert fitted.spheres[0].medium.n(590.0) == pytest.approx(MEDIA["N-BK7"].n(590.0) + 0.0015, abs=1e-12)
@@ -325,7 +325,9 @@ fit:
     assert sigma["front.thickness"] == 0.02
     assert sigma["front.n"] == 0.005
     assert "front.tilt_x" not in sigma
-    assert {"front.tilt_x", "front.tilt_y"} < set(doubted(bench).names)  # held, so the map's sigma counts them
+    assert {"front.tilt_x", "front.tilt_y"} < set(
+        with_considered(bench).names
+    )  # held, so the map's sigma counts them
     path.write_text(text + "  named: {front: {radius_mm: 0.1}}\n")
     with pytest.raises(ConfigError, match=r"scene.yaml:8: fit.named.front: radius_mm is no number"):
         load_priors(path)

@@ -30,7 +30,7 @@ def dewarp():
 
 def test_it_corrects_as_its_parts_do(scene, dewarp):
     frame = np.random.default_rng(1).integers(0, 4095, scene.camera.shape).astype(np.uint16)
-    built = build_correction_map(scene, build_ray_map(scene), layers=2).rounded()
+    built = build_correction_map(scene, build_ray_map(scene), layers=2).as_stored()
     made = prepare(scene, dewarp, "bilinear", 2)
     assert np.array_equal(made.corrector(frame), Corrector(built, dewarp, "bilinear")(frame), equal_nan=True)
     assert np.array_equal(made.ray_map.plane_mm, build_ray_map(scene).plane_mm, equal_nan=True)
@@ -113,7 +113,7 @@ def test_a_map_of_a_sensor_beyond_32_000_pixels_keeps_its_pixels(tmp_path):
     built = build_correction_map(small, build_ray_map(small))
     wide = replace(built, pixel=built.pixel * 700.0, sensor_px=(67200, 67200))
     wide.save(tmp_path / "wide.map")
-    for kept in (CorrectionMap.load(tmp_path / "wide.map"), wide.rounded()):
+    for kept in (CorrectionMap.load(tmp_path / "wide.map"), wide.as_stored()):
         np.testing.assert_allclose(kept.pixel, wide.pixel, atol=3.1e-5)
         assert np.nanmax(kept.pixel) > 50000.0
 

@@ -189,7 +189,7 @@ def test_stored_maps_come_back_and_foreign_ones_are_refused(tmp_path):
     scene, cmap = inverted("two_spheres_500", layers=2)
     path = tmp_path / "map.npz"
     cmap.save(path)
-    back, kept = CorrectionMap.load(path), cmap.rounded()
+    back, kept = CorrectionMap.load(path), cmap.as_stored()
     for name in ARRAYS:
         assert np.array_equal(getattr(back, name), getattr(kept, name), equal_nan=name in FLOATS)
     assert (back.grid, back.branches, back.sensor_px) == (cmap.grid, cmap.branches, cmap.sensor_px)

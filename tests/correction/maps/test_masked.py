@@ -9,7 +9,7 @@ from correction.evaluate.particle_tracks import usable_branches
 from correction.fitted.prepared import content_key, prepare
 from correction.light_sheet.double_views import double_views
 from correction.maps.correction_map import build_correction_map
-from correction.masked import hull_px, masked_pixels, pixels_in
+from correction.masked import hull_px, mask_pixels, pixels_in
 from correction.node_status import NodeStatus
 from daq.live.scene_lines import folds_and_masks
 from daq.runs.glass_place import with_glass_at
@@ -116,7 +116,7 @@ def test_vectors_of_raw_frames_do_not_come_from_there():
     after = sum(mask for _, mask in usable_branches(rays, scene(CORNER), 10))
     assert before[125:145, 125:145].all()
     assert not after[121:150, 121:150].any()
-    assert np.count_nonzero(masked_pixels(scene(WAY), rays)) == np.count_nonzero(
+    assert np.count_nonzero(mask_pixels(scene(WAY), rays)) == np.count_nonzero(
         rays.branch == list(rays.branches).index(THROUGH)
     )
 

@@ -8,7 +8,7 @@ import pytest
 from correction.errors import SheetError
 from correction.light_sheet.double_views import double_views
 from correction.self_check import moved_sphere
-from correction.self_check.moved_sphere import RunningCheck, check_spheres, judged
+from correction.self_check.moved_sphere import RunningCheck, check_spheres, judge_pairs
 from correction.self_check.seen_twice import SeenTwice
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.alignment.drawn import moved as glass_moved
@@ -33,24 +33,26 @@ def particles(rng, move_mm=(0.0,) * 9, height_mm=0.1, shared_mm=0.0, each=PARTIC
 def test_alarms_are_as_rare_as_stated(monkeypatch):
     monkeypatch.setattr(moved_sphere, "FLOOR_MM", np.zeros(3))
     rng = np.random.default_rng(3)
-    checks = [judged(NAMES, particles(rng, shared_mm=0.01, each=8), PAIRS, LightSheet()) for _ in range(50)]
-    rate = np.mean([bool(replace(check, false_alarms=0.2).moved) for check in checks])
+    checks = [judge_pairs(NAMES, particles(rng, shared_mm=0.01, each=8), PAIRS, LightSheet()) for _ in range(50)]
+    rate = np.mean([bool(replace(check, false_alarms=0.2).likely_moves) for check in checks])
     assert 0.0 < rate < 0.2 + 2.0 * np.sqrt(0.2 * 0.8 / 50)  # for any of three spheres
 
 
 @pytest.mark.slow
 def test_a_thousand_checks_of_spheres_that_stand_still():
     rng = np.random.default_rng(4)
-    assert not any(judged(NAMES, particles(rng, shared_mm=0.01), PAIRS, LightSheet()).moved for _ in range(1000))
+    assert not any(
+        judge_pairs(NAMES, particles(rng, shared_mm=0.01), PAIRS, LightSheet()).likely_moves for _ in range(1000)
+    )
 
 
 @pytest.mark.parametrize(("sphere", "axis"), [(0, 0), (1, 1), (2, 0)])
 def test_the_sphere_that_moved_is_named(sphere, axis):
     move = np.zeros(9)
     move[3 * sphere + axis] = 0.02
-    found = judged(NAMES, particles(np.random.default_rng(sphere), move), PAIRS, LightSheet())
-    assert [one.name for one in found.moved] == [NAMES[sphere]]
-    np.testing.assert_allclose(found.moved[0].move_mm, move[3 * sphere : 3 * sphere + 3], atol=0.008)
+    found = judge_pairs(NAMES, particles(np.random.default_rng(sphere), move), PAIRS, LightSheet())
+    assert [one.name for one in found.likely_moves] == [NAMES[sphere]]
+    np.testing.assert_allclose(found.likely_moves[0].move_mm, move[3 * sphere : 3 * sphere + 3], atol=0.008)
     assert f"{NAMES[sphere]} has moved" in found.sentence
 
 
@@ -58,11 +60,11 @@ def test_of_what_no_particle_tells_nothing_is_said():
     seen = particles(np.random.default_rng(7))
     by_sphere = seen.by_sphere.copy()
     by_sphere[:, :, 6:] = 0.0
-    found = judged(NAMES, replace(seen, by_sphere=by_sphere), PAIRS, LightSheet())
-    assert not found.moved
+    found = judge_pairs(NAMES, replace(seen, by_sphere=by_sphere), PAIRS, LightSheet())
+    assert not found.likely_moves
     assert "they tell nothing of far" in found.sentence
     few = replace(seen, **{name: value[:50] for name, value in vars(seen).items()})
-    assert "too few to tell" in judged(NAMES, few, PAIRS, LightSheet()).sentence
+    assert "too few to tell" in judge_pairs(NAMES, few, PAIRS, LightSheet()).sentence
 
 
 def drawn_flow():
@@ -91,10 +93,10 @@ def drawn():
 
 def test_frames_tell_which_sphere_has_moved(drawn):
     scene, pairs = drawn
-    assert not check_spheres(scene, pairs).moved
+    assert not check_spheres(scene, pairs).likely_moves
     found = check_spheres(moved(scene, 1, (0.04, 0.0, 0.0)), pairs)
-    assert [one.name for one in found.moved] == ["sphere2"]
-    assert found.moved[0].move_mm[0] == pytest.approx(-0.04, abs=0.012)
+    assert [one.name for one in found.likely_moves] == ["sphere2"]
+    assert found.likely_moves[0].move_mm[0] == pytest.approx(-0.04, abs=0.012)
 
 
 def test_a_running_check_says_the_same(drawn):
@@ -104,7 +106,7 @@ def test_a_running_check_says_the_same(drawn):
     for frame_a, frame_b in pairs():
         check.add(frame_a, frame_b)
     assert check.found.pairs == 14
-    assert [one.name for one in check.found.moved] == ["sphere2"]
+    assert [one.name for one in check.found.likely_moves] == ["sphere2"]
 
 
 def test_few_pairs_are_refused(drawn):
@@ -120,7 +122,7 @@ def test_rendered_particles_name_a_sphere_that_moved_by_20_um(seed):
     flow_camera = camera("three_spheres_500", 600, seed=seed)
     scene, pairs = flow_camera.scene, frames_of(flow_camera, PAIRS)
     still = check_spheres(scene, pairs)
-    assert not still.moved
+    assert not still.likely_moves
     assert "they tell nothing of sphere1" in still.sentence
     for number, step in (
         (1, (0.02, 0.0, 0.0)),
@@ -130,5 +132,5 @@ def test_rendered_particles_name_a_sphere_that_moved_by_20_um(seed):
     ):
         found = check_spheres(moved(scene, number, step), pairs)
         print(seed, number, step, found.sentence)
-        assert [one.name for one in found.moved] == [f"sphere{number + 1}"]
-        np.testing.assert_allclose(found.moved[0].move_mm[:2], -np.array(step[:2]), atol=0.008)
+        assert [one.name for one in found.likely_moves] == [f"sphere{number + 1}"]
+        np.testing.assert_allclose(found.likely_moves[0].move_mm[:2], -np.array(step[:2]), atol=0.008)

@@ -5,7 +5,7 @@ import pytest
 import tifffile
 
 from correction.target import Chessboard
-from correction.target.corners import CornerReason, found_smeared, refine_corners, saturated_fraction
+from correction.target.corners import CornerReason, find_smeared, fraction_saturated, refine_corners
 from correction.target.kernels import corner_block, corner_fit, corner_model
 from ground.kernels import cholesky
 from piv.errors import FrameError
@@ -256,7 +256,7 @@ def test_a_smeared_corner_is_as_blurred_as_it_is_found_in_a_frame(squares_px):
     )
     share = np.full((count, 1), 1.0 / count)
     own = np.array([np.sqrt(alone.mean())])
-    _, blurs = found_smeared(axes[None], np.array([0.42]), own, steps[:, None], share)
+    _, blurs = find_smeared(axes[None], np.array([0.42]), own, steps[:, None], share)
     found = blurs[0] ** 2
     np.testing.assert_allclose(found - alone.mean(), seen - alone, atol=0.15 * spread**2)
 
@@ -287,10 +287,10 @@ def test_frames_that_are_none_are_refused():
 
 def test_saturation_is_seen_only_at_the_full_scale_of_a_camera():
     frame = np.full((10, 10), 1000, np.uint16)
-    assert saturated_fraction(frame) == 0.0
+    assert fraction_saturated(frame) == 0.0
     frame[:3] = 4095
-    assert saturated_fraction(frame) == pytest.approx(0.3)
-    assert saturated_fraction(frame.astype(np.float32)) == 0.0
+    assert fraction_saturated(frame) == pytest.approx(0.3)
+    assert fraction_saturated(frame.astype(np.float32)) == 0.0
 
 
 SUPPLIED = [("two_spheres", "target_clear", 0.0, 0.019)]

@@ -117,7 +117,7 @@ def test_depths_are_those_of_rows_columns_or_fields():
         board = told(levels=levels, step_mm=1.5)
         assert board.depth_mm(index).tolist() == depths
         assert np.array_equal(board.place_mm(index)[:, 2], -np.array(depths))
-        assert board.stretched((1.0, 1.0, 1.1)).depth_mm(index) == pytest.approx(1.1 * np.array(depths))
+        assert board.stretch((1.0, 1.0, 1.1)).depth_mm(index) == pytest.approx(1.1 * np.array(depths))
     flat = replace(told(levels="rows"), dots=Dots(1.2))
     assert not flat.depth_mm(index).any()
     assert flat.print_sigma == flat.scale_sigma

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from correction.alignment.moves import Look, wanted
+from correction.alignment.moves import Look, plan_moves
 from correction.alignment.seen import Arrangement
 from daq.bench.bench_file import load_bench
 from daq.bench.guards import idle_stage
@@ -57,7 +57,7 @@ def ways(bench, plan, rng):
         camera = np.array(bench.table.offset_mm("camera", here))
         arrangement = Arrangement(seen, np.diag(SIGMA_MM**2), (), camera, CAMERA_SIGMA_MM)
         looks.append(Look(glass, camera, arrangement))
-        want = wanted(looks, {"glass": "xyz", "camera": "xyz"}, free_before_target_mm(bench))
+        want = plan_moves(looks, {"glass": "xyz", "camera": "xyz"}, free_before_target_mm(bench))
         targets = next_targets(bench, targets, looks[-1], want)
         stage.guard = guard_where_seen(bench, want)
     return close, off + glass

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from correction.fit.solve.light import doubt_of
+from correction.fit.solve.light import light_uncertainty
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.correction_map import build_correction_map
 from daq.errors import RunUsageError
@@ -70,7 +70,7 @@ def test_sigma_is_what_a_fit_leaves(tmp_path, monkeypatch, lab):
     found = build_correction_map(scene, build_ray_map(scene))
     pixel = found.pixel[0][found.behind_glass][::50]
     told = with_sigma(view_figures(lab, 22.0, 0.1))
-    unsaid = known.with_draw(doubt_of(scene, None).step)  # `init` says the light
+    unsaid = known.with_draw(light_uncertainty(scene, None).step)  # `init` says the light
     for sure, expected in ((known, told.sigma_px), (unsaid, told.unsaid_px)):
         fitted = np.nanmedian(np.linalg.norm(sure.sigma(scene, pixel), axis=1)) * lab.px_per_mm
         assert expected == pytest.approx(fitted, rel=0.3)

@@ -15,7 +15,7 @@ DRAWN = {"matplotlib"}
 TRACED = {"numba", "llvmlite"}
 SOLVED = {f"scipy.{part}" for part in ("stats", "optimize", "spatial", "interpolate", "ndimage", "io", "sparse")}
 BENCHES = {"daq.bench.bench_table", "daq.runner.session", "daq.plans.steps", "stages.stage", "stages.config"}
-FITTED = {f"correction.fit.{part}" for part in ("judge.result", "judge.suspects", "seen.measurement")}
+FITTED = {f"correction.fit.{part}" for part in ("judge.result", "judge.hypotheses", "seen.measurement")}
 OTHERS = {"cv2", "sim", "hypothesis", "IPython", "pandas"} | (
     {"coverage"} if "COVERAGE_PROCESS_CONFIG" not in os.environ else set()
 )

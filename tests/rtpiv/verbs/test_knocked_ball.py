@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from correction.self_check.moved_sphere import judged
+from correction.self_check.moved_sphere import judge_pairs
 from rtpiv.analysis.series import self_check
 from rtpiv.command_line.cli import main
 from tests.correction.self_check.test_moved_sphere import NAMES, PAIRS, particles
@@ -27,7 +27,7 @@ def run(tmp_path, monkeypatch):
 def say(monkeypatch, move_mm: float) -> None:
     move = np.zeros(9)
     move[3] = move_mm
-    found = judged(NAMES, particles(np.random.default_rng(1), move), PAIRS, LightSheet())
+    found = judge_pairs(NAMES, particles(np.random.default_rng(1), move), PAIRS, LightSheet())
     monkeypatch.setattr(self_check, "self_check_of", lambda frames: found)
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from correction.self_check.moved_sphere import judged
+from correction.self_check.moved_sphere import judge_pairs
 from rtpiv.analysis.report.mean import show_self_check
 from rtpiv.analysis.report.page import Page
 from tests.correction.self_check.test_moved_sphere import NAMES, PAIRS, particles
@@ -13,7 +13,7 @@ from tracer.light_sheet import LightSheet
 
 def written(tmp_path, seen):
     page = Page("a run", "of a flow")
-    show_self_check(page, judged(NAMES, seen, PAIRS, LightSheet()))
+    show_self_check(page, judge_pairs(NAMES, seen, PAIRS, LightSheet()))
     page.write(tmp_path / "page.html")
     return (tmp_path / "page.html").read_text(encoding="utf-8")
 

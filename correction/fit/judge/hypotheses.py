@@ -29,22 +29,22 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.judge import suspect_words as words
+from correction.fit.judge import hypothesis_words as words
 from correction.fit.judge.model_test import RESIDUAL_CLIP
 from correction.fit.seen.measurement import MeasuredFrame, by_region, region_factors
-from correction.fit.seen.pixel_lock import PixelLock, unlocked
+from correction.fit.seen.pixel_lock import PixelLock, remove_lock
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
-from correction.fit.solve.doubted import SCALES, WALL, doubted_shapes, likely_scales
+from correction.fit.solve.considered import SCALES, WALL, considered_shapes, likely_scales
 from correction.fit.solve.linear_change import as_linear
-from correction.fit.solve.moved_board import moved_as_board, on_moved_board
+from correction.fit.solve.moved_board import motion_as_board, on_moved_board
 from correction.fit.solve.solver import (
     Corners,
     Residuals,
-    cleared,
+    clear_spheres,
+    constrained_step,
     free_rates,
-    landed,
+    land_corners,
     minimise,
-    pushed_step,
     residuals,
     touching,
 )
@@ -70,7 +70,7 @@ PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 4.0
 
 
 @dataclass(frozen=True)
-class Suspect:
+class ErrorHypothesis:
     """A change that would explain residuals.
 
     Parameters
@@ -110,7 +110,7 @@ class Suspect:
         return {"ball": self.ball, "sentence": self.sentence, "gain": self.gain, "share": self.share}
 
 
-def likely_cause(found: Sequence[Suspect]) -> Suspect | None:
+def likely_cause(found: Sequence[ErrorHypothesis]) -> ErrorHypothesis | None:
     """Return the first of the suspects, the most likely first, if it is enough to be named."""
     if not found:
         return None
@@ -176,7 +176,7 @@ class _Candidate:
 class _Found:
     """Worth of a candidate: gain less the cost of its numbers, values (q,) and sigmas (q,) in ordinary sizes.
 
-    `change`, `of_own` (q, 1 + q) of its own numbers, `left` and `unsaid_px` as in `Suspect`.
+    `change`, `of_own` (q, 1 + q) of its own numbers, `left` and `unsaid_px` as in `ErrorHypothesis`.
     """
 
     gain: float
@@ -189,7 +189,9 @@ class _Found:
     unsaid_px: tuple[float, float] = (0.0, 0.0)
 
 
-def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float) -> list[Suspect]:
+def rank_hypotheses(
+    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float
+) -> list[ErrorHypothesis]:
     """Every suspect that lowers the squares by more than its numbers are worth, the most likely first.
 
     Parameters
@@ -207,7 +209,7 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
     left = [value.ravel() for value in seen.values]
     own = sum(j.T @ j for j in flat) + np.eye(free)
     slope = sum(j.T @ r for j, r in zip(flat, left, strict=True)) + seen.x
-    already = pushed_step(slope, own, depth, wall @ unknowns.columns)[2]  # nearly nothing: it is fitted
+    already = constrained_step(slope, own, depth, wall @ unknowns.columns)[2]  # nearly nothing: it is fitted
     count, found = sum(map(len, left)), list[_Found]()
     for one in _candidates(unknowns, full, seen):
         size = len(one.ordinary)
@@ -220,7 +222,7 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
             gradient[free:] += k.T @ r
         normal[free:, :free] = normal[:free, free:].T
         moves = np.column_stack((unknowns.columns, one.moves * one.ordinary))
-        step, inverse, gain = pushed_step(gradient, normal, depth, wall @ moves)
+        step, inverse, gain = constrained_step(gradient, normal, depth, wall @ moves)
         spread = inverse[free:, free:]
         if np.linalg.inv(spread).diagonal().max() - 1.0 < NOTHING_NEW * normal.diagonal()[free:].max():
             continue  # the fit could do the same with what was free
@@ -240,10 +242,10 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
             found.append(_Found(gain, one, step[free:], spreads, (moves @ step)[:, None], of_own, rest))
     found.sort(key=_rank)
     for number, before in enumerate(found[:RIVALS]):
-        found[number] = _refitted(unknowns, full, seen, before, count)
-    round_or_not = doubted_shapes(unknowns)
+        found[number] = _refit(unknowns, full, seen, before, count)
+    round_or_not = considered_shapes(unknowns)
     return [
-        Suspect(
+        ErrorHypothesis(
             rival.one.ball,
             rival.one.say(rival.values * rival.one.ordinary, rival.spreads),
             rival.gain,
@@ -263,7 +265,7 @@ def _rank(found: _Found) -> float:
     return -found.gain if found.one.by_hand else -UNTOUCHED * found.gain
 
 
-def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, before: _Found, count: int) -> _Found:
+def _refit(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, before: _Found, count: int) -> _Found:
     """Return what a suspect is worth once its numbers are free, for `count` residuals.
 
     What moves board, not scene, moves residuals as the scene then shows the board: a camera aside sees a bent one
@@ -276,7 +278,7 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     factors = {False: 1.0, True: 1.0}
     locks = [PixelLock.of(frame) for frame in seen.frames]
 
-    def moved(at: NDArray[np.float64], corners: Corners, number: int) -> Residuals:
+    def residuals_at(at: NDArray[np.float64], corners: Corners, number: int) -> Residuals:
         if one.board is not None:
             return on_moved_board(unknowns, at[:free], at[free:], one.board[number] * one.ordinary, corners)
         part = residuals(wider, at, corners)
@@ -292,7 +294,7 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
         for number, frame in enumerate(seen.frames):
             scale = by_region(frame.behind, factors)[:, None, None]
             corners = replace(frame.corners, whiten=np.asarray(frame.corners.whiten) / scale)
-            parts.append(unlocked(wider, at, corners, locks[number], moved(at, corners, number)))
+            parts.append(remove_lock(wider, at, corners, locks[number], residuals_at(at, corners, number)))
         return parts
 
     def squares(at: NDArray[np.float64], parts: Sequence[Residuals]) -> float:
@@ -313,8 +315,8 @@ def _refitted(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, bef
     inverse = np.linalg.inv(found.normal + np.eye(len(at)))[:, free:]
     open_still = inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
     moving = wider.columns[:, : free if one.board is not None or one.is_linear else None]
-    moving = np.column_stack((moving, _held_camera(unknowns)))
-    stands, other = cleared(unknowns, full)[0], wider.full(at)
+    moving = np.column_stack((moving, _camera_columns(unknowns)))
+    stands, other = clear_spheres(unknowns, full)[0], wider.full(at)
     added, unsaid_px = as_linear(unknowns, stands, other, moving)
     change = np.column_stack((other - stands + added, wider.columns @ open_still))
     of_own = one.ordinary[:, None] * np.column_stack((at[free:], open_still[free:]))
@@ -338,7 +340,7 @@ def _starts(unknowns: Unknowns, at: NDArray[np.float64]) -> list[NDArray[np.floa
     return [at, np.where(of_glass, 0.0, at)] if is_far else [at]
 
 
-def _held_camera(unknowns: Unknowns) -> NDArray[np.float64]:
+def _camera_columns(unknowns: Unknowns) -> NDArray[np.float64]:
     """Columns (F, K) of the camera's numbers that nothing moved: a camera far aside differs as they do as well."""
     sizes = {name: CAMERA_ORDINARY.get(name, LENS_TERM) for name in CAMERA}
     held = [number for number in range(len(CAMERA)) if not unknowns.columns[number].any()]
@@ -350,13 +352,13 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     every = replace(unknowns, columns=np.eye(len(full)), names=unknowns.full_names)
     rates, whitened = [], []
     for frame in seen.frames:
-        rays = landed(every, full, frame.corners)
+        rays = land_corners(every, full, frame.corners)
         inverse = np.full_like(rays.pixel_rate, np.nan)
         inverse[rays.recovered] = np.linalg.inv(rays.pixel_rate[rays.recovered])
         whitened.append(np.asarray(frame.corners.whiten) @ inverse)
         rates.append(whitened[-1] @ free_rates(every, full, frame.corners, rays))
-    yield from _held_numbers(unknowns, full, rates)
-    yield from _given_numbers(unknowns, seen.x, rates)
+    yield from _candidates_held(unknowns, full, rates)
+    yield from _candidates_given(unknowns, seen.x, rates)
     for ball, columns in _shape_columns(unknowns, full, seen, whitened).items():
         still = np.zeros((len(full), len(SHAPES)))
         not_round, size = partial(words.shape_of_ball, ball), np.full(len(SHAPES), SHAPE_MM)
@@ -365,10 +367,15 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     places = [unknowns.place(frame.corners.height_number) for frame in seen.frames]
     posed = [rate[:, :, place] for rate, place in zip(rates, places, strict=True)]
     nodes_mm = np.concatenate([frame.corners.node_mm for frame in seen.frames])
-    aside = -moved_as_board(unknowns, full)
+    aside = -motion_as_board(unknowns, full)
     moves: tuple[tuple[NDArray[np.float64], Say, Columns, NDArray[np.float64] | None], ...] = (
-        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), words.moved_board, _moved_ways(seen), aside),
-        (np.full(3, SAG_MM), partial(words.bent_board, nodes_mm), _bent_ways(seen), None),
+        (
+            np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]),
+            words.describe_moved_board,
+            _ways_of_moved_board(seen),
+            aside,
+        ),
+        (np.full(3, SAG_MM), partial(words.describe_bent_board, nodes_mm), _ways_of_bent_board(seen), None),
     )
     for ordinary, say, board, since in moves:
         columns = [rate @ ways for rate, ways in zip(posed, board, strict=True)]
@@ -379,11 +386,16 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     behind = [rate[:, :, [focus]] * frame.corners.glass for rate, frame in zip(rates, seen.frames, strict=True)]
     longer = np.eye(len(full))[:, [focus]]
     yield _Candidate(
-        "", np.array([CAMERA_ORDINARY["focal_px"]]), behind, words.refocused_lens, still[:, :1], since=longer
+        "",
+        np.array([CAMERA_ORDINARY["focal_px"]]),
+        behind,
+        words.describe_refocused_lens,
+        still[:, :1],
+        since=longer,
     )
 
 
-def _held_numbers(
+def _candidates_held(
     unknowns: Unknowns, full: NDArray[np.float64], rates: Sequence[NDArray[np.float64]]
 ) -> Iterator[_Candidate]:
     """Numbers of camera and balls that the fit could not move, or not on their own."""
@@ -393,7 +405,7 @@ def _held_numbers(
     held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
     every = np.eye(len(names))
 
-    def numbered(
+    def candidate(
         ball: str, ordinary: NDArray[np.float64], at: list[int], say: Say, by_hand: bool = False
     ) -> _Candidate:
         return _Candidate(ball, ordinary, [rate[:, :, at] for rate in rates], say, every[:, at], by_hand)
@@ -402,7 +414,7 @@ def _held_numbers(
     if terms:
         far = lens_reach(unknowns.camera(full))
         size = np.array([max(LENS_TERM, DISTORTED * far[term.partition(".")[2]]) for term in terms])
-        yield numbered("", size, list(map(names.index, terms)), partial(words.lens_terms, terms))
+        yield candidate("", size, list(map(names.index, terms)), partial(words.lens_terms, terms))
     for name in held:
         ball, part = name.split(".")
         ordinary = CAMERA_ORDINARY.get(part) if ball == "camera" else BALL_ORDINARY.get(part)
@@ -410,14 +422,16 @@ def _held_numbers(
             at = names.index(name)
             of = "" if ball == "camera" else ball
             by_hand = ball != "camera" and not unknowns.columns[at].any()  # else it moves with others of its glass
-            yield numbered(of, np.array([ordinary]), [at], partial(words.held_number, name, full[at]), by_hand)
+            yield candidate(
+                of, np.array([ordinary]), [at], partial(words.describe_held_number, name, full[at]), by_hand
+            )
     for body, numbers in unknowns.other_bodies.bodies:
         for number in numbers:
             name = f"{body.name}.{number.name}"
             if name in held:
                 size = np.array([2.0 * WALL.get(number.known, 0.5 * BALL_ORDINARY["n"])])
                 at = names.index(name)
-                yield numbered(body.name, size, [at], partial(words.held_number, name, full[at]), True)
+                yield candidate(body.name, size, [at], partial(words.describe_held_number, name, full[at]), True)
     for ball_number, place_of in unknowns.uneven.items():
         ball = unknowns.scene.spheres[ball_number].name
         every_term = list(zip(range(place_of.start, place_of.stop), DEGREES.tolist(), strict=True))
@@ -426,12 +440,12 @@ def _held_numbers(
         more = [(place, degree) for place, degree in every_term if degree <= highest and names[place] in held]
         if more:
             size = np.array([SHAPE_MM * (LOWEST / degree) ** 2 for _, degree in more])
-            yield numbered(ball, size, [place for place, _ in more], partial(words.finer_shape, ball, highest))
+            yield candidate(ball, size, [place for place, _ in more], partial(words.finer_shape, ball, highest))
     for sphere in spheres:
         place = [f"{sphere.name}.{axis}" for axis in "xyz"]
         if set(place) <= set(held):
             say = partial(words.place_of_ball, sphere.name)
-            yield numbered(sphere.name, np.full(3, PLACE_MM), list(map(names.index, place)), say, True)
+            yield candidate(sphere.name, np.full(3, PLACE_MM), list(map(names.index, place)), say, True)
     if spheres and not any(name.startswith("glass ") for name in unknowns.names):
         alike = [names.index(f"{sphere.name}.n") for sphere in spheres]
         columns = [rate[:, :, alike].sum(axis=2, keepdims=True) for rate in rates]
@@ -440,7 +454,7 @@ def _held_numbers(
         yield _Candidate("", np.array([BALL_ORDINARY["n"]]), columns, say, moves, True)
 
 
-def _given_numbers(
+def _candidates_given(
     unknowns: Unknowns, x: NDArray[np.float64], rates: Sequence[NDArray[np.float64]]
 ) -> Iterator[_Candidate]:
     """Free numbers that are pulled far beyond their sigmas, and the heights of the target by one factor."""
@@ -461,14 +475,14 @@ def _given_numbers(
         yield _Candidate("", size, [rate @ heights for rate in rates], words.target_heights, heights)
 
 
-def _moved_ways(seen: Evidence) -> Columns:
+def _ways_of_moved_board(seen: Evidence) -> Columns:
     """Return the moves (N, 6, 6) of each frame's corners with a board that moved before the frames with glass."""
     moved = [frame.corners.height_number == 0 and frame.corners.glass for frame in seen.frames]
     every = np.eye(len(TARGET))
     return [np.tile(every * is_so, (len(frame), 1, 1)) for is_so, frame in zip(moved, seen.frames, strict=True)]
 
 
-def _bent_ways(seen: Evidence) -> Columns:
+def _ways_of_bent_board(seen: Evidence) -> Columns:
     """Return the moves (N, 6, 3) of corners by a, b, c of a board at z = (a x^2 + b x y + c y^2) / reach^2."""
     reach = max(float(np.abs(frame.corners.node_mm).max(initial=1.0)) for frame in seen.frames)
     bent = []

@@ -26,7 +26,7 @@ logarithm up to LARGEST_UM, and D, b the normal matrix and the gradient by s whe
     log L(tau) = sum 1/2 (tau^2 b_l^2 / (1 + tau^2 l) - log(1 + tau^2 l)),
 
 and the doubted size is the geometric mean of tau under it.  A model found wrong is not doubted so: its cause is
-counted by itself (`suspects`).
+counted by itself (`rank_hypotheses`).
 
 A ball whose `out_of_round_um` is given is believed, as any sigma is.  Left out are rays through cores and scenes
 with windows or tubes, whose rays `ball_shape` does not follow.
@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.solve.ball_shape import SHAPES, ShapeRates, balls_crossed, shape_rates
-from correction.fit.solve.solver import Corners, Residuals, landed
+from correction.fit.solve.solver import Corners, Residuals, land_corners
 from correction.fit.solve.unknowns import Unknowns, glasses
 from tracer.media import THINNEST_LIQUID
 from tracer.scene.fit_section import FitTable
@@ -55,14 +55,14 @@ _NORM2 = np.array([float(np.sum(shape**2)) for shape in SHAPES])
 SIZES_MM = 1e-3 * LARGEST_UM / np.sqrt(len(SHAPES)) / np.sqrt(_NORM2 * 2.0 / 15.0)  # rms of e.S e: sqrt(2/15) |S|
 
 
-def doubted(unknowns: Unknowns) -> Unknowns:
+def with_considered(unknowns: Unknowns) -> Unknowns:
     """Return the same unknowns with the held numbers of the glass behind the free ones, in their ordinary size."""
-    held = list(_held(unknowns))
+    held = list(_held_columns(unknowns))
     names = (*unknowns.names, *(name for name, _ in held))
     return replace(unknowns, names=names, columns=np.column_stack([unknowns.columns, *(one for _, one in held)]))
 
 
-def _held(unknowns: Unknowns) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _held_columns(unknowns: Unknowns) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Numbers of the glass that no free one moves, with their columns (F,); one n for all balls of a glass."""
     scene, free = unknowns.scene, np.any(unknowns.columns != 0.0, axis=1)
 
@@ -121,14 +121,14 @@ class ShapeRoot:
         root[first : first + len(SHAPES), -change.shape[1] :] += change
         return replace(self, root=root)
 
-    def turned(self, axes: NDArray[np.float64]) -> "ShapeRoot":
+    def rotate(self, axes: NDArray[np.float64]) -> "ShapeRoot":
         """Return the same as seen in other axes (3, 3), rows."""
         turn = np.array([[np.sum(one * (axes @ other @ axes.T)) for other in SHAPES] for one in SHAPES])
         by_ball = np.kron(np.eye(len(self.balls)), turn / _NORM2[:, None])
         return replace(self, root=by_ball @ self.root)
 
 
-def doubted_shapes(unknowns: Unknowns) -> tuple[str, ...]:
+def considered_shapes(unknowns: Unknowns) -> tuple[str, ...]:
     """Names of the balls whose shape nobody told."""
     scene = unknowns.scene
     if any(body.stays for body in scene.bodies) or unknowns.other_bodies.bodies:
@@ -192,10 +192,10 @@ def shape_parts(
     part : Residuals
         Theirs, with derivatives (N, 2, P); the last 5 B of these are replaced.
     """
-    balls = doubted_shapes(unknowns)
+    balls = considered_shapes(unknowns)
     if not balls or not corners.glass:
         return part
-    rays = landed(unknowns, full, corners)
+    rays = land_corners(unknowns, full, corners)
     to_sigma = np.full_like(rays.pixel_rate, np.nan)
     to_sigma[rays.recovered] = np.linalg.inv(rays.pixel_rate[rays.recovered])
     pose, depth_mm = unknowns.pose(full, corners.height_number), unknowns.deeper(full) * corners.depth_mm

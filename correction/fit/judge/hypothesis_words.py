@@ -11,7 +11,7 @@ from correction.fit.solve.unknowns import unit_of
 NAMED_TERM_SIGMAS = 4.0  # sigmas from which a lens term is named
 
 
-def held_number(name: str, was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+def describe_held_number(name: str, was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
     """Sentence on a number of camera or glass that was held."""
     unit, factor = unit_of(name)
     text = f"{name} was held at {was * factor:.6g}{f' {unit}' if unit else ''} and seems to be off by"
@@ -60,7 +60,7 @@ def finer_shape(ball: str, degree: int, value: NDArray[np.float64], sigma: NDArr
     )
 
 
-def moved_board(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+def describe_moved_board(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
     """Sentence on a board or camera that has moved."""
     by = ", ".join(f"{axis} {v:+.3f}" for axis, v in zip("xyz", value[:3], strict=True))
     return (
@@ -69,7 +69,7 @@ def moved_board(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
     )
 
 
-def refocused_lens(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+def describe_refocused_lens(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
     """Sentence on a lens that was focused between frames."""
     return (
         "the lens seems to have been focused or zoomed between the bare frames and those with glass: focal_px"
@@ -77,7 +77,9 @@ def refocused_lens(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> st
     )
 
 
-def bent_board(nodes_mm: NDArray[np.float64], value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+def describe_bent_board(
+    nodes_mm: NDArray[np.float64], value: NDArray[np.float64], sigma: NDArray[np.float64]
+) -> str:
     """Sentence on a bend over the corners (N, 2) that are seen, without the plane nearest to it."""
     x, y = (nodes_mm / np.abs(nodes_mm).max(initial=1.0)).T
     z = value[0] * x * x + value[1] * x * y + value[2] * y * y
