@@ -6,6 +6,7 @@ Corners beyond OUTLIER sigmas are rejected and reported; those beyond CAUCHY_SIG
 covariance is (N + 1)^-1 in units of the prior's sigmas, N the normal matrix of the corners used.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -167,6 +168,12 @@ class Adjustment:
     ) -> SceneFit:
         """Fit everything that is free to everything measured, starting from a full vector (F,).
 
+        The uncertainty is a consider covariance (Schmidt 1966): numbers that are held, and shapes of balls, are
+        not estimated, but their prior uncertainty is carried through the same normal equations.  Its root is built
+        of columns, one independent error each, in an order that matters: a cause of residuals first, since it sets
+        the weights of all that follows; the size of shapes next, which counts only where no cause is named; then
+        priors that fail their joint test, which widen the covariance; at last what all corners have in common.
+
         Parameters
         ----------
         unknowns : Unknowns
@@ -178,57 +185,63 @@ class Adjustment:
         history : sequence of FitStep
             What happened before.
         """
+        # Fit, reject outliers, fit again: outliers of the first fit would bend the second.
         solution = self.solve(unknowns, unknowns.free(full), measured)
         kept = [self.inliers(unknowns, solution.x, frame) for frame in measured]
         used = [frame.take(which) for frame, which in zip(measured, kept, strict=True)]
         solution = self.solve(unknowns, solution.x, used)
-        # The loss halves the say of honest corners at the edge of it; their information counts in full.
+        # Consider parameters stand behind the free ones: held numbers of the glass, then shapes of balls.
         locked, balls = with_lock(unknowns), considered_shapes(unknowns)
         wide, free = with_shapes(with_considered(locked), balls), len(locked.names)
         at = np.concatenate((solution.x, self.lock, np.zeros(len(wide.names) - free)))
         parts = [self.extended_residuals(unknowns, wide, at, frame) for frame in used]
+        every = [self.extended_residuals(unknowns, wide, at, frame) for frame in measured]
         weighted = [self.weigh_corners(frame) for frame in measured]
-        left = [self.extended_residuals(unknowns, wide, at, frame) for frame in measured]
-        verdict, rest = judge_model(locked, wide, at, measured, weighted, left)
+        verdict, rest = judge_model(locked, wide, at, measured, weighted, every)
         weights = self
-        if verdict.unexplained is not None:
-            weights, used, parts = self.reweight_given_cause(measured, left, rest)
-        _, slope, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
-        slope = marginal_gradient(slope, normal, free)
-        of_shapes = np.tile(SIZES_MM, len(balls))
+        if verdict.unexplained is not None:  # corners err by what the cause leaves, not by its field
+            weights, used, parts = self.reweight_given_cause(measured, every, rest)
+        # The loss halves the weight of honest corners at its edge; their information counts in full.
+        _, gradient, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
+        gradient = marginal_gradient(gradient, normal, free)
+        # Shapes count in the size that the frames make likely (empirical Bayes), or not at all beside an alarm.
+        first_shape = len(at) - len(SIZES_MM) * len(balls)
         unit = np.ones(len(at))
-        unit[len(at) - len(of_shapes) :] = 0.0 if verdict.alarms else likely_scale(normal, slope, len(of_shapes))
-        slope, normal = slope * unit, normal * np.outer(unit, unit)
-        alike = [replace(lattice, rate=lattice.rate * unit) for lattice in rest.lattices]
-        alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
+        unit[first_shape:] = 0.0 if verdict.alarms else likely_scale(normal, gradient, len(at) - first_shape)
+        gradient, normal = gradient * unit, normal * np.outer(unit, unit)
+        lattices = [replace(lattice, rate=lattice.rate * unit) for lattice in rest.lattices]
+        # Pulls are tested with the priors as given, then those that fail are widened (Birge's ratio).
+        inverse = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
         if verdict.cause is None or not verdict.alarms:
-            spread = with_correlation(alone, alike, rest.correlation)
+            spread = with_correlation(inverse, lattices, rest.correlation)
             pulls = prior_pulls(unknowns, solution.x, normal[:free, :free], spread)
             if verdict.cause is None:
                 verdict = replace(verdict, pulls=pulls)
             elif pulls and pulls[0].kind == LENGTHS and pulls[0].sigmas ** 2 > verdict.cause.gain:  # one for all
                 verdict = replace(verdict, pulls=pulls, suspects=())
-        prior, step = widen_priors(unknowns, solution.x, verdict.pulls, len(at))
-        alone = np.asarray(np.linalg.inv(normal + np.diag(prior)), dtype=np.float64)
+        prior, prior_step = widen_priors(unknowns, solution.x, verdict.pulls, len(at))
+        inverse = np.asarray(np.linalg.inv(normal + np.diag(prior)), dtype=np.float64)
         on_print = [weights.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)]
         printed = print_errors(on_print)
-        covariance = with_correlation(alone, alike, rest.correlation)
-        covariance = covariance + alone @ printed.spread @ alone
+        covariance = with_correlation(inverse, lattices, rest.correlation)
+        covariance = covariance + inverse @ printed.spread @ inverse
+        # Further columns are errors of known direction: the step of the consider parameters, biases that all
+        # corners share, and the step that widened priors would allow.
         draws = root_of(covariance)
         if len(at) > free:
-            draws = np.column_stack((draws, newton_step(wide, at, slope, normal)))
-        draws = np.column_stack((draws, alone @ (unit[:, None] * weights.common_mode_gradients(used, parts))))
-        draws = np.column_stack((draws, alone @ step))
+            draws = np.column_stack((draws, newton_step(wide, at, gradient, normal)))
+        draws = np.column_stack((draws, inverse @ (unit[:, None] * weights.common_mode_gradients(used, parts))))
+        draws = np.column_stack((draws, inverse @ prior_step))
         root = wide.columns @ draws
-        sizes = (unit[len(at) - len(of_shapes) :] * of_shapes)[:, None]
-        shapes = ShapeRoot(balls, sizes * draws[len(at) - len(of_shapes) :])
+        sizes = (unit[first_shape:] * np.tile(SIZES_MM, len(balls)))[:, None]
+        shapes = ShapeRoot(balls, sizes * draws[first_shape:])
         for change, (ball, shape) in zip(verdict.changes, verdict.shapes, strict=True):
             root, shapes = np.column_stack((root, change)), shapes.with_columns(change.shape[1])
             shapes = shapes.with_change(ball, shape)
         scale = length_errors(unknowns, solution.x, verdict.pulls)
         root, shapes = np.column_stack((root, scale)), shapes.with_columns(scale.shape[1])
         scene, pushed = feasible_scene(unknowns, unknowns.full(solution.x))
-        corners = self.corners(unknowns, solution.x, measured, kept)
+        found = [FitStep(str(printed))] if str(printed) else []
         return SceneFit(
             scene,
             unknowns,
@@ -237,17 +250,13 @@ class Adjustment:
             without_lock(locked, normal[:free, :free]),
             root,
             tuple(frame.name for frame in measured),
-            corners,
+            self.corners(unknowns, solution.x, measured, kept),
             _sum_counts([frame.expected for frame in measured]),
             _sum_counts([frame.refused for frame in measured]),
             pushed,
             scene,
             verdict,
-            (
-                *history,
-                *([FitStep(str(printed))] if str(printed) else []),
-                self.step("all together", unknowns, solution.x, measured, kept),
-            ),
+            (*history, *found, self.step("all together", unknowns, solution.x, measured, kept)),
             shapes=shapes,
         )
 
@@ -278,14 +287,14 @@ class Adjustment:
     def extended_residuals(
         self, unknowns: Unknowns, wide: Unknowns, at: NDArray[np.float64], frame: MeasuredFrame
     ) -> Residuals:
-        """Residuals of a frame with derivatives by what is free, held and doubted, shapes of balls the last."""
+        """Residuals of a frame with derivatives by free numbers, then by consider parameters, shapes last."""
         corners = self.weigh_corners(frame)
         part = remove_lock(wide, at, corners, PixelLock.of(frame), residuals(wide, at, corners))
         return shape_parts(unknowns, wide.full(at), corners, frame.branch_name, part)
 
 
 def marginal_gradient(slope: NDArray[np.float64], normal: NDArray[np.float64], free: int) -> NDArray[np.float64]:
-    """Gradient (P,) of what is doubted when the first `free` numbers have followed, which pull no more.
+    """Gradient (P,) by the consider parameters when the first `free` numbers have followed, which pull no more.
 
     They lie where corners fit best that weigh less the farther they are off, the gradient counts all in full.
     """
@@ -308,8 +317,7 @@ def feasible_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene
 
 def _sum_counts(counts: Sequence[dict[str, int]]) -> dict[str, int]:
     """Sum counts by their names."""
-    total: dict[str, int] = {}
+    total: Counter[str] = Counter()
     for one in counts:
-        for name, count in one.items():
-            total[name] = total.get(name, 0) + count
-    return total
+        total.update(one)
+    return dict(total)
