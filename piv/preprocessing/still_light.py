@@ -12,7 +12,8 @@ particles and without them. A cell stands still where nearly nothing moves befor
 (dust before a flow, or a wall behind it, has that flow's particles in its rest, whether or not they find their
 partners), and
 
-* it is far brighter than a flow, r E > `BRIGHT` E_0: particles in a fluid at rest are not; or
+* it is far brighter than a flow, r E > `BRIGHT` E_0: particles in a fluid at rest are not (a line of
+  r E > `GLARING` E_0, and of E around it, whatever moves before it, for no window sees that); or
 * its floor is another than that of the cells where light moves, above it (a body, plain or saturated) or below it
   (an area without light), and hardly anything in it moves. A fluid at rest has the floor of its surroundings.
 
@@ -43,6 +44,9 @@ BLUR_CELLS = 1.0  # one cell holds too few particles
 MOVES, LEAST_MOVING = 0.5, 0.1  # r below which light moves; share of the cells that must, for a usual brightness
 SEEN = 0.05  # of the median of E: cells with less show nothing
 BRIGHT, MOST_MOVING, ALIKE = 4.0, 0.25, 0.9  # of E_0, of E_0, of r
+GLARING, GLARING_ALIKE = 10.0, 0.95  # of E_0, of r: with particles before it, which it outshines in any window
+LINES = 15  # cells: higher than a line of writing
+SLOWEST = 0.97  # r of a fluid beyond which nothing tells it from one at rest
 FLOOR_PX = 12  # side of the opening: larger than particle images, smaller than bodies
 RAISED, SUNK = 0.25, 0.1  # change of the floor in sqrt(E_0), beyond nearly all floors where light moves
 EXTREME, BEYOND = 0.1, 0.5  # share of those that are more extreme; and of their range
@@ -157,12 +161,18 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         moves = areas
     else:
         moves &= cells.square > HALF * np.median(cells.square[seen])
-    if moves.sum() <= LEAST_MOVING * seen.sum():
-        # A fluid at rest is not told from a wall, but has other light than places without any structure.
-        moves, cells = seen, cells._replace(alike=np.zeros_like(cells.alike))
+    rests = bool(moves.sum() <= LEAST_MOVING * seen.sum())
+    if rests:
+        # A fluid at rest looks like a wall, but has other light than places without any structure, and a slow one
+        # moves more light than writing that is far brighter.
+        usual, share = (float(np.median(part[seen])) for part in (cells.square, cells.alike))
+        glares = (share < SLOWEST) & (cells.square > GLARING * np.maximum(usual, _around_lines(cells.square)))
+        glares &= (1.0 - cells.alike) * cells.square < (1.0 - share) * usual
+        moves = seen & ~glares
+        cells = cells._replace(alike=np.where(glares, cells.alike, np.float32(0.0)))
     apart, changed = _floors(cells, moves)
     fluid = cells.alike[seen & ~changed]
-    quick = bool(cells.alike.any() and fluid.size and np.median(fluid) < QUICK)
+    quick = bool(not rests and fluid.size and np.median(fluid) < QUICK)
     found = _still(cells, moves, apart, changed, quick)
     if not valid_cells.all():  # what a mask covers nearly is covered
         found = np.asarray(scipy.ndimage.binary_opening(found & valid_cells, np.ones((2, 2), bool)))
@@ -224,6 +234,13 @@ def _floors(cells: Cells, moves: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.
     return apart, np.asarray(other)
 
 
+def _around_lines(square: Floats) -> Floats:
+    """E of cells (ny, nx) without lines and letters narrower than `LINES` cells; a bright sheet of light stays."""
+    import cv2
+
+    return np.asarray(cv2.morphologyEx(square, cv2.MORPH_OPEN, np.ones((LINES, LINES), np.uint8)))
+
+
 def _still(
     cells: Cells, moves: NDArray[np.bool_], apart: Floats, other: NDArray[np.bool_], quick: bool
 ) -> NDArray[np.bool_]:
@@ -242,6 +259,7 @@ def _still(
     shaken = (alike > SHAKEN) & (moving < np.square(GRAIN * apart))
     plain |= (apart > 0.0) & ((least < HARDLY * usual) | shaken)
     shines = rest & bright & (alike > ALIKE)
+    shines |= (alike * square > GLARING * np.maximum(usual, _around_lines(square))) & (alike > GLARING_ALIKE)
     still = scipy.ndimage.binary_opening(shines | (other & plain), np.ones((SQUARE, SQUARE), bool))
     for line in (LINE, LINE[::-1]):
         still |= scipy.ndimage.binary_opening(shines, np.ones(line, bool))
