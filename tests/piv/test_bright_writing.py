@@ -1,4 +1,4 @@
-"""Writing far brighter than the particles, in flows that are slow, turn, or rest at a wall; and flows in bright light."""
+"""Writing far brighter than the particles in flows that are slow, turn or rest at a wall; and bright flows."""
 
 import cv2
 import numpy as np
