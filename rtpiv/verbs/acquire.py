@@ -45,8 +45,8 @@ from stages.identities import confusable
 if TYPE_CHECKING:
     from daq.live.run_shown import RunShown
 
-SHOWN_STEPS = 40
-SHOWN_PAIRS = 12
+FORECAST_STEPS = 40
+SHOWN_DISPLACEMENTS = 12
 ENDS = "Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps"
 ENDS_IN_LIGHT = (
     "Ctrl-C switches the laser off and ends within the step, whose pairs are kept; twice stops the axes now;"
@@ -299,10 +299,10 @@ def print_forecast(
     """Print the forecast of a plan."""
     if with_steps:
         columns = ("step", "frames", "tag", "view", "axes away from the scene's place in mm")
-        rows = [_step_row(step, bench.home_mm) for step in plan.steps[:SHOWN_STEPS]]
+        rows = [_step_row(step, bench.home_mm) for step in plan.steps[:FORECAST_STEPS]]
         screen.print(table_of(f"steps of {plan.name}", columns, rows, left=ALL))
-        if len(plan.steps) > SHOWN_STEPS:
-            screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
+        if len(plan.steps) > FORECAST_STEPS:
+            screen.print(f"... and {len(plan.steps) - FORECAST_STEPS} more")
     time = f"about {time_said(bench, plan.steps, said, simulate)}"
     travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
     screen.print(
@@ -363,9 +363,9 @@ def _print_displacements(screen: Console, path: Path, found: Sequence[Moved]) ->
             deviation(entry["measured_mm"], entry["commanded_mm"]),
             deviation(entry["true_mm"], entry["commanded_mm"]),
         )
-        for entry in found[:SHOWN_PAIRS]
+        for entry in found[:SHOWN_DISPLACEMENTS]
     ]
     columns = ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um")
     screen.print(table_of("displacement of the target in mm", columns, rows, left=ALL))
-    if len(found) > SHOWN_PAIRS:
-        screen.print(f"... and {len(found) - SHOWN_PAIRS} more in {path}")
+    if len(found) > SHOWN_DISPLACEMENTS:
+        screen.print(f"... and {len(found) - SHOWN_DISPLACEMENTS} more in {path}")

@@ -72,7 +72,7 @@ class Workers:
 
     @property
     def is_elsewhere(self) -> bool:
-        """Whether the workers are processes that this program does not start."""
+        """True if other programs start the workers."""
         return self.scheduler is not None or self.slurm is not None
 
 

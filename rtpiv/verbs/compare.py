@@ -20,7 +20,7 @@ from rtpiv.templates.files import scene_text
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 
-SHOWN = 15  # rows of the table
+SHOWN_VIEWS = 15  # rows of the table
 WRITTEN = 50  # scene files
 SAID = 3  # reasons why something cannot be
 
@@ -85,7 +85,7 @@ def compare(
     screen = console()
     with results_in(out, "compare") as out:
         labs, refused = question.labs()
-        found = candidates_of(labs, f_number, error_px, SHOWN)
+        found = candidates_of(labs, f_number, error_px, SHOWN_VIEWS)
         views, best = found.views, found.best
         refused += found.refused
         if not views:
@@ -120,7 +120,7 @@ def compare(
 
 def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count: int) -> Table:
     brightest = max((view.light for view in best), default=1.0)
-    more = f"; the first {SHOWN} of {len(best)} on the Pareto front" if len(best) > SHOWN else ""
+    more = f"; the first {SHOWN_VIEWS} of {len(best)} on the Pareto front" if len(best) > SHOWN_VIEWS else ""
     title = f"{count} arrangements, f/{f_number:g}, wanted {error_px:g} px{more}"
     table = Table(title=title, box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name in (
@@ -128,7 +128,7 @@ def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count:
         "depth\nmm", "light",
     ):  # fmt: skip
         table.add_column(name, justify="left" if name == "balls" else "right", no_wrap=True)
-    for number, view in enumerate(best[:SHOWN], start=1):
+    for number, view in enumerate(best[:SHOWN_VIEWS], start=1):
         lab = view.lab
         shape = "" if lab.arrangement == "behind" else f" {lab.arrangement}"
         gap = f" +{lab.gap_mm:g}" if lab.gap_mm else ""
@@ -150,7 +150,7 @@ def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count:
 
 def _unsaid(best: Sequence[ViewFigures]) -> str:
     """Return the uncertainty that an unspecified light source adds."""
-    worst = [view.unsaid_px for view in best[:SHOWN]]
+    worst = [view.unsaid_px for view in best[:SHOWN_VIEWS]]
     return (
         f"sigma requires fit.light, the light of the target frames; without it sigma is"
         f" {min(worst):.2f} to {max(worst):.2f} px"

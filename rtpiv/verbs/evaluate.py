@@ -38,24 +38,24 @@ from rtpiv.verbs.show import show_evaluation, show_series, show_through
 from tracer.scene.scene_file import load_scene
 
 USUAL = "evaluation"
-MOST_BYTES = 100_000_000  # of evaluation.json
+MAX_SUMMARY_BYTES = 100_000_000  # of evaluation.json
 COPIES = (SCENE_FILE, FIT_FILE)  # of what was given, beside results
 
 
 @dataclass(frozen=True)
 class EvaluationOutput:
-    """What is written beside the vectors.
+    """Files beside the vectors.
 
     Parameters
     ----------
     vtk : bool
         Also write VTK text.
     figures : bool
-        Write every figure as SVG and as PNG, not only as it stands in the page.
+        Write every figure as SVG and PNG files too.
     pictures : bool
-        Write ``report.html``, after all else is written and said.
+        Write ``report.html``, after all other results.
     overwrite : bool
-        Replace vectors of other frames in the folder that is named.
+        Overwrite vectors of other frames in the given folder.
     """
 
     vtk: bool = False
@@ -76,18 +76,18 @@ def evaluate(
     workers: Count | None = None,
     **options: Unpack[PivOptions],
 ) -> Evaluated:
-    """Correct pairs of frames and measure their displacements, with a page to look at.
+    """Correct pairs of frames and measure their displacements.
 
     Pairs that are a time apart, one or many, become a series (`rtpiv.analysis.series`): files of chunks and one
-    page; the same call goes on where an earlier one stopped.  Two frames, and pairs that a stage moved by a
-    measured way, are each evaluated with their errors; so is every pair of a series where that is asked for
+    page; the same call resumes an interrupted one.  Two frames, and pairs that a stage moved by a
+    measured way, are each evaluated with their errors; so is every pair of a series on request
     (shift_mm, vtk, tracking), into a folder named after it.
 
     Parameters
     ----------
     paths : list of path, or path
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, a stream, or
-        a flow run; or frames of others in pairs: a folder, a pattern in quotes, a stack, a video.
+        a flow run; or external image pairs: a folder, a pattern in quotes, a stack, a video.
     out : path, optional
         Folder, on the command line by default ``evaluation`` (or ``evaluation-2`` ... where that has other
         results): ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
@@ -95,20 +95,20 @@ def evaluate(
         ``chunks`` with the vectors and one ``report.html``.
     scene : path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
-        A run without it is evaluated with the scene that its frames were corrected with.
+        Default for a run: the scene that its frames were corrected with.
     recipe : CorrectionRecipe
-        How frames are corrected, as for `correct`.
+        Correction of frames, as for `correct`.
     details : PairDetails
-        What is asked of each pair beyond its vectors.
+        Further evaluation of each pair.
     output : EvaluationOutput
-        What is written beside them.
+        Files beside the vectors.
     dt_us : float, optional
-        Time between the frames of a pair, for frames of others and a run that does not know it: velocities in
-        place of displacements.
+        Time between the frames of a pair, for external image pairs and runs without it: gives velocities
+        instead of displacements.
     workers : int, optional
-        Processes at most, where there is work for several; default one a core.
+        Maximum number of processes; default one per core.
     **options
-        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`.
+        Correlation of pairs, see `rtpiv.analysis.pairs.piv_file.PivOptions`.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def evaluate(
             screen.print(note)
         corrections, how = PreparedCorrections(), replace(how, sigma=given.sigma)
 
-        def evaluated(task: Task) -> Detailed:
+        def evaluate_one(task: Task) -> Detailed:
             prepared = corrections.of(task.scene, given.dewarp, limit=given.limit if task.scene.bodies else None)
             try:
                 found = evaluate_task(task, prepared, how)
@@ -157,8 +157,8 @@ def evaluate(
             return found
 
         with drawing() as draw:
-            found, failed = _shown(
-                screen, ((task.name, evaluated(task)) for task in given.tasks), len(given.tasks)
+            found, failed = _show_pairs(
+                screen, ((task.name, evaluate_one(task)) for task in given.tasks), len(given.tasks)
             )
         return Evaluated(len(given.tasks), failed, found)
 
@@ -181,7 +181,7 @@ def _series(
         show_through(screen, seen := load_scene(series.out / SCENE_FILE))
         screen.print(where_lit(seen))
         in_order = [(pair.tag, found[pair.tag]) for pair in series.given.pairs if pair.tag in found]
-        details, failed = _shown(screen, in_order, len(in_order))
+        details, failed = _show_pairs(screen, in_order, len(in_order))
     done = replace(done, details=details)
     if output.pictures:
         from rtpiv.analysis.report.series import write_series_page
@@ -200,10 +200,10 @@ def _write(draw: Draw, output: EvaluationOutput, evaluation: Evaluation) -> None
         draw("rtpiv.analysis.report.pair_folder:write_pair_page", evaluation, output.figures)
 
 
-def _shown(
+def _show_pairs(
     screen: Console, pairs: Iterable[tuple[str, Detailed]], count: int
 ) -> tuple[tuple[Evaluation, ...], dict[str, str]]:
-    """Say how well each pair was measured; one of several that cannot be is named and left out."""
+    """Print the uncertainties of each pair; one of several that failed is named and left out."""
     found, failed = list[Evaluation](), dict[str, str]()
     last: PairError | None = None
     for name, one in pairs:
@@ -232,9 +232,9 @@ def holds_series_of(folder: Path, run: Path, dt_us: float | None) -> bool:
 
 
 def holds_pair_of(folder: Path, frames: Sequence[Path]) -> bool:
-    """Whether vectors of these two frames lie in a folder; pairs of a run have folders of their own."""
+    """Return True if a folder holds vectors of these two frames; pairs of a run have their own folders."""
     try:
-        known = json.loads(read_plain(folder / "evaluation.json", MOST_BYTES))
+        known = json.loads(read_plain(folder / "evaluation.json", MAX_SUMMARY_BYTES))
         return [known["frames"], known["frames_from"]] == list(named_frames(frames).values())
     except (OSError, ValueError, KeyError, TypeError):
         return False

@@ -24,7 +24,7 @@ from rtpiv.verbs.schema import write_schemas
 from rtpiv.verbs.tables import table_of
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
-SHOWN = 8  # other arrangements
+SHOWN_ARRANGEMENTS = 8  # other arrangements
 SAID = {"behind": ", one behind the other", "beside": " beside each other"}
 FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
 YES, NO = ("yes", "y"), ("no", "n")
@@ -341,7 +341,7 @@ def _print_others(lab: Lab, share: float, lens: bool) -> None:
         return
     rows = [
         (str(lab.balls), lab.arrangement, f"{lab.gap_mm:g}", f"{lab.lens_mm:g}", percent(share))
-        for lab, share in ((one.lab, one.share) for one in found[:SHOWN])
+        for lab, share in ((one.lab, one.share) for one in found[:SHOWN_ARRANGEMENTS])
     ]
     columns = ("--balls", "--arrangement", "--gap-mm", "--lens-mm", "through glass")
     title = "other arrangements of such balls, each where it shows most"

@@ -20,7 +20,7 @@ from daq.runner.laser_session import NoOperator, Operator, no_hands
 from ground.terminal import error_console, held_still
 from stages.scale_question import ScaleQuestion, no_place, place_mm
 
-POLL_INTERVAL_S = 0.1  # of a wait for an answer, for a question that is given up
+ANSWER_POLL_S = 0.1  # of a wait for an answer, for a question that is given up
 
 
 class TerminalOperator:
@@ -151,7 +151,7 @@ def _read_line_unless(given_up: Callable[[], bool]) -> str | None:
 
     A signal that asks for the end does not end a read that waits for a line, so what may be given up waits here.
     """
-    while os.name == "posix" and sys.stdin.isatty() and not select.select([sys.stdin], [], [], POLL_INTERVAL_S)[0]:
+    while os.name == "posix" and sys.stdin.isatty() and not select.select([sys.stdin], [], [], ANSWER_POLL_S)[0]:
         if given_up():
             return None
     line = sys.stdin.readline()

@@ -115,7 +115,7 @@ def report(
 
 
 def _is_flow(run: Path) -> bool:
-    """Whether a run is a series of pairs; one that has none, or not yet, is shown by its frames."""
+    """Return True if a run is a series of pairs; other runs are shown by their frames."""
     try:
         return is_flow(pairs_of(run))
     except (PairError, RunUnsuitable):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # printing a calibration must not import the evaluation of a 
     from tracer.scene.scene import Scene
 
 HIGHEST = 0.99  # of all speeds of a mean: a few outliers are no flow
-SHOWN = 10  # pairs that are named one by one
+SHOWN_REASONS = 10  # pairs that are named one by one
 
 
 def show_through(screen: Console, scene: "Scene") -> None:
@@ -89,10 +89,10 @@ def show_series(screen: Console, done: "Evaluated") -> None:
     """Print the state of the pairs of a series."""
     before = f"; {done.kept} of them had been evaluated before" if done.kept else ""
     screen.print(done.summary + before, style="bold red" if done.has_few_valid else None)
-    for tag, why in list(done.failed.items())[:SHOWN]:
+    for tag, why in list(done.failed.items())[:SHOWN_REASONS]:
         screen.print(f"{tag} is left out: {why}", style="bold red")
-    if len(done.failed) > SHOWN:
-        screen.print(f"and {len(done.failed) - SHOWN} more; the page has them", style="bold red")
+    if len(done.failed) > SHOWN_REASONS:
+        screen.print(f"and {len(done.failed) - SHOWN_REASONS} more; the page has them", style="bold red")
     for warning in done.warnings:
         screen.print(warning, style="bold red")
 
@@ -123,10 +123,10 @@ def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
     lines = [
         f"{s.name}: {counted(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
     ]
-    for line in lines[:SHOWN]:
+    for line in lines[:SHOWN_REASONS]:
         screen.print(line)
-    if len(lines) > SHOWN:
-        screen.print(f"and {len(lines) - SHOWN} more in the markers of the chunks")
+    if len(lines) > SHOWN_REASONS:
+        screen.print(f"and {len(lines) - SHOWN_REASONS} more in the markers of the chunks")
 
 
 def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) -> None:
@@ -145,10 +145,10 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
         screen.print(each, style="bold red")
     screen.print(f"mean of {counted(mean.used, 'pair')}; {len(mean.left_out)} are left out")
     lost = [(tag, why) for tag, why in mean.left_out if tag not in said]
-    for tag, why in lost[:SHOWN]:
+    for tag, why in lost[:SHOWN_REASONS]:
         screen.print(f"{tag} is left out: {why}", style="bold red")
-    if len(lost) > SHOWN:
-        screen.print(f"and {len(lost) - SHOWN} more; mean.nc has them", style="bold red")
+    if len(lost) > SHOWN_REASONS:
+        screen.print(f"and {len(lost) - SHOWN_REASONS} more; mean.nc has them", style="bold red")
     speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
     highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
     flows = speed >= 0.5 * highest

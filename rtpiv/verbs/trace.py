@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 PICTURES = "rtpiv.analysis.pictures"
 DRAWN = ("plane.png", "camera_view.png", "slant.png", "scene.png", "blur.png", "radial_curve.png")
 SHOWN_BODIES = 40
-LONGEST_NAME = 32
+LONGEST_BODY_NAME = 32
 SHEET_STEP = 4  # corrected pixels between places that may be seen twice; 2 says the same in four times the time
 
 
@@ -218,7 +218,7 @@ def _body_table(share: PlaneShare) -> Table:
 
 
 def _body_row(body: BodyShare) -> tuple[str, ...]:
-    name = short(body.name, LONGEST_NAME)
+    name = short(body.name, LONGEST_BODY_NAME)
     if not body.outline_mm2:
         return name, "0", "-", "-", "out of view", f"{body.shown_mm2:.1f}"
     share = f"{100.0 * body.recovered_mm2 / body.outline_mm2:.1f} %"
