@@ -12,25 +12,16 @@ from stages.protocols.apt_bytes import (
     text_of,
     to_signed_bytes,
 )
-from stages.protocols.apt_commands import MANUAL, PROTOCOL, PUBLISHED, speed_bytes
+from stages.protocols.apt_commands import speed_bytes
 from stages.protocols.apt_words import (
-    ENABLED,
     HEADER,
-    HOMED,
     HOST,
-    LOWER_SWITCH,
-    OFF,
-    ON,
-    RACK,
     UNASKED,
     UNIT,
     VALUES,
     WITH_DATA,
     Kind,
 )
-from stages.protocols.framing import Example
-
-RECORDED = "a K10CR1, as the tests of pnpq quote it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,22 +37,6 @@ class Reply:
         """Bytes as they go over the wire."""
         return short_message(self.kind, self.first, self.second, HOST, self.sender)
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented messages."""
-        return (
-            Example(
-                b"\x12\x02\x01\x02\x01\x50",
-                cls(Kind.MOD_GET_CHANENABLESTATE, 1, OFF),
-                f"{PUBLISHED}, test_apt_mc_enabled, with the addresses of a real box",
-            ),
-            Example(
-                b"\x61\x00\x02\x01\x01\x11",
-                cls(Kind.RACK_GET_BAYUSED, 2, ON, RACK),
-                f"{PROTOCOL}, rack_get_bayused",
-            ),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Value:
@@ -76,22 +51,6 @@ class Value:
         """Bytes as they go over the wire."""
         return long_message(
             self.kind, number_bytes(self.channel, 2) + to_signed_bytes(self.value), HOST, self.sender
-        )
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented messages."""
-        return (
-            Example(
-                b"\x12\x04\x06\x00\x81\x50\x01\x00\xe0\xb1\xff\xff",
-                cls(Kind.MOT_GET_POSCOUNTER, 1, -20000),
-                f"{PUBLISHED}, test_apt_mc_position, with the addresses of a real box",
-            ),
-            Example(
-                b"\x47\x04\x06\x00\x81\x22\x01\x00\x00\x01\x00\x00",
-                cls(Kind.MOT_GET_MOVERELPARAMS, 1, 256, 0x22),
-                f"{PROTOCOL}, mot_get_moverelparams",
-            ),
         )
 
 
@@ -114,12 +73,6 @@ class Speeds:
             self.sender,
         )
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented messages."""
-        raw = b"\x15\x04\x0e\x00\x81\x50\x01\x00\x07\x00\x00\x00\x06\x01\x00\x00\x87\xb5\x0b\x00"
-        return (Example(raw, cls(1, 7, 262, 767367), f"{PROTOCOL}, mot_get_velparams: 1 mm/s of an MTS50"),)
-
 
 @dataclass(frozen=True, slots=True)
 class Homing:
@@ -139,12 +92,6 @@ class Homing:
         data += to_signed_bytes(self.speed) + to_signed_bytes(self.offset)
         return long_message(Kind.MOT_GET_HOMEPARAMS, data, HOST, self.sender)
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented messages."""
-        raw = b"\x42\x04\x0e\x00\x81\x50\x01\x00\x02\x00\x01\x00\x87\xb5\x0b\x00\x38\xff\xff\xff"
-        return (Example(raw, cls(1, 2, 1, 767367, -200), f"{PROTOCOL}, mot_get_homeparams"),)
-
 
 @dataclass(frozen=True, slots=True)
 class Status:
@@ -158,12 +105,6 @@ class Status:
         """Bytes as they go over the wire."""
         data = number_bytes(self.channel, 2) + number_bytes(self.bits, 4)
         return long_message(Kind.MOT_GET_STATUSBITS, data, HOST, self.sender)
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented messages."""
-        raw = b"\x2a\x04\x06\x00\x81\x50\x01\x00\x02\x05\x00\x80"
-        return (Example(raw, cls(1, ENABLED | HOMED | 0x0100 | LOWER_SWITCH), f"{PROTOCOL}, mot_get_statusbits"),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,21 +132,6 @@ class Info:
         )  # fmt: skip
         return long_message(Kind.HW_GET_INFO, data, HOST, self.sender)
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented messages."""
-        raw = (
-            b"\x06\x00\x54\x00\x81\x50" + b"\x01\x02\x03\x04" + b"KDC101\x00\x00"
-            + b"\x10\x00\xa1\xa2\xa3\x00" + b"abcdefg".ljust(60, b"\x00") + b"\x2a\x00\x2b\x00\x01\x00"
-        )  # fmt: skip
-        message = cls(0x04030201, "KDC101", 16, (0xA1, 0xA2, 0xA3), "abcdefg", 42, 43, 1)
-        sample = bytes.fromhex("0600 5400 8122 89539A05 494F4E3030312000 2C00 02013900") + bytes(60)
-        sample += bytes.fromhex("0100 0300 0100")
-        return (
-            Example(raw, message, f"{PUBLISHED}, init_kdc101"),
-            Example(sample, cls(94_000_009, "ION001 ", 44, (2, 1, 57), "", 1, 3, 1, 0x22), MANUAL),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Unasked:
@@ -230,29 +156,6 @@ class Unasked:
             code, words = int.from_bytes(self.data[2:4], "little"), self.data[4:].split(b"\0")[0]
             return f"{words.decode('latin-1').strip() or 'an error'} ({code})"
         return "an error" if self.kind == Kind.HW_RESPONSE else ""
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented messages."""
-        moved = b"\x01\x00\xe8\x03\x00\x00\xcd\x00\x00\x00\x00\x00\x00\x00"
-        return (
-            Example(
-                b"\x44\x04\x01\x00\x01\x50",
-                cls(Kind.MOT_MOVE_HOMED, b"\x01\x00", True),
-                f"{PUBLISHED}, test_apt_mc_go_home, with the addresses of a real box",
-            ),
-            Example(
-                b"\x64\x04\x0e\x00\x81\x22" + moved,
-                cls(Kind.MOT_MOVE_COMPLETED, moved, False, 0x22),
-                f"{PUBLISHED}, test_apt_mc_move, from the second bay",
-            ),
-            Example(
-                bytes.fromhex("6404 0e00 8150 0100 68aaa001 0000 0000 30000080"),
-                cls(Kind.MOT_MOVE_COMPLETED, bytes.fromhex("0100 68aaa001 0000 0000 30000080")),
-                RECORDED,
-            ),
-            Example(b"\x64\x04\x01\x00\x01\x22", cls(Kind.MOT_MOVE_COMPLETED, b"\1\0", True, 0x22), MANUAL),
-        )
 
 
 ANSWERS = (Reply, Value, Speeds, Homing, Status, Info, Unasked)

@@ -1,30 +1,14 @@
-"""Common part of line-based protocols: bytes to lines to messages, and the shape of an example."""
+"""Common part of line-based protocols: from bytes to lines to messages."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from stages.errors import ProtocolViolation
 
 T = TypeVar("T")
-
-
-class Message(Protocol):
-    """Anything that goes over a wire."""
-
-    def to_bytes(self) -> bytes:
-        """Bytes as they go over the wire."""
-        ...
-
-
-class Example(NamedTuple):
-    """A message as others documented it: the bytes, what they mean, and where that is written."""
-
-    raw: bytes
-    message: Message
-    source: str
 
 
 @dataclass(frozen=True, slots=True)

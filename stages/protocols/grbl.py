@@ -24,9 +24,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, text_of
-
-DOC = "gnea/grbl v1.1 doc/markdown"
+from stages.protocols.framing import LineStream, text_of
 
 STATUS, HOLD, RESUME, RESET, JOG_CANCEL = 0x3F, 0x21, 0x7E, 0x18, 0x85
 REALTIME = (STATUS, HOLD, RESUME, RESET, JOG_CANCEL)
@@ -63,15 +61,6 @@ class Line:
         """Bytes as they go over the wire."""
         return (self.text + "\n").encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"$J=X10.0 Y-1.5\n", cls("$J=X10.0 Y-1.5"), f"{DOC}/jogging.md"),
-            Example(b"$J=G53 Y5.0\n", cls("$J=G53 Y5.0"), f"{DOC}/jogging.md"),
-            Example(b"$H\n", cls("$H"), f"{DOC}/commands.md"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class RealTime:
@@ -83,16 +72,6 @@ class RealTime:
         """Bytes as they go over the wire."""
         return bytes([self.code])
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented bytes."""
-        return (
-            Example(b"?", cls(STATUS), f"{DOC}/commands.md"),
-            Example(b"!", cls(HOLD), f"{DOC}/commands.md"),
-            Example(b"\x18", cls(RESET), f"{DOC}/commands.md"),
-            Example(b"\x85", cls(JOG_CANCEL), f"{DOC}/commands.md"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Ok:
@@ -101,11 +80,6 @@ class Ok:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return b"ok\r\n"
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"ok\r\n", cls(), f"{DOC}/interface.md, Response Messages"),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +92,6 @@ class Refusal:
         """Bytes as they go over the wire."""
         return f"error:{self.code}\r\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"error:15\r\n", cls(15), f"{DOC}/interface.md, jog target exceeds travel"),)
-
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
@@ -133,11 +102,6 @@ class Alarm:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return f"ALARM:{self.code}\r\n".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"ALARM:1\r\n", cls(1), f"{DOC}/interface.md, Alarm Message"),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,27 +121,6 @@ class Status:
         fields = "".join(f"|{name}:{value}" for name, value in self.extras)
         return f"<{state}|{'MPos' if self.machine else 'WPos'}:{place}{fields}>\r\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented and recorded lines."""
-        return (
-            Example(
-                b"<Idle|MPos:0.000,-10.000,5.000|FS:0,0>\r\n",
-                cls("Idle", (0.0, -10.0, 5.0), extras=(("FS", "0,0"),)),
-                f"{DOC}/interface.md, Current Position and FS",
-            ),
-            Example(
-                b"<Hold:0|WPos:-2.500,0.000,11.000|Bf:15,128>\r\n",
-                cls("Hold", (-2.5, 0.0, 11.0), False, 0, (("Bf", "15,128"),)),
-                f"{DOC}/interface.md, sub-states, work position, buffer state",
-            ),
-            Example(
-                b"<Alarm:11|MPos:0.000,0.000,0.000|FS:0,0>\r\n",
-                cls("Alarm", (0.0, 0.0, 0.0), substate=11, extras=(("FS", "0,0"),)),
-                "grblHAL, report extensions: the alarm's number",
-            ),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Setting:
@@ -189,16 +132,6 @@ class Setting:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return f"${self.number}={self.value}\r\n".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"$100=250.000\r\n", cls(100, "250.000"), f"{DOC}/interface.md, $$"),
-            Example(b"$13=0\r\n", cls(13, "0"), f"{DOC}/interface.md, $$"),
-            Example(b"$74=\r\n", cls(74, ""), "grblHAL, settings with network support: no name is set"),
-            Example(b"$396=http\r\n", cls(396, "http"), "grblHAL, settings of its web server"),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,19 +145,6 @@ class Feedback:
         """Bytes as they go over the wire."""
         return f"[{self.kind}:{self.text}]\r\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"[MSG:Reset to continue]\r\n", cls("MSG", "Reset to continue"), f"{DOC}/interface.md"),
-            Example(
-                b"[VER:v1.1d.20161014:Some string]\r\n",
-                cls("VER", "v1.1d.20161014:Some string"),
-                f"{DOC}/interface.md",
-            ),
-            Example(b"[OPT:VL]\r\n", cls("OPT", "VL"), f"{DOC}/interface.md"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Banner:
@@ -237,23 +157,6 @@ class Banner:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return f"{self.firmware} {self.version} [{self.words}]\r\n".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"Grbl 1.1h ['$' for help]\r\n", cls("1.1h"), f"{DOC}/interface.md, Start Up Message"),
-            Example(
-                b"GrblHAL 1.1f ['$' or '$HELP' for help]\r\n",
-                cls("1.1f", "GrblHAL", "'$' or '$HELP' for help"),
-                "grblHAL, start-up message",
-            ),
-            Example(
-                b"Grbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]\r\n",
-                cls("3.7", "Grbl", "FluidNC v3.7.8 (wifi) '$' for help"),
-                "FluidNC wiki, start-up message",
-            ),
-        )
 
 
 COMMANDS = (Line, RealTime)

@@ -21,9 +21,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, text_of
-
-GUIDE = "isel, iMC-M/-MP/-S8 Programming Guide 06/2010, as open clients of the controller quote it"
+from stages.protocols.framing import LineStream, text_of
 
 SLOWEST, FASTEST = 1, 30_000  # steps/s a motion may name; a box refuses what it does not go (D)
 STEPS_LIMIT = 1 << 23  # positions are 24 bit, signed
@@ -61,11 +59,6 @@ class Identify:
         """Bytes as they go over the wire."""
         return f"@{self.device}V\r".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"@0V\r", cls(), f"{GUIDE}, version"),)
-
 
 @dataclass(frozen=True, slots=True)
 class Initialise:
@@ -77,14 +70,6 @@ class Initialise:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return f"@{self.device}{self.mask}\r".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"@01\r", cls(1), f"{GUIDE}, axis definition: X"),
-            Example(b"@07\r", cls(7), f"{GUIDE}, axis definition: XYZ"),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +84,6 @@ class Numbered:
         """Bytes as they go over the wire."""
         return f"@{self.device}{self.verb}{self.number}\r".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"@0R7\r", cls("R", 7), f"{GUIDE}, reference run"),
-            Example(b"@0n7\r", cls("n", 7), f"{GUIDE}, zero point"),
-            Example(b"@0J100\r", cls("J", 100), f"{GUIDE}, acceleration in Hz/ms"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class ReferenceSpeeds:
@@ -119,11 +95,6 @@ class ReferenceSpeeds:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return f"@{self.device}d{','.join(map(str, self.speeds))}\r".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"@0d1600,1600,1600,1600\r", cls((1600,) * 4), f"{GUIDE}, reference speed"),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,18 +110,6 @@ class Move:
         numbers = ",".join(f"{steps},{speed}" for steps, speed in self.pairs)
         return f"@{self.device}{'M' if self.absolute else 'A'} {numbers}\r".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(
-                b"@0M 1000,500,2000,500,3000,500,0,30\r",
-                cls(((1000, 500), (2000, 500), (3000, 500), (0, 30))),
-                f"{GUIDE}, motion to position",
-            ),
-            Example(b"@0A 320,3200\r", cls(((320, 3200),), absolute=False), f"{GUIDE}, relative motion"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class AskPosition:
@@ -162,11 +121,6 @@ class AskPosition:
         """Bytes as they go over the wire."""
         return f"@{self.device}P\r".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"@0P\r", cls(), f"{GUIDE}, position query"),)
-
 
 @dataclass(frozen=True, slots=True)
 class Stop:
@@ -175,11 +129,6 @@ class Stop:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return b"\xfd"
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented bytes."""
-        return (Example(b"\xfd", cls(), "one open client of the iMC-S8: stop is the byte 253"),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,14 +141,6 @@ class Ack:
         """Bytes as they go over the wire."""
         return self.code.encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented characters."""
-        return tuple(
-            Example(code.encode("ascii"), cls(code), f"{GUIDE}, error table: {text}")
-            for code, text in MEANING.items()
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Position:
@@ -211,14 +152,6 @@ class Position:
         """Bytes as they go over the wire."""
         return b"0" + b"".join(f"{steps & 0xFFFFFF:06X}".encode("ascii") for steps in self.steps)
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented answers."""
-        return (
-            Example(b"00003E8000000FFFFFF", cls((1000, 0, -1)), f"{GUIDE}, position query"),
-            Example(b"0800000", cls((-STEPS_LIMIT,)), f"{GUIDE}, position query"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Identity:
@@ -229,11 +162,6 @@ class Identity:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return b"0" + self.text.encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented answers."""
-        return (Example(b"0iMC-S8 V1.0", cls("iMC-S8 V1.0"), "shape only: the text differs between firmwares"),)
 
 
 COMMANDS = (Identify, Initialise, Numbered, ReferenceSpeeds, Move, AskPosition, Stop)

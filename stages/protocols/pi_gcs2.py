@@ -19,9 +19,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, text_of
-
-MANUAL = "PI, MS249E C-863.12 User Manual 1.2.1"
+from stages.protocols.framing import LineStream, text_of
 
 MOVING, READY, STOP_ALL = 5, 7, 24
 SINGLE_BYTES = (4, MOVING, READY, 8, STOP_ALL)
@@ -60,20 +58,6 @@ class Command:
         """Bytes as they go over the wire."""
         return _with_address(self.address) + (" ".join([self.name, *self.arguments]) + "\n").encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"MOV 1 10.0\n", cls("MOV", ("1", "10.0")), f"{MANUAL}, p. 116, example 1"),
-            Example(
-                b"MOV 1 17.3 2 2.05\n", cls("MOV", ("1", "17.3", "2", "2.05")), f"{MANUAL}, p. 116, example 2"
-            ),
-            Example(b"POS?\n", cls("POS?"), f"{MANUAL}, p. 116, example 4"),
-            Example(b"TSP? 2 1\n", cls("TSP?", ("2", "1")), f"{MANUAL}, p. 117, example 5"),
-            Example(b"FNL 1\n", cls("FNL", ("1",)), "pipython 2.11, FNL"),
-            Example(b"2 POS? 1\n", cls("POS?", ("1",), 2), f"{MANUAL}, target and sender address"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class SingleByte:
@@ -85,15 +69,6 @@ class SingleByte:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return _with_address(self.address) + bytes([self.code])
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented bytes."""
-        return (
-            Example(b"\x05", cls(MOVING), f"{MANUAL}, p. 127, #5"),
-            Example(b"\x07", cls(READY), f"{MANUAL}, p. 127, #7"),
-            Example(b"\x18", cls(STOP_ALL), f"{MANUAL}, #24"),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,22 +98,6 @@ class Answer:
                 raise ProtocolViolation("not name=value", line.encode("latin-1"))
             found[name.strip()] = value.strip()
         return found
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented answers."""
-        return (
-            Example(
-                b"2=-1158.4405 \n1=+0000.0000\n",
-                cls(("2=-1158.4405", "1=+0000.0000")),
-                f"{MANUAL}, p. 117, example 5",
-            ),
-            Example(b"0\n", cls(("0",)), f"{MANUAL}, p. 127, #5: motion of all axes complete"),
-            Example(b"3\n", cls(("3",)), f"{MANUAL}, p. 127, #5: first and second axis in motion"),
-            Example(b"\xb1\n", cls(("\xb1",)), f"{MANUAL}, p. 127, #7: ready, with termination character p. 116"),
-            Example(b"0x9005\n", cls(("0x9005",)), f"{MANUAL}, p. 126, #4"),
-            Example(b"0 2 1=10.0000\n", cls(("1=10.0000",), 2), f"{MANUAL}, target and sender address"),
-        )
 
 
 COMMANDS = (Command, SingleByte)

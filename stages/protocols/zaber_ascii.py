@@ -21,10 +21,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, text_of
-
-MANUAL = "Zaber, ASCII Protocol Manual"
-ARTICLE = "Zaber, Zaber's ASCII Protocol, 13 July 2022"
+from stages.protocols.framing import LineStream, text_of
 
 _REPLY = re.compile(r"@(\d{2}) (\d) (?:(\d{2}) )?(OK|RJ) (IDLE|BUSY) (--|[A-Z][A-Z0-9])(?: (.*))?")
 _INFO = re.compile(r"#(\d{2}) (\d) (?:(\d{2}) )?(.*)")
@@ -55,17 +52,6 @@ class Command:
         body = " ".join([*words, self.text]) if self.text else " ".join(words)
         return f"/{_with_checksum(body, self.checked)}\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"/\n", cls("", checked=False), f"{MANUAL}, Quick Start"),
-            Example(b"/home\n", cls("home", checked=False), f"{MANUAL}, Quick Start"),
-            Example(b"/1 system reset\n", cls("system reset", 1, checked=False), ARTICLE),
-            Example(b"/1 move abs 10000\n", cls("move abs 10000", 1, checked=False), f"{MANUAL}, move"),
-            Example(b"/01 1 get pos\n", cls("get pos", 1, 1, checked=False), f"{MANUAL}, get"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Reply:
@@ -87,24 +73,6 @@ class Reply:
         body = f"{self.device:02d} {self.axis} {number}{verdict} {state} {self.flag} {self.data}"
         return f"@{_with_checksum(body, self.checked)}\r\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"@01 0 OK IDLE -- 0\r\n", cls(1, 0, True, False, "--", "0", None, False), ARTICLE),
-            Example(
-                b"@01 0 OK IDLE WR 0\r\n", cls(1, 0, True, False, "WR", "0", None, False), f"{MANUAL}, Quick Start"
-            ),
-            Example(
-                b"@01 0 OK BUSY WR 0\r\n", cls(1, 0, True, True, "WR", "0", None, False), f"{MANUAL}, Quick Start"
-            ),
-            Example(
-                b"@01 0 RJ IDLE -- BADCOMMAND\r\n",
-                cls(1, 0, False, False, "--", "BADCOMMAND", None, False),
-                f"{MANUAL}, Replies",
-            ),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Info:
@@ -121,17 +89,6 @@ class Info:
         number = "" if self.message_id is None else f"{self.message_id:02d} "
         body = f"{self.device:02d} {self.axis} {number}{self.text}"
         return f"#{_with_checksum(body, self.checked)}\r\n".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(
-                b"#01 0 Visit www.zaber.com for complete instruction manuals.\r\n",
-                cls(1, 0, "Visit www.zaber.com for complete instruction manuals.", None, False),
-                f"{MANUAL}, help",
-            ),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,11 +107,6 @@ class Alert:
         body = f"{self.device:02d} {self.axis} {'BUSY' if self.busy else 'IDLE'} {self.flag}"
         body = f"{body} {self.data}" if self.data else body
         return f"!{_with_checksum(body, self.checked)}\r\n".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"!01 1 IDLE --\r\n", cls(1, 1, False, "--", "", False), f"{MANUAL}, Alerts"),)
 
 
 COMMANDS = (Command,)

@@ -11,6 +11,7 @@ from stages.drivers_by_name import DRIVERS
 from stages.errors import ProtocolViolation
 from stages.protocols import isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
 from stages.protocols.framing import Lines
+from tests.documented import examples_of
 from tests.loops import loop_over
 
 GRAMMARS = {name: import_module(f"stages.protocols.{name}") for name in DRIVERS}
@@ -34,7 +35,7 @@ def decode(grammar, cls, raw):
 def documented(grammar, cls, encode=lambda message: message.to_bytes(), undo=lambda message: message):
     """True if the grammar reads and writes every documented example of a class."""
     try:
-        for example in cls.examples():
+        for example in examples_of(cls):
             if undo(decode(grammar, cls, example.raw)) != example.message:
                 return False
             written = encode(example.message)
@@ -47,15 +48,15 @@ def documented(grammar, cls, encode=lambda message: message.to_bytes(), undo=lam
 
 @loop_over("grammar, cls", CLASSES)
 def test_every_message_has_documented_examples_and_meets_them(grammar, cls):
-    assert cls.examples()
-    assert all(example.source and isinstance(example.message, cls) for example in cls.examples())
+    assert examples_of(cls)
+    assert all(example.source for example in examples_of(cls))
     assert documented(grammar, cls)
 
 
 SHORTER = {b"/\n", b"/home\n", b"/1 move abs 10000\n", b"/01 1 get pos\n", b"/1 system reset\n"}
 
 
-@loop_over("example", [each for _, cls in CLASSES for each in cls.examples() if each.raw not in SHORTER])
+@loop_over("example", [each for _, cls in CLASSES for each in examples_of(cls) if each.raw not in SHORTER])
 def test_written_exactly_as_documented(example):
     """Byte for byte, but for abbreviations we never use."""
     assert example.message.to_bytes() == example.raw
@@ -89,7 +90,7 @@ def test_a_mutated_field_is_noticed(grammar, cls, name):
             options = mutants(getattr(message, name))
             return dataclasses.replace(message, **{name: options[index % len(options)]})
 
-        changed = any(mutate(example.message) != example.message for example in cls.examples())
+        changed = any(mutate(example.message) != example.message for example in examples_of(cls))
         if changed:
             assert not documented(grammar, cls, undo=mutate), f"{name} changed on reading goes unnoticed"
             assert not documented(grammar, cls, encode=lambda message: mutate(message).to_bytes()), (
@@ -108,7 +109,7 @@ def test_chunk_boundaries_mean_nothing(grammar, side, data):
         make = lambda: isel_dnc.PositionStream(1)  # noqa: E731
     else:
         classes = grammar.COMMANDS if host else grammar.ANSWERS
-        pool = [example for cls in classes for example in cls.examples()]
+        pool = [example for cls in classes for example in examples_of(cls)]
         raw = b"".join(e.raw for e in data.draw(st.lists(st.sampled_from(pool), max_size=8)))
         make = getattr(grammar, side)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(raw)), max_size=6)))
@@ -175,7 +176,7 @@ def test_apt_lets_nobody_tell_the_end_of_a_motion():
 
 @loop_over("cut", range(0, 103, 7))
 def test_apt_an_identity_is_found_behind_the_rest_of_a_message(cut):
-    example, *_ = thorlabs_apt.Info.examples()
+    example, *_ = examples_of(thorlabs_apt.Info)
     raw, stream = APT_POSITION[3:] + example.raw + APT_MOVED, thorlabs_apt.IdentityStream(0x50)
     found = stream.feed(raw[:cut]) + stream.feed(raw[cut:])
     assert found[0] == example.message

@@ -24,10 +24,8 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, TextLine, text_of
+from stages.protocols.framing import LineStream, TextLine, text_of
 
-PIVLAB = "PIVlab, acquisition, control of the synchroniser"
-FOUND = "a user's script for an xmSync"
 QUESTIONS = ("WhoAreYou?", "WhichFirmWare?", "WarningSignEnable!")
 LASER_FIELD = 7  # counted from 0
 MAX_ANSWER_BYTES = 512
@@ -45,11 +43,6 @@ _SETTINGS = re.compile(
 class Question(TextLine):
     """One of QUESTIONS; every box in reach answers, the last one is not answered."""
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return tuple(Example(f"{text}\r\n".encode("ascii"), cls(text), PIVLAB) for text in QUESTIONS)
-
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
@@ -65,22 +58,6 @@ class Sequence:
         pins = ":".join(",".join(str(moment) for moment in pin) for pin in self.pins)
         return f"TALKINGTO:{self.device}:sequence:{self.cycle_us}:{self.mode},0:{pins}\r\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(
-                b"TALKINGTO:oltSync:0012:sequence:50000:0,0:100,1100\r\n",
-                cls("oltSync:0012", 50_000, ((100, 1100),)),
-                PIVLAB,
-            ),
-            Example(
-                b"TALKINGTO:oltSync:0012:sequence:40000:1,0:0,19956,20000,39956:19811,19967,20211,20367\r\n",
-                cls("oltSync:0012", 40_000, ((0, 19956, 20000, 39956), (19811, 19967, 20211, 20367)), 1),
-                f"{PIVLAB}; timings for an OPTOcam",
-            ),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Switch:
@@ -92,14 +69,6 @@ class Switch:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return f"TALKINGTO:{self.device}:{'start' if self.starts else 'stop'}\r\n".encode("ascii")
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"TALKINGTO:oltSync:0012:start\r\n", cls("oltSync:0012", True), PIVLAB),
-            Example(b"TALKINGTO:oltSync:0012:stop\r\n", cls("oltSync:0012", False), PIVLAB),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,24 +95,6 @@ class Settings:
             f"LASER:{'enable' if self.laser else 'disable'}\r\n"
         ).encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(
-                b"TALKINGTO:SYNC_UOA1;FREQ:168;CAM:0;ENER:0;ener%:100;F1EXP:0;INTERF:250;EXTDLY:0;EXTSKP:0;"
-                b"LASER:enable\r\n",
-                cls("SYNC_UOA1", 168, 0, 0, 100, 0, 250, 0, 0, True),
-                FOUND,
-            ),
-            Example(
-                b"TALKINGTO:SYNC_UOA1;FREQ:1;CAM:1;ENER:600;ener%:0;F1EXP:100;INTERF:1234;EXTDLY:-1;EXTSKP:0;"
-                b"LASER:disable\r\n",
-                cls("SYNC_UOA1", 1, 1, 600, 0, 100, 1234, -1, 0, False),
-                PIVLAB,
-            ),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -155,11 +106,6 @@ class Verdict:
         """Bytes as they go over the wire."""
         return b"Sequence:OK\r\n" if self.accepted else b"Sequence:Error\r\n"
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"Sequence:OK\r\n", cls(True), PIVLAB), Example(b"Sequence:Error\r\n", cls(False), PIVLAB))
-
 
 @dataclass(frozen=True, slots=True)
 class LaserIs:
@@ -170,11 +116,6 @@ class LaserIs:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return b"Laser:enable\r\n" if self.on else b"Laser:disable\r\n"
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"Laser:enable\r\n", cls(True), PIVLAB), Example(b"Laser:disable\r\n", cls(False), PIVLAB))
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,31 +133,10 @@ class Report:
         """Bytes as they go over the wire."""
         return ("\t".join(self.fields) + "\r\n").encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Lines of the documented shape; the fields before the eighth are not published."""
-        text = "168 0 0 100 0 250 0 1"
-        return (
-            Example(text.replace(" ", "\t").encode() + b"\r\n", cls(tuple(text.split())), f"{PIVLAB}; 8 fields"),
-            Example(
-                (text + " 75 0 0 0").replace(" ", "\t").encode() + b"\r\n",
-                cls((*text.split(), "75", "0", "0", "0")),
-                f"{PIVLAB}; 12 fields",
-            ),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Identity(TextLine):
     """Identity of a box, or of its firmware."""
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"oltSync:0012\r\n", cls("oltSync:0012"), PIVLAB),
-            Example(b"SYNC_UOA1\r\n", cls("SYNC_UOA1"), FOUND),
-        )
 
 
 COMMANDS = (Question, Sequence, Switch, Settings)

@@ -18,9 +18,7 @@ import struct
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example
 
-FIRMWARE = "Micro-Manager, TeensyPulseGenerator, firmware version 1"
 VERSION, START, STOP, INTERVAL_US, LENGTH_US, WAITS, PULSES = range(7)
 ASK = 255
 _NUMBERED = struct.Struct("<BI")
@@ -37,14 +35,6 @@ class Command:
         """Bytes as they go over the wire."""
         return _NUMBERED.pack(self.code, self.number)
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented bytes."""
-        return (
-            Example(b"\x01\x00\x00\x00\x00", cls(START), FIRMWARE),
-            Example(b"\x03\x88\x13\x00\x00", cls(INTERVAL_US, 5000), f"{FIRMWARE}; a client's struct.pack('<I')"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Question:
@@ -55,11 +45,6 @@ class Question:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return bytes((ASK, self.code))
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented bytes."""
-        return (Example(b"\xff\x00", cls(VERSION), FIRMWARE),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +57,6 @@ class Reply:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return _NUMBERED.pack(self.code, self.number)
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented bytes."""
-        return (
-            Example(b"\x00\x01\x00\x00\x00", cls(VERSION, 1), FIRMWARE),
-            Example(b"\x02\x14\x00\x00\x00", cls(STOP, 20), FIRMWARE),
-        )
 
 
 COMMANDS = (Command, Question)

@@ -25,13 +25,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, TextLine, text_of
-
-MANUAL = "9500 Plus Series, Operating Manual, remote programming"
-MANUAL_575 = "575 Series, Operating Manual, remote programming"
-MANUAL_577 = "577, Operating Manual, 8.5.8"
-CLOCK_575 = "575 Series, Operating Manual v5.6, p. 8-38; Blackchirp on a 9528"
-QMI = "QMI, test of the Quantum Composers 9530"
+from stages.protocols.framing import LineStream, TextLine, text_of
 
 REASONS = {
     1: "no colon or asterisk", 2: "a keyword is missing", 3: "a keyword is unknown", 4: "a value is missing",
@@ -66,22 +60,6 @@ class Command:
         value = "" if self.value is None else f" {self.value}"
         return f"{self.keyword}{'?' if self.asks else ''}{value}\r\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"*IDN?\r\n", cls("*IDN", asks=True), QMI),
-            Example(b"*RST\r\n", cls("*RST"), QMI),
-            Example(b":INST:CAT?\r\n", cls(":INST:CAT", asks=True), QMI),
-            Example(b":PULSE0:STAT 1\r\n", cls(":PULSE0:STAT", "1"), QMI),
-            Example(b":PULSE0:STAT?\r\n", cls(":PULSE0:STAT", asks=True), QMI),
-            Example(b":PULSE0:PER 3.141592654\r\n", cls(":PULSE0:PER", "3.141592654"), QMI),
-            Example(b":PULSE0:BCO 21\r\n", cls(":PULSE0:BCO", "21"), QMI),
-            Example(b":PULSE0:ICL:MOD XPL\r\n", cls(":PULSE0:ICL:MOD", "XPL"), QMI),
-            Example(b":PULSE0:ICL?\r\n", cls(":PULSE0:ICL", asks=True), CLOCK_575),
-            Example(b":PULSE1:WIDTH 0.000025\r\n", cls(":PULSE1:WIDTH", "0.000025"), MANUAL_575),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Done:
@@ -90,11 +68,6 @@ class Done:
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
         return b"ok\r\n"
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b"ok\r\n", cls(), MANUAL),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,41 +80,15 @@ class Refused:
         """Bytes as they go over the wire."""
         return f"?{self.code}\r\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"?3\r\n", cls(3), QMI),
-            Example(b"?8\r\n", cls(8), MANUAL),
-            Example(b"?9\r\n", cls(9), MANUAL_577),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Value(TextLine):
     """The value that was asked for."""
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"QC,9534,02311,1.2.2-1.2.0\r\n", cls("QC,9534,02311,1.2.2-1.2.0"), "a 9534"),
-            Example(b"T0, CHA, CHB, CHC, CHD\r\n", cls("T0, CHA, CHB, CHC, CHD"), QMI),
-            Example(b"XPL?\r\n", cls("XPL?"), QMI),
-            Example(b"EXT10\r\n", cls("EXT10"), CLOCK_575),
-            Example(b"1\r\n", cls("1"), QMI),
-            Example(b"0.000120000\r\n", cls("0.000120000"), MANUAL_575),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Echo(TextLine):
     """The host's own line, given back before the answer."""
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (Example(b":PULSE0:STAT 1\r\n", cls(":PULSE0:STAT 1"), MANUAL),)
 
 
 COMMANDS = (Command,)

@@ -19,9 +19,8 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, TextLine, text_of
+from stages.protocols.framing import LineStream, TextLine, text_of
 
-MANUAL = "DG645 User Manual, remote programming; srsinst.dg645 2026"
 SINGLE_SHOT = 5
 IS_BUSY, IS_IN_BURST = 1 << 1, 1 << 2  # bits of *STB
 WAS_TRIGGERED, ENDED_BURST = 1 << 0, 1 << 3  # bits of INSR
@@ -41,34 +40,10 @@ class Command:
         """Bytes as they go over the wire."""
         return f"{self.word}{'?' if self.asks else ''}{' ' if self.values else ''}{self.values}\n".encode("ascii")
 
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"*IDN?\n", cls("*IDN", asks=True), MANUAL),
-            Example(b"*TRG\n", cls("*TRG"), MANUAL),
-            Example(b"TSRC 5\n", cls("TSRC", "5"), MANUAL),
-            Example(b"BURC?\n", cls("BURC", asks=True), MANUAL),
-            Example(b"DLAY 3,2,1e-3\n", cls("DLAY", "3,2,1e-3"), MANUAL),
-            Example(b"DLAY? 3\n", cls("DLAY", "3", asks=True), MANUAL),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Value(TextLine):
     """The value that was asked for."""
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """Documented lines."""
-        return (
-            Example(b"2,+0.001000000000\r\n", cls("2,+0.001000000000"), MANUAL),
-            Example(
-                b"Stanford Research Systems,DG645,s/n001013,ver1.00.10E\r\n",
-                cls("Stanford Research Systems,DG645,s/n001013,ver1.00.10E"),
-                MANUAL,
-            ),
-        )
 
 
 COMMANDS = (Command,)

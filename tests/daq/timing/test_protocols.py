@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from daq.timing.protocols import pivlab_synchroniser, pulse_box, quantum_composers, srs_dg645
 from stages.errors import ProtocolViolation
+from tests.documented import examples_of
 from tests.loops import loop_over
 
 GRAMMARS = (quantum_composers, pivlab_synchroniser, pulse_box, srs_dg645)
@@ -22,8 +23,8 @@ def decode(grammar, cls, raw):
 
 @loop_over("grammar, cls", CLASSES)
 def test_every_message_is_read_and_written_as_documented(grammar, cls):
-    assert cls.examples()
-    for example in cls.examples():
+    assert examples_of(cls)
+    for example in examples_of(cls):
         assert decode(grammar, cls, example.raw) == example.message
         assert example.message.to_bytes() == example.raw
         assert example.source
@@ -41,7 +42,7 @@ def mutants(value):
 
 @loop_over("grammar, cls", CLASSES)
 def test_every_field_counts(grammar, cls):
-    for example in cls.examples():
+    for example in examples_of(cls):
         for field in dataclasses.fields(cls):
             for other in mutants(getattr(example.message, field.name)):
                 changed = dataclasses.replace(example.message, **{field.name: other})
@@ -75,10 +76,10 @@ def test_what_is_no_answer_of_a_pulse_generator(line):
     ],
 )
 def test_keywords_have_two_forms(text, short):
-    assert quantum_composers.shortened(text) == short
+    assert quantum_composers.short_forms(text) == short
 
 
 @pytest.mark.parametrize("text", [":PULSE1:POLAR", ":PULSE1:STA", ":PUL1:STAT", ":"])
 def test_and_nothing_between(text):
     with pytest.raises(KeyError):
-        quantum_composers.shortened(text)
+        quantum_composers.short_forms(text)

@@ -33,7 +33,7 @@ SECTIONS = {
 def pulse_generator_word(keyword, asks):
     """A word in its short form, whichever form was written."""
     try:
-        parts = ["n" if part.isdecimal() else part for part in qc.shortened(keyword.replace("PULSEn", "PULSE1"))]
+        parts = ["n" if part.isdecimal() else part for part in qc.short_forms(keyword.replace("PULSEn", "PULSE1"))]
     except KeyError:
         parts = [keyword]
     if parts[0] == "PULS" and parts[1] != "n":
