@@ -248,7 +248,7 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
     assert began == []
     assert "it was never proven on this bench" in shown[0], "what the live page says meanwhile"
     (words,) = watched
-    assert "nobody but you watches them" in words
+    assert "you alone watch them" in words
     assert "it was never proven on this bench (rtpiv laser prove)" in words
 
 

@@ -274,13 +274,13 @@ def test_a_clock_that_does_not_run_on_is_a_camera_that_restarted():
         match = TriggerMatch(1e9)
         first = Shot(100 * second, 50 * second, 50 * second + 1000)
         match.begin()
-        match.sent(first)
-        assert not match.restarted
+        match.note_trigger(first)
+        assert not match.has_restarted
         stamp_ns, received_ns = first.clock_ns + 5000, first.before_ns + 10_000
         assert match.place(FrameMeta(1, 0, stamp_ns, received_ns, 1.0, "Mono12", 12)) is Place.OURS
         match.begin()
-        match.sent(Shot(round(clock_ns * second), 51 * second, 51 * second + 1000))
-        assert match.restarted == restarted
+        match.note_trigger(Shot(round(clock_ns * second), 51 * second, 51 * second + 1000))
+        assert match.has_restarted == restarted
 
 
 def test_the_matching_is_needed(play, monkeypatch):
@@ -298,7 +298,7 @@ MS = 1_000_000
 def taken(match, before_ns, stamp_ns, received_ns, sequence=0):
     """A trigger without a clock, and the frame that came."""
     match.begin()
-    match.sent(Shot(None, before_ns, before_ns + 1000))
+    match.note_trigger(Shot(None, before_ns, before_ns + 1000))
     return match.place(FrameMeta(sequence, sequence, stamp_ns, received_ns, 1.0, "Mono12", 12))
 
 
@@ -310,7 +310,7 @@ def test_a_frame_that_was_left_behind_by_a_timeout_is_stale_however_slow_frames_
         assert taken(match, at_ns, at_ns + MS, at_ns + 1900 * MS, number) is Place.OURS
     given_up_ns = 60 * SECOND
     match.begin()
-    match.sent(Shot(None, given_up_ns, given_up_ns + 1000))
+    match.note_trigger(Shot(None, given_up_ns, given_up_ns + 1000))
     match.gave_up()
     next_ns = given_up_ns + 2 * SECOND
     assert taken(match, next_ns, given_up_ns + 300 * MS, given_up_ns + 2200 * MS, 6) is Place.STALE
@@ -344,7 +344,7 @@ def test_without_a_time_a_late_frame_is_told_by_its_id(sequence, place):
     for number in range(4):
         assert taken(match, number * SECOND, 0, number * SECOND + MS, number) is Place.OURS
     match.begin()
-    match.sent(Shot(None, 4 * SECOND, 4 * SECOND + 1000))
+    match.note_trigger(Shot(None, 4 * SECOND, 4 * SECOND + 1000))
     match.gave_up()
     assert taken(match, 5 * SECOND, 0, 5 * SECOND + MS, sequence) is place
 

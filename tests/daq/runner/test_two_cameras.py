@@ -166,7 +166,7 @@ class Source:
     def drop(self, chunk, why, *frames):
         chunk.dropped[why] += len(frames)
 
-    def doubt(self, said):
+    def raise_ambiguity(self, said):
         raise FrameDoubt(said)
 
 
@@ -251,7 +251,9 @@ def test_what_the_second_camera_cannot_take_is_refused_before_anything_is_fired(
 
 
 def source_of(camera, arm, clock):
-    made = PairSource("behind", SimpleNamespace(camera=camera, doubt=Source("behind", []).doubt), SECTION)
+    made = PairSource(
+        "behind", SimpleNamespace(camera=camera, raise_ambiguity=Source("behind", []).raise_ambiguity), SECTION
+    )
     made._arm, made._clock = arm, clock
     return made
 

@@ -17,7 +17,7 @@ class FakeBox(TimingBox):
 
     def __init__(self, clock, wiring=WIRING, latch=None):
         super().__init__("laser", wiring, clock, latch)
-        self.is_lost = False
+        self.is_gone = False
         self.unreadable = False
         self.lamps = False
         self.loaded = None
@@ -27,21 +27,21 @@ class FakeBox(TimingBox):
 
     @property
     def is_lost(self):
-        return self.is_lost
+        return self.is_gone
 
     def connect(self, url, baud=None):
         self.said.append(f"connect {url}")
         return "fake"
 
     def reconnect(self):
-        if self.is_lost:
+        if self.is_gone:
             raise DeviceLost("fake is gone")
 
     def close(self):
         pass
 
     def drop(self):
-        if self.is_lost:
+        if self.is_gone:
             raise DeviceLost("fake is gone")
         self.count()
         self.said.append("drop")

@@ -162,14 +162,14 @@ def test_a_lost_link_leaves_it_unknown_and_the_box_counts_on():
     laser, box, clock = armed()
     laser.fire(20)
     clock.sleep_s(1.0)
-    box.is_lost = True
+    box.is_gone = True
     with pytest.raises(DeviceLost):
         laser.stop("anything")
     assert laser.state is LaserState.UNKNOWN
     clock.sleep_s(20.0)
     assert box.count() == 20
     assert not laser.confirm_off()
-    box.is_lost = False
+    box.is_gone = False
     assert laser.confirm_off()
     assert laser.state is LaserState.FAULT
 
@@ -317,12 +317,12 @@ def test_closing_switches_off():
 
 def cable_back_after(box, clock, seconds):
     """Pull the cable of a box now; whoever opens the port again later than that finds it plugged in."""
-    box.is_lost, back_s = True, clock.now_s() + seconds
+    box.is_gone, back_s = True, clock.now_s() + seconds
 
     def reconnect():
         if clock.now_s() < back_s:
             raise DeviceLost("fake is gone")
-        box.is_lost = False
+        box.is_gone = False
 
     box.reconnect = reconnect
 

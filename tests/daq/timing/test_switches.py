@@ -158,7 +158,7 @@ def test_who_watches_is_told_to_the_one_who_is_asked_for_the_code(capsys, monkey
     assert Switches({}).sentence() == NO_SWITCH
     assert "door, key" in Switches({"door": Contact(), "key": Contact()}).sentence()
     assert TerminalOperator().confirmation_code("1234", NO_SWITCH) == "1234"
-    assert "nobody but you watches" in " ".join(capsys.readouterr().err.split())
+    assert "you alone watch" in " ".join(capsys.readouterr().err.split())
 
 
 @contextmanager
