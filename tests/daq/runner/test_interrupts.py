@@ -110,7 +110,7 @@ import os, signal, sys, time
 from daq.runner.interrupts import Interrupts
 with Interrupts(lambda: None) as it:
     os.write(1, b"here")
-    while not it.wanted:
+    while not it.is_end_wanted:
         time.sleep(0.01)
     for descriptor in (1, 2):
         os.write(descriptor, b"progress")
@@ -138,7 +138,7 @@ def test_handlers_are_put_back_and_nohup_is_respected(said):
         before = [signal.getsignal(number) for number in numbers]
         with Interrupts(lambda: said.append(0)) as it:
             signal.raise_signal(signal.SIGHUP)
-            assert not it.wanted
+            assert not it.is_end_wanted
         assert [signal.getsignal(number) for number in numbers] == before
     finally:
         signal.signal(signal.SIGHUP, before_hangup)

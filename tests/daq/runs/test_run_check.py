@@ -192,7 +192,7 @@ def test_frames_that_a_session_says_it_wrote_are_counted_in_the_journal(done_run
         entry = json.loads(line)
         if entry["kind"] == "counts":
             entry.pop("seal")
-            entry["account"] = {**entry["account"], "triggered": 8 + more, "written": 8 + more}
+            entry["books"] = {**entry["books"], "triggered": 8 + more, "written": 8 + more}
             lines[number] = add_seal(json.dumps(entry, separators=(",", ":")).encode()) + b"\n"
     done_run.journal_path.write_bytes(b"".join(lines))
     found = check_run(done_run.path)
