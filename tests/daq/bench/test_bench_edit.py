@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.bench.bench_edit import changed, difference, replace_file, with_values
+from daq.bench.bench_edit import difference, edit_values, replace_file, with_values
 from daq.errors import RunUsageError
 from ground.errors import ConfigError
 
@@ -91,7 +91,7 @@ def test_whatever_is_written_is_read_back_and_nothing_else_changes(tmp_path_fact
     wanted = {("scene_at_mm", name): mm for name, mm in values.items()}
     if words is not None:
         wanted["stages", "controllers", "glass", "identity"] = words
-    before, after = changed(path, wanted, AFTER)
+    before, after = edit_values(path, wanted, AFTER)
     tree, old = yaml.safe_load(after), yaml.safe_load(before)
     for name, mm in values.items():
         assert tree["scene_at_mm"].pop(name) == pytest.approx(mm, abs=0.5e-4)
@@ -124,7 +124,7 @@ def test_a_layout_that_cannot_be_edited_is_left_alone(tmp_path, text):
     path = tmp_path / "bench.yaml"
     path.write_text(text)
     with pytest.raises(RunUsageError, match="by hand"):
-        changed(path, {("scene_at_mm", "rail_z"): 1.0}, AFTER)
+        edit_values(path, {("scene_at_mm", "rail_z"): 1.0}, AFTER)
     assert path.read_text() == text
 
 
@@ -132,7 +132,7 @@ def test_a_file_that_became_wrong_meanwhile_is_said_with_its_line(tmp_path):
     path = tmp_path / "bench.yaml"
     path.write_text(FLOW + "name: again\n")
     with pytest.raises(ConfigError, match="already given in line 2"):
-        changed(path, {("scene_at_mm", "rail_z"): 1.0}, AFTER)
+        edit_values(path, {("scene_at_mm", "rail_z"): 1.0}, AFTER)
 
 
 def test_the_old_file_is_kept_with_its_rights(tmp_path):

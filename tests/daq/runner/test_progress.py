@@ -55,13 +55,13 @@ def test_the_time_left_is_true_from_the_first_frame_on_and_never_leaps(monkeypat
     watch = Watch(monkeypatch)
     made = Progress(steps=10)
     made.expect(steps_of(*[1] * 10), [1] * 10, expected_s)
-    assert made.left() == ""
+    assert made.time_left() == ""
     watch.now_s += 90.0  # homing, compiling
     before = None
     for number, each_s in enumerate(took_s[:-1]):
         watch.now_s += each_s
         made.took(1, number)
-        true_s, said_s = sum(took_s[number + 1 :]), seconds(made.left())
+        true_s, said_s = sum(took_s[number + 1 :]), seconds(made.time_left())
         assert 0.3 * true_s - 2 <= said_s <= 3.0 * true_s + 2, (number, said_s, true_s)
         if number > 2:
             assert 0.5 * true_s - 2 <= said_s <= 2.0 * true_s + 2, (number, said_s, true_s)
@@ -70,7 +70,7 @@ def test_the_time_left_is_true_from_the_first_frame_on_and_never_leaps(monkeypat
         before = said_s
     watch.now_s += took_s[-1]
     made.took(1, 9)
-    assert made.left() == ""
+    assert made.time_left() == ""
 
 
 def test_a_person_who_opens_the_seeding_takes_no_time_of_a_frame(monkeypatch):
@@ -84,7 +84,7 @@ def test_a_person_who_opens_the_seeding_takes_no_time_of_a_frame(monkeypatch):
         watch.now_s += 600.0
     watch.now_s += 1.0
     made.took(1, 1)
-    assert seconds(made.left()) == pytest.approx(99, abs=2)
+    assert seconds(made.time_left()) == pytest.approx(99, abs=2)
 
 
 def test_what_is_taken_again_is_ahead_once_more(monkeypatch):
@@ -98,4 +98,4 @@ def test_what_is_taken_again_is_ahead_once_more(monkeypatch):
     assert made.frames == 0
     watch.now_s += 1.0
     made.took(1, 0)
-    assert seconds(made.left()) == pytest.approx(9, abs=2)
+    assert seconds(made.time_left()) == pytest.approx(9, abs=2)
