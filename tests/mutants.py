@@ -215,7 +215,7 @@ MUTANTS: tuple[tuple[str, str, str], ...] = (
      "test_no_box_that_is_wrong_in_one_way_is_certified"),
     ("self._not_lost_by(end_s - BEFORE_END_S)", "self._not_lost_by(end_s + 99.0)",
      "test_what_a_person_did_not_do_is_not_observed_and_certifies_nothing"),
-    ("for number in [*numbers[len(told) :], *told]:", "for number in []:",
+    ("for number in [*numbers[len(sent) :], *sent]:", "for number in []:",
      "test_a_burst_made_endless_at_the_keys_ends_with_its_time_though_no_answer_comes"),
     ('if not self._flag(T0, "STAT"):\n', "if False:\n",
      "test_a_burst_that_somebody_ended_at_the_keys_is_not_taken_for_a_whole_one"),
