@@ -22,6 +22,7 @@ from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.pictures.before_after import before_after
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.series_pairs import is_flow
 from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import COPIES, evaluate
@@ -30,8 +31,6 @@ from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.results import results_in
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
-
-TARGET_HEAD = ("region", "corners found", "bias u, v", "rms u, v", "largest")
 
 
 def report(
@@ -130,7 +129,8 @@ def _most_telling(found: Sequence[Evaluation]) -> Evaluation:
 def _single_frame(page: Page, folder: RunFolder, scene: Scene, recipe: CorrectionRecipe) -> None:
     """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
     from rtpiv.analysis.report.page import through_lead
-    from rtpiv.analysis.report.pair import image_table, scene_chapter, slider_chapter
+    from rtpiv.analysis.report.pair import scene_chapter, slider_chapter
+    from rtpiv.analysis.report.tables import image_table
 
     view = first_view(folder)
     if view is None:
@@ -159,8 +159,9 @@ def _single_frame(page: Page, folder: RunFolder, scene: Scene, recipe: Correctio
         if tiles:
             page.tiles(tiles)
         page.heading("Target")
-        page.table(TARGET_HEAD, errors.rows(), "Position error of target corners, corrected minus grid [px]")
+        columns = ("region", "corners found", "bias u, v", "rms u, v", "largest")
+        page.table(Table("Position error of target corners, corrected minus grid [px]", columns, errors.rows()))
     slider_chapter(page, seen, f"Frame {view.path.name}, {view.tag}.")
     if view.shows != "chessboard":  # whose squares are no particles
-        image_table(page, seen)
+        page.table(image_table(seen.figures, seen.full_scale))
     scene_chapter(page, through)

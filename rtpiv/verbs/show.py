@@ -6,18 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from ground.plain_words import counted
 from rtpiv.analysis.digits import places
-from rtpiv.verbs.tables import table_of
+from rtpiv.analysis.report.table import Table
 
 if TYPE_CHECKING:  # printing a calibration must not import the evaluation of a series
     from rtpiv.analysis.calibration import Calibration
     from rtpiv.analysis.campaign.campaign_folder import RunStatus
     from rtpiv.analysis.campaign.campaign_plan import Forecast
     from rtpiv.analysis.pairs.evaluation import Evaluation
-    from rtpiv.analysis.report.tables import Row
     from rtpiv.analysis.series.mean_flow import MeanFlow
     from rtpiv.analysis.series.run_series import Evaluated
     from tracer.scene.scene import Scene
@@ -35,19 +33,8 @@ def show_through(screen: Console, scene: "Scene") -> None:
 
 
 def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:
-    """Print the uncertainties of a pair, and the path of its page."""
-    from rtpiv.analysis.report.tables import (
-        CLAIM_HEAD,
-        SHIFT_HEAD,
-        SIGMA_HEAD,
-        TRACK_HEAD,
-        claim_rows,
-        moved_head,
-        moved_rows,
-        shift_rows,
-        sigma_rows,
-        track_rows,
-    )
+    """Print the result of a pair, and the path of its page."""
+    from rtpiv.analysis.report import tables
     from rtpiv.analysis.report.verdict import claim_said, worst_claim
 
     if evaluation.seen is not None and evaluation.seen.through is not None:
@@ -57,30 +44,18 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         screen.print(evaluation.field.doubt, style="bold red")
     for warning in evaluation.scale_warnings:
         screen.print(warning, style="bold red")
-    tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
-    if evaluation.shift is None:
-        tables.append(
-            (
-                "medians of what moved: u right, v down; x right, y up",
-                moved_head(evaluation),
-                moved_rows(evaluation),
-            )
-        )
-    if evaluation.shift is not None:
-        tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation)))
-    if evaluation.map_sigma is not None:
-        tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
-        tables.append(
-            ("errors against their total sigma; it claims 68 and 95 %", CLAIM_HEAD, claim_rows(evaluation))
-        )
-    if evaluation.tracks is not None:
-        tables.append(("single particles [px]", TRACK_HEAD, track_rows(evaluation)))
     if worst := worst_claim(evaluation):
         screen.print(claim_said(*worst), style="" if worst[1].claim == "as claimed" else "bold red")
     if evaluation.no_tracks:
         screen.print(f"no tracks: {evaluation.no_tracks}", style="bold red")
-    for title, head, rows in filter(lambda table: table[2], tables):
-        screen.print(table_of(title, head, rows))
+    chosen = [tables.displacement_table if evaluation.shift is None else tables.shift_table]
+    if evaluation.map_sigma is not None:
+        chosen += [tables.sigma_table, tables.claim_table]
+    if evaluation.tracks is not None:
+        chosen.append(tables.track_table)
+    for table in (make(evaluation) for make in chosen):
+        if table.rows:
+            screen.print(table)
     if page:
         screen.print(f"look at {evaluation.task.out / 'report.html'}")
 
@@ -103,9 +78,9 @@ def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
     for each in forecasts:
         costs = (each.left_s / 3600.0, each.read_bytes * 1e-9, each.write_bytes * 1e-9)
         counts = (each.pairs, each.chunks, each.done)
-        rows.append((each.name, *[str(n) for n in counts], *[f"{cost:.2f}" for cost in costs]))
+        rows.append((each.name, *map(str, counts), *(f"{cost:.2f}" for cost in costs)))
     columns = ("run", "pairs", "chunks", "done", "core hours left", "GB to read", "GB to write")
-    screen.print(table_of("campaign", columns, rows))
+    screen.print(Table("campaign", columns, rows))
     for each in forecasts:
         if each.again:
             again = f"{counted(each.again, 'finished chunk')} {'is' if each.again == 1 else 'are'} made again"
@@ -115,11 +90,16 @@ def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
 
 def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
     """Print the state of a campaign."""
-    rows = []
-    for state in states:
-        pairs = f"{state.done_pairs} of {state.pairs}", str(sum(state.without_vectors.values()))
-        rows.append((state.name, str(state.chunks), str(state.done), *pairs))
-    screen.print(table_of("campaign", ("run", "chunks", "done", "pairs done", "without vectors"), rows))
+    rows = [
+        (
+            state.name,
+            *map(str, (state.chunks, state.done)),
+            f"{state.done_pairs} of {state.pairs}",
+            str(sum(state.without_vectors.values())),
+        )
+        for state in states
+    ]
+    screen.print(Table("campaign", ("run", "chunks", "done", "pairs done", "without vectors"), rows))
     lines = [
         f"{s.name}: {counted(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
     ]
@@ -129,12 +109,10 @@ def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
         screen.print(f"and {len(lines) - SHOWN_REASONS} more in the markers of the chunks")
 
 
-def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) -> None:
-    """Print the best focus."""
-    from rtpiv.analysis.report.focus import HEAD as FOCUS_HEAD
-
-    screen.print(table_of("best focus", FOCUS_HEAD, rows))
-    screen.print(said)
+def show_focus(screen: Console, table: Table, sentence: str, page: Path) -> None:
+    """Print where a view is sharp."""
+    screen.print(table)
+    screen.print(sentence)
     screen.print(f"look at {page}")
 
 
@@ -152,8 +130,8 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
     highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
     flows = speed >= 0.5 * highest
-    said = f"speed above half of {highest:.3g} {mean.unit}, {int(flows.sum())} of {int(seen.sum())} places"
-    rows = [
+    above = f"speed above half of {highest:.3g} {mean.unit}, {int(flows.sum())} of {int(seen.sum())} places"
+    parts = [
         (f"mean [{mean.unit}]", mean.mean_m_s),
         (f"its random sigma [{mean.unit}]", mean.sigma_m_s),
         ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
@@ -163,16 +141,16 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
         ("effective samples", mean.effective.samples),
     ]
     if mean.slant_sigma_m_s is not None:
-        rows.insert(4, (f"sigma by the flow through the sheet [{mean.unit}]", mean.slant_sigma_m_s))
+        parts.insert(4, (f"sigma by the flow through the sheet [{mean.unit}]", mean.slant_sigma_m_s))
     if np.isfinite(mean.dt_sigma_share):
-        rows.insert(4, (f"sigma by dt, one factor [{mean.unit}]", mean.dt_sigma_m_s))
+        parts.insert(4, (f"sigma by dt, one factor [{mean.unit}]", mean.dt_sigma_m_s))
     if mean.map_sigma_m_s is not None:
-        rows.insert(4, (f"sigma by the fitted map [{mean.unit}]", mean.map_sigma_m_s))
-    texts = []
-    for name, values in rows:
+        parts.insert(4, (f"sigma by the fitted map [{mean.unit}]", mean.map_sigma_m_s))
+    rows = []
+    for name, values in parts:
         there = [values[..., k][flows & np.isfinite(values[..., k])] for k in (0, 1)]
-        texts.append((name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there)))
-    screen.print(table_of(f"median where it flows: {said}", ("", "u", "v"), texts))
+        rows.append((name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there)))
+    screen.print(Table(f"median where it flows: {above}", ("", "u", "v"), rows))
     if mean.no_map_sigma:
         screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
     if doubt := mean.effective.doubt(mean.used):
@@ -221,18 +199,18 @@ def _number_table(found: "Calibration") -> Table:
         fitted, known, moved = (f"{row[part]:z.{digits}f}" for part in ("value", "sigma", "moved"))
         rows.append((f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}"))
     title = f"fitted scene {found.fit.measured_scene.content_hash()}; every other number was held fixed"
-    return table_of(title, ("fitted parameter", "fitted", "sigma", "moved", "prior sigma"), rows)
+    return Table(title, ("fitted parameter", "fitted", "sigma", "moved", "prior sigma"), rows)
 
 
 def _error_table(found: "Calibration") -> Table:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, regions in found.senses.items():
         for r in regions:
             bias, rms = (f"{p[0]:+.3f}, {p[1]:+.3f}" for p in (r.bias_px, r.rms_px))
-            rms = rms.replace("+", "")
-            figures = (r.region, str(r.corners), bias, rms, f"{r.largest_px:.2f}")
+            figures = (r.region, str(r.corners), bias, rms.replace("+", ""), f"{r.largest_px:.2f}")
             rows.append(("computed - acquired", name, *figures))
-    for name, error in found.grids.items():
-        rows += [("corrected - grid", name, *figures) for figures in error.rows()]
+    rows += [
+        ("corrected - grid", name, *figures) for name, error in found.grids.items() for figures in error.rows()
+    ]
     columns = ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest")
-    return table_of("position error of target points [px]", columns, rows, left=(0, 1, 2))
+    return Table("position error of target points [px]", columns, rows)

@@ -15,6 +15,7 @@ from rtpiv.analysis.calibration import Calibration
 from rtpiv.analysis.digits import places
 from rtpiv.analysis.pictures.calibration import map_sigma_figure, smooth_figure
 from rtpiv.analysis.report.page import Page, through_lead
+from rtpiv.analysis.report.table import Table
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import text_of
 
@@ -60,14 +61,19 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
         for weakness in found.weak:
             page.text(f"{sentence_case(found.said_of(weakness))}.")
     page.heading("What was found")
-    rows: list[tuple[str, ...]] = [(name, row["unit"], *_numbers(row)) for name, row in found.numbers.items()]
-    said = "Every other number was held fixed"
-    page.table(("fitted parameter", "unit", "fitted", "sigma", "moved", "prior sigma"), rows, said)
+    page.table(parameter_table(found))
     page.write(path)
 
 
-def calibration_lead(found: Calibration) -> tuple[str, str, tuple[str, ...], list[tuple[str, ...]]]:
-    """The sigma of the map behind glass, or without glass beside it, and what the corners say, by region."""
+def parameter_table(found: Calibration) -> Table:
+    """Fitted parameters, to the second digit of sigma."""
+    rows: list[tuple[str, ...]] = [(name, row["unit"], *_numbers(row)) for name, row in found.numbers.items()]
+    columns = ("fitted parameter", "unit", "fitted", "sigma", "moved", "prior sigma")
+    return Table("Every other number was held fixed", columns, rows)
+
+
+def calibration_lead(found: Calibration) -> tuple[str, Table]:
+    """Sigma of the map behind glass, or without glass beside it, and results of the corners, by region."""
     fit, regions = found.fit, found.percentiles
     region = "behind glass" if "behind glass" in regions else "seen directly"
     known = regions.get(region)
@@ -82,7 +88,7 @@ def calibration_lead(found: Calibration) -> tuple[str, str, tuple[str, ...], lis
         unsure = "-" if sigma is None else f"{sigma['median']:.2g}, {sigma['largest']:.2g}"
         rms = "{:.3f}, {:.3f}".format(*fit.corners.rms_px(behind)) if count["used"] else "-"
         rows.append((name, unsure, rms, f"{count['used']} of {count['measured']}", str(count["rejected"])))
-    return value, said, head, rows
+    return value, Table(said, head, rows)
 
 
 def verdict_chapter(page: Page, found: StoredVerdict, views: Literal["all", "others"] = "all") -> None:
@@ -111,7 +117,7 @@ def masked_table(page: Page, scene: Scene) -> None:
             size = f"{right - left:.0f} x {bottom - top:.0f} px, {100.0 * share:.2g} % of the frame"
         rows.append((MEANING[STATUS[part.why]], where, size))
     said = "`masked` in the fitted scene file holds these; take out what you know to be right"
-    page.table(("reason", "where", "size"), rows, said)
+    page.table(Table(said, ("reason", "where", "size"), rows))
 
 
 def sentence_case(text: str) -> str:

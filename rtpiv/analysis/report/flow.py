@@ -34,6 +34,7 @@ from rtpiv.analysis.pictures.plane_axes import (
 )
 from rtpiv.analysis.report.figures import HEAT, SERIES
 from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.report.tables import ALL
 from rtpiv.analysis.series.history import BINS, History, history
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
@@ -182,7 +183,7 @@ def _plane(axes: Axes, mean: MeanFlow, scene: Scene) -> None:
 
 LINES = 4  # profiles across the flow
 REACH_STEPS = 5.0  # from the rim, of vectors that tell a step
-STEPS_HEAD = (
+STEP_COLUMNS = (
     "rim around x, y [mm]",
     "pieces",
     "weighted mean u, v [px]",
@@ -306,7 +307,8 @@ def rim_chapter(page: Page, mean: MeanFlow, scene: Scene, regions: Regions) -> N
             " is lost at the rim is wider than the reach of a fit."
         )
         return
-    page.table(STEPS_HEAD, rows, "A smooth surface through the vectors of both sides, and a step of the inner one")
+    title = "A smooth surface through the vectors of both sides, and a step of the inner one"
+    page.table(Table(title, STEP_COLUMNS, rows))
 
 
 def _mass(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behind: bool) -> None:
@@ -337,7 +339,7 @@ def _mass(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behin
     how = "of a flow that is round about its axis" if axis is not None else "in the plane"
     unit = mean.rate_unit
     head = ("region", "vectors", f"divergence rms [{unit}]", f"its sigma rms [{unit}]", "within 1 sigma")
-    page.table(head, rows, f"Divergence of the mean {how}, and what its sigma expects (chance: 68 %)")
+    page.table(Table(f"Divergence of the mean {how}, and its sigma (68 % within 1 sigma by chance)", head, rows))
     what = "a flow that is not round" if axis is not None else "a flow through the sheet"
     at_rim = ", a correction that is wrong at the rim shows there" if behind else ""
     said = f"Divergence over its sigma; {what} shows everywhere{at_rim}."

@@ -8,21 +8,22 @@ import numpy as np
 
 from rtpiv.analysis.focus import FocusScan
 from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.table import Table
 
 if TYPE_CHECKING:
     from rtpiv.analysis.pictures.plane_axes import Figure
 
-HEAD = ("part", "sharp at [mm]", "sigma [mm]", "spot there [px]")
 
-
-def best_rows(scan: FocusScan) -> list[tuple[str, str, str, str]]:
-    """A line a part."""
-    return [
+def focus_table(scan: FocusScan) -> Table:
+    """Best focus of each part."""
+    rows = [
         (each.part, each.why, "", "")
         if each.why
         else (each.part, f"{each.z_mm:+.1f}", f"{each.sigma_mm:.1f}", f"{each.diameter_px:.1f}")
         for each in scan.best
     ]
+    columns = ("part", "sharp at [mm]", "sigma [mm]", "spot there [px]")
+    return Table(f"Best place of the {scan.moves}, from its place in the scene", columns, rows)
 
 
 def said_of(scan: FocusScan) -> str:
@@ -51,7 +52,7 @@ def write_focus_page(path: Path, name: str, scan: FocusScan) -> None:
         (f"f/{scan.needed_f_number:.1f}" if known else "-", "asked for by eq. 1", f"{scan.wavelength_nm:g} nm"),
     ])  # fmt: skip
     page.text(said_of(scan))
-    page.table(HEAD, best_rows(scan), f"Best place of the {scan.moves}, from its place in the scene.")
+    page.table(focus_table(scan))
     page.figure(
         "focus", _figure(scan), "Width of spots (e^-2) in each part; points are measured, lines mark the best."
     )

@@ -3,7 +3,6 @@
 One chapter asks the particles of the run that are seen twice whether the spheres stand where they were calibrated.
 """
 
-from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,7 +23,8 @@ from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import NO_SCALE_SIGMA, light_sheet_line, scene_chapter, slant_figure, slant_lines
 from rtpiv.analysis.report.readings import readings_chapter
 from rtpiv.analysis.report.run import books_chapter, notes_chapter
-from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
+from rtpiv.analysis.report.series import frames_chapter, left_out_table, pair_chapter, shown_pair
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.run_series import Evaluated
@@ -33,7 +33,6 @@ from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.steepness import Steepness
 from rtpiv.analysis.through_glass import through_glass
 
-SHOWN_PAIRS = 60
 NOT_KNOWN = {"timing error of dt": "not stated"}  # by whoever wrote the plan
 
 HIGH = 0.99  # of all speeds
@@ -121,9 +120,7 @@ def write_mean_page(
     page.write(path)
 
 
-def mean_lead(
-    mean: MeanFlow, regions: Regions, behind_any: bool = True
-) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
+def mean_lead(mean: MeanFlow, regions: Regions, behind_any: bool = True) -> tuple[str, Table]:
     """Return a high mean speed, behind glass if anything is, and the parts of its uncertainty, along itself.
 
     It is the speed that 1 % of the places exceed, of those with valid neighbours: the largest of all is often one
@@ -134,7 +131,7 @@ def mean_lead(
     where, name = (behind, " behind glass") if behind.any() else (known, " seen directly" if behind_any else "")
     head = ("parts of its uncertainty", mean.unit, "px")
     if not where.any():
-        return "-", f"high mean speed{name}", head, []
+        return "-", Table(f"high mean speed{name}", head, [])
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)
     top = high_place(speed, where)
     along = mean.mean_m_s[top] / max(float(speed[top]), 1e-300)
@@ -157,7 +154,7 @@ def mean_lead(
         rows.append((what, *numbers))
     there = " there" if name else ""
     said = f"mean speed{name} that 1 % of {int(where.sum())} places{there} exceed, and its standard uncertainty"
-    return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} {mean.unit}", said, head, rows
+    return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} {mean.unit}", Table(said, head, rows)
 
 
 def high_place(speed: NDArray[np.float64], where: NDArray[np.bool_]) -> tuple[int, int]:
@@ -253,12 +250,7 @@ def left_out_chapter(page: Page, mean: MeanFlow) -> None:
     if mean.gaps:
         page.text(mean.gaps.capitalize() + ".")
     if mean.left_out:
-        unseen = len(mean.left_out) - SHOWN_PAIRS
-        more = f"; {unseen} more are in mean.nc" if unseen > 0 else ""
-        page.table(("pair", "why"), mean.left_out[:SHOWN_PAIRS], f"Pairs that are left out{more}")
-
-
-HEAD = ("sphere", "move x, y, z [um]", "sigma [um]", "by chance", "explains")
+        page.table(left_out_table(mean.left_out, "mean.nc"))
 
 
 def show_self_check(page: Page, found: SelfCheck) -> None:
@@ -283,4 +275,4 @@ def show_self_check(page: Page, found: SelfCheck) -> None:
             "Each sphere by itself as the one that moved; the one that explains most of what is apart is named."
             f" Spheres that stand still raise an alarm in fewer than {MOVE_FALSE_ALARMS:g} of all checks"
         )
-        page.table(HEAD, rows, said)
+        page.table(Table(said, ("sphere", "move x, y, z [um]", "sigma [um]", "by chance", "explains"), rows))

@@ -21,6 +21,7 @@ from urllib.parse import quote
 from ground.printable import utf8
 from ground.whole_file import whole_file
 from rtpiv.analysis.pictures.saved import lay_out, write_png
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.through_glass import ThroughGlass, percent
 from rtpiv.analysis.views.arranged import little
 from tracer.scene.scene import Scene
@@ -40,13 +41,13 @@ class Link:
     text: str
     path: str
 
+    def __str__(self) -> str:
+        return self.text
+
     @property
     def html(self) -> str:
-        """As it stands in a page."""
+        """Return it as it stands in a page."""
         return f'<a href="{html.escape(quote(self.path))}">{html.escape(self.text)}</a>'
-
-
-Row = Sequence[str | Link]
 
 
 class Page:
@@ -78,13 +79,11 @@ class Page:
         """Add a paragraph that stands out."""
         self._parts.append(f'<p class="warning">{html.escape(text)}</p>')
 
-    def lead(self, value: str, name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add the one figure that matters most: value, what it is, and a small table of its parts."""
-        top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-        body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    def lead(self, value: str, parts: Table) -> None:
+        """Add the most important value, with the table of its parts, whose title names the value."""
         self._parts.append(
-            f'<div class="lead"><div><b>{html.escape(value)}</b><span>{html.escape(name)}</span></div>'
-            f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+            f'<div class="lead"><div><b>{html.escape(value)}</b><span>{html.escape(parts.title)}</span></div>'
+            f"{_cells(parts)}</div>"
         )
 
     @contextmanager
@@ -107,13 +106,11 @@ class Page:
         )
         self._parts.append(f'<div class="tiles">{inner}</div>')
 
-    def table(self, head: Row, rows: Sequence[Row], caption: str = "") -> None:
-        """Add a table; the first column is text, the others numbers."""
-        top = "".join(f"<th>{_cell(cell)}</th>" for cell in head)
-        body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-        said = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
-        inner = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
-        self._parts.append(f'<figure class="table">{said}<div class="wide" tabindex="0">{inner}</div></figure>')
+    def table(self, table: Table) -> None:
+        """Add a table."""
+        title = f"<figcaption>{html.escape(table.title)}</figcaption>" if table.title else ""
+        inner = f'<div class="wide" tabindex="0">{_cells(table)}</div>'
+        self._parts.append(f'<figure class="table">{title}{inner}</figure>')
 
     def facts(self, rows: Sequence[tuple[str, str]]) -> None:
         """Add names and what they stand for."""
@@ -204,6 +201,12 @@ class Page:
                 stream.write(content)
 
 
+def _cells(table: Table) -> str:
+    top = "".join(f"<th>{html.escape(column)}</th>" for column in table.columns)
+    body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+
 def _cell(cell: str | Link) -> str:
     return cell.html if isinstance(cell, Link) else html.escape(cell)
 
@@ -257,6 +260,7 @@ def through_lead(page: Page, through: ThroughGlass | None, scene: Scene, recover
         ("recovered of it", f"{through.recovered_mm2:.4g} mm\u00b2"),
         ("recovered of the whole plane", percent(recovered)),
     ]
-    page.lead(percent(through.share), f"{through.name} is seen through glass", ("area of the plane", ""), rows)
+    name = f"{through.name} is seen through glass"
+    page.lead(percent(through.share), Table(name, ("area of the plane", ""), rows))
     if advice := little(scene, through.share):
         page.warning(advice)

@@ -13,6 +13,7 @@ from rtpiv.analysis.pictures.before_after import CORRECTED, PLAIN, BeforeAfter
 from rtpiv.analysis.pictures.drawing import CAPTION, scene_figure
 from rtpiv.analysis.pictures.traced import CAPTION as BLUR_CAPTION
 from rtpiv.analysis.pictures.traced import blur_figure, blur_of
+from rtpiv.analysis.report import tables
 from rtpiv.analysis.report.figures import (
     colour_limit,
     error_histogram,
@@ -22,31 +23,16 @@ from rtpiv.analysis.report.figures import (
     vector_figure,
 )
 from rtpiv.analysis.report.page import Page, through_lead
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.report.tables import (
-    BUDGET_HEAD,
-    CLAIM_HEAD,
-    IMAGE_HEAD,
-    RESPONSE_HEAD,
-    SHIFT_HEAD,
-    SIGMA_HEAD,
-    TRACK_HEAD,
     Total,
-    budget_rows,
-    claim_rows,
     coverage_of,
-    image_rows,
     is_plain,
     lead_of,
     mask_swatches,
-    moved_head,
-    moved_rows,
     offset_said,
     region_masks,
-    response_rows,
-    shift_rows,
-    sigma_rows,
     totals_of,
-    track_rows,
 )
 from rtpiv.analysis.report.verdict import claim_said, worst_claim
 from rtpiv.analysis.steepness import Steepness
@@ -148,7 +134,8 @@ def scene_chapter(page: Page, scene: Scene) -> None:
         for s in scene.spheres
     ]  # fmt: skip
     if rows:
-        page.table(("sphere", "centre x, y, z [mm]", "radius [mm]", f"n at {scene.wavelength_nm:g} nm"), rows)
+        columns = ("sphere", "centre x, y, z [mm]", "radius [mm]", f"n at {scene.wavelength_nm:g} nm")
+        page.table(Table("", columns, rows))
     if scene.camera.pupil is not None and rows:
         page.figure("blur", blur_figure(*blur_of(scene)), BLUR_CAPTION, dense=True)
 
@@ -223,12 +210,8 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
         per_px = 1e-3 * grid.pitch_mm / evaluation.task.dt_s
         page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
                     ("1 px of displacement is", f"{per_px:.6g} m/s")])  # fmt: skip
-        page.table(
-            moved_head(evaluation),
-            moved_rows(evaluation),
-            "Medians of what moved: u right, v down; x right, y up",
-        )
-    page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
+        page.table(tables.displacement_table(evaluation))
+    page.table(tables.count_table(field))
     use = "may be used" if is_plain(evaluation) else "are recovered"
     rule = (
         f"Windows of {evaluation.settings.windows_said}; {field.step_px} px apart. A window is masked if less "
@@ -242,7 +225,7 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
     result = evaluation.shift
     assert result is not None
     page.heading("Errors against the known shift")
-    page.table(SHIFT_HEAD, shift_rows(evaluation), f"Errors of the vectors [{_px(evaluation)}], v down")
+    page.table(tables.shift_table(evaluation))
     scale = evaluation.grid.px_per_mm
     shift_mm = (result.shift_px[0] / scale, -result.shift_px[1] / scale)
     facts = [("known shift x, y", f"{shift_mm[0]:+.4f}, {shift_mm[1]:+.4f} mm")]
@@ -255,11 +238,7 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
         where = "found" if is_plain(evaluation) else "found beside the glass"
         facts.append((where, f"{found[0]:+.4f}, {-found[1]:+.4f} mm"))
     page.facts(facts)
-    page.table(
-        BUDGET_HEAD,
-        budget_rows(evaluation),
-        f"Budget of the comparison{'' if is_plain(evaluation) else ', behind the glass'}",
-    )
+    page.table(tables.budget_table(evaluation))
     field = evaluation.field
     errors = shift_errors(field, result.shift_px)
     spread = {name: errors[where] for name, where in region_masks(evaluation).items()}
@@ -268,30 +247,16 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
         page.figure("radius", radius_figure(result.rings), "Behind the glass, by radius on the plane.")
 
 
-def _px(evaluation: Evaluation) -> str:
-    """Whose pixels errors are told in."""
-    return "px" if is_plain(evaluation) else "px of the corrected frame"
-
-
 def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     page.heading("Uncertainty")
-    caption = f"Root mean square of the standard uncertainty [{_px(evaluation)}]"
-    page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
-    if claims := claim_rows(evaluation):
-        caption = (
-            "How the errors keep to the total sigma, the common error of the stage taken off; sigma "
-            "claims 68 % within 1 sigma and 95 % within 2. As claimed: what chance does in 95 of 100 cases to "
-            "errors of vectors whose windows do not overlap, or within 10 %"
+    page.table(tables.sigma_table(evaluation))
+    if (claims := tables.claim_table(evaluation)).rows:
+        page.table(claims)
+        page.text(
+            "The common error of the stage is subtracted. As claimed: within the 95 % interval of chance for"
+            " vectors whose windows do not overlap, or within 10 %."
         )
-        page.table(CLAIM_HEAD, claims, caption)
-    caption = (
-        f"How much of a flow that changes over short distances is seen with windows of "
-        f"{evaluation.settings.windows_said}: the share of its amplitude that vectors show, for a velocity that "
-        "goes up and down along one axis like a wave, by the length of that wave; where it is far above the noise "
-        "and where it is below. By the linear theory of the passes; smaller windows show more and are noisier "
-        "(--final-window)"
-    )
-    page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
+    page.table(tables.response_table(evaluation.settings))
     if evaluation.slant is not None:
         region, slope = evaluation.regions.region, evaluation.slant.through.slope
         steepness = Steepness.of(slope, region == Region.GLASS, region == Region.DIRECT)
@@ -323,19 +288,14 @@ def _tracks(page: Page, evaluation: Evaluation) -> None:
         "A track has no window: its error is the same in every gradient. Where particles are many, vectors of "
         "windows are better."
     )
-    page.table(TRACK_HEAD, track_rows(evaluation), "Displacement of a particle [px of the corrected frame]")
+    page.table(tables.track_table(evaluation))
     said = "Tracks; blue: seen directly, red: through glass."
     page.figure("tracks", track_figure(evaluation.tracks.vectors, evaluation.task.scene), said, dense=True)
 
 
-def image_table(page: Page, seen: BeforeAfter) -> None:
-    """Figures of merit, acquired against corrected."""
-    what = f"Figures of merit of the frame; saturated at {seen.full_scale:.0f}"
-    page.table(IMAGE_HEAD, image_rows(seen.figures), what)
-
-
 def _images(page: Page, evaluation: Evaluation) -> None:
+    seen = _seen(evaluation)
     page.heading("Images")
-    image_table(page, _seen(evaluation))
-    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in _seen(evaluation).figures.items()}
+    page.table(tables.image_table(seen.figures, seen.full_scale))
+    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in seen.figures.items()}
     page.figure("intensity", grey_histogram(counts), "Intensity of frame A.")

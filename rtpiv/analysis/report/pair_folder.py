@@ -12,13 +12,7 @@ from ground.printable import utf8
 from piv.files.vector_file import write_list, write_vectors, write_vtk
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import columns_of
-from rtpiv.analysis.report.tables import (
-    CLAIM_HEAD,
-    SIGMA_HEAD,
-    claim_rows,
-    sigma_rows,
-    track_summary,
-)
+from rtpiv.analysis.report.tables import claim_table, sigma_table, track_summary
 from rtpiv.analysis.report.verdict import claim_said, worst_claim
 
 
@@ -51,8 +45,8 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
     summary["correlation"] = asdict(evaluation.settings)
     if np.isfinite(field.static_share):
         summary["static_share"] = field.static_share
-    summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
-    summary["sigma_claims"] = [dict(zip(CLAIM_HEAD, row, strict=True)) for row in claim_rows(evaluation)]
+    summary["sigma_px"] = sigma_table(evaluation).records()
+    summary["sigma_claims"] = claim_table(evaluation).records()
     if worst := worst_claim(evaluation):
         summary["sigma_verdict"] = claim_said(*worst)
     if evaluation.shift is not None:

@@ -11,6 +11,7 @@ from daq.runs.run_views import readings_of
 from rtpiv.analysis.pictures.plane_axes import SOFT, Figure
 from rtpiv.analysis.report.figures import SERIES
 from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.table import Table
 
 SHOWN_STEPS = 60
 SHOWN_GAUGES = 8  # drawn; the tables have all
@@ -40,20 +41,17 @@ def readings_chapter(page: Page, folder: RunFolder) -> None:
             spread = f"{of_it['std']:.4g}" if "std" in of_it else "-"
             figures = (f"{of_it['mean']:.6g}", spread, f"{min(values):.6g}", f"{max(values):.6g}")
         rows.append((f"{name} [{of_it['unit']}]", *figures, str(of_it["steps"]), str(of_it["missing"])))
-    page.table(
-        ("reading", "mean", "standard deviation", "least", "most", "steps", "missing"), rows, "One at each step"
-    )
+    columns = ("reading", "mean", "standard deviation", "least", "most", "steps", "missing")
+    page.table(Table("One at each step", columns, rows))
     steps: dict[str, dict[str, str]] = {}
     for name, shown in found.items():
         for tag, reading in shown:
             steps.setdefault(tag, {})[name] = (
                 f"{reading['value']:.6g}" if "value" in reading else f"missing: {reading['missing']}"
             )
-    page.table(
-        ("step", *found),
-        [(tag, *(each.get(name, "-") for name in found)) for tag, each in list(steps.items())[:SHOWN_STEPS]],
-        f"The first {SHOWN_STEPS} of {len(steps)} steps" if len(steps) > SHOWN_STEPS else "",
-    )
+    title = f"The first {SHOWN_STEPS} of {len(steps)} steps" if len(steps) > SHOWN_STEPS else ""
+    rows = [(tag, *(each.get(name, "-") for name in found)) for tag, each in list(steps.items())[:SHOWN_STEPS]]
+    page.table(Table(title, ("step", *found), rows))
 
 
 def readings_figure(found: Readings) -> Figure | None:

@@ -11,9 +11,10 @@ from daq.runs.run_views import notes_of
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.page import Link, Page
 from rtpiv.analysis.report.readings import readings_chapter
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.report.tables import DIRECT, GLASS, totals_of
 
-PAIRS_HEAD = (
+PAIR_COLUMNS = (
     "pair",
     "valid vectors",
     "behind glass",
@@ -41,7 +42,7 @@ def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
         name = Link(task.name, f"{task.out.name}/report.html")
         rows.append((name, str(evaluation.field.counts["valid"]), behind, *cells))
     more = f"; {len(found) - SHOWN_PAIRS} more are in their folders" if len(found) > SHOWN_PAIRS else ""
-    page.table(PAIRS_HEAD, rows, f"Total error: bias and scatter, rms{more}")
+    page.table(Table(f"Total error: bias and scatter, rms{more}", PAIR_COLUMNS, rows))
     for note in dict.fromkeys(evaluation.task.note for evaluation in found if evaluation.task.note):
         about = ", ".join(evaluation.task.name for evaluation in found if evaluation.task.note == note)
         page.text(f"{about}: {note}")
@@ -64,14 +65,15 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
     if said := rejection_sentence(folder.entries()):
         page.text(f"{said[:1].upper()}{said[1:]}.")
     counts = [(name, str(count)) for name, count in books.to_dict().items()]
-    page.table(("frames", "count"), counts)
+    page.table(Table("", ("frames", "count"), counts))
     rows: list[tuple[str, ...]] = []
     for flow in done["flow"]:
         latency = flow["latency_ms"]
         times = ("-", "-") if latency is None else (f"{latency['p50']:.0f}", f"{latency['p99']:.0f}")
         rows.append((str(len(rows) + 1), str(flow["corrected_live"]), str(flow["skipped_live"]), *times))
     if rows:
-        page.table(("session", "corrected live", "corrected after", "latency p50 [ms]", "p99 [ms]"), rows)
+        columns = ("session", "corrected live", "corrected after", "latency p50 [ms]", "p99 [ms]")
+        page.table(Table("", columns, rows))
 
 
 def moved_chapter(page: Page, folder: RunFolder) -> None:
@@ -89,13 +91,13 @@ def moved_chapter(page: Page, folder: RunFolder) -> None:
     ]  # fmt: skip
     head: tuple[str, ...] = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
     head += ("sigma of measured, as read by hand",) if by_hand else ()
-    page.table(head, rows, "Displacement of the target. Errors above are against the measured one.")
+    page.table(Table("Displacement of the target. Errors above are against the measured one.", head, rows))
 
 
 def notes_chapter(page: Page, folder: RunFolder) -> None:
-    """What the plan notes of what was going on; nothing where it notes nothing."""
+    """Add the operator's notes from the plan; nothing where there are none."""
     if notes := notes_of(folder):
-        page.heading("What was going on")
+        page.heading("Operator's notes")
         page.facts(list(notes.items()))
 
 
@@ -111,13 +113,11 @@ def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: lis
     facts += [(name, str(version)) for name, version in about["versions"].items()]
     page.facts(facts)
     steps = about["steps"]
-    page.table(
-        ("step", "tag", "view", "first frame", "frames"),
-        [
-            (str(s["index"]), str(s["tag"]), str(s["view"]), str(s["first_frame"]), str(s["frames"]))
-            for s in steps[:SHOWN_STEPS]
-        ],
-        f"Steps of the plan{f', the first {SHOWN_STEPS} of {len(steps)}' if len(steps) > SHOWN_STEPS else ''}",
-    )
+    more = f", the first {SHOWN_STEPS} of {len(steps)}" if len(steps) > SHOWN_STEPS else ""
+    rows_of_steps = [
+        (str(s["index"]), str(s["tag"]), str(s["view"]), str(s["first_frame"]), str(s["frames"]))
+        for s in steps[:SHOWN_STEPS]
+    ]
+    page.table(Table(f"Steps of the plan{more}", ("step", "tag", "view", "first frame", "frames"), rows_of_steps))
     for name in ("plan", "bench", "scene"):
         page.folded(f"{name}.yaml as it was when the run began", str(about[name]))

@@ -23,8 +23,9 @@ from rtpiv.analysis.pictures.before_after import CORRECTED, PLAIN, BeforeAfter, 
 from rtpiv.analysis.pictures.rasters import embedded, grey
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, behind_glass, through_lead
-from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
-from rtpiv.analysis.report.tables import mask_swatches
+from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
+from rtpiv.analysis.report.table import Table
+from rtpiv.analysis.report.tables import count_table, image_table, mask_swatches
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.run_series import Evaluated
@@ -137,8 +138,8 @@ def _limits(frame: NDArray[Any]) -> tuple[float, float]:
     return float(low), float(max(high, low + 1e-6))
 
 
-def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
-    """Random uncertainty of a vector of one pair, u and v apart; what the map adds is said with the mean."""
+def series_lead(shown: Preview) -> tuple[str, Table]:
+    """Random uncertainty of a vector of one pair, u and v apart; that of the map stands with the mean."""
     field = shown.field
     both = [np.median(sigma[field.valid]) if field.valid.any() else np.nan
             for sigma in (field.sigma_u_px, field.sigma_v_px)]  # fmt: skip
@@ -147,7 +148,7 @@ def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str
         f"random standard uncertainty u, v of one vector: median of {int(field.valid.sum())} of pair {shown.tag}"
     )
     rows = [(f"the same in {unit}", *(f"{scale * sigma:.4g}" for sigma in both))]
-    return "{:.4f}, {:.4f} px".format(*both), said, ("", "u", "v"), rows
+    return "{:.4f}, {:.4f} px".format(*both), Table(said, ("", "u", "v"), rows)
 
 
 def series_tiles(given: SeriesInput, books: Evaluated, shown: Preview | None) -> list[tuple[str, str, str]]:
@@ -184,10 +185,10 @@ def frames_chapter(page: Page, shown: Preview) -> None:
     if named:
         page.swatches(mask_swatches(shown.seen.shares))
     if shown.steps:
-        page.table(("step", "what it does"), shown.steps, "In this order; the background goes off first")
+        page.table(Table("Preprocessing, in order", ("step", "effect"), shown.steps))
     else:
-        page.text("Nothing else was done to the frames.")
-    image_table(page, shown.seen)
+        page.text("No other preprocessing.")
+    page.table(image_table(shown.seen.figures, shown.seen.full_scale))
 
 
 def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
@@ -205,22 +206,24 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
         page.figure("pair", figure, f"Pair {shown.tag}: vectors, their {what} in colour.", dense=True)
         if np.isfinite(sigma).any():
             figure = vector_figure(field, grid, given.method.scene, sigma, f"random sigma [{unit}]")
-            page.figure("pair_sigma", figure, "The same before their own random uncertainty.", dense=True)
+            page.figure("pair_sigma", figure, "Same vectors, coloured by random uncertainty.", dense=True)
     facts = [] if shown.dt_s is None else [("time between the frames", f"{shown.dt_s * 1e6:.3f} us")]
     page.facts([*facts, ("1 px of displacement is", f"{scale:.6g} {unit}")])
-    page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
+    page.table(count_table(field))
 
 
 def _left_out(page: Page, given: SeriesInput, books: Evaluated) -> None:
     page.heading("Every pair accounted for")
     said = f"{books.pairs} pairs, {len(books.failed)} without vectors"
     page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")
-    rows = list(books.failed.items())
-    if rows:
-        more = (
-            f"; {len(rows) - SHOWN_PAIRS} more are in the markers of the chunks" if len(rows) > SHOWN_PAIRS else ""
-        )
-        page.table(("pair", "why it has no vectors"), rows[:SHOWN_PAIRS], f"Pairs that are left out{more}")
+    if books.failed:
+        page.table(left_out_table(list(books.failed.items()), "the markers of the chunks"))
+
+
+def left_out_table(pairs: Sequence[tuple[str, str]], rest: str) -> Table:
+    """Pairs that are left out, with their reasons; `rest` names the file of those that do not fit."""
+    more = f"; {len(pairs) - SHOWN_PAIRS} more are in {rest}" if len(pairs) > SHOWN_PAIRS else ""
+    return Table(f"Pairs that are left out{more}", ("pair", "reason"), pairs[:SHOWN_PAIRS])
 
 
 def _provenance(page: Page, given: SeriesInput) -> None:

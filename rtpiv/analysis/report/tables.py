@@ -1,17 +1,16 @@
-"""Figures of an evaluation as rows of text, for the page and for the terminal; first the total error of a region.
+"""Tables of an evaluation, for the page and for the terminal; first the total error of a region.
 
 Where the true shift is known the total error of a region is the rms of its vectors' errors, u and v apart, and
 
     total^2 = bias^2 + scatter^2.
 
-The page begins with the scatter, and says the bias, a common offset, below. It may be the stage's (it moved the
-sheet by something else than it reported) or the map's; how large either may be stands in the budget of the
-comparison, and is no part of the total. Where no shift is known, the total is what vectors are unsure of:
-random sigma of the correlation, what windows do not resolve, map sigma and what flows through the sheet, in
-squares. Beside it stands whether sigma keeps its claim.
+The page begins with the scatter; the bias, a common offset, stands below. It may be that of the stage (it moved
+the sheet by another distance than it reported) or of the map; how large either may be stands in the budget of the
+comparison, and is no part of the total. Where no shift is known, the total is the standard uncertainty: the root
+sum of squares of random sigma, spatial resolution, map sigma and perspective error of out-of-plane motion.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +29,7 @@ from rtpiv.analysis.digits import two_digits
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.pictures.rasters import COLOURS, web
+from rtpiv.analysis.report.table import Table
 
 GLASS, DIRECT = "behind glass", "seen directly"
 ALL = "all"  # where nothing stands before the camera
@@ -44,13 +44,13 @@ class Total:
     Parameters
     ----------
     region : str
-        Which vectors.
+        Region of the vectors.
     count : int
-        How many.
+        Number of them.
     total_px : (float, float)
         Along u and v.
     parts : tuple of (str, (float, float))
-        What it is made of, in squares: none is larger than the total.
+        Its parts, whose root sum of squares it is: none is larger than the total.
     is_error : bool
         True of an error against a known shift, False of an uncertainty.
     is_plain : bool
@@ -75,24 +75,24 @@ class Total:
 
     @property
     def head_px(self) -> Pair:
-        """What a page begins with: the scatter of errors, where they are known, else the total uncertainty."""
+        """Scatter of the errors, where they are known, else the total uncertainty: the head of a page."""
         return dict(self.parts)["scatter"] if self.is_error else self.total_px
 
     @property
     def said(self) -> str:
-        """What that is."""
+        """Name of `head_px`."""
         what = "scatter of the errors" if self.is_error else "total standard uncertainty"
         return f"{what} u, v of the {self.count} vectors{self.where_said}"
 
     @property
     def where_said(self) -> str:
-        """Which vectors, behind the word; nothing where there are no regions."""
+        """Name of the region behind a word; nothing where there are no regions."""
         return "" if self.is_plain else f" {self.region}"
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How errors compare with their sigma, along u and v: shares within 1 and 2 sigma, rms of error over sigma."""
+    """Errors over sigma, along u and v: shares within 1 and 2 sigma, and rms."""
 
     within_1: Pair
     within_2: Pair
@@ -101,17 +101,17 @@ class Coverage:
 
 
 def is_plain(evaluation: Evaluation) -> bool:
-    """Whether nothing stands before the camera, so that nobody asks what is behind glass and what beside it."""
+    """Return whether nothing stands before the camera, so that there are no regions."""
     return not evaluation.task.scene.bodies
 
 
 def shown_region(name: str, evaluation: Evaluation) -> str:
-    """What a region is called; all is one where nothing stands before the camera."""
+    """Return the name of a region: "all" where nothing stands before the camera."""
     return ALL if is_plain(evaluation) else name
 
 
 def totals_of(evaluation: Evaluation) -> list[Total]:
-    """Total of the vectors behind glass, then of those seen directly; regions without vectors are left out."""
+    """Return the total of the vectors behind glass, then of those seen directly; empty regions are left out."""
     found = []
     for name, region in REGIONS.items():
         where = (evaluation.regions.region == region) & evaluation.field.valid
@@ -141,9 +141,9 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
 
 
 def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | None:
-    """Hold the errors of some vectors (ny, nx) against their total sigma; None without a known shift.
+    """Compare the errors of some vectors (ny, nx) with their total sigma; None without a known shift.
 
-    What the stage missed is the same for all vectors: the median error is taken off first.
+    The error of the stage is the same for all vectors: the median error is subtracted first.
     """
     if evaluation.shift is None:
         return None
@@ -171,7 +171,7 @@ def _random(field: VectorField) -> NDArray[np.float64]:
 
 
 def _resolution(field: VectorField) -> NDArray[np.float64]:
-    """What windows do not resolve (ny, nx, 2), the same along u and v; NaN where nothing tells."""
+    """Uncertainty by spatial resolution (ny, nx, 2), the same along u and v; NaN where it is not known."""
     found = field.resolution_px
     return np.full((*field.flags.shape, 2), np.nan) if found is None else np.stack((found, found), axis=-1)
 
@@ -189,69 +189,51 @@ def _hypot(one: Pair, other: Pair) -> Pair:
     return float(np.hypot(one[0], other[0])), float(np.hypot(one[1], other[1]))
 
 
-SHIFT_HEAD = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "random sigma u, v")
-RESPONSE_HEAD = ("length of the wave, in windows", "far above the noise", "below the noise")
-SIGMA_HEAD = (
-    "region",
-    "vectors",
-    "random u, v",
-    "not resolved u, v",
-    "map: displacement u, v",
-    "map: position u, v",
-)
-CLAIM_HEAD = (
-    "region",
-    "vectors",
-    "within 1 sigma u, v",
-    "within 2 sigma u, v",
-    "rms of error / sigma u, v",
-    "sigma is",
-)
-TRACK_HEAD = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
-IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
-BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
-
-Row = tuple[str, ...]
-
-
 def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, str]]:
-    """Colour, meaning and share of what became of the nodes."""
+    """Return colour, meaning and share of each status of nodes."""
     return [(web(COLOURS[status]), MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
 
 
-def moved_head(evaluation: Evaluation) -> Row:
-    """Head of `moved_rows`: velocities where the time between the frames is known."""
-    unit = length_unit(evaluation.task.scene) if evaluation.task.dt_s is None else "m/s"
-    return (
-        "region",
-        "vectors",
-        "displacement u, v [px]",
-        f"{'displacement' if evaluation.task.dt_s is None else 'velocity'} x, y [{unit}]",
-        f"its total sigma, median [{unit}]",
-    )
+def _by_region(
+    evaluation: Evaluation,
+    title: str,
+    columns: tuple[str, ...],
+    masks: Mapping[str, NDArray[np.bool_]],
+    cells: Callable[[NDArray[np.bool_]], tuple[str, ...] | None],
+) -> Table:
+    """Table with a row for each region whose cells are known."""
+    rows = [
+        (shown_region(name, evaluation), str(int(where.sum())), *found)
+        for name, where in masks.items()
+        if (found := cells(where)) is not None
+    ]
+    return Table(title, ("region", "vectors", *columns), rows)
 
 
-def moved_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under `moved_head`: medians beside and behind the glass, v down, y up, and how sure a vector is."""
-    scale = per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
-    field, rows = evaluation.field, list[Row]()
-    sigma = evaluation.total_sigma_px
-    for total in totals_of(evaluation):
-        where = total.where(evaluation)
+def displacement_table(evaluation: Evaluation) -> Table:
+    """Medians beside and behind the glass, v down, y up, and the median uncertainty of a vector.
+
+    Velocities where the time between the frames is known.
+    """
+    field, dt_s = evaluation.field, evaluation.task.dt_s
+    scale, sigma = per_px(evaluation.grid.pitch_mm, dt_s), evaluation.total_sigma_px
+    name, unit = ("displacement", length_unit(evaluation.task.scene)) if dt_s is None else ("velocity", "m/s")
+
+    def cells(where: NDArray[np.bool_]) -> tuple[str, ...]:
         u, v = float(np.median(field.u_px[where])), float(np.median(field.v_px[where]))
-        on_plane = ", ".join(f"{part * scale:+z.4f}" for part in (u, -v))
         unsure = ", ".join(f"{part * scale:.2g}" for part in np.median(sigma[where], axis=0))
-        rows.append(
-            (shown_region(total.region, evaluation), str(total.count), f"{u:+z.3f}, {v:+z.3f}", on_plane, unsure)
-        )
-    return rows
+        return f"{u:+z.3f}, {v:+z.3f}", f"{u * scale:+z.4f}, {-v * scale:+z.4f}", unsure
+
+    columns = ("displacement u, v [px]", f"{name} x, y [{unit}]", f"its total sigma, median [{unit}]")
+    masks = {total.region: total.where(evaluation) for total in totals_of(evaluation)}
+    return _by_region(evaluation, "Median displacement: u right, v down; x right, y up", columns, masks, cells)
 
 
-def shift_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under SHIFT_HEAD."""
+def shift_table(evaluation: Evaluation) -> Table:
+    """Errors against the known shift."""
     result = evaluation.shift
     assert result is not None
-    return [
+    rows = [
         (
             shown_region(name, evaluation),
             str(found.count),
@@ -259,49 +241,57 @@ def shift_rows(evaluation: Evaluation) -> list[Row]:
         )
         for name, found in result.regions.items()
     ]
+    columns = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "random sigma u, v")
+    return Table(f"Errors against the known shift [{pixels_of(evaluation)}], v down", columns, rows)
 
 
-def sigma_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under SIGMA_HEAD: rms of each share of the uncertainty along u and v."""
-    field, joined = evaluation.field, evaluation.map_sigma
+def sigma_table(evaluation: Evaluation) -> Table:
+    """Root mean square of each part of the uncertainty along u and v."""
+    field, of_map = evaluation.field, evaluation.map_sigma
     random, unresolved = _random(field), _resolution(field)
     nothing = np.full_like(random, np.nan)
-    place, moved = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
-    return [
-        (
-            shown_region(name, evaluation),
-            str(int(where.sum())),
-            *(_rms_pair(sigma[where]) for sigma in (random, unresolved, moved, place)),
-        )
-        for name, where in region_masks(evaluation).items()
-    ]
+    place, moved = (nothing, nothing) if of_map is None else (of_map.position_px, of_map.displacement_px)
+    return _by_region(
+        evaluation,
+        f"Standard uncertainty, rms [{pixels_of(evaluation)}]",
+        ("random u, v", "not resolved u, v", "map: displacement u, v", "map: position u, v"),
+        region_masks(evaluation),
+        lambda where: tuple(_rms_pair(sigma[where]) for sigma in (random, unresolved, moved, place)),
+    )
 
 
-def claim_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under CLAIM_HEAD: whether errors keep to the total sigma; none without a known shift.
+def claim_table(evaluation: Evaluation) -> Table:
+    """Coverage of the total sigma by the errors; without rows where no shift is known.
 
-    What the stage missed is the same for all vectors, and is taken off first.
+    The error of the stage is the same for all vectors, and is subtracted first.
     """
-    rows: list[Row] = []
+
+    def cells(where: NDArray[np.bool_]) -> tuple[str, ...] | None:
+        found = coverage_of(evaluation, where)
+        if found is None:
+            return None
+        inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
+        return *inside, "{:.2f}, {:.2f}".format(*found.ratio), found.claim
+
     masks = region_masks(evaluation)
     glass = (evaluation.regions.region == Region.GLASS) & evaluation.field.valid
-    if glass.any():  # the region that the page begins with, before its parts
+    if glass.any():  # the region of the head of the page, before its parts
         masks = {GLASS: glass} | masks
-    for name, where in masks.items():
-        found = coverage_of(evaluation, where)
-        if found is not None:
-            inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
-            ratio = "{:.2f}, {:.2f}".format(*found.ratio)
-            rows.append((shown_region(name, evaluation), str(int(where.sum())), *inside, ratio, found.claim))
-    return rows
+    columns = ("within 1 sigma u, v", "within 2 sigma u, v", "rms of error / sigma u, v", "sigma is")
+    return _by_region(evaluation, "Coverage of the stated uncertainty (68 and 95 %)", columns, masks, cells)
+
+
+def count_table(field: VectorField) -> Table:
+    """Vectors by what became of them."""
+    return Table("", ("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
 
 
 def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:
-    """Measured vectors (ny, nx) by region."""
+    """Return measured vectors (ny, nx) by region."""
     field, regions = evaluation.field, evaluation.regions
     glass = regions.region == Region.GLASS
     chosen = {
-        "seen directly": regions.region == Region.DIRECT,
+        DIRECT: regions.region == Region.DIRECT,
         f"behind glass, r < {MIDDLE} R": regions.middle,
         f"behind glass, r > {MIDDLE} R": glass & ~regions.middle,
         "across a rim": regions.region == Region.RIM,
@@ -309,8 +299,13 @@ def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:
     return {name: where & field.valid for name, where in chosen.items() if (where & field.valid).any()}
 
 
+def pixels_of(evaluation: Evaluation) -> str:
+    """Return the unit of errors."""
+    return "px" if is_plain(evaluation) else "px of the corrected frame"
+
+
 def track_summary(evaluation: Evaluation) -> list[dict[str, Any]]:
-    """Tracks by region: how many, and in corrected px the median sigma of a component and its rms error.
+    """Return tracks by region: number, and in corrected px the median sigma of a component and its rms error.
 
     The error and `within_sigma`, a share, are None where no true shift is known.
     """
@@ -322,7 +317,7 @@ def track_summary(evaluation: Evaluation) -> list[dict[str, Any]]:
     if evaluation.shift is not None:
         errors = tracks.vectors.shift_mm / pitch * (1.0, -1.0) - evaluation.shift.shift_px
     chosen = {
-        "seen directly": tracks.vectors.branch == 0,
+        DIRECT: tracks.vectors.branch == 0,
         f"behind glass, r < {MIDDLE} R": radius < MIDDLE,
         f"behind glass, r > {MIDDLE} R": radius >= MIDDLE,
     }
@@ -339,9 +334,9 @@ def track_summary(evaluation: Evaluation) -> list[dict[str, Any]]:
     ]
 
 
-def track_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under TRACK_HEAD."""
-    return [
+def track_table(evaluation: Evaluation) -> Table:
+    """Tracks of single particles by region."""
+    rows = [
         (
             str(found["region"]),
             str(found["tracks"]),
@@ -351,11 +346,13 @@ def track_rows(evaluation: Evaluation) -> list[Row]:
         )
         for found in track_summary(evaluation)
     ]
+    columns = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
+    return Table("Displacement of single particles [px of the corrected frame]", columns, rows)
 
 
-def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
-    """Rows under IMAGE_HEAD."""
-    return [
+def image_table(figures: Mapping[str, ImageFigures], full_scale: float) -> Table:
+    """Figures of merit of a frame, as acquired and corrected."""
+    rows = [
         (
             name,
             f"{f.particles_per_px:.4f}",
@@ -366,31 +363,32 @@ def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
         )
         for name, f in figures.items()
     ]
+    columns = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
+    return Table(f"Figures of merit of the frame; saturated at {full_scale:.0f}", columns, rows)
 
 
 def _ratio(signal_to_noise: float) -> str:
-    """Ratio of a frame, whose noise may be too small to be separated from its particles."""
+    """Signal-to-noise ratio; the noise may be too small to be separated from the particles."""
     if np.isinf(signal_to_noise):
         return "no noise seen"
     return "-" if np.isnan(signal_to_noise) else f"{signal_to_noise:.1f}"
 
 
-def lead_of(total: Total) -> tuple[str, str, Row, list[Row]]:
-    """The scatter, for the head of a page: value, what it is, head and rows of a small table with the total."""
-    value = "{:.4f}, {:.4f} px".format(*total.head_px)
+def lead_of(total: Total) -> tuple[str, Table]:
+    """Return the value at the head of a page, and the table of its parts, whose title names the value."""
     rows = []
     for name, pair in total.parts:
         known, form = ("common offset", "+z.4f") if name == "bias" else (name, ".4f")
         rows.append((known, *(format(part, form) for part in pair)))
-    rows.append(("total, in squares", *(f"{part:.4f}" for part in total.total_px)))
-    return value, total.said, ("[px]", "u", "v"), rows
+    rows.append(("total (root sum of squares)", *(f"{part:.4f}" for part in total.total_px)))
+    return "{:.4f}, {:.4f} px".format(*total.head_px), Table(total.said, ("[px]", "u", "v"), rows)
 
 
 def offset_said(evaluation: Evaluation) -> str:
-    """Say whose the common offset of all errors is; "" without a known shift.
+    """Attribute the common offset of all errors to stage or map; "" without a known shift.
 
-    The stage moves everything alike: its offset is the same behind and beside the glass, to within what chance and
-    the fitted map leave of the two means, and no larger than twice the sigma of two of its positions.
+    The stage moves everything alike: its offset is the same behind and beside the glass, within the uncertainty of
+    the two means and of the fitted map, and no larger than twice the sigma of two of its positions.
     """
     result = evaluation.shift
     if result is None:
@@ -420,23 +418,21 @@ def _norm(offset: NDArray[np.float64]) -> str:
     return f"{np.hypot(*offset):.3f}"
 
 
-def budget_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under BUDGET_HEAD: what the comparison with the true shift can be off by, behind the glass."""
+def budget_table(evaluation: Evaluation) -> Table:
+    """Uncertainty of the comparison with the true shift, behind the glass."""
     result = evaluation.shift
     assert result is not None
-    where = region_masks(evaluation).get(f"behind glass, r < {MIDDLE} R")
-    if where is None:
-        where = evaluation.field.valid
-    field = evaluation.field
-    random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]
-    rows: list[Row] = [
-        ("correlation of one vector: scatter", _rms(random)),
+    where = region_masks(evaluation).get(f"behind glass, r < {MIDDLE} R", evaluation.field.valid)
+    rows = [
+        ("correlation of one vector: scatter", _rms(_random(evaluation.field)[where])),
         ("stage, two positions: a common bias of all vectors", two_digits(float(np.hypot(*result.stage_px)))),
     ]
     if evaluation.map_sigma is not None:
         moved = evaluation.map_sigma.displacement_px[where]
         rows.insert(1, ("fitted map, displacement: smooth over the plane, the same in every pair", _rms(moved)))
-    return rows
+    region = "" if is_plain(evaluation) else ", behind the glass"
+    columns = ("source, and its effect", "standard uncertainty [px]")
+    return Table(f"Budget of the comparison{region}", columns, rows)
 
 
 def _pair(values: tuple[float, float]) -> str:
@@ -457,12 +453,18 @@ def _rms(values: NDArray[np.float64]) -> str:
     return two_digits(float(np.sqrt(np.mean(known**2)))) if len(known) else "-"
 
 
-def response_rows(settings: PivSettings) -> list[Row]:
-    """What the settings make of waves: wavelength, share of a strong one and of one below the noise."""
+def response_table(settings: PivSettings) -> Table:
+    """Amplitude of waves in the vectors, by wavelength, far above the noise and below it."""
     window = settings.windows_px[-1]
     lengths = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
     strong, weak = response_of(settings, window * lengths)
-    return [
+    rows = [
         (f"{length:g} ({window * length:.0f} px)", f"{100 * high:.0f} %", f"{100 * low:.0f} %")
         for length, high, low in zip(lengths, strong, weak, strict=True)
     ]
+    title = (
+        f"Spatial resolution with windows of {settings.windows_said}: measured share of the amplitude of a"
+        " velocity wave, by wavelength, for waves far above the noise and below it (linear theory of the passes). Smaller"
+        " windows resolve more and are noisier (--final-window)"
+    )
+    return Table(title, ("wavelength, in windows", "far above the noise", "below the noise"), rows)

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from rtpiv.analysis.pictures.plane_axes import SOFT, Figure, log_scale
 from rtpiv.analysis.report.figures import HEAT, SERIES
 from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.time_series import TimeSeries
 
 SHOWN = 8  # places drawn; the file has all
@@ -23,7 +24,7 @@ def time_series_page(found: TimeSeries, title: str) -> Page:
             "points", _points(found, points, unit), "At each place; grey: one standard uncertainty, random."
         )
         head = ("x, y [mm]", *(f"{name} u, v [{unit}]" for name in FIGURES), "measured")
-        page.table(head, [_row(found, point) for point in points])
+        page.table(Table("", head, [_row(found, point) for point in points]))
     if found.spectrum is None:
         page.text(f"No spectrum: {found.why_none}.")
     elif points.size:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ground.terminal import console
 from piv.preprocessing.image_figures import ImageFigures
-from rtpiv.analysis.report.tables import image_rows
+from rtpiv.analysis.report.tables import image_table
 from rtpiv.verbs.show import show_mean, show_through
 from tests.correction.small_scenes import small_scene
 from tests.rtpiv.analysis.series.test_split_focus import SHAPE, mean_of
@@ -45,7 +45,7 @@ def test_pairs_that_are_not_in_a_mean_are_named_once_with_the_reason(capsys):
 def test_noise_that_is_not_seen_is_no_infinite_ratio():
     bins = np.zeros(256, np.int64), np.zeros(257)
     for ratio, text in ((np.inf, "no noise seen"), (np.nan, "-"), (12.34, "12.3")):
-        (row,) = image_rows({"A": ImageFigures(0.02, 2.5, 2.5, ratio, 40.0, 0.0, 0.0, *bins, 100, 0)})
+        (row,) = image_table({"A": ImageFigures(0.02, 2.5, 2.5, ratio, 40.0, 0.0, 0.0, *bins, 100, 0)}, 255.0).rows
         assert row[3] == text
 
 

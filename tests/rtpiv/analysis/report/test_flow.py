@@ -136,17 +136,17 @@ def test_without_glass_there_is_no_rim_to_judge(tmp_path):
 def test_the_uncertainty_at_the_head_and_its_parts_are_of_one_and_the_same_vector():
     """The parts add up, as squares, to what stands behind the number, and are no medians of other vectors."""
     mean, _, regions = series()
-    value, said, _, rows = mean_lead(mean, regions)
+    value, table = mean_lead(mean, regions)
     size, sigma = (float(word) for word in value.removesuffix(" m/s").split(" ± "))
     behind = regions.region == Region.GLASS
     speed = np.where(behind, np.linalg.norm(mean.mean_m_s, axis=-1), 0.0)
     assert size == pytest.approx(np.quantile(speed[behind & (mean.count > 0)], 0.99), abs=sigma)
-    parts = {name: numbers for name, *numbers in rows}
+    parts = {name: numbers for name, *numbers in table.rows}
     total, *_ = (float(number) for number in parts.pop("total"))
     assert total == pytest.approx(sigma, rel=0.06)
     known = [float(number) for number, *_ in parts.values() if number[0].isdigit()]
     assert np.linalg.norm(known) == pytest.approx(total, rel=0.1)
-    assert "median" not in said
+    assert "median" not in table.title
 
 
 @pytest.mark.parametrize("lone", [(0, 5), (19, 29), (7, 0)])

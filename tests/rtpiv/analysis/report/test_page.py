@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from rtpiv.analysis.pictures.rasters import embedded, grey, tinted
 from rtpiv.analysis.pictures.saved import lay_out
 from rtpiv.analysis.report.page import PNG_DPI, Link, Page, _drawn
+from rtpiv.analysis.report.table import Table
 from tests.rtpiv.analysis.report.browser import browse, measured
 
 pytestmark = pytest.mark.draws
@@ -30,20 +31,17 @@ def page(twice=True):
     figure.add_subplot().plot([0, 1])
     made.figure("line", figure, "a line")
     made.figure("dots", figure, "dots", dense=True)
-    made.table(("name", *[f"a rather long heading {k}" for k in range(6)]), [("a<b", *"123456")], "caption")
-    made.lead("0.01, 0.02 px", "total <b>", ("[px]", "u", "v"), [("bias <", "+0.01", "-0.02")])
+    columns = ("name", *[f"a rather long heading {k}" for k in range(6)])
+    made.table(Table("caption", columns, [("a<b", *"123456")]))
+    made.lead("0.01, 0.02 px", Table("total <b>", ("[px]", "u", "v"), [("bias <", "+0.01", "-0.02")]))
     regions = ("behind glass", "0.0011, 0.004", "0.021, 0.021", "3261 of 3263", "2")
-    made.lead(
-        "0.0011 px",
-        "sigma",
-        ("region", "map sigma: median, largest [px]", "rms [px]", "corners used", "rejected"),
-        [regions],
-    )
+    columns = ("region", "map sigma: median, largest [px]", "rms [px]", "corners used", "rejected")
+    made.lead("0.0011 px", Table("sigma", columns, [regions]))
     with made.row():
         made.figure("left", figure, "left", dense=True)
         made.figure("right", figure, "right", dense=True)
     made.swatches([("#aabbcc", "hidden <by>", "3 %")])
-    made.table(("pair", "n"), [(Link("pair <a", "pair <a/report.html"), "1")])
+    made.table(Table("", ("pair", "n"), [(Link("pair <a", "pair <a/report.html"), "1")]))
     made.links([Link("vectors.nc", "vectors.nc")])
     made.facts([("key <", "value >" + 200 * "x")])
     made.folded("file", "a: <1>\n" + 300 * "y")

@@ -10,14 +10,12 @@ from correction.evaluate.regions import Region, Regions, evaluate_shift
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import quality_of
 from rtpiv.analysis.report.tables import (
-    SIGMA_HEAD,
-    claim_rows,
+    claim_table,
     coverage_of,
+    displacement_table,
     lead_of,
-    moved_head,
-    moved_rows,
     offset_said,
-    sigma_rows,
+    sigma_table,
     totals_of,
 )
 from rtpiv.analysis.report.verdict import claim_said, worst_claim
@@ -60,12 +58,12 @@ def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
         assert parts["scatter"][axis] == pytest.approx(0.02, rel=0.15)
         assert glass.total_px[axis] == pytest.approx(np.hypot(parts["bias"][axis], parts["scatter"][axis]))
     assert set(parts) == {"bias", "scatter"}  # the map's and the stage's sigma are no parts, and may be larger
-    value, said, head, rows = lead_of(glass)
-    assert said == "scatter of the errors u, v of the 400 vectors behind glass"
+    value, table = lead_of(glass)
+    assert table.title == "scatter of the errors u, v of the 400 vectors behind glass"
     assert value == "{:.4f}, {:.4f} px".format(*parts["scatter"])
-    assert rows[0][0] == "common offset"
-    assert head == ("[px]", "u", "v")
-    assert [row[0] for row in rows][-1] == "total, in squares"
+    assert table.rows[0][0] == "common offset"
+    assert table.columns == ("[px]", "u", "v")
+    assert table.rows[-1][0] == "total (root sum of squares)"
     assert glass.where(evaluation()).sum() == 400 <= glass.nodes(evaluation())
 
 
@@ -138,15 +136,15 @@ def test_file_page_and_verdict_have_one_sigma():
     np.testing.assert_allclose(held(), 0.05, rtol=1e-6)
     made.shift = None
     np.testing.assert_allclose(held(), 0.13, rtol=1e-6)
-    assert moved_rows_sigma(made, grid) == pytest.approx([0.13 * grid.pitch_mm] * 2, rel=0.05)
+    assert displacement_sigma(made, grid) == pytest.approx([0.13 * grid.pitch_mm] * 2, rel=0.05)
     (glass, _) = totals_of(made)
     assert glass.total_px == pytest.approx((0.13, 0.13))
 
 
-def moved_rows_sigma(made, grid):
-    """Total sigma as the table of what moved has it."""
+def displacement_sigma(made, grid):
+    """Total sigma in the table of displacements."""
     made.grid, made.task.dt_s = grid, None
-    return [float(part) for part in moved_rows(made)[0][-1].split(",")]
+    return [float(part) for part in displacement_table(made).rows[0][-1].split(",")]
 
 
 @pytest.mark.parametrize(
@@ -190,7 +188,7 @@ def test_an_offset_that_is_the_same_beside_the_glass_is_the_stage():
 
 def test_tables_and_head_have_one_verdict_of_a_region():
     made = evaluation(sigma=0.04)
-    claims = {row[0]: row[-1] for row in claim_rows(made)}
+    claims = {row[0]: row[-1] for row in claim_table(made).rows}
     glass, _ = totals_of(made)
     assert claims[glass.region] == coverage_of(made, glass.where(made)).claim == "too large"
 
@@ -201,8 +199,9 @@ def test_without_a_known_shift_what_moved_is_said_beside_and_behind_the_glass(dt
     made.field = replace(made.field, resolution_px=np.full(made.field.flags.shape, 0.04))
     made.field.sigma_u_px[::5, ::5] = 9.0  # a few vectors that noise has taken are not what is usual
     made.grid, made.task.dt_s = SimpleNamespace(pitch_mm=0.5), dt_s
-    rows = moved_rows(made)
-    assert f"[{unit}]" in moved_head(made)[-1]
+    table = displacement_table(made)
+    rows = table.rows
+    assert f"[{unit}]" in table.columns[-1]
     assert [row[:2] for row in rows] == [("behind glass", "400"), ("seen directly", "1121")]
     for _, _, px, on_plane, unsure in rows:
         assert [float(part) for part in unsure.split(",")] == pytest.approx([0.05 * scale] * 2, rel=0.05)
@@ -212,7 +211,7 @@ def test_without_a_known_shift_what_moved_is_said_beside_and_behind_the_glass(dt
 
 
 def test_an_offset_of_nothing_has_no_sign():
-    rows = lead_of(totals_of(evaluation(bias=(-1e-6, -1e-6), noise=0.0))[0])[-1]
+    rows = lead_of(totals_of(evaluation(bias=(-1e-6, -1e-6), noise=0.0))[0])[1].rows
     assert rows[0] == ("common offset", "+0.0000", "+0.0000")
 
 
@@ -223,5 +222,5 @@ def test_what_windows_do_not_resolve_is_a_part_of_the_total_that_files_hold():
     assert dict(glass.parts)["not resolved by the windows"] == pytest.approx((0.03, 0.03))
     assert glass.total_px == pytest.approx((np.hypot(0.02, 0.03),) * 2)
     assert glass.total_px == pytest.approx(tuple(of.field.total_sigma_px[20, 20]))
-    row = dict(zip(SIGMA_HEAD, sigma_rows(of)[0], strict=True))
+    row = sigma_table(of).records()[0]
     assert row["not resolved u, v"] == "0.030, 0.030"
