@@ -464,7 +464,7 @@ def response_table(settings: PivSettings) -> Table:
     ]
     title = (
         f"Spatial resolution with windows of {settings.windows_said}: measured share of the amplitude of a"
-        " velocity wave, by wavelength, for waves far above the noise and below it (linear theory of the passes). Smaller"
-        " windows resolve more and are noisier (--final-window)"
+        " velocity wave, by wavelength, for waves far above the noise and below it (linear theory of the passes)."
+        " Smaller windows resolve more and are noisier (--final-window)"
     )
     return Table(title, ("wavelength, in windows", "far above the noise", "below the noise"), rows)
