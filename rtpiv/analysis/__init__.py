@@ -1,1 +1,1 @@
-"""What frames say: calibration and evaluation of runs, pictures, the report.  No device is touched from here."""
+"""Analysis of frames: calibration and evaluation of runs, pictures, report; no device is touched."""

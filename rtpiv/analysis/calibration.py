@@ -1,4 +1,4 @@
-"""What is said about a calibration: its numbers, Table 2 before and after, what the frames left open."""
+"""Summary of a calibration: its numbers, Table 2 before and after, parameters that the frames leave open."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -74,7 +74,7 @@ class Calibration:
 
     @cached_property
     def through(self) -> ThroughGlass | None:
-        """How much of what the balls hide the fitted map recovers; None if they hide nothing."""
+        """Share of the hidden plane that the fitted map recovers; None if nothing is hidden."""
         return through_scene(self.fit.measured_scene)
 
     @property
@@ -90,7 +90,7 @@ class Calibration:
 
     @property
     def account(self) -> dict[str, dict[str, int]]:
-        """What became of the corners, by region: measured = used + rejected; behind glass also all visible."""
+        """Counts of corners by region: measured = used + rejected; behind glass also all visible."""
         fit, found = self.fit, dict[str, dict[str, int]]()
         for name, behind in (("seen directly", False), ("behind glass", True)):
             here = fit.corners.behind == behind
@@ -100,21 +100,21 @@ class Calibration:
         return found
 
     def said_of(self, weakness: Weakness) -> str:
-        """What the frames leave open, in a sentence that says whether it matters for the map."""
+        """Describe a weakness of the fit, and whether it matters for the map."""
         worth_px = max((values["median"] for values in self.percentiles.values()), default=float("inf"))
         if weakness.together and worth_px < HARMLESS_PX:
             return f"known only together (worth at most {two_digits(worth_px)} px in the map): {weakness.sentence}"
         return f"not determined: {weakness.sentence}"
 
     def costs_nothing(self, weakness: Weakness) -> bool:
-        """Whether a weakness of numbers that were fitted is in the map's sigma, and that is small everywhere."""
+        """Return whether a weakness of fitted parameters is in the map's sigma, and that is small everywhere."""
         largest_px = max((values["largest"] for values in self.percentiles.values()), default=float("inf"))
         is_of_numbers = weakness.together or "known no better than before" in weakness.sentence
         return is_of_numbers and bool(weakness.names) and largest_px < HARMLESS_PX
 
     @property
     def harmless_said(self) -> str:
-        """How many weaknesses cost the map nothing, in a sentence; "" if none."""
+        """Sentence with the number of weaknesses that cost the map nothing; "" if none."""
         count = sum(self.costs_nothing(weakness) for weakness in self.weak)
         if not count:
             return ""

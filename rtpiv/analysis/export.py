@@ -89,7 +89,7 @@ def write_matlab(path: Path, vectors: Vectors) -> list[Path]:
 
 
 def _title(vectors: Vectors, path: Path) -> str:
-    """What a file is called: as it says itself, or by its name."""
+    """Return the title of a file: its attribute, or its name."""
     title = str(vectors.attributes.get("title") or path.stem).replace('"', "")
     return utf8(" ".join(title.split())).decode()
 

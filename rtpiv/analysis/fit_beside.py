@@ -1,4 +1,4 @@
-"""What is unsure of a scene: the fit beside its file, if there is one."""
+"""Uncertainty of a scene: the fit beside its file, if there is one."""
 
 from pathlib import Path
 

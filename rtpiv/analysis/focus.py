@@ -87,7 +87,7 @@ def spots_in(first: NDArray[np.generic], second: NDArray[np.generic], part: NDAr
 
 
 def _detail(frame: NDArray[np.generic], part: NDArray[np.bool_]) -> Float64:
-    """What differs from the mean light around, which is taken within the part alone."""
+    """Difference from the mean light around, which is taken within the part alone."""
     inside = part.astype(np.float64)
     values = np.where(part, frame.astype(np.float64), 0.0)
     share = scipy.ndimage.uniform_filter(inside, LEVEL_PX, mode="constant")
@@ -140,7 +140,7 @@ def parts_of(scene: Scene) -> dict[str, NDArray[np.bool_]]:
 
 @dataclass(frozen=True)
 class BestFocus:
-    """Where a part of the view is sharpest.
+    """Best focus of a part of the view.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class BestFocus:
 @short_repr
 @dataclass(frozen=True)
 class FocusScan:
-    """What a scan says.
+    """Result of a scan.
 
     Parameters
     ----------

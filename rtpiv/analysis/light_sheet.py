@@ -107,7 +107,7 @@ def read_pairs(given: FlowFrames, pairs: Sequence[tuple[Path, Path]], what: str)
 
 
 def about_sheet(found: SheetFound, frames: Sequence[str]) -> dict[str, Any]:
-    """What sheet.json says."""
+    """Return the contents of sheet.json."""
     cells = found.cells
     fit = found.fit
     tree: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""How frames are corrected: where their lens bends, how sure the map must be, and how pixels are read between.
+"""Settings of the correction: dewarp of the lens, limit of the map's uncertainty, interpolation of pixels.
 
 A camera's lens is taken from its scene, or from a dewarp that is fitted to one frame of the bare target.  What is
 unsure of the scene lies in the fit beside its file; the map's sigma follows from that, and nodes of which it is
@@ -42,7 +42,7 @@ bodies: []
 
 @dataclass(frozen=True)
 class CorrectionRecipe:
-    """How frames are corrected.
+    """Settings of the correction of frames.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How steeply rays meet the light sheet, behind glass and beside it: the figure that pages and `trace` say."""
+"""Viewing slope of the rays at the light sheet, behind glass and beside it, for pages and `trace`."""
 
 from dataclasses import dataclass
 
@@ -40,7 +40,7 @@ class Steepness:
 
     @property
     def sentence(self) -> str:
-        """What one camera makes of a flow through the sheet; empty where nothing is seen."""
+        """Sentence about the perspective error of out-of-plane motion; empty where nothing is seen."""
         parts = [
             f"{median:.2f} {name} ({most:.2f} at {100 * MOST:.0f} % of the places)"
             for figures, name in ((self.behind, "behind glass"), (self.beside, "seen directly"))

@@ -1,4 +1,4 @@
-"""How much of the plane a scene shows, in mm^2: as a whole, behind each body, and as the share through glass.
+"""Area of the plane that a scene shows, in mm^2: as a whole, behind each body, and as the share through glass.
 
 A node of the corrected image stands for pitch^2 of the plane.  It is HIDDEN if its straight line to the pinhole
 would be stopped by a ball, as if light were not refracted.  A part of the hidden nodes is recovered, because some
@@ -36,7 +36,7 @@ Window = tuple[tuple[int, int], tuple[int, int]]  # rows and columns of nodes: t
 
 @dataclass(frozen=True)
 class ThroughGlass:
-    """What a correction gives back of what glass hides.
+    """Share of the plane hidden by glass that a correction recovers.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class ThroughGlass:
 
     @property
     def name(self) -> str:
-        """What the share is of."""
+        """Name of the hidden area."""
         return f"of what {self.what} hide{'' if self.what.endswith('balls') else 's'}"
 
     @property
@@ -213,7 +213,7 @@ Areas = Mapping[NodeStatus, float]
 
 @dataclass(frozen=True)
 class BodyShare:
-    """What one body does to the view of the plane.
+    """Effect of one body on the view of the plane.
 
     Parameters
     ----------
@@ -242,14 +242,14 @@ class BodyShare:
 
     @property
     def lost_to(self) -> NodeStatus | None:
-        """Why most of what is lost of the outline is lost; None if nothing is."""
+        """Status of most of the lost nodes of the outline; None if nothing is lost."""
         lost = [status for status, area in self.within_mm2.items() if status != NodeStatus.RECOVERED and area]
         return max(lost, key=lambda status: self.within_mm2[status]) if lost else None
 
 
 @dataclass(frozen=True)
 class PlaneShare:
-    """What a scene shows of the plane.
+    """Visible area of the plane.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class RunAsked(TypedDict):
 
 @with_config(STRICT)
 class HowAsked(TypedDict):
-    """How the pairs of all runs are evaluated, beside their scenes."""
+    """Settings of the evaluation of all runs, without their scenes."""
 
     settings: dict[str, int | float | bool | list[int] | None]  # of PivSettings
     prepare: list[str] | None
@@ -111,7 +111,7 @@ class CampaignFolder:
 
 
 def choice_of(how: HowAsked) -> PivChoice:
-    """How pairs are evaluated, as it was asked; SeriesError if that cannot be."""
+    """Return the settings of a request; SeriesError if this version does not know them."""
     try:
         settings = settings_of(how["settings"])
         preparation = None if how["prepare"] is None else Preparation(tuple(how["prepare"]))

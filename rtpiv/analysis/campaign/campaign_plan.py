@@ -74,7 +74,7 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a run asks for.
+    """Estimated cost of a run.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class CampaignSettings:
-    """What holds for the named runs.
+    """Settings of the named runs.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
 
 
 def would_be_lost(folder: Path, chunks: int, differences: Sequence[str]) -> str:
-    """Why a campaign is refused that would replace finished chunks."""
+    """Return the reason to refuse a campaign that would replace finished chunks."""
     return (
         f"{folder}: {counted(chunks, 'finished chunk')} would be made anew: {'; '.join(differences)};"
         " choose another folder with -o, or delete this one"

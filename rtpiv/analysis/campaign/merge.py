@@ -98,7 +98,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
 
 
 def said_missing(chunks: int) -> str:
-    """How many chunks are missing, as a sentence says it."""
+    """Return the number of missing chunks as the begin of a sentence."""
     return f"{counted(chunks, 'chunk')} {'is' if chunks == 1 else 'are'} missing"
 
 

@@ -1,4 +1,4 @@
-"""Which nodes of the plane lie behind a body, as the pinhole sees it past all glass."""
+"""Nodes of the plane that lie behind a body, as the pinhole sees it past all glass."""
 
 from ground.jit import Array, kernel
 

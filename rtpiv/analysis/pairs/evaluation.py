@@ -136,7 +136,7 @@ class Evaluation:
 
     @property
     def about(self) -> dict[str, str]:
-        """Where it comes from."""
+        """Provenance, as attributes of files."""
         frames = ", ".join(path.name for path in self.task.frames)
         said = {"scene_hash": self.task.scene.content_hash(), "frames": frames, "rtpiv_version": version("rtpiv")}
         said |= readings_attribute(self.task.readings) | lengths_said(self.task.scene)
@@ -196,7 +196,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class PairDetails:
-    """What is asked of each pair beyond its vectors.
+    """Requests for each pair beyond its vectors.
 
     Parameters
     ----------
@@ -226,13 +226,13 @@ class PairDetails:
 
     @property
     def ask_more(self) -> bool:
-        """Whether any of them is asked for."""
+        """Return whether any of them is requested."""
         return self != PairDetails(stage_sigma_um=self.stage_sigma_um)
 
 
 @dataclass(frozen=True)
 class PairMethod:
-    """How a pair is evaluated, and what is asked of it beyond its vectors.
+    """Settings of the evaluation of a pair, and requests beyond its vectors.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PairResult:
-    """What became of a pair.
+    """Result of a pair.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How pairs are evaluated: one declaration for the YAML file, the command line and Python.
+"""Settings of the evaluation of pairs: one declaration for the YAML file, the command line and Python.
 
     final_window_px: 16
     overlap: 0.75
@@ -50,7 +50,7 @@ LARGEST_FIRST = 2  # times the last window at least: a first window as small as 
 
 
 class PivOptions(TypedDict, total=False):
-    """How pairs are correlated: what is given wins over the file.
+    """Settings of the correlation; an option overrides the file.
 
     These are the keys of the file, the options of the command line and the keywords of the verbs, all in one.
     What is not given has the default of `piv.correlation.settings.PivSettings`.
@@ -128,7 +128,7 @@ class PivOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class PivChoice:
-    """How pairs are evaluated, what is done to their frames, and what is known of the flow through the sheet.
+    """Settings of the correlation, preprocessing of the frames, and out-of-plane motion.
 
     A preparation that is None is the usual one for the kind of run.
     """

@@ -19,7 +19,7 @@ CORRECTED, PLAIN = "corrected", "evaluated"
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """What remains of a frame and its correction when both are gone.
+    """Small pictures and figures of a frame and its correction.
 
     Parameters
     ----------

@@ -219,7 +219,7 @@ def _shade(n: float) -> str:
 
 
 def _along(cut: Section) -> str:
-    """What the s axis of a cut is."""
+    """Return the label of the s axis of a cut."""
     if abs(cut.along[1]) < 1e-9:
         return "x [mm]" if cut.foot_mm[0] == 0.0 else "x from the pinhole's [mm]"
     return f"s along ({cut.along[0]:.2f}, {cut.along[1]:.2f}) [mm]"

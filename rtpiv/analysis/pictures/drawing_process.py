@@ -106,7 +106,7 @@ def started(modules: Sequence[str]) -> Iterator[None]:
 
 
 def _worth_it() -> bool:
-    """Whether a second core has time, and this process can be forked safely: without other threads, on Linux."""
+    """Return whether a second core is free, and this process can be forked: on Linux, without other threads."""
     alone = threading.active_count() == 1 and threading.current_thread() is threading.main_thread()
     return sys.platform == "linux" and alone and thread_count() > 1
 

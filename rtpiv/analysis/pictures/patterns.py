@@ -93,7 +93,7 @@ def square_for(width_mm: float) -> float:
 
 
 def shows_particles(frame: NDArray[Any]) -> bool:
-    """Whether a frame (H, W) shows particles, few pixels brighter than half way, and not the target's squares."""
+    """Return whether a frame (H, W) shows particles (few pixels brighter than half way), not a target."""
     some = frame[:: max(1, frame.shape[0] // 512), :: max(1, frame.shape[1] // 512)]
     low, high = np.percentile(some, (1.0, 99.0))
     return bool(np.mean(some > 0.5 * (low + high)) < BRIGHT_SHARE)

@@ -65,7 +65,7 @@ def log_scale(axis: Axis, base: float = 10.0) -> None:
 
 
 def _height_in(axes: Axes) -> float:
-    """How tall a picture will be, in inches: its panel, or less where it keeps its shape within that."""
+    """Return the height of a picture in inches: its panel, or less where it keeps its shape within that."""
     assert isinstance(axes.figure, Figure)  # nothing here has figures within figures
     place, (wide, tall) = axes.get_position(), axes.figure.get_size_inches()
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()

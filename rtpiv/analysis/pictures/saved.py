@@ -1,4 +1,4 @@
-"""What every picture needs at its end: names that it has room for, and a file that is whole or not there."""
+"""Last steps of every picture: names that fit, and a file that is written atomically."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO

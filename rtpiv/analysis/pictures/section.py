@@ -90,12 +90,12 @@ def _way(offset: Floats) -> Floats:
 
 
 def _held(way: Floats, offsets: Floats, radii: Floats) -> NDArray[np.bool_]:
-    """Which balls a cut along a direction meets in their centres."""
+    """Return the balls that a cut along a direction meets in their centres."""
     return np.asarray(np.abs(offsets @ np.array([-way[1], way[0]])) <= CENTRAL * radii)
 
 
 def is_central(section: Section, ball: Sphere) -> bool:
-    """Whether the cut goes through a ball's centre, so that rays stay in it."""
+    """Return whether the cut goes through a ball's centre, so that rays stay in it."""
     return bool(abs(section.beside(np.array(ball.centre_mm))) <= CENTRAL * ball.radius_mm)
 
 

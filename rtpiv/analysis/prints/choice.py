@@ -1,4 +1,4 @@
-"""Which squares suit a scene: those whose corners say most about the ball that is seen worst.
+"""Choice of squares for a scene: those whose corners constrain best the ball that is seen worst.
 
 Glass shrinks the board in its middle and squeezes it at the rim.  Small squares run into each other there and are
 not measured; of large ones few corners are left.  A corner is found along its edges, so what it tells of a ball
@@ -32,7 +32,7 @@ WIDEST_SEARCH_PX = (
 
 @dataclass(frozen=True)
 class Corners:
-    """What a board shows in a scene.
+    """Corners of a board in a scene.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Corners:
 
     @property
     def sentence(self) -> str:
-        """How many corners are seen, and where."""
+        """Numbers of visible corners, by region."""
         if not self.behind:
             return f"squares of {self.square_mm:.4g} mm: {self.direct} corners"
         each = ", ".join(f"{count} through {name}" for name, count in self.behind.items())

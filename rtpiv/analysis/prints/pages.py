@@ -46,7 +46,7 @@ REACH_SIGMAS = 4.0  # a Gaussian has 3e-4 of its peak there: below one grey leve
 
 @dataclass(frozen=True)
 class Printed:
-    """What was written.
+    """Written files.
 
     Parameters
     ----------
@@ -133,13 +133,13 @@ def write_pages(path: Path, sheet: Sheet, paper: Paper, words: str) -> Printed:
 
 
 def _middle(side_mm: float, low_mm: float, high_mm: float) -> float:
-    """What lies in the middle of a page: beside a tile's, so that the origin is whole dots from the edge."""
+    """Return the middle of a page: beside a tile's, so that the origin is whole dots from the edge."""
     origin_mm = 0.5 * (side_mm - low_mm - high_mm)
     return 0.5 * side_mm - DOT_MM * round(origin_mm / DOT_MM)
 
 
 def _draw(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:
-    """What of a sheet lies within some bounds; as artists: nobody asks for the limits of so many squares."""
+    """Draw the part of a sheet within some bounds, as artists without limits of the axes, which take long."""
     from matplotlib.patches import PathPatch, Rectangle
     from matplotlib.path import Path as Outline
 

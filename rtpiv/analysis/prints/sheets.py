@@ -1,4 +1,4 @@
-"""What is printed: sheets of dark shapes, or of particles, in mm about the origin that the scene shares with them.
+"""Contents of prints: sheets of dark shapes, or of particles, in mm about the origin of the scene.
 
     chessboard   squares of one side, four discs around the origin (`tracer.board`): no part of it but those
                  tells where it is, and behind a ball their view must be clear

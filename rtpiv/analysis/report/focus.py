@@ -27,7 +27,7 @@ def focus_table(scan: FocusScan) -> Table:
 
 
 def said_of(scan: FocusScan) -> str:
-    """What it means, in one or two sentences."""
+    """Return the conclusion in one or two sentences."""
     has = f"at f/{scan.f_number:g} the depth of field by eq. 1 is {scan.depth_mm:.1f} mm"
     if not np.isfinite(scan.needed_mm):
         return (

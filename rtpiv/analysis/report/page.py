@@ -235,7 +235,7 @@ def _drawn(figure: "Figure", kinds: Sequence[str]) -> dict[str, bytes]:
 
 
 def behind_glass(scene: Scene) -> str:
-    """What a title says of the view: nothing where nothing stands before the camera."""
+    """Return the part of a title that names the glass; "" where nothing stands before the camera."""
     return " through glass" if scene.bodies else ""
 
 

@@ -121,7 +121,7 @@ def pair_chapters(page: Page, evaluation: Evaluation) -> None:
 
 
 def scene_chapter(page: Page, scene: Scene) -> None:
-    """What stood before the camera; nothing of frames of which a scale alone was told."""
+    """Add the scene; nothing for frames with a scale alone."""
     if tells_a_scale_alone(scene):
         return
     page.heading("Scene")
@@ -155,7 +155,7 @@ def slant_lines(page: Page, steepness: Steepness, said: str) -> None:
 def slant_figure(
     page: Page, field: VectorField, grid: PlaneGrid, scene: Scene, sigma: NDArray[np.float64], unit: str
 ) -> None:
-    """What flows through the sheet makes unsure, (ny, nx) in the order of the field, behind its vectors."""
+    """Add the uncertainty by out-of-plane motion, (ny, nx) in the order of the field, behind its vectors."""
     figure = vector_figure(field, grid, scene, sigma, f"sigma by the flow through the sheet [{unit}]")
     page.figure("slant", figure, "What is unsure because the sheet is seen aslant.", dense=True)
 

@@ -1,4 +1,4 @@
-"""What gauges of the lab showed while frames were taken, as a chapter: over time, in all, and at each step."""
+"""Readings of gauges of the lab during the run, as a chapter: over time, in all, and at each step."""
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -24,7 +24,7 @@ Readings = Mapping[str, Sequence[tuple[str, ReadingRecord]]]
 
 
 def readings_chapter(page: Page, folder: RunFolder) -> None:
-    """What gauges of the lab showed while the steps were taken; nothing where the bench has none."""
+    """Add the readings of gauges at the steps of a run; nothing where the bench has none."""
     found = readings_of(folder)
     if not found:
         return

@@ -49,7 +49,7 @@ def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
 
 
 def books_chapter(page: Page, folder: RunFolder) -> None:
-    """What became of every frame."""
+    """Add the account of every frame."""
     page.heading("Every frame accounted for")
     chunks = chunk_sentences(folder.entries())
     for sentence in chunks:
@@ -77,7 +77,7 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
 
 
 def moved_chapter(page: Page, folder: RunFolder) -> None:
-    """What was commanded, what the stages reported, and (simulated bench only) what they did."""
+    """Add commanded, measured and (simulated bench only) true displacements."""
     if not (folder.path / MOVED).is_file():
         return
     moved = read_displacements(folder)
@@ -102,7 +102,7 @@ def notes_chapter(page: Page, folder: RunFolder) -> None:
 
 
 def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: list[tuple[str, str]]) -> None:
-    """Which files, scenes and versions made these figures."""
+    """Add files, scenes and versions that made these figures."""
     about = folder.about
     notes_chapter(page, folder)
     readings_chapter(page, folder)

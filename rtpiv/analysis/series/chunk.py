@@ -161,7 +161,7 @@ def correction_of(maps: Path, method: Method) -> PreparedCorrection:
 
 
 def windows_of(prepared: PreparedCorrection, method: Method) -> WindowGrid:
-    """Where the vectors of a series lie on its corrected image."""
+    """Return the windows of a series on its corrected image."""
     return method.settings.result_grid(prepared.corrector.map.grid.shape)
 
 

@@ -1,4 +1,4 @@
-"""How a series became its mean: what the first 1, 2, 4, ... pairs said, and where between pixels vectors fall.
+"""Convergence of a series: mean of the first 1, 2, 4, ... pairs, and fractions of pixels of its vectors.
 
 The mean of the first n pairs differs from that of all N by about s sqrt(1/n - 1/N) if pairs are independent:
 where it falls more slowly, more pairs are worth less than they cost. Displacements of a flow know nothing of
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What a series went through.
+    """Convergence of a series and its peak locking.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a series says together: mean velocity, Reynolds stresses, and how sure they are.
+"""Statistics of a series: mean velocity, Reynolds stresses, and their uncertainty.
 
 Pairs are added one by one and merged by their numbers (`piv.statistics.merge_tree`), so neither workers nor the
 length of chunks show in any bit.  Memory holds one chunk and some log2(N) sums.
@@ -126,7 +126,7 @@ class MeanFlow:
     length: str = "mm"
 
     def __str__(self) -> str:
-        """How many pairs it is of, and how many places have a mean."""
+        """Return the numbers of pairs and of places with a mean."""
         places = f"{int((self.count > 0).sum())} of {self.count.size} places"
         return f"mean of {self.used} pairs, {len(self.left_out)} left out: {places}"
 
@@ -147,7 +147,7 @@ class MeanFlow:
 
     @property
     def doubts(self) -> list[str]:
-        """Why the mean as a whole is not to be believed, a sentence each; empty if nothing speaks against it."""
+        """Warnings about the mean as a whole, a sentence each."""
         found = []
         if self.usual_share < BELIEVED_SHARE:
             found.append(
@@ -179,7 +179,7 @@ class MeanFlow:
 
     @property
     def gaps(self) -> str:
-        """Where there is no mean although there are vectors, in a sentence; empty if that is nowhere."""
+        """Sentence about places without a mean although they have vectors; empty if there are none."""
         places = 0 if self.too_few is None else int(np.count_nonzero(self.too_few))
         if not places:
             return ""
@@ -254,7 +254,7 @@ class MeanFlow:
 
     @property
     def slanted_stresses(self) -> SlantedStresses | None:
-        """What fluctuations through the sheet add to the stresses; None where slopes are not known."""
+        """Perspective error of out-of-plane fluctuations in the stresses; None where slopes are not known."""
         return None if self.slope is None else self.out_of_plane.of_stresses(self.stresses_m2_s2, self.slope)
 
     @property
@@ -369,7 +369,7 @@ def too_few_of(means: Iterable[MeanFlow], without_mean: NDArray[np.bool_]) -> ND
 
 
 def left_out_because(field: SeriesField, usual_share: float) -> str:
-    """Why a pair does not belong to the statistics of its series, in a sentence; "" if it does."""
+    """Return the reason why a pair is left out of the statistics of its series; "" if it is not."""
     if field.failure:
         return field.failure
     if field.valid_share < LEAST_OF_USUAL * usual_share:

@@ -71,12 +71,12 @@ class Evaluated:
 
     @property
     def has_few_valid(self) -> bool:
-        """Whether so few windows have a valid vector that these may be no pairs."""
+        """Return whether so few windows have a valid vector that these may be no pairs."""
         return self.valid_share < LEAST_VALID
 
     @property
     def summary(self) -> str:
-        """How many pairs have vectors, in a line."""
+        """Number of pairs with vectors, in a line."""
         done = f"{self.pairs - len(self.failed)} of {counted(self.pairs, 'pair')} have vectors"
         if not self.has_few_valid:
             return done
@@ -84,7 +84,7 @@ class Evaluated:
         return f"only {share} of the windows have a valid vector, so these may be no pairs; {done}"
 
     def __str__(self) -> str:
-        """How many pairs have vectors, and what each pair says that is known in detail."""
+        """Return the summary, and a line for each pair that is known in detail."""
         return "\n".join((self.summary, *map(str, self.details)))
 
     def _repr_html_(self) -> str:
@@ -216,7 +216,7 @@ def _failures(folder: SeriesFolder, jobs: Sequence[ChunkJob]) -> dict[str, str]:
 def about_series(
     name: str, given: PairsOfSeries, method: Method, jobs: Sequence[ChunkJob], chunk: int
 ) -> SeriesFile:
-    """What series.json says of the series of a run, cut into chunks of `chunk` pairs."""
+    """Return the contents of series.json for the series of a run, cut into chunks of `chunk` pairs."""
     said: SeriesFile = {
         "run": name,
         "pairs": len(given.pairs),

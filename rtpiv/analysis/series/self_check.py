@@ -1,4 +1,4 @@
-"""Whether the spheres of a run stand where they were calibrated, by particles seen twice in some of its pairs."""
+"""Check of the positions of the spheres of a run, by particles seen twice in some of its pairs."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the vectors of a whole series say against its pairs: few are valid, they jump, or they are too fast.
+"""Plausibility of the vectors of a series: few are valid, they jump, or they are too fast.
 
 A frame that was lost before the files were numbered leaves no gap.  In a time-resolved series the pair across it
 has about twice the displacement of the pairs before and after it; in a series of single pairs those behind it are
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SeriesCheck:
-    """What speaks against the vectors of a series.
+    """Warnings about the vectors of a series.
 
     Parameters
     ----------

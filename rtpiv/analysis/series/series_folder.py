@@ -46,7 +46,7 @@ CHUNK_BYTES = 2_000_000_000
 
 @checked(frozen=True, config=ConfigDict(strict=True, extra="forbid"))
 class Marker:
-    """What is known of a chunk's file.
+    """Key, hash and failures of a chunk's file.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class Unlike:
 
 
 def _differences(before: SeriesFile, now: SeriesFile) -> tuple[str, ...]:
-    """What differs between two recipes, in the words of options and files."""
+    """Return the differences between two recipes, in the words of options and files."""
     sides = tuple(
         {
             "chunk_pairs": each["chunk_pairs"],

@@ -1,4 +1,4 @@
-"""What there is to evaluate, from what a person names: the series of a run, or single pairs.
+"""Input of an evaluation from the named paths: the series of a run, or single pairs.
 
 A series needs pairs, scene, dewarp and settings, and its folder keeps a copy of the scene.  Two frames, and pairs
 that a stage moved, are tasks, each with what it was seen through and the displacement that is known of it.

@@ -222,7 +222,7 @@ def _with_slope(vectors: Vectors, slope: Floats | None) -> Vectors:
 
 
 def _slant_variables(sigma_m_s: Floats, stresses: SlantedStresses) -> Named:
-    """What a flow through the sheet does to a mean (ny, nx, 2) and to its stresses."""
+    """Return the perspective error of out-of-plane motion in a mean (ny, nx, 2) and in its stresses."""
     found: Named = {f"slant_sigma_{name}": (sigma_m_s[..., k], SPEED) for k, name in enumerate("uv")}
     for number, name in enumerate(("uu", "vv", "uv")):
         found[f"slant_R_{name}"] = (stresses.bias[..., number], STRESS)

@@ -35,7 +35,7 @@ READ_BACK = 1e-6  # relative; of an exposure that has not been changed
 
 @dataclass(frozen=True)
 class PairsOfSeries:
-    """What a run gives a series.
+    """Pairs of a run for a series.
 
     Parameters
     ----------
@@ -68,22 +68,22 @@ class PairsOfSeries:
 
     @property
     def timed(self) -> bool:
-        """Whether the time between the frames is known, so that vectors are velocities."""
+        """Return whether the time between the frames is known, so that vectors are velocities."""
         return all(pair.dt_s is not None for pair in self.pairs)
 
 
 def is_moved(found: RunPairs) -> bool:
-    """Whether a stage moved what the pairs show, by a measured way; if not, they are a time apart."""
+    """Return whether a stage moved the particles by a measured displacement; else frames are a time apart."""
     return any(pair.measured_mm is not None for pair in found.pairs)
 
 
 def is_one_series(found: RunPairs) -> bool:
-    """Whether pairs are a time apart and of one view, so that they are evaluated together, one as many."""
+    """Return whether pairs are a time apart and of one view, so that they are evaluated together."""
     return not is_moved(found) and len({pair.glass for pair in found.pairs}) == 1
 
 
 def is_flow(found: RunPairs) -> bool:
-    """Whether pairs are a known time apart, so that they have velocities, one as many."""
+    """Return whether the frames of all pairs are a known time apart, so that they have velocities."""
     return not is_moved(found) and all(pair.dt_s is not None for pair in found.pairs)
 
 

@@ -1,4 +1,4 @@
-"""What a series consists of: pairs in their order, and the chunks that are evaluated apart.
+"""Plan of a series: pairs in their order, and the chunks that are evaluated apart.
 
 A chunk's file is a function of its job and of nothing else: the raw frames by their checksums, the correction, the
 settings, the versions of what computes, our own code among them.  All that goes into `ChunkJob.key`.  A sliding
@@ -78,7 +78,7 @@ class SeriesPair:
 
 @dataclass(frozen=True)
 class Method:
-    """How every pair of a series is evaluated.
+    """Settings of the evaluation of every pair of a series.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class ChunkJob:
 
     @cached_property
     def readings(self) -> dict[str, Shown]:
-        """What gauges of the lab showed over the steps of its pairs, each step counted once."""
+        """Readings of gauges over the steps of its pairs, each step counted once."""
         steps = {number: records for pair in self.pairs for number, records in pair.gauges.items()}
         return reading_statistics(steps[number] for number in sorted(steps))
 

@@ -1,4 +1,4 @@
-"""What a series was seen through, read from its folder: scene, grid, windows, and what its fit leaves open."""
+"""Scene, grid, windows and uncertainty of the fit of a series, read from its folder."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,7 +51,7 @@ class SeriesView:
 
     @cached_property
     def readings(self) -> dict[str, Any]:
-        """What gauges of the lab showed over the steps of its pairs, as an attribute of its mean."""
+        """Readings of gauges over the steps of its pairs, as an attribute of its mean."""
         return readings_attribute(self.about.get("readings", {}))
 
     @cached_property
@@ -73,7 +73,7 @@ class SeriesView:
 
     @cached_property
     def sigma(self) -> SceneSigma | str:
-        """What the fit of its scene is unsure of, for particles in its light sheet; or why that is not known."""
+        """Uncertainty of the fit of its scene, for particles in its light sheet; or why that is not known."""
         file, dewarped = self.folder / SCENE_FILE, self.about["dewarped"]
         sigma = scene_sigma_beside(file, self.fitted, dewarped, in_light_sheet=False)
         return sigma if isinstance(sigma, str) else sigma.in_light_sheet(self.standing)
@@ -92,7 +92,7 @@ class SeriesView:
 
     @cached_property
     def settings(self) -> PivSettings:
-        """How its pairs were correlated."""
+        """Settings of the correlation of its pairs."""
         content: dict[str, Any] = self.about["content"]
         try:
             return settings_of(content["settings"])
@@ -101,7 +101,7 @@ class SeriesView:
 
     @cached_property
     def out_of_plane(self) -> OutOfPlane:
-        """What is known of the velocity through the sheet: as told now, or when its pairs were evaluated."""
+        """Knowledge of the out-of-plane velocity: as given now, or when its pairs were evaluated."""
         if self.told is not None:
             return self.told
         try:
@@ -111,7 +111,7 @@ class SeriesView:
 
     @cached_property
     def windows(self) -> WindowGrid:
-        """Where its vectors lie on the corrected image."""
+        """Windows of its vectors on the corrected image."""
         return self.settings.result_grid(self.grid.shape)
 
     @cached_property

@@ -35,7 +35,7 @@ class SharedFile:
         return self
 
     def arrays(self, kind: str) -> Arrays:
-        """What the file holds; MapFileError if it is missing, damaged, or of other frames."""
+        """Return the arrays of the file; MapFileError if it is missing, damaged, or of other frames."""
         header, arrays = load_arrays(self.path, kind)
         if header.get("key") != self.key:
             raise MapFileError(f"{self.path}: belongs to other frames; evaluate the run again")

@@ -205,7 +205,7 @@ def spectrum_of(values: Floats, sigma: Floats, step_s: float) -> Spectrum:
 
 
 def _uneven(time: Floats, unit: str) -> str:
-    """Why pairs at these times have no spectrum; "" if they do."""
+    """Return the reason why pairs at these times have no spectrum; "" if they have one."""
     if unit != "s":
         return "the frames bear no times"
     if len(time) < FEWEST:

@@ -31,7 +31,7 @@ LEAVE_S = 10.0  # given to workers to end
 
 @contextmanager
 def workers_for(jobs: int, workers: int | None, executor: Executor | None) -> Iterator[Executor | None]:
-    """Who does some jobs: `executor`; else processes, one a core or `workers`; None where one is enough."""
+    """Yield `executor`, else an executor of `workers` processes (default one a core); None where one is enough."""
     count = min(workers or thread_count(), jobs)
     if executor is not None or count < 2:
         yield executor

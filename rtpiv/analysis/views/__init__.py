@@ -1,1 +1,1 @@
-"""What arrangements of camera and glass would show, before one is built."""
+"""Arrangements of camera and glass, compared before one is built."""

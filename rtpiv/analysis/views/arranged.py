@@ -1,4 +1,4 @@
-"""How far off the plane balls show most, and what else would show more than a scene does.
+"""Best distance of balls from the plane, and other changes that would show more of a scene.
 
 Next to the focus of a ball, or of three in a row, its whole view shows a point of the plane, however good the
 correction is; farther off it shows more and more of what it hides.  So distances are tried, in parts of a ball's
@@ -38,7 +38,7 @@ class Offer:
 
     @property
     def sentence(self) -> str:
-        """What to do, and what it gives."""
+        """Advice and its effect."""
         return f"{self.what}: {percent(self.share)}"
 
 
@@ -106,7 +106,7 @@ def others(lab: Lab, lens: bool) -> list[Arranged]:
 
 
 def offers(scene: Scene) -> list[Offer]:
-    """What would show more of a scene: its glass elsewhere, a second ball before each, or one ball less."""
+    """Return changes that show more of a scene: glass elsewhere, a second ball before each, a ball less."""
     if not scene.spheres:
         return []
     now, found = coarse_share(scene), list[Offer]()

@@ -1,4 +1,4 @@
-"""What a lab could build of the lenses, distances and balls that it has, and which of that nothing else beats.
+"""Arrangements of the lenses, distances and balls of a lab, and those of them on the Pareto front.
 
 All arrangements of a question are computed, on all cores.
 
@@ -79,7 +79,7 @@ class ViewQuestion:
 
     @property
     def combinations(self) -> int:
-        """How many there are, those that cannot be among them."""
+        """Number of combinations, impossible ones included."""
         lengths = len(self.lenses_mm) * len(self.distances_mm) * len(self.balls_mm) * len(self.gaps_mm)
         return lengths * len(self.counts) * len(self.arrangements) * len(self.glasses)
 
@@ -122,7 +122,7 @@ AREA_STEP, NOISE_STEP, LIGHT_STEP = 0.01, 0.1, 0.25
 
 @dataclass(frozen=True)
 class Candidates:
-    """What was found.
+    """Result of a comparison.
 
     Parameters
     ----------
@@ -189,14 +189,14 @@ def _of_block(labs: Sequence[Lab], f_number: float, error_px: float) -> Block:
 
 
 def _made(work: Callable[[Given], Made], given: Sequence[Given], pool: Executor | None) -> Iterator[Made]:
-    """What the work makes of each, as it comes."""
+    """Yield the result of each job, as it comes."""
     if pool is None:
         return map(work, given)
     return (future.result() for future in as_completed([pool.submit(work, one) for one in given]))
 
 
 def _merit(view: ViewFigures) -> tuple[float, ...]:
-    """What to show first: what shows most, then what is lit best; the names settle the rest."""
+    """Sort key: what shows most first, then what is lit best, then names."""
     lab = view.lab
     said = (lab.balls, lab.ball_mm, lab.gap_mm, lab.lens_mm, lab.distance_mm)
     return (round(view.usable, 4), round(view.recovered, 4), -view.noise_px, view.light, *said)

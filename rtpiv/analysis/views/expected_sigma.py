@@ -1,4 +1,4 @@
-"""How well a scene fit would know the map of a scene that is not built yet.
+"""Expected uncertainty of the map of a scene that is not built yet, by a scene fit.
 
 Every corner of the board that the camera would see, at every height of a target run, adds its information; the
 covariance is (N + 1)^-1 in units of the priors' sigmas, as after a real fit (`correction.fit.adjustment`).  Which

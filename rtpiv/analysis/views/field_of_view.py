@@ -40,7 +40,7 @@ Sample = tuple[int, float, float, int]  # status, r_o [mm], d r_o / d r_i, branc
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """What a coaxial row of spheres lets the camera see of the plane.
+    """Part of the plane that the camera sees through a coaxial row of spheres.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What an arrangement of camera and glass would show, in figures, before it is built.
+"""Figures of merit of an arrangement of camera and glass, before it is built.
 
 At places spread evenly over what is recovered behind the glass, X(u) is the point of the plane that pixel u shows
 and P(u) the one it would show without glass; both Jacobians are traced.  With s the smallest singular value of

@@ -1,4 +1,4 @@
-"""What hangs on the plane, at millions of plane points: a chessboard with markers, a target, particles.
+"""Patterns at millions of plane points: a chessboard with markers, a target, particles.
 
 Each kernel adds the colour at plane points to a picture; a point that is NaN (no ray arrives) adds nothing and so
 stays dark.  Points (N, 2) [mm], pictures (N, channels).
@@ -17,7 +17,7 @@ UNSEEN = 20.0  # e^-20 of a particle's light: a float32 does not hold it beside 
 
 @kernel_inlined
 def in_shape(shape: int, x: float, y: float) -> bool:
-    """Whether a point of the square -1..1 lies in a marker."""
+    """Return whether a point of the square -1..1 lies in a marker."""
     if shape == CROSS:
         return bool(min(abs(x), abs(y)) < 0.28)
     if shape == DISC:
