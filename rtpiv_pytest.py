@@ -40,7 +40,7 @@ def rehearse() -> Iterator[Callable[..., Rehearsed]]:
             return opened[-1]
 
         yield open_one
-    said = [each.happened() for each in opened]  # the last words of a session are those of closing
+    said = [each.event_log() for each in opened]  # the last words of a session are those of closing
     wrong = [f"the simulated world has seen: {seen}" for each in said for seen in each.violations]
     wrong += [f"a fault has never struck: {fault}" for each in said for fault in each.waiting]
     wrong += [f"not as recorded: {told}" for each in said for told in each.differs]

@@ -52,7 +52,7 @@ from piv.statistics.out_of_plane import OutOfPlane
 from piv.statistics.unresolved import Unresolved
 from rtpiv.analysis.pairs.slanted import slanted
 from rtpiv.analysis.series.workers import worker_processes
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow
 from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
@@ -105,7 +105,7 @@ class Case:
 
 @cache
 def _camera(case: Case) -> FlowCamera:
-    stack = at_size(named_scene(f"{case.name}_spheres_500"), case.size_px)
+    stack = at_size(demo_scene(f"{case.name}_spheres_500"), case.size_px)
     scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     flow = Flow(Jet(), None if case.is_steady else RandomModes(8.0, seed=case.seed))
     if case.is_pinhole:

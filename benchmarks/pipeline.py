@@ -41,9 +41,9 @@ from rtpiv.example_files import examples
 from rtpiv.verbs.operator import ScriptOperator
 from sim.arranged import true_scene
 from sim.bench_table import simulation_of
-from sim.demo.scenes import named_scene
+from sim.demo.scenes import demo_scene
 from sim.prepared_pairs import prepare
-from sim.renderer.patterns import printed_particles
+from sim.renderer.patterns import print_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 
@@ -60,10 +60,10 @@ SETTINGS = """camera:
 def write_bench(folder: Path, rate_hz: float, backend: str) -> Path:
     """The example bench with a free-running camera that replays rendered frames."""
     (folder / "ring").mkdir()
-    scene = named_scene("two_spheres_500")
-    sheet = printed_particles((140.0, 140.0), scene.camera.focal_px / 500.0, seed=1)
+    scene = demo_scene("two_spheres_500")
+    sheet = print_particles((140.0, 140.0), scene.camera.focal_px / 500.0, seed=1)
     for number, shift_mm in enumerate((0.0, 0.1)):
-        image = render(scene, sheet.displaced((shift_mm, shift_mm)), Sensor(), samples=1, seed=number)
+        image = render(scene, sheet.displace((shift_mm, shift_mm)), Sensor(), samples=1, seed=number)
         np.save(folder / "ring" / f"{number}.npy", image)
     text = (examples() / "bench-sim.yaml").read_text(encoding="utf-8")
     head, rest = text.split("camera:\n  backend", 1)

@@ -34,7 +34,7 @@ from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_pairs import pairs_of_series
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.scene.scene_file import dump_scene
 
 DIFFERENT = 4  # pairs; what they hold does not matter for time and memory
@@ -132,7 +132,7 @@ def _one_thread() -> dict[str, str]:
 
 def written_run(folder: Path, pairs: int, side: int) -> Path:
     """Write a flow run."""
-    scene = at_size(named_scene("two_spheres_500"), side)
+    scene = at_size(demo_scene("two_spheres_500"), side)
     step = {"index": 0, "tag": "flow", "first_frame": 0, "frames": 2 * pairs, "view": "glass", "shows": "sheet",
             "on_plane": True, "reference": None, "group": 2, "dt_us": 500.0}  # fmt: skip
     asked = {"bench": "bench.yaml", "plan": "plan.yaml", "simulate": True, "correct": False, "scene": None,

@@ -13,7 +13,7 @@ from daq.bench.bench_table import Bench
 from daq.errors import PlanError
 from daq.plans.steps import Step
 from sim.bench_table import SimulationTable, simulation_of
-from sim.demo.scenes import misaligned
+from sim.demo.scenes import misalign
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
 from tracer.bodies import shifted_by
@@ -26,10 +26,10 @@ def true_scene(bench: Bench, table: SimulationTable) -> Scene:
 
     It is what a simulated bench hides from whoever measures with it.
     """
-    return misaligned(bench.scene, table.seed) if table.is_misaligned else bench.scene
+    return misalign(bench.scene, table.seed) if table.is_misaligned else bench.scene
 
 
-def arranged(
+def arrange(
     bench: Bench, scene: Scene, positions_mm: Mapping[str, float], glass_off_mm: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> tuple[Scene, Pose]:
     """Scene and place of the print, from the `scene` that holds where every axis stands at home.
@@ -50,7 +50,7 @@ def arranged(
     x, y, z = (float(c) for c in np.add(camera.position_mm, offsets["camera"]))
     bodies = tuple(body.moved(shifted_by(offsets[body.carried])) for body in scene.bodies)
     moved = replace(scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
-    return moved, Pose().moved(*(float(c) for c in offsets["target"]))
+    return moved, Pose().translate(*(float(c) for c in offsets["target"]))
 
 
 def where_scene_holds(bench: Bench, glass_off_mm: Sequence[float]) -> dict[str, float]:
@@ -86,7 +86,7 @@ def check_views(bench: Bench, steps: Iterable[Step]) -> None:
             continue
         looked_at.add(step.positions_mm)
         try:
-            there, pose = arranged(bench, scene, step.targets_mm, table.glass_off_mm)
+            there, pose = arrange(bench, scene, step.targets_mm, table.glass_off_mm)
             tables_of(there, pose, table.pupil, sheet_mm(bench))
         except SceneError as error:
             said = f"the simulated bench cannot show step {step.index + 1} ({step.tag})"

@@ -32,11 +32,11 @@ from sim.camera.gige.process import device_process
 from sim.camera.in_process import DEVICES
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
-from sim.devices import connect, external_pulses, external_synchroniser, recorded_reading
+from sim.devices import connect, external_pulses, external_synchroniser, replay_reading
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
-from sim.expected import expected_s
-from sim.happened import Happened
+from sim.event_log import EventLog
+from sim.expected import estimate_s
 from sim.mechanics.clock import PacedClock, ScaledClock
 from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
@@ -152,9 +152,9 @@ class SimulatedBench:
         check_views(bench, steps)
 
     @staticmethod
-    def expected_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
+    def estimate_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
         """Seconds that each of some steps will take, most of which draws pictures."""
-        return expected_s(bench, steps)
+        return estimate_s(bench, steps)
 
     def true_mm(self) -> dict[str, float]:
         """Return the true position of every axis, in its own coordinate."""
@@ -178,9 +178,9 @@ class SimulatedBench:
         if self._watched is not None:
             self._watched.step_begins(number)
 
-    def happened(self) -> Happened:
+    def event_log(self) -> EventLog:
         """Return the events so far, if the bench file's section keeps them."""
-        return Happened(()) if self._watched is None else self._watched.happened(self.witness.judge())
+        return EventLog(()) if self._watched is None else self._watched.event_log(self.witness.judge())
 
     def rendering_s(self) -> float:
         """Seconds in which pictures were drawn, up to now: time of this computer, not of the cameras."""
@@ -205,7 +205,7 @@ class SimulatedBench:
     ) -> AbstractContextManager[Table]:
         """Put a device of another kind up by a recording, or by what that kind names as its simulator."""
         if recording is not None and isinstance(device.section, ReadingSection):
-            return recorded_reading(device.section, recording, self.clock)
+            return replay_reading(device.section, recording, self.clock)
         module, _, function = (kind_of(device.kind).simulator or "").partition(":")
         if not function:
             line = bench.document.line(("devices", name))
@@ -268,7 +268,7 @@ class SimulatedBench:
         """Let a camera see a world; return how it is opened."""
         if self._in_memory:
             return _section_with(
-                bench, CAMERA_HERE, device=self._stack.enter_context(self._powered(config, world))
+                bench, CAMERA_HERE, device=self._stack.enter_context(self._power_camera(config, world))
             )
         config = replace(config, wires=str(self._wires.path))
         if config.source == CameraConfig().source:
@@ -286,7 +286,7 @@ class SimulatedBench:
         return _section_with(bench, "harvesters", cti=cti, serial=config.serial)
 
     @contextmanager
-    def _powered(self, config: CameraConfig, world: World) -> Iterator[str]:
+    def _power_camera(self, config: CameraConfig, world: World) -> Iterator[str]:
         """Give a camera in this process power; yield its name."""
         name = f"{config.serial}-{id(self):x}"
         sees_world = config.source == CameraConfig().source

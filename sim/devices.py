@@ -74,7 +74,7 @@ def _port(line: Line, clock: Clock) -> Iterator[str]:
 
 
 @contextmanager
-def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterator[TimingTable]:
+def simulate_timing(section: TimingTable, world: World, clock: Clock) -> Iterator[TimingTable]:
     """Give a timing unit power while the block runs; yield the section with its simulated port."""
     unit = SimulatedTiming(section, clock)
     with ExitStack() as stack:
@@ -160,7 +160,7 @@ def connect(unit: SimulatedTiming, clock: PacedClock | ScaledClock, wires: Wires
 
 
 @contextmanager
-def simulated_counter(section: CounterSection, world: World, clock: Clock) -> Iterator[CounterSection]:
+def simulate_counter(section: CounterSection, world: World, clock: Clock) -> Iterator[CounterSection]:
     """Hang a pulse box on the trigger cable of the timing unit; yield the section with its port."""
     emulator = PulseBoxEmulator(clock)
     for unit in world.timing:
@@ -170,7 +170,7 @@ def simulated_counter(section: CounterSection, world: World, clock: Clock) -> It
 
 
 @contextmanager
-def simulated_reading(section: ReadingSection, world: World, clock: Clock) -> Iterator[ReadingSection]:
+def simulate_reading(section: ReadingSection, world: World, clock: Clock) -> Iterator[ReadingSection]:
     """Put a meter up while the block runs; yield the section that asks it."""
     line = Line(FlowMeter(clock, unit=section.unit), clock)
     with _port(line, clock) as port:
@@ -180,7 +180,7 @@ def simulated_reading(section: ReadingSection, world: World, clock: Clock) -> It
 
 
 @contextmanager
-def recorded_reading(section: ReadingSection, path: Path, clock: Clock) -> Iterator[ReadingSection]:
+def replay_reading(section: ReadingSection, path: Path, clock: Clock) -> Iterator[ReadingSection]:
     """Put up what answers from a recording while the block runs; yield the section with its port."""
     with _here(Line(RecordedBox(path, clock), clock)) as port:
         yield section.model_copy(update={"port": port})

@@ -18,7 +18,7 @@ class DrawingTime:
         self._drawing, self._since_s, self._sum_s = 0, 0.0, 0.0
 
     @contextmanager
-    def counted(self) -> Iterator[None]:
+    def count(self) -> Iterator[None]:
         """Count the block as drawing."""
         with self._lock:
             if not self._drawing:

@@ -11,10 +11,10 @@ from daq.bench.bench_table import Bench
 from daq.plans.forecast import frames_s
 from daq.plans.steps import Step
 from ground.rows import thread_count
-from sim.arranged import arranged, sheet_mm, true_scene
+from sim.arranged import arrange, sheet_mm, true_scene
 from sim.bench_table import SimulationTable, simulation_of
 from sim.light import colours_of, in_each_colour, target_light
-from sim.renderer.patterns import placed
+from sim.renderer.patterns import place
 from sim.renderer.render import drawing_s
 from sim.world import print_of
 
@@ -23,7 +23,7 @@ NOISE_S = 0.06
 STEP_S = 0.04  # motors, journal, disk
 
 
-def expected_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
+def estimate_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
     """Return the seconds that each step will take on an idle computer, drawing included.
 
     Parameters
@@ -60,12 +60,12 @@ def _frames_s(bench: Bench, table: SimulationTable, step: Step) -> float:
 
 def _view_s(bench: Bench, table: SimulationTable, step: Step) -> float:
     """Time to draw what the camera sees in a step."""
-    scene, pose = arranged(bench, true_scene(bench, table), step.targets_mm, table.glass_off_mm)
+    scene, pose = arrange(bench, true_scene(bench, table), step.targets_mm, table.glass_off_mm)
     lamp = target_light(bench) if step.shows == "chessboard" else None
     coloured = [scene]
     if lamp is not None:
         coloured = [each for each, _ in in_each_colour(scene, colours_of(lamp.light(scene.wavelength_nm)))]
-    pattern = placed(print_of(bench, table.seed, step.shows), pose)
+    pattern = place(print_of(bench, table.seed, step.shows), pose)
     each_s = drawing_s(coloured[0], pattern, table.samples, table.pupil, sheet_mm(bench))
     width, height = scene.camera.sensor_px
     return len(coloured) * width * height * each_s / thread_count()

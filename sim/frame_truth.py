@@ -127,7 +127,7 @@ class Misfiled:
     why: str
 
 
-def misfiled(run: Path | str, within_mm: float = FILED_WITHIN_MM) -> list[Misfiled]:
+def find_misfiled(run: Path | str, within_mm: float = FILED_WITHIN_MM) -> list[Misfiled]:
     """Compare every frame of a run's journal with what it really shows; return those that are filed wrongly.
 
     A frame is if an axis truly stood more than `within_mm` from where the line says it was measured, if anything

@@ -86,7 +86,7 @@ class LitFlow:
             self.has_laser = True
             self._flashes.append(self._flash(pulse, time_ns))
 
-    def exposed(self, camera: FlowCamera, start_ns: int, end_ns: int, pairs: PreparedPairs | None = None) -> Frame:
+    def expose(self, camera: FlowCamera, start_ns: int, end_ns: int, pairs: PreparedPairs | None = None) -> Frame:
         """Return the frame of an exposure, from pairs made beforehand if there are any."""
         with self._lock:
             if self.has_laser:
@@ -99,7 +99,7 @@ class LitFlow:
         lit, is_seeded = [flash.lit for flash in seen], seen[0].is_seeded
         if pairs is not None and is_seeded and len(lit) == 1:
             return pairs.frame(lit[0].pair, lit[0].pulse, lit[0].since_first_s)
-        return camera.flashed(lit, is_seeded=is_seeded)
+        return camera.expose_flashes(lit, is_seeded=is_seeded)
 
     def _flash(self, pulse: int, time_ns: int) -> Flash:
         if self._start_ns is None:

@@ -3,7 +3,7 @@
 with Rehearsed("bench.yaml", faults=[{"what": "unplug", "of": "target", "word": "MOV"}], seed=3) as bench:
     bench.home()
     bench.move(target_z=-5.0)
-    bench.true_mm()["target_z"], bench.happened().told("target")
+    bench.true_mm()["target_z"], bench.event_log().bytes_to("target")
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from typing import Any, cast
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_session import BenchSession
 from daq.bench.rehearsal import Rehearsal
-from sim.happened import Happened
+from sim.event_log import EventLog
 
 
 class Rehearsed(BenchSession):
@@ -46,7 +46,7 @@ class Rehearsed(BenchSession):
         assert self.simulation is not None
         return self.simulation.true_mm()
 
-    def happened(self) -> Happened:
+    def event_log(self) -> EventLog:
         """Return the events so far."""
         assert self.simulation is not None
-        return cast("Happened", self.simulation.happened())
+        return cast("EventLog", self.simulation.event_log())

@@ -119,7 +119,7 @@ class SimulatedStages:
             if recorded is not None and name in recorded:
                 emulator = RecordedBox(recorded[name], clock, emulator)
             self.lines[name] = Line(emulator, clock, (faults or {}).get(name))
-        self.witness = Witness({name: self._watched(name, screws[name]) for name in config.axes}, clock)
+        self.witness = Witness({name: self._watch_axis(name, screws[name]) for name in config.axes}, clock)
         for line in self.lines.values():
             line.after_traffic = self.witness.judge_if_much
 
@@ -139,7 +139,7 @@ class SimulatedStages:
 
     def slip(self, axis: str, distance_mm: float) -> None:
         """Let a carriage slip in its coupling now, which no controller can know."""
-        self.witness.slipped(axis, distance_mm)
+        self.witness.note_slip(axis, distance_mm)
         with self.lines[self.config.axes[axis].controller].lock:
             self.lines[self.config.axes[axis].controller].emulator.advance()
             self.motors[axis].slip(distance_mm)
@@ -184,7 +184,7 @@ class SimulatedStages:
         self.witness.judge_if_much()
         return typed
 
-    def _watched(self, axis: str, screw: ScrewTable) -> Watched:
+    def _watch_axis(self, axis: str, screw: ScrewTable) -> Watched:
         """An axis for the witness, with what the workshop built."""
         table = self.config.axes[axis]
         built_mm = screw.backlash_um * 1e-3 + 2e-3 * screw.lead_error_um
@@ -204,7 +204,7 @@ class SimulatedStages:
     def in_process(self) -> Iterator[StagesTable]:
         """Offer every line under a ``sim://`` address of this process; yield the file with these ports."""
         with ExitStack() as stack:
-            yield self._with_ports({name: stack.enter_context(self._named(name)) for name in self.lines})
+            yield self._with_ports({name: stack.enter_context(self._address_of(name)) for name in self.lines})
 
     @contextmanager
     def serve(self) -> Iterator[StagesTable]:
@@ -218,13 +218,13 @@ class SimulatedStages:
             ports = {}
             for name, line in self.lines.items():
                 if isinstance(line.emulator, ForeignBox | HandScrews):
-                    ports[name] = stack.enter_context(self._named(name))
+                    ports[name] = stack.enter_context(self._address_of(name))
                 else:
                     ports[name] = stack.enter_context(PtyPort(line)).path
             yield self._with_ports(ports)
 
     @contextmanager
-    def _named(self, name: str) -> Iterator[str]:
+    def _address_of(self, name: str) -> Iterator[str]:
         """An address of this process for a line."""
         address = f"{name}-{id(self):x}"
         LINES[address] = self.lines[name]

@@ -20,7 +20,7 @@ from sim.camera.device import SimCamera
 from sim.emulators.faults import Fault as WireFault
 from sim.emulators.line import Line
 from sim.emulators.recorded import RecordedBox
-from sim.happened import Event, Happened, Kept
+from sim.event_log import Event, EventLog, Kept
 from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from sim.timing import CLOSED, SimulatedTiming
@@ -92,7 +92,7 @@ class FaultStrikes:
         for fault in [each for each in self._waiting if each.step == number]:
             self._strike(fault)
 
-    def told(self, box: str, data: bytes) -> None:
+    def count_bytes(self, box: str, data: bytes) -> None:
         """Strike what is due with a word that is on its way to a box."""
         for fault in [each for each in self._waiting if each.word is not None and self._wire_of(each) == box]:
             assert fault.word is not None
@@ -176,9 +176,9 @@ class WatchedWorld:
         }
         self._strikes = FaultStrikes(faults, bench, clock, self._kept)
         for name, line in bench.lines.items():
-            line.on_told = partial(self._told, name, line)
+            line.on_told = partial(self._note_bytes, name, line)
         for name, world in bench.worlds.items():
-            world.on_exposed = partial(self._exposed, name)
+            world.on_exposed = partial(self._note_exposure, name)
         for name, unit in bench.units.items():
             for number, role in enumerate(Q_SWITCHES):
                 unit.listen(role, partial(self._lit, name, number, unit.light_delay_s(number)))
@@ -188,7 +188,7 @@ class WatchedWorld:
         self._kept.note(self._clock.now_s(), "step", "run", number)
         self._strikes.step_begins(number)
 
-    def happened(self, violations: Sequence[Violation]) -> Happened:
+    def event_log(self, violations: Sequence[Violation]) -> EventLog:
         """Everything so far, with what the witness has seen, faults that wait, and what recordings miss."""
         now_s = self._clock.now_s()
         seen = [Event(each.time_s, "violation", each.what, str(each)) for each in violations]
@@ -199,14 +199,16 @@ class WatchedWorld:
         differs = [
             Event(now_s, "differs", name, box.differs) for name, box in self._recorded.items() if box.differs
         ]
-        return Happened((*self._kept.events(), *seen, *waiting, *differs))
+        return EventLog((*self._kept.events(), *seen, *waiting, *differs))
 
-    def _told(self, box: str, line: Line, data: bytes) -> None:
-        self._strikes.told(box, data)
+    def _note_bytes(self, box: str, line: Line, data: bytes) -> None:
+        self._strikes.count_bytes(box, data)
         if not line.dead:
             self._kept.note(self._clock.now_s(), "told", box, data.decode("latin-1"))
 
-    def _exposed(self, camera: str, number: int, image: NDArray[np.uint16], true_mm: dict[str, float]) -> None:
+    def _note_exposure(
+        self, camera: str, number: int, image: NDArray[np.uint16], true_mm: dict[str, float]
+    ) -> None:
         said: dict[str, Any] = {"number": number, "crc32": f"{zlib.crc32(image.tobytes()):08x}"}
         said["true_mm"] = {axis: round(mm, 6) for axis, mm in true_mm.items()}
         self._kept.note(self._clock.now_s(), "exposed", camera, said)

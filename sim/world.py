@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.bench.bench_table import Bench
-from sim.arranged import arranged, sheet_mm, true_scene
+from sim.arranged import arrange, sheet_mm, true_scene
 from sim.bench_table import SimulationTable
 from sim.drawing_time import DrawingTime
 from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.light import Colours, LitFlow, colours_of, in_each_colour, target_light
 from sim.prepared_pairs import PreparedPairs
-from sim.renderer.patterns import Chessboard, CodedBoard, DotGrid, ParticleSheet, Plate, placed, printed_particles
+from sim.renderer.patterns import Chessboard, CodedBoard, DotGrid, ParticleSheet, Plate, place, print_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
@@ -112,7 +112,7 @@ class World:
 
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """One exposure of the world as it stands (H, W) uint16."""
-        with self.drawing.counted(), self._lock:
+        with self.drawing.count(), self._lock:
             true_mm = self.true_mm()
             light = self._light(true_mm) * np.float32(self._dimmed)
             number, self._exposures = self._exposures, self._exposures + 1
@@ -124,13 +124,13 @@ class World:
             truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
             return with_truth(image, truth, self._sensor.bits)
 
-    def exposed(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
+    def expose(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
         """One exposure (H, W) uint16; a flow is seen by the light that falls while the shutter is open."""
         if self.lit is None:
             return self.frame(trigger_index, start_ns)
-        with self.drawing.counted(), self._lock:
+        with self.drawing.count(), self._lock:
             true_mm = self.true_mm()
-            image = self.lit.exposed(self._flow_camera(true_mm), start_ns, end_ns, self._prepared)
+            image = self.lit.expose(self._flow_camera(true_mm), start_ns, end_ns, self._prepared)
             number, self._exposures = self._exposures, self._exposures + 1
             if self.on_exposed is not None:
                 self.on_exposed(number, image, true_mm)
@@ -145,7 +145,7 @@ class World:
         if key not in self._flow_cameras:
             while len(self._flow_cameras) >= KEPT_FLOW_VIEWS:
                 self._flow_cameras.pop(next(iter(self._flow_cameras)))
-            scene, _ = self._arranged(true_mm)
+            scene, _ = self._arrange(true_mm)
             self._flow_cameras[key] = self._table.flow.camera(scene, self._table.seed, self._table.pupil)
         return self._flow_cameras[key]
 
@@ -167,7 +167,7 @@ class World:
         if key not in self._views:
             while len(self._views) >= KEPT_VIEWS:
                 self._views.pop(next(iter(self._views)))
-            scene, pattern = self._arranged(true_mm)
+            scene, pattern = self._arrange(true_mm)
             light = np.zeros(scene.camera.shape, np.float32)
             for coloured, share in in_each_colour(scene, self._colours):
                 light += np.float32(share) * render_irradiance(
@@ -182,10 +182,10 @@ class World:
             self._views[key] = light * (np.float32(1.0) + np.float32(self._table.uneven_light) * across)
         return self._views[key]
 
-    def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Print]:
+    def _arrange(self, true_mm: Mapping[str, float]) -> tuple[Scene, Print]:
         """Scene and print at the true places of their carriages."""
-        scene, pose = arranged(self._bench, self.scene, true_mm, self._table.glass_off_mm)
-        return scene, placed(self.print, pose)
+        scene, pose = arrange(self._bench, self.scene, true_mm, self._table.glass_off_mm)
+        return scene, place(self.print, pose)
 
 
 def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid | Plate:
@@ -215,4 +215,4 @@ def print_of(bench: Bench, seed: int, shows: str) -> Print:
     camera = bench.scene.camera
     px_per_mm = camera.focal_px / float(np.linalg.norm(camera.position_mm))
     width_mm, height_mm = (PRINT_MARGIN * side / px_per_mm for side in camera.sensor_px)
-    return printed_particles((width_mm, height_mm), px_per_mm, seed=seed)
+    return print_particles((width_mm, height_mm), px_per_mm, seed=seed)

@@ -47,17 +47,17 @@ class Watch:
             if any(watched.line in lines for watched in witness.axes.values())
         ]
         for witness in ours:
-            witness.cleared()  # a new program knows nothing of the stops of an older one
+            witness.note_clear()  # a new program knows nothing of the stops of an older one
         self._by_latch[id(stage.latch)] = [w for w in ours if isinstance(w.clock, VirtualClock)]
         self._kept.append(stage.latch)
 
     def stopped(self, latch: StopLatch) -> None:
         for witness in self._by_latch.get(id(latch), []):
-            witness.stopped()
+            witness.note_stop()
 
     def cleared(self, latch: StopLatch) -> None:
         for witness in self._by_latch.get(id(latch), []):
-            witness.cleared()
+            witness.note_clear()
 
     def violations(self, ledger: Path) -> list[str]:
         seen = [str(violation) for witness in self.witnesses for violation in witness.judge()]

@@ -37,7 +37,7 @@ class ReadingKind:
     """A device of kind `reading`."""
 
     section = ReadingSection
-    simulator = "sim.devices:simulated_reading"
+    simulator = "sim.devices:simulate_reading"
 
     @contextmanager
     def open(self, section: ReadingSection, bench: "Bench", clock: Clock) -> Iterator[Gauge]:

@@ -131,7 +131,7 @@ class TimingKind:
     """A device of kind `timing`."""
 
     section = TimingTable
-    simulator = "sim.devices:simulated_timing"
+    simulator = "sim.devices:simulate_timing"
 
     def open(self, section: TimingTable, bench: Bench, clock: Clock) -> AbstractContextManager[Laser]:
         """Switch everything off and read it back; leaving does the same."""
@@ -152,7 +152,7 @@ class CounterKind:
     """A device of kind `counter`, for `rtpiv laser prove`."""
 
     section = CounterSection
-    simulator = "sim.devices:simulated_counter"
+    simulator = "sim.devices:simulate_counter"
 
     @contextmanager
     def open(self, section: CounterSection, bench: Bench, clock: Clock) -> Iterator[PulseBox]:

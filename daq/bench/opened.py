@@ -73,7 +73,7 @@ class Simulation(Protocol):
         """Seconds in which its pictures were drawn, up to now; no camera's time, so no timeout counts them."""
         ...
 
-    def happened(self) -> Any:  # noqa: ANN401 - `sim.happened.Happened`, which stands above us
+    def event_log(self) -> Any:  # noqa: ANN401 - `sim.event_log.EventLog`, which stands above us
         """Events of the simulated world, if they are recorded; `text()` is "" if not."""
         ...
 

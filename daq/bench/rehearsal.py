@@ -2,7 +2,7 @@
 
 Everything of it lives in one process, stages and cameras, so that no time passes but by waiting, and everything
 that happens is kept: commands of each box, what went wrong, where everything truly stood at each exposure
-(`sim.happened`).  What a run is resumed with is its seed; its faults are over.
+(`sim.event_log`).  What a run is resumed with is its seed; its faults are over.
 """
 
 from collections.abc import Mapping, Sequence
@@ -110,7 +110,7 @@ def with_rehearsal(
     ConfigError, RunUsageError
         The bench has no simulation, or one that cannot be rehearsed on.
     """
-    if not hasattr(simulation_class(bench), "happened"):
+    if not hasattr(simulation_class(bench), "event_log"):
         named = (bench.table.simulation or {})["bench"]
         raise RunUsageError(
             f"{bench.path}: {named} takes neither faults nor a seed; leave them out, or name "

@@ -185,7 +185,7 @@ def simulation_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
     ConfigError
         There is no such section, or it is wrong.
     """
-    tells = getattr(simulation_class(bench), "expected_s", None)
+    tells = getattr(simulation_class(bench), "estimate_s", None)
     return [] if tells is None else [float(each_s) for each_s in tells(bench, steps)]
 
 

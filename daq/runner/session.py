@@ -127,7 +127,7 @@ def _with_partners(indices: set[int], steps: Sequence[Step]) -> frozenset[int]:
 
 
 DISK_MARGIN = 1.05
-HAPPENED = "world.jsonl"  # what was true of a rehearsal; read by `sim.happened`
+HAPPENED = "world.jsonl"  # what was true of a rehearsal; read by `sim.event_log`
 
 
 @dataclass(frozen=True)
@@ -459,7 +459,7 @@ def _exposures_before(run: Run, left: Sequence[Step]) -> int:
 
 def _keep_what_happened(simulation: Simulation, folder: RunFolder) -> None:
     """Write what has happened in a rehearsal behind what is there of its earlier sessions, all or nothing."""
-    if text := simulation.happened().text():
+    if text := simulation.event_log().text():
         path = folder.path / HAPPENED
         try:
             before = path.read_text(encoding="utf-8") if path.exists() else ""

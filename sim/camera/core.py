@@ -188,7 +188,7 @@ class SimCore:
             if ends.wait(self._exposure_ms / 1e3):
                 return
             trigger, self._triggers = self._triggers, self._triggers + 1
-            image = self._developed(self._source.frame(trigger, start_ns))
+            image = self._develop(self._source.frame(trigger, start_ns))
             with self._lock:
                 if ends.is_set():
                     return
@@ -199,7 +199,7 @@ class SimCore:
                     self._images.clear()
                 self._images.append((image, index))
 
-    def _developed(self, sensor: NDArray[np.uint16]) -> NDArray[Any]:
+    def _develop(self, sensor: NDArray[np.uint16]) -> NDArray[Any]:
         x, y, width, height = self._roi
         bits = self.getImageBitDepth()
         image = to_format_bits(sensor[y : y + height, x : x + width], self.config.bits, f"Mono{bits}")

@@ -113,7 +113,7 @@ class SimCamera:
         self._lines = Lines()
         self._chunks_on: set[str] = set()
         self._readout = SensorReadout(self.registers, config.bits, config.delivers)
-        self.registers.on_write = self._written
+        self.registers.on_write = self._on_write
         self.registers.before_read = self._refresh
         self._power_up_settings()
         self._thread = threading.Thread(target=self._run, name=f"camera {config.serial}", daemon=True)
@@ -177,7 +177,7 @@ class SimCamera:
         """Note what a client wrote, and under which selectors."""
         feature = self.registers.at(address)
         if self.config.write_log and feature is not None:
-            value = self.registers.decoded(feature.name, data)
+            value = self.registers.decode(feature.name, data)
             value = next((entry for entry, number in feature.entries if number == value), value)
             line = [feature.shown or feature.name, value, self.registers.selection(), is_taken]
             with Path(self.config.write_log).open("a") as file:
@@ -257,7 +257,7 @@ class SimCamera:
         if name == "ChunkEnable":
             self.registers.put(name, int(self.registers.entry("ChunkSelector") in self._chunks_on))
 
-    def _written(self, name: str, value: Value) -> None:
+    def _on_write(self, name: str, value: Value) -> None:
         commands = {
             "AcquisitionStart": self._start,
             "AcquisitionStop": self._stop,

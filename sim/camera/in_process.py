@@ -69,7 +69,7 @@ class RegisterNodes:
         feature = self._registers.feature(name)
         with _answering():
             data = self._device.read(self._registers.addresses[name], feature.length)
-        value = self._registers.decoded(name, data)
+        value = self._registers.decode(name, data)
         if feature.kind == "bool":
             return bool(value)
         return next((entry for entry, number in feature.entries if number == value), value)
@@ -82,7 +82,7 @@ class RegisterNodes:
             raise SettingRefused(f"{name} = {value!r} is refused (one of {', '.join(dict(feature.entries))})")
         try:
             with _answering():
-                self._device.write(self._registers.addresses[name], self._registers.encoded(name, number))
+                self._device.write(self._registers.addresses[name], self._registers.encode(name, number))
         except (BadValue, BadAddress, WriteProtected, ValueError, OverflowError) as error:
             raise SettingRefused(f"{name} = {value!r} is refused: {error}") from error
 
@@ -97,7 +97,7 @@ class RegisterNodes:
     def execute(self, name: str) -> None:
         """Execute a command; CameraLost if the camera is gone."""
         with _answering():
-            self._device.write(self._registers.addresses[name], self._registers.encoded(name, 1))
+            self._device.write(self._registers.addresses[name], self._registers.encode(name, 1))
 
 
 class InProcessCamera:
@@ -130,7 +130,7 @@ class InProcessCamera:
     @property
     def info(self) -> CameraInfo:
         """Vendor, model, serial number; CameraUsageError before `open`."""
-        serial = str(RegisterNodes(self._opened).get("DeviceSerialNumber"))
+        serial = str(RegisterNodes(self._device_in_hand).get("DeviceSerialNumber"))
         return CameraInfo("memory", VENDOR, MODEL, serial, self._name)
 
     @property
@@ -193,7 +193,7 @@ class InProcessCamera:
         self._exposure_us = exposure_us(nodes)
         self._armed += 1
         self._room = buffers
-        self._opened.sink, self._opened.on_lost = self._take, self._hear_of_loss
+        self._device_in_hand.sink, self._device_in_hand.on_lost = self._take, self._hear_of_loss
         nodes.execute("AcquisitionStart")
 
     def clock_ns(self) -> int | None:
@@ -216,7 +216,7 @@ class InProcessCamera:
         CameraLost as soon as the camera is: a rehearsal need not wait in real time for what never comes.
         """
         self._require_armed()
-        device = self._opened
+        device = self._device_in_hand
         with self._told:
             self._told.wait_for(
                 lambda: self._waiting or self._incomplete != self._incomplete_told or device.is_lost, timeout_s
@@ -231,7 +231,7 @@ class InProcessCamera:
             frame, received_ns = self._waiting.popleft()
             self._held += 1
             sequence = self._ids.note(frame.frame_id)
-        return self._unpacked(frame, sequence, received_ns)
+        return self._unpack(frame, sequence, received_ns)
 
     def probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers; it answers at once or never."""
@@ -246,8 +246,8 @@ class InProcessCamera:
         if self._room is not None:
             with suppress(CameraLost):  # its registers cannot be asked
                 self._ignored = self.counters.ignored_triggers
-            self._opened.stop()
-            self._opened.sink = None
+            self._device_in_hand.stop()
+            self._device_in_hand.sink = None
             with self._told:
                 self._room = None
                 for frame, _ in self._waiting:
@@ -267,14 +267,14 @@ class InProcessCamera:
         self._waiting.clear()
 
     @property
-    def _opened(self) -> SimCamera:
+    def _device_in_hand(self) -> SimCamera:
         if self._device is None:
             raise CameraUsageError("the camera is closed; open it first")
         return self._device
 
     @property
     def _nodes(self) -> RegisterNodes:
-        return RegisterNodes(self._opened)
+        return RegisterNodes(self._device_in_hand)
 
     def _begin_counting(self) -> None:
         self._ids = IdTracker()
@@ -297,7 +297,7 @@ class InProcessCamera:
         with self._told:
             self._told.notify_all()
 
-    def _unpacked(self, frame: SimFrame, sequence: int, received_ns: int) -> Frame:
+    def _unpack(self, frame: SimFrame, sequence: int, received_ns: int) -> Frame:
         picture, form = frame.picture, pixel_format(frame.picture.format_code)
         out = np.empty(picture.width * picture.height, np.uint16)
         try:

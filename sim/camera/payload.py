@@ -71,7 +71,7 @@ class SensorReadout:
         if known is not None and known[0] is sensor:
             return known[1]
         whole = sensor[:: -1 if turned[1] else 1, :: -1 if turned[0] else 1]
-        whole = _binned(whole, down[0], across[0])[:: down[1], :: across[1]]
+        whole = _bin_pixels(whole, down[0], across[0])[:: down[1], :: across[1]]
         image = whole[top : top + height, left : left + width]
         if gain != 1.0:
             white = (1 << self._bits) - 1
@@ -83,7 +83,7 @@ class SensorReadout:
         return picture
 
 
-def _binned(sensor: NDArray[np.uint16], down: int, across: int) -> NDArray[np.uint16]:
+def _bin_pixels(sensor: NDArray[np.uint16], down: int, across: int) -> NDArray[np.uint16]:
     """Means of blocks of pixels, rounded down; rows and columns that fill no block are not sent."""
     if down == across == 1:
         return sensor

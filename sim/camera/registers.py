@@ -89,11 +89,11 @@ class RegisterMap:
         """A feature's row in the table; KeyError if this camera has none of that name."""
         return self._features[name]
 
-    def decoded(self, name: str, data: bytes) -> Value:
+    def decode(self, name: str, data: bytes) -> Value:
         """Value in the bytes of a feature's register; an enumeration's is its number."""
         return _decode(self._features[name], data)
 
-    def encoded(self, name: str, value: Value) -> bytes:
+    def encode(self, name: str, value: Value) -> bytes:
         """Bytes of a feature's register for a value."""
         return _encode(self._features[name], value)
 
@@ -252,7 +252,7 @@ def _register(feature: Feature, address: int) -> str:
     sign = "<Sign>Unsigned</Sign>" if kind == "IntReg" else ""
     endian = "" if kind == "StringReg" else "<Endianess>BigEndian</Endianess>"
     return (
-        f'<{kind} Name="{name}">{_selected(feature) if kind == "StringReg" else ""}'
+        f'<{kind} Name="{name}">{_selection_xml(feature) if kind == "StringReg" else ""}'
         f"<Address>{address:#x}</Address><Length>{feature.length}</Length><AccessMode>{access}</AccessMode>"
         f"<pPort>Device</pPort><Cachable>NoCache</Cachable>{sign}{endian}</{kind}>\n"
     )
@@ -271,7 +271,7 @@ def _chunk(feature: Feature) -> str:
     )
 
 
-def _selected(feature: Feature) -> str:
+def _selection_xml(feature: Feature) -> str:
     return "".join(f"<pSelected>{name}</pSelected>" for name in feature.selects)
 
 
@@ -319,7 +319,9 @@ def _own_node(feature: Feature, locked: str) -> str:
         entries = "".join(
             f'<EnumEntry Name="{entry}"><Value>{number}</Value></EnumEntry>' for entry, number in feature.entries
         )
-        return f'<Enumeration Name="{feature.name}">{locked}{entries}{value}{_selected(feature)}</Enumeration>\n'
+        return (
+            f'<Enumeration Name="{feature.name}">{locked}{entries}{value}{_selection_xml(feature)}</Enumeration>\n'
+        )
     if feature.kind == "chunk":
         kind = "Float" if feature.name.removeprefix("Chunk") in FLOAT_CHUNKS else "Integer"
         return f'<{kind} Name="{feature.name}">{value}</{kind}>\n'
@@ -374,7 +376,7 @@ def _as_shown(
     """The table with the names that the description has, and without what it does not show."""
     names = {feature.name: feature.shown or feature.name for feature in features if feature.shown is not None}
 
-    def renamed(conditions: Conditions) -> Conditions:
+    def rename(conditions: Conditions) -> Conditions:
         return tuple((names[name], values) for name, values in conditions)
 
     shown = tuple(
@@ -382,8 +384,8 @@ def _as_shown(
             feature,
             name=names[feature.name],
             selects=tuple(names[name] for name in feature.selects if name in names),
-            exists_while=renamed(feature.exists_while),
-            writable_while=renamed(feature.writable_while),
+            exists_while=rename(feature.exists_while),
+            writable_while=rename(feature.writable_while),
         )
         for feature in features
         if feature.name in names

@@ -147,9 +147,9 @@ class RemoteSource:
 
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """Ask the server for one short exposure; OSError if it is gone or cannot draw."""
-        return self.exposed(trigger_index, time_ns, time_ns)
+        return self.expose(trigger_index, time_ns, time_ns)
 
-    def exposed(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
+    def expose(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
         """Ask the server for one exposure; OSError if it is gone or cannot draw."""
         request = dict(zip(ASKED, (trigger_index, start_ns, end_ns), strict=True))
         self._socket.sendall(json.dumps(request).encode() + b"\n")

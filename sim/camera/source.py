@@ -39,7 +39,7 @@ class FrameSource(Protocol):
 class LitSource(Protocol):
     """A source that needs to know how long the shutter was open, because light comes in pulses."""
 
-    def exposed(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
+    def expose(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
         """Return the sensor's image of one exposure, as `FrameSource.frame` does.
 
         Parameters
@@ -55,7 +55,7 @@ class LitSource(Protocol):
 def image_of(source: FrameSource, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
     """One exposure of a source that may want to know its end."""
     if isinstance(source, LitSource):
-        return source.exposed(trigger_index, start_ns, end_ns)
+        return source.expose(trigger_index, start_ns, end_ns)
     return source.frame(trigger_index, start_ns)
 
 

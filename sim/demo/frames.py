@@ -22,8 +22,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from ground.whole_file import whole_file
-from sim.demo.scenes import BARREL_35MM, at_size, misaligned, named_scene
-from sim.renderer.patterns import Chessboard, ParticleSheet, Pattern, Pose, placed, printed_particles
+from sim.demo.scenes import BARREL_35MM, at_size, demo_scene, misalign
+from sim.renderer.patterns import Chessboard, ParticleSheet, Pattern, Pose, place, print_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tracer.scene.scene import Scene
@@ -101,10 +101,10 @@ def make_frames(
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    nominal = named_scene(name_or_scene) if isinstance(name_or_scene, str) else name_or_scene
+    nominal = demo_scene(name_or_scene) if isinstance(name_or_scene, str) else name_or_scene
     barrel = BARREL_35MM if name_or_scene == "one_sphere_250" else 0.0
     nominal = at_size(nominal, size_px)
-    truth = misaligned(nominal, seed, barrel=barrel)
+    truth = misalign(nominal, seed, barrel=barrel)
     board, sheet, shift = _prints(nominal, seed)
     shots = _shots(truth, board, sheet, shift, stack)
     for number, (kind, (scene, pattern)) in enumerate(shots.items()):
@@ -132,7 +132,7 @@ def _prints(nominal: Scene, seed: int) -> tuple[Chessboard, ParticleSheet, tuple
     px_per_mm = camera.focal_px / float(np.linalg.norm(camera.position_mm))
     # Glass looks past the edge of the bare view: print half as much again.
     width, height = (1.5 * size / px_per_mm for size in camera.sensor_px)
-    sheet = printed_particles((width, height), px_per_mm, seed=seed)
+    sheet = print_particles((width, height), px_per_mm, seed=seed)
     step = SHIFT_PX / px_per_mm / np.sqrt(2.0)
     return Chessboard(), sheet, (float(step), float(step))
 
@@ -142,12 +142,12 @@ def _shots(
 ) -> dict[str, tuple[Scene, Pattern]]:
     """Name of each frame -> what stands before the camera and what hangs behind it."""
     clear = truth.bare()
-    moved = sheet.displaced(shift_mm)
+    moved = sheet.displace(shift_mm)
     shots: dict[str, tuple[Scene, Pattern]] = {}
     for view, scene, heights in (("clear", clear, CLEAR_STACK_MM), ("glass", truth, GLASS_STACK_MM)):
         shots[f"target_{view}"] = scene, board
         for z in heights if stack else ():
-            shots[f"target_{view}_z{z:+.0f}mm"] = scene, placed(board, Pose((0.0, 0.0, z)))
+            shots[f"target_{view}_z{z:+.0f}mm"] = scene, place(board, Pose((0.0, 0.0, z)))
         shots[f"particles_{view}_a"] = scene, sheet
         shots[f"particles_{view}_b"] = scene, moved
     return shots

@@ -49,7 +49,7 @@ def _pyramid() -> Scene:
     return _nominal(60.0, 500.0, *base, (0.0, 0.0, 28.0 + 25.0 * math.sqrt(2.0), 25.0, 1.53))
 
 
-def _tilted() -> Scene:
+def _side_view() -> Scene:
     """Two spheres seen by a camera that stands 60 mm to the side."""
     scene = _stack(60.0, 500.0, 25.0, 2)
     position = (60.0, -25.0, 496.0)
@@ -68,11 +68,11 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "pair_off_axis": lambda: _nominal(
         60.0, 500.0, (-14.0, 9.0, 20.0, 20.0, 1.49), (20.0, -12.0, 62.0, 30.0, 1.5195)
     ),
-    "tilted": _tilted,
+    "tilted": _side_view,
 }
 
 
-def named_scene(name: str) -> Scene:
+def demo_scene(name: str) -> Scene:
     """Return a nominal scene (2016 x 2016 px).
 
     Raises
@@ -90,7 +90,7 @@ def at_size(scene: Scene, size_px: int) -> Scene:
     return scene.with_camera(scene.camera.with_width(size_px))
 
 
-def misaligned(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
+def misalign(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
     """Return the true scene behind a nominal one: camera, aim, roll and every body but walls a little off.
 
     Parameters
@@ -111,14 +111,14 @@ def misaligned(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
     bodies = scene.bodies
     shift = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(0.05, 0.2)])
     jitters = [rng.uniform(-0.1, 0.1, 3) for _ in bodies]
-    true = replace(scene, camera=_nudged(scene.camera, rng, barrel), bodies=())
+    true = replace(scene, camera=_perturb_camera(scene.camera, rng, barrel), bodies=())
     for spread in 1.0 + 1e-4 * np.arange(
         200
     ):  # spread the group until the jittered bodies clear each other and the plane
         try:
             return true.with_bodies(
                 [
-                    body if body.room is not None else _placed(body, float(spread), shift + jitter)
+                    body if body.room is not None else _shift_body(body, float(spread), shift + jitter)
                     for body, jitter in zip(bodies, jitters, strict=True)
                 ]
             )
@@ -127,7 +127,7 @@ def misaligned(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
     raise SceneError("the bodies stand too close to be misaligned; move them apart or away from the plane")
 
 
-def _nudged(camera: Camera, rng: np.random.Generator, barrel: float) -> Camera:
+def _perturb_camera(camera: Camera, rng: np.random.Generator, barrel: float) -> Camera:
     """Camera with pinhole, aim and roll off, and the principal distance of the nominal one."""
     forward = camera.rotation_matrix[2]
     nominal = np.array(camera.position_mm)
@@ -145,7 +145,7 @@ def _nudged(camera: Camera, rng: np.random.Generator, barrel: float) -> Camera:
     return replace(camera, position_mm=where, rotation=look_at(where, point, roll), lens=lens)
 
 
-def _placed(body: Body, spread: float, shift: NDArray[np.float64]) -> Body:
+def _shift_body(body: Body, spread: float, shift: NDArray[np.float64]) -> Body:
     """Body moved away from the world's origin by the factor `spread`, then by `shift`."""
     middle = 0.5 * (np.array(body.capsule.start_mm) + np.array(body.capsule.end_mm))
     return body.moved(lambda point: _vector(spread * middle + shift + (np.array(point) - middle)))

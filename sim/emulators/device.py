@@ -138,11 +138,11 @@ class Emulator(ABC):
         return "move"
 
     @property
-    def has_said(self) -> bool:
-        """Return whether there is something to fetch with `said`."""
+    def has_answers(self) -> bool:
+        """Return whether there is something to fetch with `take_answers`."""
         return bool(self._said)
 
-    def said(self) -> list[TimedReply]:
+    def take_answers(self) -> list[TimedReply]:
         """Return what has been answered since the last call."""
         self.advance()
         said, self._said = self._said, []

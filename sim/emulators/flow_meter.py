@@ -34,7 +34,7 @@ class FlowMeter(Emulator):
         self._heard = b""
         self._next_s = math.inf
 
-    def shown(self, time_s: float) -> float:
+    def flow_at(self, time_s: float) -> float:
         """Return what flows at a time."""
         waver = sum(share * math.sin(2.0 * math.pi * hz * time_s) for share, hz in WAVES)
         return self.flow * (1.0 + WAVERS * waver)
@@ -58,7 +58,7 @@ class FlowMeter(Emulator):
 
     def _tell(self, time_s: float) -> None:
         if not self.is_silent:
-            self.say(f"F={self.shown(time_s):+.3f} {self.unit}\r\n".encode(), time_s)
+            self.say(f"F={self.flow_at(time_s):+.3f} {self.unit}\r\n".encode(), time_s)
 
     def _power_up(self) -> None:
         self._heard, self._next_s = b"", math.inf

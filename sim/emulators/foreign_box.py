@@ -108,7 +108,7 @@ class ForeignBox(Emulator):
         self.called.append(("seek", channel, 0.0))
         one = self._channels[channel]
         one.begun_s = self.event_s
-        if one.motor.closed("low"):
+        if one.motor.is_closed("low"):
             self._off_the_switch(one)
         else:
             one.seeks = "down"
@@ -167,7 +167,7 @@ class Wire:
 
     def __init__(self, address: str) -> None:
         self.line: Line = LINES[address.removeprefix("sim://")]
-        if self.line.dead or self.line.opened:
+        if self.line.dead or self.line.is_opened:
             raise RuntimeError("the box does not answer")
         self.line.open(self)
 
@@ -183,9 +183,9 @@ class Wire:
         if (until := box.hangs.get(name)) is not None:
             until.wait()
         with self.line.lock:
-            if not self.line.reached or self.line.owner is not self or not box.is_on:
+            if not self.line.is_reached or self.line.owner is not self or not box.is_on:
                 box.advance()
-                if not self.line.reached or not box.is_on:
+                if not self.line.is_reached or not box.is_on:
                     raise RuntimeError("the box does not answer")
             box.advance()
             yield box

@@ -427,7 +427,7 @@ class GrblEmulator(Emulator):
 
     def _towards(self, axis: str, rate_mm_min: float) -> None:
         index, motor = NAMES.index(axis), self.motors[axis]
-        if motor.closed("low" if self._downwards(axis) else "high"):  # already on it: leave it first
+        if motor.is_closed("low" if self._downwards(axis) else "high"):  # already on it: leave it first
             self._pull_off(axis)
             return
         scale = self.settings[100 + index]
@@ -443,7 +443,7 @@ class GrblEmulator(Emulator):
         motor.go(motor.steps + round(away), speed, ramp, self.event_s)
 
     def _homing_rest(self, axis: str) -> None:
-        if self.motors[axis].closed("low" if self._downwards(axis) else "high"):
+        if self.motors[axis].is_closed("low" if self._downwards(axis) else "high"):
             self._homing_failed(NOT_CLEARED)
         elif self._phase == "leave":
             self._phase = "locate"

@@ -115,7 +115,7 @@ class IselEmulator(Emulator):
                 self._reference_speeds = [*speeds, *self._reference_speeds[len(speeds) :]]
                 self.say(dnc.Ack("0").to_bytes())
             case dnc.Numbered(verb, number) if self._axes:
-                self._numbered(verb, number)
+                self._obey_numbered(verb, number)
             case dnc.Move(pairs, absolute) if self._axes:
                 self._move(pairs, absolute)
             case ProtocolViolation(raw=line) if _INPUTS.fullmatch(line):
@@ -127,7 +127,7 @@ class IselEmulator(Emulator):
             case _:
                 self.say(dnc.Ack("4").to_bytes())
 
-    def _numbered(self, verb: str, number: int) -> None:
+    def _obey_numbered(self, verb: str, number: int) -> None:
         names = [name for bit, name in enumerate(NAMES) if number >> bit & 1 and name in self._axes]
         if verb == "J" and self._model is not None:
             self._ramp = number * 1000.0
@@ -178,7 +178,7 @@ class IselEmulator(Emulator):
             return
         motor = self.motors[self._to_reference[0]]
         self._referenced.discard(self._to_reference[0])
-        if motor.closed("low"):
+        if motor.is_closed("low"):
             motor.go(float("inf"), CREEP, self._ramp, self.event_s)
         else:
             speed = self._reference_speeds[NAMES.index(self._to_reference[0])]

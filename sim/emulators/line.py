@@ -112,12 +112,12 @@ class Line:
         return faults.unplugged or (faults.unplug_s is not None and faults.dead(self.clock.now_s()))
 
     @property
-    def reached(self) -> bool:
+    def is_reached(self) -> bool:
         """Return whether what the host has open leads to the box."""
         return self.owner is not None and not self.dead and self.opened_with == self.plugged
 
     @property
-    def opened(self) -> bool:
+    def is_opened(self) -> bool:
         """Return whether somebody has it open."""
         return self.owner is not None
 
@@ -142,7 +142,7 @@ class Line:
             self.plugged += self.dead
             self.faults = FaultSchedule()
             self._coming.clear()
-            self.emulator.said()
+            self.emulator.take_answers()
 
     def power_cycle(self, off_s: float = 0.3) -> None:
         """Switch the box off, and on again `off_s` later.
@@ -200,9 +200,9 @@ class Line:
 
     def _collect(self) -> None:
         self.emulator.advance()
-        if not self.emulator.has_said:
+        if not self.emulator.has_answers:
             return
-        for said in self.emulator.said():
+        for said in self.emulator.take_answers():
             self.hooks.count("answer")
             for time_s, data in self.faults.pass_on(said.time_s + LATENCY_S, said.data):
                 if data:

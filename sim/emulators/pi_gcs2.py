@@ -62,7 +62,7 @@ class _Axis:
 
     def reference(self) -> None:
         self.referenced = False
-        if self.motor.closed("index"):
+        if self.motor.is_closed("index"):
             self.referencing = "down"
             self.go(float("-inf"), REFERENCE_MM_S)
         else:
@@ -71,7 +71,7 @@ class _Axis:
     def reference_at(self, upper: bool) -> None:
         """Onto a limit switch; there it halts, and goes off it again."""
         self.referenced = False
-        if self.motor.closed("high" if upper else "low"):
+        if self.motor.is_closed("high" if upper else "low"):
             self._off_switch(upper)
         else:
             self.referencing = "onto high" if upper else "onto low"

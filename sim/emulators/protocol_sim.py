@@ -37,7 +37,7 @@ class SimSerial(serial.SerialBase):
         if line.dead:
             raise serial.SerialException(2, f"simulated line {name!r} is unplugged")
         with line.lock:
-            if line.opened:
+            if line.is_opened:
                 raise serial.SerialException(11, f"simulated line {name!r} is open elsewhere")
             line.open(self)
         self._line, self._rest, self.is_open = line, b"", True  # the rest of an earlier owner is not ours

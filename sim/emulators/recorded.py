@@ -56,13 +56,13 @@ class RecordedBox(Emulator):
         if self._differs or not left:
             return self._differs
         more = f" and {len(left) - 1} more words" if len(left) > 1 else ""
-        return f"{self.path}:{left[0].line}: {_shown(left[0].data)} was recorded{more}, and has not been said"
+        return f"{self.path}:{left[0].line}: {_quote(left[0].data)} was recorded{more}, and has not been said"
 
     def advance(self) -> None:
         """Let the motors catch up with the clock."""
         if self._obeys is not None:
             self._obeys.advance()
-            self._obeys.said()
+            self._obeys.take_answers()
         super().advance()
 
     @property
@@ -100,12 +100,12 @@ class RecordedBox(Emulator):
         self._heard += data
         while self._heard:
             if self._next == len(self._words):
-                self._end(f"{self.path}: {_shown(self._heard)} was said behind the end of the recording")
+                self._end(f"{self.path}: {_quote(self._heard)} was said behind the end of the recording")
             word = self._words[self._next]
             if word.data != self._heard and word.data.startswith(self._heard):
                 return  # the rest is on its way
             if not self._heard.startswith(word.data):
-                said = f"{_shown(self._heard)} was said, {_shown(word.data)} was recorded"
+                said = f"{_quote(self._heard)} was said, {_quote(word.data)} was recorded"
                 self._end(f"{self.path}:{word.line}: {said}")
             self._heard = self._heard[len(word.data) :]
             self._next += 1
@@ -123,7 +123,7 @@ class RecordedBox(Emulator):
         raise SaidOtherwise(self._differs)
 
 
-def _shown(data: bytes) -> str:
+def _quote(data: bytes) -> str:
     """Bytes for a sentence."""
     text = data.decode("latin-1") if data.isascii() else data.hex(" ")
     return repr(text if len(text) <= SHOWN else f"{text[:SHOWN]}..")

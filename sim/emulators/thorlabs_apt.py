@@ -57,7 +57,7 @@ class _Channel:
         self.power_up()
 
     def power_up(self) -> None:
-        self.zero = self._counted
+        self.zero = self._raw_count
         self.is_homed = self.has_fault = False
         self.is_on = not self.box.is_rack
         self.phase = "rest"
@@ -71,12 +71,12 @@ class _Channel:
         return max(1, round(revolutions * self.motor.mechanics.steps_per_rev / unit))
 
     @property
-    def _counted(self) -> int:
+    def _raw_count(self) -> int:
         return self.motor.encoder_steps if self.has_encoder else self.motor.steps
 
     @property
     def position(self) -> int:
-        return self._counted - self.zero
+        return self._raw_count - self.zero
 
     @property
     def bits(self) -> int:
@@ -84,7 +84,7 @@ class _Channel:
         moves = (UPWARDS if upwards else DOWNWARDS) if self.motor.running else 0
         return (
             moves | CONNECTED
-            | words.UPPER_SWITCH * self.motor.closed("high") | words.LOWER_SWITCH * self.motor.closed("low")
+            | words.UPPER_SWITCH * self.motor.is_closed("high") | words.LOWER_SWITCH * self.motor.is_closed("low")
             | words.HOMING * (self.phase in ("to switch", "off switch", "offset")) | words.HOMED * self.is_homed
             | POSITION_ERROR * self.has_fault | words.ENABLED * self.is_on
         )  # fmt: skip
@@ -97,7 +97,7 @@ class _Channel:
     def go(self, position: float, phase: str = "move", speed: float | None = None) -> None:
         self.phase = phase
         _, acceleration, fastest = self.speeds
-        made_up = self.motor.steps - self._counted  # a servo makes lost pulses up
+        made_up = self.motor.steps - self._raw_count  # a servo makes lost pulses up
         self.motor.go(
             position + self.zero + made_up,
             speed or fastest * self.speed_unit,
@@ -119,7 +119,7 @@ class _Channel:
         if not self.is_on:
             return
         self.is_homed = self.has_fault = False
-        if self.motor.closed("high" if self.homing[0] == FORWARD else "low"):
+        if self.motor.is_closed("high" if self.homing[0] == FORWARD else "low"):
             self._leave_switch()
         else:
             self.go(float("inf") if self.homing[0] == FORWARD else float("-inf"), "to switch", self._homing_speed)
@@ -158,7 +158,7 @@ class _Channel:
             self._leave_switch()
         elif name == home and self.phase == "off switch":
             self.motor.halt()
-            self.zero = self._counted
+            self.zero = self._raw_count
             if self.homing[3]:
                 self.go(self.homing[3], "offset", self._homing_speed)
             else:
@@ -176,7 +176,7 @@ class _Channel:
             self._ends(Kind.MOT_MOVE_STOPPED if self.phase == "slowing" else Kind.MOT_MOVE_COMPLETED)
 
     def _has_homed(self) -> None:
-        self.zero, self.is_homed, self.phase = self._counted, True, "rest"
+        self.zero, self.is_homed, self.phase = self._raw_count, True, "rest"
         told = apt.Unasked(Kind.MOT_MOVE_HOMED, bytes((self.ident, 0)), True, self.place)
         self.box.say(told.to_bytes(), self.motor.time_s)
 

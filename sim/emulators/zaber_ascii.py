@@ -61,7 +61,7 @@ class _Axis:
 
     def home(self) -> None:
         self.flags -= {"FS", "WL", "NI"}
-        if self.motor.closed("low"):
+        if self.motor.is_closed("low"):
             self._leave_sensor()
         else:
             self.phase = "to sensor"

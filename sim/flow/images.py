@@ -110,14 +110,14 @@ class FlowCamera:
             first, second = both.map(frame, (0, 1))
         return first, second
 
-    def flashed(self, lit: Sequence["Flashed"], *, is_seeded: bool = True) -> Frame:
+    def expose_flashes(self, lit: Sequence["Flashed"], *, is_seeded: bool = True) -> Frame:
         """A frame (H, W) of an exposure that holds these flashes."""
         light = np.zeros(self.scene.camera.shape, np.float32)
         for flash in lit:
             light += self._still(flash.pulse)
             if is_seeded:
                 particles = self.particles(flash.pair, flash.since_first_s, flash.time_s)
-                light += self._seen(particles, flash.pulse)
+                light += self._particle_light(particles, flash.pulse)
         first = lit[0]
         return self.sensor.expose(light, seed=self._seed(first.pair, first.pulse))
 
@@ -152,10 +152,10 @@ class FlowCamera:
     def _frame(self, number: int, pulse: int, particles: ParticlePair | None) -> Frame:
         light = self._still(pulse)
         if particles is not None:
-            light = light + self._seen(particles, pulse)
+            light = light + self._particle_light(particles, pulse)
         return self.sensor.expose(light, seed=self._seed(number, pulse))
 
-    def _seen(self, particles: ParticlePair, pulse: int) -> NDArray[np.float32]:
+    def _particle_light(self, particles: ParticlePair, pulse: int) -> NDArray[np.float32]:
         """Counts (H, W) of particles."""
         seen = self._view.light(particles.places_mm[pulse], particles.light[pulse])
         return np.asarray(np.float32(self.particle_counts / self._view.peak()) * seen)
@@ -191,7 +191,7 @@ class FlowCamera:
         return self._stills[pulse]
 
 
-def rendered_pairs(
+def render_pairs(
     scene: Scene,
     flow: Flow,
     *,

@@ -123,7 +123,7 @@ class RandomModes:
         energy = np.sum(np.square(a), axis=1).reshape(-1, 3).sum(axis=1)
         return np.linalg.norm(waves[::3], axis=1), energy / energy.sum() * 1.5
 
-    def averaged_covariance(self, offsets_mm: Float64, weights: Float64, amplitudes: Float64) -> Float64:
+    def mean_covariance(self, offsets_mm: Float64, weights: Float64, amplitudes: Float64) -> Float64:
         """Covariance (N, 3, 3) of weighted sums of A q: what a window of that shape and strength A still sees.
 
         Parameters

@@ -101,7 +101,7 @@ class ParticlePair:
     light: tuple[Float64, Float64]
 
 
-def moved(flow: Flow, points_mm: Float64, time_s: float, dt_s: float) -> Float64:
+def advect(flow: Flow, points_mm: Float64, time_s: float, dt_s: float) -> Float64:
     """Carry points (N, 3) for a time, which may be negative: Runge-Kutta, fourth order."""
     k1 = flow.velocity(points_mm, time_s)
     k2 = flow.velocity(points_mm + 0.5 * dt_s * k1, time_s + 0.5 * dt_s)
@@ -145,7 +145,7 @@ def particle_pair(
     points = points[order]
     points[:, 2] += sheet.middle_mm(points[:, 0], points[:, 1]) - 0.5 * thick
     points = points[flow.holds(points)]
-    places = (points, moved(flow, points, time_s, dt_s) if dt_s else points)
+    places = (points, advect(flow, points, time_s, dt_s) if dt_s else points)
     size = np.exp(seeding.spread * np.clip(rng.standard_normal(len(points)), -2.0, 2.0))
     lights = [size * sheet.light(place, pulse) * flow.holds(place) for pulse, place in enumerate(places)]
     return ParticlePair(places, (lights[0], lights[1]))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
-from sim.flow.kernels.reflections import mirrored
+from sim.flow.kernels.reflections import trace_reflections
 from sim.flow.particles import LightSheet
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
@@ -64,7 +64,7 @@ class Reflections:
         source = np.array([x, y + (pulse - 0.5) * self.slits_apart_mm, z, self.slit_half_mm])
 
         def block(first: int, last: int) -> None:
-            mirrored(first, last, tables.camera, tables.spheres, sheet.offset_mm, source, BLUR_RAD, out)
+            trace_reflections(first, last, tables.camera, tables.spheres, sheet.offset_mm, source, BLUR_RAD, out)
 
         run_rows(block, height)
         light = self.sheet_counts * out[..., 0] + self.glint_counts * out[..., 1] + np.float32(self.haze_counts)

@@ -55,9 +55,9 @@ class FlowTable(Table):
     def _can_be_made(self) -> "FlowTable":
         try:
             self.flow(0)
-            _made("sheet", LightSheet, self.sheet)
-            _made("seeding", Seeding, self.seeding)
-            _made("reflections", Reflections, self.reflections)
+            _parse_part("sheet", LightSheet, self.sheet)
+            _parse_part("seeding", Seeding, self.seeding)
+            _parse_part("reflections", Reflections, self.reflections)
         except SceneError as error:
             raise ValueError(str(error)) from None
         return self
@@ -70,10 +70,10 @@ class FlowTable(Table):
         SceneError
             A number is wrong.
         """
-        base = _made("parameters", FIELDS[self.field], self.parameters)
+        base = _parse_part("parameters", FIELDS[self.field], self.parameters)
         if self.turbulence is None:
             return Flow(base)
-        return Flow(base, _made("turbulence", RandomModes, {"seed": seed, **self.turbulence}))
+        return Flow(base, _parse_part("turbulence", RandomModes, {"seed": seed, **self.turbulence}))
 
     def as_text(self, seed: int) -> str:
         """Every number as YAML that this table reads again, defaults written out."""
@@ -82,9 +82,9 @@ class FlowTable(Table):
             "field": self.field,
             "parameters": asdict(cast("Any", flow.base)),
             "turbulence": None if flow.modes is None else asdict(flow.modes),
-            "sheet": asdict(_made("sheet", LightSheet, self.sheet)),
-            "seeding": asdict(_made("seeding", Seeding, self.seeding)),
-            "reflections": asdict(_made("reflections", Reflections, self.reflections)),
+            "sheet": asdict(_parse_part("sheet", LightSheet, self.sheet)),
+            "seeding": asdict(_parse_part("seeding", Seeding, self.seeding)),
+            "reflections": asdict(_parse_part("reflections", Reflections, self.reflections)),
             "particle_counts": self.particle_counts,
         }
         return yaml.safe_dump(_plain(numbers), sort_keys=False)
@@ -94,9 +94,9 @@ class FlowTable(Table):
         return FlowCamera(
             scene,
             self.flow(seed),
-            sheet=_made("sheet", LightSheet, self.sheet),
-            seeding=_made("seeding", Seeding, self.seeding),
-            reflections=_made("reflections", Reflections, self.reflections),
+            sheet=_parse_part("sheet", LightSheet, self.sheet),
+            seeding=_parse_part("seeding", Seeding, self.seeding),
+            reflections=_parse_part("reflections", Reflections, self.reflections),
             particle_counts=self.particle_counts,
             aperture=aperture,
             seed=seed,
@@ -110,7 +110,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - a tree of numbers
     return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
 
 
-def _made(name: str, kind: Any, values: dict[str, Any]) -> Any:  # noqa: ANN401 - any of the classes above
+def _parse_part(name: str, kind: Any, values: dict[str, Any]) -> Any:  # noqa: ANN401 - any of the classes above
     """One of the dataclasses above from plain numbers.
 
     Raises

@@ -41,14 +41,14 @@ def window_places(window_mm: float, sheet: LightSheet, weight_sigma_mm: float = 
     return np.column_stack((x.ravel(), y.ravel(), deep.ravel())), (weights / weights.sum()).ravel()
 
 
-def windowed_mean(flow: Flow, points_mm: Float64, places_mm: Float64, weights: Float64) -> Float64:
+def window_mean(flow: Flow, points_mm: Float64, places_mm: Float64, weights: Float64) -> Float64:
     """Mean velocity (N, 3) [mm/s] over windows about points (N, 3) on the plane."""
     at = (points_mm[:, None, :] + places_mm[None, :, :]).reshape(-1, 3)
     values = flow.mean(at).reshape(len(points_mm), len(places_mm), 3)
     return np.asarray(np.einsum("s,nsi->ni", weights, values))
 
 
-def windowed_stresses(flow: Flow, points_mm: Float64, places_mm: Float64, weights: Float64) -> Float64:
+def window_stresses(flow: Flow, points_mm: Float64, places_mm: Float64, weights: Float64) -> Float64:
     """Covariance (N, 3, 3) [mm^2/s^2] of the velocity averaged over windows about points (N, 3)."""
     if flow.modes is None:
         return np.zeros((len(points_mm), 3, 3))
@@ -57,5 +57,5 @@ def windowed_stresses(flow: Flow, points_mm: Float64, places_mm: Float64, weight
         part = points_mm[first : first + BLOCK_WINDOWS]
         at = (part[:, None, :] + places_mm[None, :, :]).reshape(-1, 3)
         strengths = flow.base.amplitude(at).reshape(len(part), len(places_mm), 3, 3)
-        out[first : first + BLOCK_WINDOWS] = flow.modes.averaged_covariance(places_mm, weights, strengths)
+        out[first : first + BLOCK_WINDOWS] = flow.modes.mean_covariance(places_mm, weights, strengths)
     return out

@@ -155,15 +155,18 @@ class ParticleView:
             f"a view of {columns} x {rows} nodes from {len(places)} points of the pupil",
         )
         self._whole = [
-            self._traced(place, np.full((1, 2), -MARGIN_PX), (rows, columns), False) for place in places.tolist()
+            self._trace_grid(place, np.full((1, 2), -MARGIN_PX), (rows, columns), False)
+            for place in places.tolist()
         ]
-        fine = [self._traced(whole.lens_mm, _rough(whole), (FINER + 1, FINER + 1), True) for whole in self._whole]
+        fine = [
+            self._trace_grid(whole.lens_mm, _rough(whole), (FINER + 1, FINER + 1), True) for whole in self._whole
+        ]
         self.corners_mm = _extent(self._whole, self._bare_mm(), heights_mm)
         self._edge_mm = BIN_CELLS * step_px * self._tables.px_mm
         (x0, y0), (x1, y1) = self.corners_mm
         counts = [max(1.0, np.ceil((high - low) / self._edge_mm)) for low, high in ((y0, y1), (x0, x1))]
         self._bins = np.array([x0, y0, *counts])
-        self._found_by = [self._binned(grid) for grid in [*self._whole, *fine] if len(grid.corners_px)]
+        self._found_by = [self._bin_cells(grid) for grid in [*self._whole, *fine] if len(grid.corners_px)]
 
     def images(self, points_mm: Float64, shine: Float64) -> Float32:
         """All images (M, 3) of points (N, 3): u, v [px], light; `shine` (N,) is that of each without glass."""
@@ -252,7 +255,7 @@ class ParticleView:
         t = self._tables
         return t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane
 
-    def _traced(
+    def _trace_grid(
         self, lens_mm: tuple[float, float], corners_px: Float64, patch: tuple[int, int], is_fine: bool
     ) -> _Grid:
         rows, columns = len(corners_px) * patch[0], patch[1]
@@ -271,7 +274,7 @@ class ParticleView:
         judge_cells(chains, ways, max(self.heights_mm, key=abs), patch[0], widest, cells)
         return _Grid(lens_mm, corners_px, patch[0], step_px, MARGINS[is_fine], ways, tops, chains, cells)
 
-    def _binned(self, grid: _Grid) -> _Table:
+    def _bin_cells(self, grid: _Grid) -> _Table:
         low, high = self.heights_mm
         layers = LAYERS[grid.step_px < self._step_px]
         corner = np.array([*self._bins, low, (high - low) / layers, layers])

@@ -156,7 +156,7 @@ class Motor:
         """Count of pulses at which the present motion will end; infinite if a switch has to end it."""
         return self._target if self._plan else self._pulses
 
-    def closed(self, switch: str) -> bool:
+    def is_closed(self, switch: str) -> bool:
         """State of the switch "low" or "high", or of the reference edge "index" (closed at and above it)."""
         if switch == "low":
             return self._carriage_mm <= self.mechanics.low_switch_mm
@@ -179,16 +179,16 @@ class Motor:
         before_mm = self._carriage_mm
         self._start_rev += distance_mm / self.mechanics.lead_mm
         self._carriage_mm += distance_mm
-        self._jumped_from(before_mm)
+        self._report_jump(before_mm)
 
     def shove(self, steps: int) -> None:
         """Turn the screw by hand."""
         before_mm = self._carriage_mm
         self._lost_steps -= steps
         self._push(steps > 0)
-        self._jumped_from(before_mm)
+        self._report_jump(before_mm)
 
-    def _jumped_from(self, before_mm: float) -> None:
+    def _report_jump(self, before_mm: float) -> None:
         if self.watcher is not None:
             self.watcher(Glide(self.time_s, self.time_s, before_mm, self._carriage_mm, 0.0, 0.0))
 

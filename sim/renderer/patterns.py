@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from sim.renderer.kernels.reflectance import (
     chessboard,
     dot_grid,
+    draw_image,
     particles,
     plate,
-    printed_image,
     sharp_image,
 )
 from tracer.board import Board
@@ -55,7 +55,7 @@ class Pose:
         axes = self.axes()
         return np.asarray(axes[0] + sheet[..., :1] * axes[1] + sheet[..., 1:] * axes[2])
 
-    def moved(self, x_mm: float = 0.0, y_mm: float = 0.0, z_mm: float = 0.0) -> "Pose":
+    def translate(self, x_mm: float = 0.0, y_mm: float = 0.0, z_mm: float = 0.0) -> "Pose":
         """Return the pose moved along the world's axes."""
         x, y, z = self.offset_mm
         return replace(self, offset_mm=(x + x_mm, y + y_mm, z + z_mm))
@@ -75,7 +75,7 @@ class Pattern(Protocol):
 AnyPattern = TypeVar("AnyPattern", bound="Chessboard | CodedBoard | DotGrid | Plate | ParticleSheet | Image")
 
 
-def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
+def place(pattern: AnyPattern, pose: Pose) -> AnyPattern:
     """Return the same print at another place."""
     return replace(pattern, pose=pose)
 
@@ -179,9 +179,9 @@ class Plate(PrintedBoard):
 
     def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
         """Reflectance (N,) at points (N, 2) [mm] seen from straight above."""
-        return self.seen(points_mm, points_mm)
+        return self.shade(points_mm, points_mm)
 
-    def seen(self, face_mm: Points, ground_mm: Points) -> NDArray[np.float32]:
+    def shade(self, face_mm: Points, ground_mm: Points) -> NDArray[np.float32]:
         """Reflectance (N,) that rays meet which cross the face here, and its ground there, (N, 2) [mm] each."""
         assert self.dots is not None
         out = np.empty(len(face_mm), np.float32)
@@ -273,7 +273,7 @@ class ParticleSheet:
         if not self.sigma_mm > 0.0:
             raise SceneError("particles must have a positive sigma_mm")
 
-    def displaced(self, shift_mm: ArrayLike | Callable[[Points], Points]) -> "ParticleSheet":
+    def displace(self, shift_mm: ArrayLike | Callable[[Points], Points]) -> "ParticleSheet":
         """Return the same particles, each moved on the sheet.
 
         Parameters
@@ -309,7 +309,7 @@ class ParticleSheet:
         return places[order], peaks[order], ends[first].astype(np.int64), corner, cell
 
 
-def printed_particles(
+def print_particles(
     size_mm: tuple[float, float],
     px_per_mm: float,
     *,
@@ -375,5 +375,5 @@ class Image:
         """Reflectance (N,) at points (N, 2) of the sheet [mm]."""
         out = np.empty(len(points_mm), np.float32)
         values = np.ascontiguousarray(self.values, dtype=np.float32)
-        printed_image(points_mm, values, self.pixel_mm, self.outside, out)
+        draw_image(points_mm, values, self.pixel_mm, self.outside, out)
         return out

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ground.memory import require_memory
 from ground.rows import run_rows
 from sim.renderer.bodies import WALLS, as_rows, ball_around, ball_rows, wall_rows
-from sim.renderer.kernels.rays import trace_pixels, weighted_mean
+from sim.renderer.kernels.rays import average_weighted, trace_pixels
 from sim.renderer.kernels.walls import NUMBERS
 from sim.renderer.patterns import Pattern, Plate, Pose
 from sim.renderer.sensor import Sensor
@@ -192,10 +192,10 @@ def _sample(
             on_level, world = np.empty_like(points), (t.camera, t.spheres, t.rods, t.walls, t.bounds, plane)
             trace_pixels(pixels, n, seed, *world, order, on_level, transmittance, spread)
             levels.append(on_level.reshape(-1, 2))
-        values = pattern.seen(*levels).reshape(count, n * n)
+        values = pattern.shade(*levels).reshape(count, n * n)
     else:
         values = pattern.reflectance(points.reshape(-1, 2)).reshape(count, n * n)
-    weighted_mean(values, transmittance, light)
+    average_weighted(values, transmittance, light)
     return light, spread
 
 

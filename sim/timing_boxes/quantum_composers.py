@@ -197,7 +197,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         """Return whether T0 (0) or an output is on, for tests that look inside."""
         return self._all[number].on
 
-    def fed_by(self, number: int) -> set[str]:
+    def sources_of(self, number: int) -> set[str]:
         """Plugs that give the pulses of an output, its own or another one that is mixed with it."""
         return {
             LETTERS[plug]
@@ -373,7 +373,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         if keyword != "STAT" and keyword not in channel.words:
             return "?2" if any(word.startswith(f"{keyword}:") for word in channel.words) else "?3"
         if command.asks:
-            return str(int(channel.on)) if keyword == "STAT" else self._shown(channel, keyword)
+            return str(int(channel.on)) if keyword == "STAT" else self._format_value(channel, keyword)
         if command.value is None:
             return "?4"
         value = LONG_WORDS.get(command.value.upper(), command.value.upper())
@@ -411,7 +411,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         channel.words[keyword] = repr(round(seconds / self._variant.step_s) * self._variant.step_s)
         return "ok"
 
-    def _shown(self, channel: _Channel, keyword: str) -> str:
+    def _format_value(self, channel: _Channel, keyword: str) -> str:
         value = channel.words[keyword]
         if keyword in SECONDS:
             return f"{float(value):.{SECONDS[keyword][2]}f}"

@@ -140,7 +140,7 @@ class Clearances:
             two.left_mm -= abs(at_mm - self._at_mm[axis])
         self._at_mm[axis] = at_mm
 
-    def moved(
+    def judge_motion(
         self, ends_mm: Mapping[str, float], watched: set[str], slipped_mm: Mapping[str, float]
     ) -> list[Approach]:
         """Judge a straight stretch of motion from where everything was; return what came too close.
@@ -171,16 +171,16 @@ class Clearances:
             if two.left_mm <= 0.0:
                 begin, end = two.place(self._at_mm | begin_mm), two.place(self._at_mm)
                 slack_mm = two.slack_mm + sum(mm for axis, mm in slipped_mm.items() if axis in two.axes)
-                found += _judged(two, begin, end, slack_mm)
+                found += _too_close(two, begin, end, slack_mm)
         return found
 
-    def rested(self) -> None:
+    def note_rest(self) -> None:
         """Note that everything is at rest: what moves next begins anew."""
         for two in self._elements:
             two.is_moving = False
 
 
-def _judged(elements: _Elements, begin: Point, end: Point, slack_mm: float) -> Iterator[Approach]:
+def _too_close(elements: _Elements, begin: Point, end: Point, slack_mm: float) -> Iterator[Approach]:
     way_mm = math.dist(begin, end)
     for pair, end_mm in zip(elements.pairs, elements.look(end), strict=True):
         allowed_mm = pair.allowed_mm - slack_mm

@@ -20,7 +20,7 @@ that is closed or gone, or goes within `STOP_S`) may end its motion.
 
 **What is not held against anybody** is what the workshop built: `SLACK_MM` for the reference edge, whole steps
 and tolerances of arrival, the play, the lead error twice, the error of the scale over the whole travel. A
-carriage that has slipped where nobody can know it (`slipped`) adds its way until its axis is homed again.
+carriage that has slipped where nobody can know it (`note_slip`) adds its way until its axis is homed again.
 
 It costs about 5 us a glide (one or two a poll of a moving axis): a tenth of the time of tests that do nothing
 but move stages, nothing of all others.
@@ -196,12 +196,12 @@ class Witness:
 
     # ---- what it is told -----------------------------------------------------------------------
 
-    def stopped(self, at_s: float | None = None, only: Line | None = None) -> None:
+    def note_stop(self, at_s: float | None = None, only: Line | None = None) -> None:
         """Somebody has stopped the bench, or what hangs on one line."""
         at_s = self.clock.now_s() if at_s is None else at_s
         self._bring_up()
         out_of_reach = {
-            id(axis.line): at_s for axis in self.axes.values() if axis.motor.running and not axis.line.reached
+            id(axis.line): at_s for axis in self.axes.values() if axis.motor.running and not axis.line.is_reached
         }
         self._stops.append(_Stop(at_s, out_of_reach, None if only is None else id(only)))
 
@@ -212,18 +212,18 @@ class Witness:
             if now_s - stop.begin_s <= STOP_S:
                 stop.out_of_reach[id(line)] = now_s
 
-    def cleared(self, only: Line | None = None) -> None:
+    def note_clear(self, only: Line | None = None) -> None:
         """Somebody has cleared the stop, or that of one line alone: things may move again."""
         for stop in self._stops:
             if only is None or stop.only == id(only):
                 stop.end_s = min(stop.end_s, self.clock.now_s())
 
-    def slipped(self, axis: str, distance_mm: float) -> None:
+    def note_slip(self, axis: str, distance_mm: float) -> None:
         """A carriage slips now where nobody can know it; forgiven until its axis is homed."""
         self.judge()  # an older reference run forgives nothing
         self.axes[axis].slipped_mm += abs(distance_mm)
 
-    def told(self, axis: str, position_mm: float) -> None:
+    def check_report(self, axis: str, position_mm: float) -> None:
         """Somebody was told where an axis is, as known now."""
         watched = self.axes[axis]
         with watched.line.lock:
@@ -281,7 +281,7 @@ class Witness:
         together: list[_Noted] = []
         for glide in glides:
             if glide.begin_s >= self._rest_s:  # nothing that moved before moves any more
-                self._together(together)
+                self._judge_together(together)
                 together = []
                 if glide.begin_s > self._rest_s:
                     self._at_rest()
@@ -290,13 +290,13 @@ class Witness:
                 continue
             together.append(glide)
             self._rest_s = max(self._rest_s, glide.end_s)
-        self._together(together)
+        self._judge_together(together)
 
     def _at_rest(self) -> None:
         for watched in self.axes.values():
             watched.depth_mm = watched.outside_mm(watched.at_mm)
         if self._clearances is not None:
-            self._clearances.rested()
+            self._clearances.note_rest()
 
     def _put(self, glide: _Noted) -> None:
         """Note a change of no duration: a carriage has slipped, a screw was turned."""
@@ -304,7 +304,7 @@ class Witness:
         if self._clearances is not None:
             self._clearances.put(glide.axis, glide.end_mm)
 
-    def _together(self, glides: Sequence[_Noted]) -> None:
+    def _judge_together(self, glides: Sequence[_Noted]) -> None:
         """Judge glides that overlap in time; often there is only one."""
         for glide in glides:
             self._judge_stop(glide)
@@ -331,7 +331,7 @@ class Witness:
                 watched.slipped_mm *= glide.purpose != "reference"
         if self._clearances is not None:
             slipped_mm = {name: axis.slipped_mm for name, axis in self.axes.items() if axis.slipped_mm}
-            for one, other, clearance_mm, allowed_mm in self._clearances.moved(ends_mm, held, slipped_mm):
+            for one, other, clearance_mm, allowed_mm in self._clearances.judge_motion(ends_mm, held, slipped_mm):
                 moved = ", ".join(sorted(held))
                 text = f"{clearance_mm:.3f} mm apart, {allowed_mm:.3f} mm are allowed, by moving {moved}"
                 self._add("keep-out", f"{one} and {other}", end_s, allowed_mm - clearance_mm, text)

@@ -12,7 +12,7 @@ import yaml
 
 from daq.runs.raw_frame import read_raw
 from rtpiv.command_line.cli import main
-from sim.happened import FILE
+from sim.event_log import FILE
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "rehearse.md"
 FILES = {

@@ -68,7 +68,7 @@ class Player:
         try:
             for name, mm in self.made.stage.where_mm().items():
                 if mm is not None:
-                    self.made.world.witness.told(name, mm)
+                    self.made.world.witness.check_report(name, mm)
         except StageError:
             self.recover()
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.demo.scenes import named_scene
+from sim.demo.scenes import demo_scene
 from sim.renderer.patterns import Chessboard
 from sim.renderer.render import Aperture, render_irradiance
 
@@ -39,7 +39,7 @@ def best_focus(scene, travels_mm):
 
 
 def test_two_balls_need_125_mm_of_focal_depth():
-    scene = named_scene("two_spheres_500")
+    scene = demo_scene("two_spheres_500")
     background = best_focus(scene.with_bodies(()), np.arange(-8.0, 8.1, 4.0))
     centre = best_focus(scene, np.arange(108.0, 140.1, 8.0))
     assert background == pytest.approx(0.0, abs=1.0)

@@ -109,8 +109,8 @@ def test_switches_are_found_at_their_place_however_seldom_one_looks():
         assert [(name, up) for name, up, _, _ in heard.edges] == [("index", True), ("high", True)]
         assert heard.edges[0][3] == pytest.approx(55.0, abs=0.003)
         assert heard.edges[1][2] - heard.edges[0][2] == pytest.approx(2.0, abs=1e-3)  # 5 mm at 2.5 mm/s
-        assert motor.closed("high")
-        assert not motor.closed("low")
+        assert motor.is_closed("high")
+        assert not motor.is_closed("low")
 
 
 def test_a_held_carriage_loses_pulses_and_only_the_encoder_knows():

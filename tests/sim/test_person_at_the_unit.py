@@ -50,7 +50,7 @@ def test_who_ends_the_light_of_a_rehearsal_has_ended_it(tmp_path, unit, what):
         path.write_text(text.replace(f"channels: {{{DIODES}}}", f"channels: {{{channels}}}"))
         with Rehearsed(path, faults=[{"what": what, "of": "laser", "word": word, "nth": nth}], seed=3) as bench:
             has_ended = not is_fired(bench)
-            happened = bench.happened()
+            happened = bench.event_log()
         assert not happened.violations, (word, nth)
         assert (len(happened.of_kind("light")) < 24) == has_ended
         ends += has_ended

@@ -20,7 +20,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.rehearsal import Rehearsal
 from ground.errors import ConfigError
 from rtpiv.verbs.acquire import LiveFrames, acquire
-from sim.happened import read_happened
+from sim.event_log import read_event_log
 from sim.rehearsed import Rehearsed
 from stages import dialogue
 from stages.dialogue import VARIABLE, read_dialogue
@@ -71,7 +71,7 @@ def replay(path, recording, script=use, **more):
             seen = script(bench)
         except StageError as caught:
             error = caught
-    return seen, bench.happened().differs, error
+    return seen, bench.event_log().differs, error
 
 
 def changed(recording, folder, edit):
@@ -169,7 +169,7 @@ def test_late_answers_come_as_late_as_they_were(path, said, tmp_path):
     took_s = []
 
     def script(bench):
-        took_s.append(bench.happened().of_kind("told")[-1].time_s)
+        took_s.append(bench.event_log().of_kind("told")[-1].time_s)
         return use(bench)
 
     for recording in (said[0], changed(said[0], tmp_path, slow)):
@@ -194,9 +194,9 @@ def test_a_reading_answers_in_its_own_words(path, tmp_path):
         gauge = bench.device("flow")
         assert gauge.reading().value == 4.25
         assert "no answer in time" in gauge.reading().missing
-        assert bench.happened().differs == []
+        assert bench.event_log().differs == []
         assert "behind the end of the recording" in gauge.reading().missing
-    assert "behind the end" in bench.happened().differs[0]
+    assert "behind the end" in bench.event_log().differs[0]
 
 
 def test_a_fault_of_a_reading_strikes_the_reading(path, tmp_path):
@@ -206,7 +206,7 @@ def test_a_fault_of_a_reading_strikes_the_reading(path, tmp_path):
         file.write(FLOW)
     with Rehearsed(folder / "bench.yaml", [{"what": "unplug", "of": "flow", "at_s": 0.1}]) as bench:
         bench.home("target_x")
-        assert bench.happened().faults == ["unplug of flow at 0.1 s"]
+        assert bench.event_log().faults == ["unplug of flow at 0.1 s"]
         assert bench.device("flow").reading().missing
 
 
@@ -319,7 +319,7 @@ def run_of(folder, bench, plan, **words):
         error = ""
     except StageError as caught:
         error = str(caught)
-    return read_happened(next(place.iterdir())), error
+    return read_event_log(next(place.iterdir())), error
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from daq.bench.rehearsal import Rehearsal
 from daq.errors import CameraError, RunUsageError
 from ground.errors import ConfigError
 from rtpiv.options import call_of, parser
-from sim.happened import read_happened
+from sim.event_log import read_event_log
 from sim.rehearsed import Rehearsed
 from stages.errors import DeviceLost, StageError
 from tests.daq.bench.test_timing_kind import bench_with
@@ -61,8 +61,8 @@ def test_the_truth_stands_beside_the_bench(rehearsed):
     bench.move(target_z=-5.0)
     assert bench.true_mm()["target_z"] == pytest.approx(-5.0, abs=0.1)
     assert bench.true_mm()["target_z"] != bench.where()["target_z"]  # a screw has play
-    assert "MOV" in bench.happened().told("target")
-    assert not bench.happened().of_kind("exposed")
+    assert "MOV" in bench.event_log().bytes_to("target")
+    assert not bench.event_log().of_kind("exposed")
 
 
 def test_an_unplugged_camera_costs_no_real_time(rehearsed):
@@ -81,7 +81,7 @@ def test_the_seed_is_that_of_the_world_and_repeats_it_to_the_byte(path):
         with Rehearsed(path, seed=seed) as bench:
             bench.home()
             bench.move(glass_z=20.0, target_x=2.0)
-            return photograph(bench).tobytes(), bench.happened().text()
+            return photograph(bench).tobytes(), bench.event_log().text()
 
     first, again, other = look(3), look(3), look(4)
     assert first == again
@@ -93,11 +93,11 @@ def test_a_cable_out_by_a_word(rehearsed):
     bench = rehearsed(fault("unplug", "target", word="MOV", nth=2))
     bench.home()
     bench.move(target_x=1.0)
-    sent = bench.happened().told("target").count("MOV")
+    sent = bench.event_log().bytes_to("target").count("MOV")
     with pytest.raises(DeviceLost):
         _to_and_fro(bench, "target_x", 3.0)
-    assert bench.happened().faults == ["unplug of target at word 'MOV', time 2"]
-    assert bench.happened().told("target").count("MOV") == 1 <= sent  # the second did not reach the box
+    assert bench.event_log().faults == ["unplug of target at word 'MOV', time 2"]
+    assert bench.event_log().bytes_to("target").count("MOV") == 1 <= sent  # the second did not reach the box
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_a_cable_out_by_time_in_the_middle_of_a_motion(rehearsed):
     bench.home()
     with pytest.raises(DeviceLost):
         _to_and_fro(bench, "rail_z", 100.0)
-    struck = bench.happened().of_kind("fault")
+    struck = bench.event_log().of_kind("fault")
     assert [event.time_s for event in struck] == [300.0]
 
 
@@ -123,7 +123,7 @@ def test_wires(rehearsed, what):
         bench.move(target_x=3.0)
     except StageError:
         failed = True
-    assert len(bench.happened().faults) == 1
+    assert len(bench.event_log().faults) == 1
     if what in ("mute", "restart"):
         assert failed
     if what in ("late", "split"):
@@ -139,7 +139,7 @@ def test_a_knock_moves_what_no_controller_notices(rehearsed):
     bench.move(glass_x=10.0)
     assert bench.where()["glass_x"] == pytest.approx(10.0, abs=0.01)
     assert bench.true_mm()["glass_x"] == pytest.approx(10.4, abs=0.1)
-    assert not bench.happened().violations
+    assert not bench.event_log().violations
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_a_camera_that_is_late_torn_or_gone(rehearsed):
     assert time.monotonic() - before_s > 0.4
     torn = rehearsed(fault("cut", "camera", at_s=0.1))
     photograph(torn)
-    assert len(torn.happened().of_kind("exposed")) == 2  # it was taken again
+    assert len(torn.event_log().of_kind("exposed")) == 2  # it was taken again
     with pytest.raises(CameraError):
         photograph(rehearsed(fault("unplug", "camera", at_s=0.1)))
 
@@ -209,7 +209,7 @@ def test_other_bad_input_is_one_sentence(path, tmp_path):
     with pytest.raises(RunUsageError, match="seed -1: say a whole number from 0 to"):
         Rehearsal(seed=-1).of(bench)
     with pytest.raises(RunUsageError, match="only a rehearsal keeps what happens"):
-        read_happened(tmp_path)
+        read_event_log(tmp_path)
     with pytest.raises(ConfigError, match="cannot be read"):
         Rehearsal(tmp_path / "none.yaml").of(bench)
 

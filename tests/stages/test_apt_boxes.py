@@ -373,7 +373,7 @@ def test_an_answer_about_another_channel_is_not_taken(bench):
     made = bench("thorlabs_apt")
     made.stage.home()
     made.stage.move({"a": 30.0, "b": 70.0})
-    said = made.line.emulator.said
+    said = made.line.emulator.take_answers
     count = [0]
 
     def swapped():
@@ -384,7 +384,7 @@ def test_an_answer_about_another_channel_is_not_taken(bench):
             answers.append(one._replace(data=one.data[:5] + b"\x22" + one.data[6:] if is_position else one.data))
         return answers
 
-    made.line.emulator.said = swapped
+    made.line.emulator.take_answers = swapped
     with pytest.raises(StageError, match=r"something else|clear answer"):
         _ = made.stage.axis("a").position_mm
     assert count[0] >= 3

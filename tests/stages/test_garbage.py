@@ -83,8 +83,8 @@ class Noisy:
     def __getattr__(self, name):
         return getattr(self._emulator, name)
 
-    def said(self):
-        return [said._replace(data=garbage(self._rng, said.data)) for said in self._emulator.said()]
+    def take_answers(self):
+        return [said._replace(data=garbage(self._rng, said.data)) for said in self._emulator.take_answers()]
 
 
 def test_no_position_from_a_corrupt_answer(bench, driver):

@@ -64,7 +64,7 @@ def test_swapped_cables_are_refused_and_nothing_moves(driver_that_tells):
         assert said["right"] in str(refused.value)
         assert "cables" in str(refused.value)
         assert {name: world.true_mm(name) for name in before_mm} == before_mm
-        assert not any(line.opened for line in world.lines.values())
+        assert not any(line.is_opened for line in world.lines.values())
 
 
 def test_without_identities_they_are_taken_for_each_other():

@@ -22,7 +22,7 @@ def creeping(request, bench):
     made.stage.move({"a": 60.0, "b": 30.0})
     made.line.emulator.feed(OTHER_PROGRAM[request.param])
     made.clock.sleep_s(0.5)
-    made.line.emulator.said()  # answered through the other interface
+    made.line.emulator.take_answers()  # answered through the other interface
     return made
 
 

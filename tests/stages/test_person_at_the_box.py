@@ -60,7 +60,7 @@ class Hand:
                 short_mm = min(abs(rest_mm - edge_mm) for edge_mm in edges_mm)
             if short_mm > SHORT_MM and not self.has_stopped:
                 self.has_stopped = True
-                witness.stopped()
+                witness.note_stop()
 
 
 def play(made, variant, do, place, what):

@@ -148,7 +148,7 @@ def test_ports_are_closed_whatever_happens(mocker):
         world.lines["target"].unplug()
         with pytest.raises(PortUnavailable):
             Stage.open(offered, clock)
-        assert not any(line.opened for line in world.lines.values())
+        assert not any(line.is_opened for line in world.lines.values())
         world.lines["target"].plug_in()
         closed = []
         with pytest.raises(ZeroDivisionError), Stage.open(offered, clock) as stage:  # noqa: PT012
@@ -158,7 +158,7 @@ def test_ports_are_closed_whatever_happens(mocker):
                 )
             _ = 1 / 0
     assert closed == ["target", "glass", "rail", "camera"]
-    assert not any(line.opened for line in world.lines.values())
+    assert not any(line.is_opened for line in world.lines.values())
 
 
 @loop_over(

@@ -66,8 +66,8 @@ def test_a_signal_while_homing(driver, number):
         child.wait(60)
         assert end(child)[0] == left_by(number)
         world.rest_mm()
-        assert not motor.closed("low")
-        assert not motor.closed("high")
+        assert not motor.is_closed("low")
+        assert not motor.is_closed("high")
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_killed_while_homing(driver):
         time.sleep(0.5)
         world.true_mm()
         assert motor.carriage_mm == rest_mm
-        closed = motor.closed("low") or motor.closed("high")
+        closed = motor.is_closed("low") or motor.is_closed("high")
         assert not closed, "it has homed to the end"
 
 

@@ -37,7 +37,7 @@ def test_older_firmware_refuses_a_motion_with_a_speed(bench):
 def test_an_answer_has_a_checksum_if_its_command_had(bench, checked):
     made = bench("zaber_ascii")
     box = made.line.emulator
-    box.said()
+    box.take_answers()
     box.feed(Command("get pos", 1, 1, 7, checked).to_bytes())
-    (said,) = box.said()
+    (said,) = box.take_answers()
     assert (b":" in said.data) is checked

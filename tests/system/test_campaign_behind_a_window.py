@@ -15,7 +15,7 @@ from correction.maps.correction_map import build_correction_map
 from daq.bench.bench_file import load_bench
 from daq.runs.run_folder import RunFolder
 from rtpiv.command_line.cli import DONE, main
-from sim.arranged import arranged, true_scene
+from sim.arranged import arrange, true_scene
 from sim.bench_table import simulation_of
 from tests.daq.small_bench import write_bench
 from tracer.scene.scene_file import load_scene
@@ -55,7 +55,7 @@ def test_a_fit_through_a_window_is_as_good_as_it_says(tmp_path: Path) -> None:
     hidden = true_scene(bench, simulation_of(bench))
     frames = [one for one in run.entries() if one["kind"] == "frame"]
     (where,) = [frame["true_mm"] for frame in frames if frame["tag"] == "target_glass"]
-    stood, _ = arranged(bench, hidden, where)
+    stood, _ = arrange(bench, hidden, where)
     found, sigma = load_scene(fit / "scene.yaml"), SceneSigma.load(fit / "fit.npz")
     grid = grid_of(stood.camera)
     shown = build_correction_map(stood, build_ray_map(stood), grid)

@@ -22,7 +22,7 @@ from correction.target import Chessboard
 from ground.jit.shipped import KINDS
 from piv.correlation.pair import evaluate_pair
 from rtpiv.command_line.first_use import calls_of, compile_call
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -38,7 +38,7 @@ def fingerprint() -> str:
     """Digests of what every kernel of a scene's way gives, one scene a line."""
     rng, lines = np.random.default_rng(1), []
     for name in SCENES:
-        scene = at_size(named_scene(name), 400)
+        scene = at_size(demo_scene(name), 400)
         ray_map = build_ray_map(scene)
         corrected = build_correction_map(scene, ray_map, layers=2)
         pixels = rng.uniform(0.0, 399.0, (2000, 2))
@@ -70,11 +70,11 @@ def compile_rays() -> None:
     """Compile what traces scenes of few balls, of opaque ones and of many, and what turns their maps round."""
     pixels = np.random.default_rng(1).uniform(0.0, 399.0, (2000, 2))
     for name in SCENES:
-        scene = at_size(named_scene(name), 400)
+        scene = at_size(demo_scene(name), 400)
         build_correction_map(scene, build_ray_map(scene), layers=2)
         trace(scene, pixels)
         landings(scene, pixels)
-    blocked = at_size(named_scene(SCENES[0]), 64)
+    blocked = at_size(demo_scene(SCENES[0]), 64)
     blocked = blocked.with_bodies([replace(blocked.bodies[0], medium=None)])
     build_correction_map(blocked, build_ray_map(blocked))
 
@@ -86,7 +86,7 @@ def compile_frames() -> None:
             compile_call(call)
     frames = np.random.default_rng(1).integers(0, 4096, (2, 400, 400)).astype(np.float32)
     evaluate_pair(frames[0], frames[1], np.ones(frames[0].shape, bool))
-    render(at_size(named_scene(SCENES[0]), 64), Print(5.0, 2.0), Sensor(), seed=1)
+    render(at_size(demo_scene(SCENES[0]), 64), Print(5.0, 2.0), Sensor(), seed=1)
 
 
 def printed(cache: Path, **wanted: str) -> str:

@@ -5,7 +5,7 @@ import pytest
 import sim.frame_truth as frame_truth
 from daq.runs.run_folder import frame_entries
 from rtpiv.command_line.cli import DONE, main
-from sim.frame_truth import NoTruth, misfiled
+from sim.frame_truth import NoTruth, find_misfiled
 from tests.daq.small_bench import SHIFT, write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
@@ -22,8 +22,8 @@ def acquired(folder, simulation):
 
 def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypatch):
     run = acquired(tmp_path, "samples: 1\nprints_truth: true")
-    assert misfiled(run) == []
-    assert misfiled(run, within_mm=1e-4)  # nothing stands where it was measured to a tenth of a um
+    assert find_misfiled(run) == []
+    assert find_misfiled(run, within_mm=1e-4)  # nothing stands where it was measured to a tenth of a um
 
     def swapped(entries):
         """Two frames of different stops change places, as after a frame that came late."""
@@ -35,7 +35,7 @@ def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypat
         return found
 
     monkeypatch.setattr(frame_truth, "frame_entries", swapped)
-    assert {wrong.frame for wrong in misfiled(run)} == {0, 7}
+    assert {wrong.frame for wrong in find_misfiled(run)} == {0, 7}
 
     def doubled(entries):
         found = {number: dict(entry) for number, entry in frame_entries(entries).items()}
@@ -43,12 +43,12 @@ def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypat
         return found
 
     monkeypatch.setattr(frame_truth, "frame_entries", doubled)
-    assert "the same exposure as frame 1" in "".join(wrong.why for wrong in misfiled(run))
+    assert "the same exposure as frame 1" in "".join(wrong.why for wrong in find_misfiled(run))
 
 
 def test_a_run_without_printed_truth_cannot_be_judged(tmp_path):
     with pytest.raises(NoTruth):
-        misfiled(acquired(tmp_path, "samples: 1"))
+        find_misfiled(acquired(tmp_path, "samples: 1"))
 
 
 def test_a_ring_or_a_small_sensor_is_refused(tmp_path):

@@ -6,7 +6,7 @@ import pytest
 
 from daq.runs.run_folder import RunFolder, frame_entries
 from rtpiv.command_line.cli import DONE, main
-from sim.frame_truth import misfiled
+from sim.frame_truth import find_misfiled
 from tests.daq.cameras.rigs import need_aravis
 from tests.daq.small_bench import write_bench
 
@@ -48,11 +48,11 @@ def test_no_frame_is_filed_under_a_stop_it_does_not_show(tmp_path, seed, backend
     arguments = ["acquire", str(tmp_path / "plan.yaml"), "--bench", str(tmp_path / "bench.yaml"), "--no-correct"]
     code = main([*arguments, "-o", str(tmp_path / "runs"), "--simulate", "--home"])
     (run,) = (tmp_path / "runs").glob("*_plan*")
-    assert misfiled(run) == []
+    assert find_misfiled(run) == []
     for _ in range(3):
         if code == DONE:
             break
         code = main(["acquire", "--resume", str(run), "--home"])
-        assert misfiled(run) == []
+        assert find_misfiled(run) == []
     if code == DONE:
         assert len(frame_entries(RunFolder(run).entries())) == 6

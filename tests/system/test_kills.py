@@ -23,7 +23,7 @@ from daq.runs.raw_frame import read_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 from rtpiv.command_line.cli import DEVICE, INTERRUPTED
-from sim.frame_truth import misfiled
+from sim.frame_truth import find_misfiled
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
@@ -228,7 +228,7 @@ def test_kills(tmp_path, kind, victim):
             assert sorted(frames) == planned
             assert [steps for _, steps in campaign.kept] == sorted(steps for _, steps in campaign.kept)
         assert {path.name for path in (run.path / "frames").iterdir()} == {f"{n:06d}.tif" for n in frames}
-        assert misfiled(run.path) == []
+        assert find_misfiled(run.path) == []
         checked = check_run(run.path)
         assert checked.is_sound, checked.findings
     print(f"{kind}, {victim}: {kills} kills in {seed} runs")

@@ -6,13 +6,13 @@ import pytest
 from ground import memory
 from ground.errors import MemoryShort
 from piv.correlation.pair import evaluate_pair
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.view import ParticleView
 from sim.renderer.patterns import ParticleSheet
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 
-SCENE = at_size(named_scene("two_spheres_500"), 64)
+SCENE = at_size(demo_scene("two_spheres_500"), 64)
 WORK = [
     ("evaluating a pair of 96 x 64 px", lambda: evaluate_pair(np.ones((64, 96)), np.ones((64, 96)))),
     ("a rendered frame of 64 x 64 px", lambda: render(SCENE, ParticleSheet(np.zeros((1, 2)), 0.1), Sensor())),

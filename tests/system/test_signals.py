@@ -85,7 +85,7 @@ def check_home(bench, number):
         process.send_signal(number)
         process.wait(60)
         bench.rests()
-        assert not bench.world.motors["rail_z"].closed("low")
+        assert not bench.world.motors["rail_z"].is_closed("low")
         assert end(process)[0] == (-number if number == signal.SIGKILL else left_by(number))
     finally:
         end(process)
@@ -104,7 +104,7 @@ def test_acquire_while_homing(bench, number):
         process.wait(60)
         bench.rests()
         assert end(process)[0] == left_by(number)
-        assert not bench.world.motors["glass_z"].closed("low")
+        assert not bench.world.motors["glass_z"].is_closed("low")
     finally:
         end(process)
 

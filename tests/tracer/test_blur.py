@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ground.jit import kernel
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.patterns import Pose
 from sim.renderer.render import Aperture, tables_of
@@ -66,7 +66,7 @@ def near_the_rim(scene: Scene, count: int, farthest: float) -> np.ndarray:
     ("f_number", "count", "farthest"), [pytest.param(22.0, 8, 0.94, marks=pytest.mark.slow), (8.0, 3, 0.87)]
 )
 def test_centroids_lie_where_a_rendered_particle_has_them(f_number, count, farthest):
-    scene = at_size(named_scene("two_spheres_500"), 1008)
+    scene = at_size(demo_scene("two_spheres_500"), 1008)
     aperture = Aperture(F_MM, f_number, 500.0)
     pixels = near_the_rim(scene, count, farthest)
     blur = pupil_views(scene, Pupil(0.5 * F_MM / f_number, 500.0), pixels).of_particles()
@@ -92,7 +92,7 @@ def test_centroids_lie_where_a_rendered_particle_has_them(f_number, count, farth
 
 
 def test_without_glass_the_plane_in_focus_is_sharp_and_another_is_not():
-    scene = at_size(named_scene("two_spheres_500"), 400).with_bodies(())
+    scene = at_size(demo_scene("two_spheres_500"), 400).with_bodies(())
     pixels = np.array([[200.0, 200.0], [350.0, 60.0]])
     sharp = pupil_views(scene, Pupil(1.4, 500.0), pixels).of_particles()
     np.testing.assert_allclose(sharp.width_px, 0.0, atol=1e-9)

@@ -8,7 +8,7 @@ import tifffile
 from correction.masked import _filled, mask_pixels, pixels_in, points_in
 from correction.node_status import NodeStatus
 from ground.errors import ConfigError
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tests.loops import loop_over
 from tracer.errors import SceneError
 from tracer.masked import LEFT_OUT, left_out
@@ -92,7 +92,7 @@ def test_what_is_no_mask_of_this_camera_is_one_sentence(tmp_path, name, words):
 
 
 def test_a_scene_file_names_a_picture_that_stands_beside_it(tmp_path):
-    scene = at_size(named_scene("two_spheres_500"), 252)
+    scene = at_size(demo_scene("two_spheres_500"), 252)
     picture = np.zeros((252, 252), np.uint8)
     picture[200:, 30:90] = 255
     tifffile.imwrite(tmp_path / "mask.tif", picture)

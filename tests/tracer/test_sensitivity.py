@@ -9,7 +9,7 @@ from mpmath import mpf
 from scipy.spatial.transform import Rotation
 
 from benchmarks.reference import dot, follow_pixel
-from sim.demo.scenes import named_scene
+from sim.demo.scenes import demo_scene
 from tests.loops import loop_over
 from tracer.bodies import Core
 from tracer.camera import Lens
@@ -36,7 +36,7 @@ AIR = 1.0003
 
 def exact_scene(name: str) -> Scene:
     """A scene in which no number is zero by chance."""
-    scene = named_scene("two_spheres_500" if name == "hollow" else name)
+    scene = demo_scene("two_spheres_500" if name == "hollow" else name)
     if name == "hollow":
         near, far = scene.spheres
         inside = (

@@ -53,12 +53,14 @@ class PortCalls:
         self._port(handle).write(address, ctypes.string_at(buffer, length))
 
     def GCReadPortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
-        self._stacked(handle, entries, number, self.GCReadPort)
+        self._call_stacked(handle, entries, number, self.GCReadPort)
 
     def GCWritePortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
-        self._stacked(handle, entries, number, self.GCWritePort)
+        self._call_stacked(handle, entries, number, self.GCWritePort)
 
-    def _stacked(self, handle: int, entries: int, number: int, one: Callable[[int, int, int, int], None]) -> None:
+    def _call_stacked(
+        self, handle: int, entries: int, number: int, one: Callable[[int, int, int, int], None]
+    ) -> None:
         wanted = memory.read_size(number)
         memory.write_size(number, 0)
         for index in range(wanted):

@@ -55,8 +55,8 @@ class Pacer:
         if not self.is_useful:
             return
         deadline = time.monotonic() + PATIENCE_S
-        lowest = self._queued()
-        while lowest is not None and (now := self._queued()) is not None and now > FULL_BYTES:
+        lowest = self._read_queue_bytes()
+        while lowest is not None and (now := self._read_queue_bytes()) is not None and now > FULL_BYTES:
             if now < lowest:
                 lowest, deadline = now, time.monotonic() + PATIENCE_S
             if time.monotonic() > deadline:
@@ -64,7 +64,7 @@ class Pacer:
                 return
             time.sleep(NAP_S)
 
-    def _queued(self) -> int | None:
+    def _read_queue_bytes(self) -> int | None:
         try:
             lines = TABLE.read_text().splitlines()
         except OSError:

@@ -30,7 +30,9 @@ def keys_slope(t: float, k: int) -> float:
 
 
 @kernel_inlined
-def tabulated(first: float, second: float, table: Array, start: Array, step: Array) -> tuple[float, float, float]:
+def interpolate_table(
+    first: float, second: float, table: Array, start: Array, step: Array
+) -> tuple[float, float, float]:
     """Value and both slopes of `table` (rows, columns) at (first, second).
 
     Row i lies at start[0] + i step[0], column j at start[1] + j step[1]; beyond the ends the last cell goes on.
@@ -76,14 +78,14 @@ def jet_at(
         behind = max(s, 0.0)
         sigma2 = (pipe[5] * radius) ** 2 + (pipe[6] * behind) ** 2
         width, place = 0.5 * np.log(sigma2) - np.log(radius), np.log1p(r / radius)
-        h, by_width, by_place = tabulated(width, place, disc, start, step)
+        h, by_width, by_place = interpolate_table(width, place, disc, start, step)
         along = exit_speed * (h + 0.5 * r * by_place / (radius + r))
         outwards = -0.5 * exit_speed * r * by_width * pipe[6] * pipe[6] * behind / sigma2
         mean[n, 0], mean[n, 1], mean[n, 2] = outwards * ex, along, outwards * ez
         if amplitude.shape[0] == 0:
             continue
-        centre, _, _ = tabulated(width, 0.0, disc, start, step)
-        _, _, slope = tabulated(width, place, speed, start, step)
+        centre, _, _ = interpolate_table(width, 0.0, disc, start, step)
+        _, _, slope = interpolate_table(width, place, speed, start, step)
         growth = -np.expm1(-behind / (8.0 * radius))
         wide = pipe[7] * exit_speed * centre * growth * np.exp(-r * r / (6.0 * sigma2))
         layer = pipe[8] * np.sqrt(sigma2) * exit_speed * slope / (radius + r)

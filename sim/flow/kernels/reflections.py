@@ -8,7 +8,7 @@ from sim.renderer.kernels.surfaces import entry_sphere, snell
 
 
 @kernel
-def mirrored(
+def trace_reflections(
     first: int, last: int, camera: Array, spheres: Array, sheet_z: float, source: Array, blur: float, out: Array
 ) -> None:
     """Set rows first..last of `out` (H, W, 2): sheet and source as seen in the first ball of a pixel.

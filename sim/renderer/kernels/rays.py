@@ -298,7 +298,7 @@ def trace_pixels(
 
 
 @kernel
-def weighted_mean(values: Float32, weights: Float32, out: Float32) -> None:
+def average_weighted(values: Float32, weights: Float32, out: Float32) -> None:
     """Mean over the samples of a pixel, (N, S) -> (N,): light that does not arrive counts as dark."""
     for index in range(values.shape[0]):
         total = 0.0

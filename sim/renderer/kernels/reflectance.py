@@ -126,7 +126,7 @@ def particles(
 
 
 @kernel
-def printed_image(points: Float64, image: Float32, pixel: float, outside: float, out: Float32) -> None:
+def draw_image(points: Float64, image: Float32, pixel: float, outside: float, out: Float32) -> None:
     """Bilinear value of an image printed with `pixel` mm a pixel, centred on the origin, row 0 at the top."""
     rows, columns = image.shape
     for index in range(points.shape[0]):

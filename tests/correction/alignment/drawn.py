@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.bodies import shifted_by
 
 BOARD = Chessboard()
@@ -20,8 +20,8 @@ RING = 0.96  # of the radius, within which a ball is grey: nearer to the rim ray
 def scene_of(name="pair", size_px=800):
     """A scene that shows both rims whole, one of them before the other ball; or one by its name."""
     if name != "pair":
-        return at_size(named_scene(name), size_px)
-    scene = at_size(named_scene("two_spheres_500"), size_px)
+        return at_size(demo_scene(name), size_px)
+    scene = at_size(demo_scene("two_spheres_500"), size_px)
     near, far = scene.spheres
     return scene.with_bodies(
         [

@@ -11,7 +11,7 @@ from correction.errors import AlignmentError, RimNotFound, RimUnclear, TargetNot
 from correction.target import Chessboard
 from correction.target.codes import with_codes
 from piv.errors import FrameError
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -131,8 +131,8 @@ def test_a_ball_that_stands_off_the_others_is_named():
 
 
 def rendered(name, seed, off_mm):
-    nominal = at_size(named_scene(name), 1008)
-    true = moved(misaligned(nominal, seed), glass_mm=off_mm)
+    nominal = at_size(demo_scene(name), 1008)
+    true = moved(misalign(nominal, seed), glass_mm=off_mm)
     tilt = 1.0 + 0.03 * np.linspace(-1.0, 1.0, 1008)
     light = render(true, Print(), Sensor(blur_px=2.0), samples=2, seed=seed)
     return nominal, true, (light * tilt).astype(np.uint16)

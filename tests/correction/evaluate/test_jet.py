@@ -17,8 +17,8 @@ from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.preprocessing.preparation import min_max_normalised
 from piv.preprocessing.sliding_minimum import without_sliding_minimum
-from sim.demo.scenes import at_size, named_scene
-from sim.renderer.patterns import printed_particles
+from sim.demo.scenes import at_size, demo_scene
+from sim.renderer.patterns import print_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tracer.strategies.ray_map import build_ray_map
@@ -31,7 +31,7 @@ SECTORS = 8
 
 def view():
     """Two balls of 50 mm, 4 mm off the plane, seen by the middle of the sensor."""
-    scene = at_size(named_scene("two_spheres_500"), 1008)
+    scene = at_size(demo_scene("two_spheres_500"), 1008)
     middle = 0.5 * (SIDE_PX - 1)
     camera = replace(scene.camera, sensor_px=(SIDE_PX, SIDE_PX), principal_px=(middle, middle))
     bodies = [replace(b, centre_mm=(0.0, 0.0, b.centre_mm[2] + 4.0)) for b in scene.spheres]
@@ -66,7 +66,7 @@ def test_the_mean_of_many_jets_does_not_jump_at_the_rim():
     sensor, flows = Sensor(), [jet(rng) for _ in range(PAIRS)]
     pulses = np.empty((2, PAIRS, *grid.shape), np.float32)
     for number, flow in enumerate(flows):
-        sheet = printed_particles((1.3 * SIDE_PX * grid.pitch_mm,) * 2, grid.px_per_mm, seed=number,
+        sheet = print_particles((1.3 * SIDE_PX * grid.pitch_mm,) * 2, grid.px_per_mm, seed=number,
                                   density_per_px=0.03, background=0.0)  # fmt: skip
 
         def moved(places_mm, way, flow=flow):
@@ -74,7 +74,7 @@ def test_the_mean_of_many_jets_does_not_jump_at_the_rim():
             return way * grid.pitch_mm * np.stack((across, -down), axis=-1)
 
         for pulse, way in enumerate((-0.5, 0.5)):
-            shown = sheet.displaced(lambda places, way=way, moved=moved: moved(places, way))
+            shown = sheet.displace(lambda places, way=way, moved=moved: moved(places, way))
             light = render_irradiance(scene, shown, samples=2, seed=2 * number + pulse) + glare
             pulses[pulse, number] = corrector(sensor.expose(light, seed=2 * number + pulse))
     for pulse in pulses:

@@ -8,7 +8,7 @@ from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
-from sim.renderer.patterns import printed_particles
+from sim.renderer.patterns import print_particles
 from sim.renderer.render import render_irradiance
 from tests.correction.small_scenes import small_scene
 from tracer.strategies.ray_map import build_ray_map
@@ -22,8 +22,8 @@ def seen():
     """A ball before a particle sheet that moves by SHIFT_MM, seen by the independent renderer."""
     scene = small_scene("one_sphere_250", 504)
     ray_map = build_ray_map(scene)
-    sheet = printed_particles((200.0, 200.0), scene.camera.focal_px / 250.0, seed=5)
-    moved = [sheet.displaced(tuple(part * SHIFT_MM)) for part in (-0.5, 0.5)]
+    sheet = print_particles((200.0, 200.0), scene.camera.focal_px / 250.0, seed=5)
+    moved = [sheet.displace(tuple(part * SHIFT_MM)) for part in (-0.5, 0.5)]
     frames = [1000.0 * render_irradiance(scene, print_, samples=3) for print_ in moved]
     return scene, ray_map, build_correction_map(scene, ray_map), frames
 

@@ -12,9 +12,9 @@ from correction.fitted.map_sigma import sigma_at
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
-from sim.demo.scenes import BARREL_35MM, at_size, misaligned, named_scene
+from sim.demo.scenes import BARREL_35MM, at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import Pose, placed
+from sim.renderer.patterns import Pose, place
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tracer.scene.scene import Scene
@@ -46,8 +46,8 @@ def bench(
     size_px: int = SIZE_PX,
 ) -> Unknowns:
     """Photograph the target at z = 0 and further heights; a smaller sensor sees fewer squares, as wide in px."""
-    nominal = at_size(named_scene(name), size_px)
-    truth = misaligned(nominal, seed, barrel=BARREL_35MM if name == "one_sphere_250" else 0.0)
+    nominal = at_size(demo_scene(name), size_px)
+    truth = misalign(nominal, seed, barrel=BARREL_35MM if name == "one_sphere_250" else 0.0)
     square = FINE.get(name, SQUARE_MM) * SIZE_PX / size_px
     frames = []
     for glass, heights in ((False, (0.0, *bare_mm)), (True, (0.0, *glass_mm))):
@@ -61,7 +61,7 @@ def photograph(
     scene: Scene, glass: bool, height_mm: float, seed: int, square_mm: float = SQUARE_MM
 ) -> TargetFrame:
     """One frame of the target."""
-    print_ = placed(Print(square_mm, 0.4 * square_mm), Pose((0.0, 0.0, height_mm)))
+    print_ = place(Print(square_mm, 0.4 * square_mm), Pose((0.0, 0.0, height_mm)))
     image = render(scene, print_, Sensor(), samples=3, seed=seed)
     return TargetFrame(f"target_{'glass' if glass else 'clear'}_z{height_mm:+g}mm", image, glass, height_mm)
 

@@ -23,7 +23,7 @@ from correction.fitted.map_sigma import sigma_at
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.drawn_optics import Ball, Lab, corners_px, shown_mm
 from tracer.light import white_led
 from tracer.media import MEDIA, ConstantMedium, Medium
@@ -76,8 +76,8 @@ class Drawn:
 
 def home_lab(rng: np.random.Generator, seed: int) -> tuple[Scene, Scene, Chessboard]:
     """Nominal scene, true scene and board of a lab like the paper's."""
-    nominal = at_size(named_scene(SCENES[rng.integers(len(SCENES))]), SIZE_PX)
-    return nominal, misaligned(nominal, 1000 + seed), BOARD
+    nominal = at_size(demo_scene(SCENES[rng.integers(len(SCENES))]), SIZE_PX)
+    return nominal, misalign(nominal, 1000 + seed), BOARD
 
 
 def drawn_lab(

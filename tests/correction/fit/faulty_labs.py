@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import square_behind_px
 from correction.target import Chessboard
-from sim.demo.scenes import misaligned
+from sim.demo.scenes import misalign
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import Pose, placed
+from sim.renderer.patterns import Pose, place
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tracer.bodies import Rod, Sphere
@@ -74,7 +74,7 @@ class Case:
             for named, true in ((0.0, 0.0), *(self.named_mm if not glass else ())):
                 scene = self.glass if glass else self.bare.bare()
                 at = self.pose if glass else Pose((0.0, 0.0, true))
-                print_ = placed(Print(self.printed.square_mm, self.printed.disc_mm), at)
+                print_ = place(Print(self.printed.square_mm, self.printed.disc_mm), at)
                 image = self.spoil(render(scene, print_, Sensor(), samples=3, seed=7 * seed + len(found)), glass)
                 found.append(
                     TargetFrame(f"target_{'glass' if glass else 'clear'}_z{named:+g}mm", image, glass, named)
@@ -99,7 +99,7 @@ def right(seed: int) -> Case:
         balls = _balls(rng, view, height, glasses)
         try:
             nominal = Scene(camera, tuple(balls))
-            truth = misaligned(nominal, int(rng.integers(1 << 30)))
+            truth = misalign(nominal, int(rng.integers(1 << 30)))
         except SceneError:
             continue
         square = float(rng.uniform(14.0, 22.0)) * view / size[0]

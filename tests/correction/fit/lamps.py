@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from correction.fit.seen.measurement import TargetFrame
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
@@ -80,14 +80,14 @@ BK7, PLASTICS = ("N-BK7", "N-BK7"), ("PMMA", "polystyrene")
 
 def lab_scene(glasses: tuple[str, str] = BK7) -> Scene:
     """Nominal scene with balls of two glasses."""
-    nominal = at_size(named_scene("two_spheres_500"), SIZE_PX)
+    nominal = at_size(demo_scene("two_spheres_500"), SIZE_PX)
     balls = zip(nominal.bodies, glasses, strict=True)
     return nominal.with_bodies([replace(ball, medium=MEDIA[glass]) for ball, glass in balls])
 
 
 def true_scene(glasses: tuple[str, str] = BK7) -> Scene:
     """The same with everything a little elsewhere."""
-    return misaligned(lab_scene(glasses), 6)
+    return misalign(lab_scene(glasses), 6)
 
 
 @cache

@@ -16,7 +16,7 @@ from correction.fitted.map_sigma import sigma_at
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
-from sim.demo.scenes import BARREL_35MM, at_size, misaligned, named_scene
+from sim.demo.scenes import BARREL_35MM, at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
@@ -91,8 +91,8 @@ def photographed(kind: str, seed: int, fault: str = "") -> Photographed:
         nominal, truth, board = stranger(rng, seed)
     else:
         size_px, square_mm = BENCHES[kind]
-        nominal = at_size(named_scene(kind), size_px)
-        truth = misaligned(nominal, seed, barrel=BARREL_35MM if kind == "one_sphere_250" else 0.0)
+        nominal = at_size(demo_scene(kind), size_px)
+        truth = misalign(nominal, seed, barrel=BARREL_35MM if kind == "one_sphere_250" else 0.0)
         board = Chessboard(square_mm, 0.4 * square_mm)
     nominal, shown, truth, priors = CHANGES[fault](nominal, truth, rng)
     print_ = Print(board.square_mm, 0.4 * board.square_mm)

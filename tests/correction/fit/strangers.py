@@ -1,6 +1,6 @@
 """Labs that resemble none of ours: many balls of several glasses, any sensor, turned cameras, straight boards.
 
-A nominal scene is drawn ball by ball, so that nothing touches; the true one is a bench's `misaligned`.  Half of
+A nominal scene is drawn ball by ball, so that nothing touches; the true one is a bench's `misalign`.  Half of
 the true cameras look at the board exactly along its normal, their rows along its squares or turned by up to
 10 mrad, and a square may be a whole number of pixels: what people align, and what leaves pixel locking one phase.
 """
@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from correction.target import Chessboard
-from sim.demo.scenes import misaligned
+from sim.demo.scenes import misalign
 from tracer.bodies import Sphere
 from tracer.camera import Camera, look_at
 from tracer.errors import SceneError
@@ -33,7 +33,7 @@ def stranger(rng: np.random.Generator, seed: int) -> tuple[Scene, Scene, Chessbo
     while True:
         nominal = _scene(rng)
         try:
-            truth = misaligned(nominal, 1000 + seed)
+            truth = misalign(nominal, 1000 + seed)
             break
         except SceneError:
             continue

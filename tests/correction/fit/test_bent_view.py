@@ -11,7 +11,7 @@ from correction.fit.seen.measurement import TargetFrame, glass_frame
 from correction.fit.seen.prediction import Expected, expect
 from correction.target import Chessboard
 from correction.target.corners import refine_corners
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
@@ -26,7 +26,7 @@ SQUARES_A_PX = np.array([[0.97, 0.26], [-0.21, 0.92]]) / 14.0
 @cache
 def found(name: str, square_mm: float) -> tuple[Expected, np.ndarray, np.ndarray, np.ndarray]:
     """Corners behind glass, how far off they are found, with what sigma, and what is doubted of it (N, 2)."""
-    scene, board = misaligned(at_size(named_scene(name), 1008), 5), Chessboard(square_mm, 0.4 * square_mm)
+    scene, board = misalign(at_size(demo_scene(name), 1008), 5), Chessboard(square_mm, 0.4 * square_mm)
     light = render_irradiance(scene, Print(square_mm, 0.4 * square_mm), samples=3, seed=1)
     shown = expect(scene, TargetPose(), board)
     shown = shown.take((shown.branch > 0) & (shown.rim_px > RIM_PX))

@@ -18,7 +18,7 @@ from correction.fit.progress import Progress
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.drawn_labs import BOARD, drawn_lab, photographed
 from tests.correction.fit.drawn_optics import Ball, Lab
 from tests.correction.fit.strangers import stranger
@@ -32,8 +32,8 @@ CLOSE = FitTable(camera=FitCameraTable(position_mm=0.5))  # measured, so that a 
 def lens_aside(seed: int, decentred_mm: float, turn: float = 0.0) -> tuple[Scene, Scene]:
     """Nominal scene, and the true one, whose lens is off its axis by so much, in a direction of the seed."""
     rng = np.random.default_rng((36, seed))
-    nominal = at_size(named_scene("two_spheres_500"), 504)
-    truth = misaligned(nominal, 600 + seed)
+    nominal = at_size(demo_scene("two_spheres_500"), 504)
+    truth = misalign(nominal, 600 + seed)
     way = rng.uniform(0.0, 2.0 * np.pi)
     aside = decentred_mm / 0.044 * np.array([np.cos(way), np.sin(way)])  # px of 44 um
     p1, p2 = (1e-3 * decentred_mm * rng.normal(size=2)).tolist()
@@ -108,12 +108,12 @@ def test_a_right_camera_names_nothing():
 )
 def test_a_flint_ball_whose_index_is_held_wrong_is_named_and_not_the_radius_that_took_it_up(known, words):
     rng = np.random.default_rng((35, 1))
-    named = at_size(named_scene("two_spheres_500"), 1008)
+    named = at_size(demo_scene("two_spheres_500"), 1008)
     true, told = (
         named.with_bodies([replace(b, medium=ConstantMedium(n)) for b, n in zip(named.spheres, each, strict=True)])
         for each in ((1.62, 1.515), (1.63, 1.515))
     )
-    truth = misaligned(true, 501)
+    truth = misalign(true, 501)
     balls = tuple(Ball(s.centre_mm, s.radius_mm, s.medium.n(truth.wavelength_nm)) for s in truth.spheres)
     frames = []
     for glass in (False, True):

@@ -11,7 +11,7 @@ from correction.fit.seen.dot_rims import off_centre
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import expect, measure
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import DotGrid
 from sim.renderer.render import render, render_irradiance
 from sim.renderer.sensor import Sensor
@@ -57,7 +57,7 @@ def test_perspective_puts_the_middle_of_a_circle_where_projective_geometry_has_i
 
 
 def test_centres_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_off():
-    scene = misaligned(at_size(named_scene("two_spheres_500"), 504), 5)
+    scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 5)
     board, paper = grid(5.0)
     frame = EXACT.expose(render_irradiance(scene, paper, samples=8, seed=1), seed=0)
     shown = expect(scene, TargetPose(), board)
@@ -73,8 +73,8 @@ def test_centres_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_of
 
 def seen(paper, seed, samples):
     """A nominal scene, the true one, and frames of the grid, bare and through two balls."""
-    nominal = at_size(named_scene("two_spheres_500"), 1008)
-    truth = misaligned(nominal, seed)
+    nominal = at_size(demo_scene("two_spheres_500"), 1008)
+    truth = misalign(nominal, seed)
     frames = [
         TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=samples, seed=1), False),
         TargetFrame("glass", render(truth, paper, Sensor(), samples=samples, seed=2), True),

@@ -13,14 +13,14 @@ from correction.fit.seen.unconfirmed_ways import find_unconfirmed
 from correction.maps.correction_map import build_correction_map
 from correction.masked import pixels_in
 from correction.node_status import NodeStatus
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.bodies import Sphere
 from tracer.media import ConstantMedium
 from tracer.strategies.ray_map import build_ray_map
 
 GLASS = ConstantMedium(1.5)
 SPHERES = tuple(Sphere(name, (30.0 * k - 30.0, 0.0, 20.0), 10.0, GLASS) for k, name in enumerate("abc"))
-SCENE = at_size(named_scene("two_spheres_500"), 252).with_bodies(SPHERES)
+SCENE = at_size(demo_scene("two_spheres_500"), 252).with_bodies(SPHERES)
 PLACE_MM = {"a": 0.1, "b": 0.1, "c": 0.1}
 
 

@@ -9,12 +9,12 @@ from correction.fit.seen import prediction
 from correction.fit.solve import with_considered as doubts
 from correction.fit.solve.considered import ORDINARY, ORDINARY_N, with_considered
 from correction.fit.solve.unknowns import unknowns_of
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.fit.strangers import stranger
 from tracer.scene.fit_section import FitNamedTable, FitTable
 
-SCENE = at_size(named_scene("two_spheres_500"), 700)
+SCENE = at_size(demo_scene("two_spheres_500"), 700)
 
 
 def test_what_is_free_or_has_a_sigma_is_not_doubted_again():

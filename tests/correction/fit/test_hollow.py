@@ -8,7 +8,7 @@ import pytest
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.weakness import two_gases, weaknesses
 from correction.fit.solve.unknowns import unknowns_of
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tests.correction.fit.test_honesty import PRIORS, seen
 from tracer.bodies.sphere import Core
 from tracer.media import MEDIA, VACUUM, ConstantMedium
@@ -51,7 +51,7 @@ def test_two_gases_are_named(tmp_path, ambient, core):
 
 def test_the_wrong_gas_shows_in_no_residual_and_is_said():
     """Truth holds what is around it; the fit believes air in vacuum, and finds another ball."""
-    scene = at_size(named_scene("one_sphere_500"), 500)
+    scene = at_size(demo_scene("one_sphere_500"), 500)
     (ball,) = scene.spheres
     ball = replace(ball, name="shell", centre_mm=(3.0, -2.0, 55.0), radius_mm=50.0, medium=ConstantMedium(1.5))
     truth = scene.with_bodies([replace(ball, cores=(Core(48.0, VACUUM),))])

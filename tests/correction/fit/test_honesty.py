@@ -13,7 +13,7 @@ from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.fitted.map_sigma import sigma_at
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.scene.fit_section import FitCameraTable, FitSphereTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
@@ -40,7 +40,7 @@ def seen(scene: Scene, glass: bool, rng: np.random.Generator) -> MeasuredFrame:
 
 
 def bench_off_axis() -> Unknowns:
-    scene = at_size(named_scene("pair_off_axis"), 700)
+    scene = at_size(demo_scene("pair_off_axis"), 700)
     low, high = scene.spheres  # clear of the plane and of each other, so that no draw is impossible
     low, high = replace(low, centre_mm=(-14.0, 9.0, 23.0)), replace(high, centre_mm=(20.0, -12.0, 70.0))
     return unknowns_of(scene.with_bodies([low, high]), [0.0], PRIORS)

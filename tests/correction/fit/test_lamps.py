@@ -15,7 +15,7 @@ from correction.fit.solve.light import any_lamp, light_uncertainty
 from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
 from correction.maps.correction_map import build_correction_map
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tests.correction.fit.benches import BOARD, map_error_px
 from tests.correction.fit.lamps import (
     BK7,
@@ -246,7 +246,7 @@ def test_a_lamp_that_lights_the_particles_is_as_unsure_as_the_one_of_the_target(
 
 
 def test_glass_that_is_a_number_is_said_to_hold_in_the_light_of_the_target_alone():
-    nominal = at_size(named_scene("two_spheres_500"), 300)
+    nominal = at_size(demo_scene("two_spheres_500"), 300)
     unsaid = light_uncertainty(nominal, None)
     assert not unsaid.step.size
     assert "the index of sphere1, sphere2 is a number without dispersion" in unsaid.sentence

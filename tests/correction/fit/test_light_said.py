@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 from correction.fit.judge.weakness import _of_light
 from correction.fit.solve.light import light_uncertainty
-from sim.demo.scenes import named_scene
+from sim.demo.scenes import demo_scene
 from tracer.light import line
 from tracer.media import MEDIA
 
 
 def doubt(unsure_nm):
-    scene = named_scene("two_spheres_500")
+    scene = demo_scene("two_spheres_500")
     scene = scene.with_bodies([replace(ball, medium=MEDIA["N-BK7"]) for ball in scene.bodies])
     return light_uncertainty(scene, replace(line(625.0), unsure_nm=unsure_nm))
 

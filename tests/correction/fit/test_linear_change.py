@@ -10,7 +10,7 @@ from correction.fit.solve.solver import Corners, free_rates, land_corners
 from correction.fit.solve.unknowns import unknowns_of
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import build_correction_map
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.drawn_labs import drawn_lab
 from tracer.scene.fit_section import FitTable
 from tracer.strategies.ray_map import build_ray_map
@@ -23,7 +23,7 @@ OF_A_DIFFERENCE = 0.02  # how exactly derivatives can say it, at nine nodes of t
 @pytest.mark.parametrize("seed", [1, 2])
 def test_derivatives_say_the_difference_where_the_map_shows_anything(name, seed):
     """A lifted ball: pixels at its rim, where derivatives say hundreds of px, must not have the say everywhere."""
-    scene = misaligned(at_size(named_scene(name), 1008), seed)
+    scene = misalign(at_size(demo_scene(name), 1008), seed)
     unknowns = unknowns_of(scene, [0.0], FitTable())
     full = unknowns.start
     other = full.copy()

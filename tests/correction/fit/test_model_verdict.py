@@ -12,7 +12,7 @@ from correction.fit.seen.unconfirmed_ways import Unconfirmed
 from correction.fit.solve.ball_shape import SHAPES, shape_rates
 from correction.fit.solve.correlation import FURTHEST, Lattice, correlation_of, with_correlation
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
 from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart
@@ -115,7 +115,7 @@ def test_the_covariance_holds_the_scatter_of_means_of_corners_that_err_alike():
 
 
 def test_landing_points_move_with_a_balls_shape_as_optics_of_another_hand_say():
-    scene = at_size(named_scene("two_spheres_500"), 700)
+    scene = at_size(demo_scene("two_spheres_500"), 700)
     pixels = np.random.default_rng(7).uniform(250.0, 450.0, (200, 2))
     table = scene.sphere_table()
     order = [int(row) for row in np.argsort(-table[:, 2])]
@@ -144,7 +144,7 @@ def test_landing_points_move_with_a_balls_shape_as_optics_of_another_hand_say():
 
 
 def test_a_corner_whose_window_leaves_the_frame_is_not_one_that_something_hides():
-    scene = at_size(named_scene("two_spheres_500"), 504)
+    scene = at_size(demo_scene("two_spheres_500"), 504)
     blank = TargetFrame("blank", np.full((504, 504), 1000, np.uint16), True)
     lost = glass_frame(blank, Chessboard(3.5, 1.4), scene, TargetPose(), 0, only_behind=False).lost
     assert len(lost.index) > 500

@@ -9,7 +9,7 @@ from correction.fit.seen.measurement import whitening
 from correction.fit.solve.moved_board import on_moved_board
 from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import unknowns_of
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
 from tests.correction.fit.strangers import stranger
@@ -24,7 +24,7 @@ LARGER = 6.0  # all ways over all corners, than one way along half the view
 @pytest.mark.parametrize("glass", [False, True])
 def test_derivatives_by_the_scene_are_those_of_residuals_on_a_bent_board(glass):
     """Those of a flat board are wrong by all that a bend makes of a camera that moves."""
-    scene = misaligned(at_size(named_scene("pair_off_axis"), 504), 3)
+    scene = misalign(at_size(demo_scene("pair_off_axis"), 504), 3)
     unknowns = unknowns_of(scene, [0.0], FitTable())
     balls = tuple(Ball(s.centre_mm, s.radius_mm, s.medium.n(scene.wavelength_nm)) for s in scene.spheres)
     asked = np.linspace(60.0, 440.0, 20)

@@ -10,7 +10,7 @@ from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.target import Chessboard
 from correction.target.codes import with_codes
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.patterns import CodedBoard
 from sim.renderer.render import render
@@ -33,8 +33,8 @@ BOARDS = {
 
 def seen(paper, seed=3):
     """A nominal scene, the true one, and frames of the target, bare and through two balls."""
-    nominal = at_size(named_scene("two_spheres_500"), 1008)
-    truth = misaligned(nominal, seed)
+    nominal = at_size(demo_scene("two_spheres_500"), 1008)
+    truth = misalign(nominal, seed)
     frames = [
         TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=3, seed=1), False),
         TargetFrame("glass", render(truth, paper, Sensor(), samples=3, seed=2), True),
@@ -55,8 +55,8 @@ def test_the_map_is_right_by_any_board(kind):
 
 
 def test_a_plain_board_of_another_count_is_refused_with_both():
-    nominal = at_size(named_scene("two_spheres_500"), 1008)
-    bare = render(misaligned(nominal, 3).with_bodies(()), BOARDS["plain"][1], Sensor(), samples=2, seed=1)
+    nominal = at_size(demo_scene("two_spheres_500"), 1008)
+    bare = render(misalign(nominal, 3).with_bodies(()), BOARDS["plain"][1], Sensor(), samples=2, seed=1)
     frames = [TargetFrame("clear", bare, False), TargetFrame("glass", bare, True)]
     with pytest.raises(TargetNotFound, match=r"clear: .* squares from edge to edge .* 41 x 41 squares .* count"):
         fit_scene(nominal, frames, replace(PLAIN, squares=(41, 41)))

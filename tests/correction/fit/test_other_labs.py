@@ -10,7 +10,7 @@ from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import in_target_frame
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.patterns import Pose
 from sim.renderer.render import render_irradiance
@@ -63,13 +63,13 @@ LABS = {
 
 def scenes(lab: Lab) -> tuple[Scene, Scene]:
     """Nominal scene, and the true one before the board upright."""
-    nominal = at_size(named_scene(lab.scene), 1008)
+    nominal = at_size(demo_scene(lab.scene), 1008)
     if lab.crop_rows:
         camera, cut = nominal.camera, lab.crop_rows
         (width, height), (cu, cv) = camera.sensor_px, camera.principal_px
         camera = replace(camera, sensor_px=(width, height - 2 * cut), principal_px=(cu, cv - cut))
         nominal = nominal.with_camera(camera)
-    return nominal, misaligned(nominal, lab.seed)
+    return nominal, misalign(nominal, lab.seed)
 
 
 def photographs(lab: Lab, truth: Scene) -> list[TargetFrame]:

@@ -13,7 +13,7 @@ from correction.fit.seen.prediction import expect, measure, on_each_level
 from correction.fit.solve.solver import Corners, land_corners
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import DotGrid, Plate
 from sim.renderer.render import render, render_irradiance
 from sim.renderer.sensor import Sensor
@@ -38,8 +38,8 @@ def plate(levels, step_mm=STEP_MM, pitch_mm=PITCH_MM, bright=True):
 
 def bare(paper, size_px=360):
     """A nominal camera, and a frame of the bare target by one that stands a little elsewhere."""
-    nominal = at_size(named_scene("two_spheres_500"), size_px)
-    scene = misaligned(nominal, 3).with_bodies(())
+    nominal = at_size(demo_scene("two_spheres_500"), size_px)
+    scene = misalign(nominal, 3).with_bodies(())
     return nominal.with_bodies(()), [
         TargetFrame("clear", render(scene, paper, Sensor(), samples=4, seed=1), False)
     ]
@@ -49,7 +49,7 @@ def bare(paper, size_px=360):
 def test_marks_of_a_level_land_where_its_plane_is(levels):
     """By a ray from the pixel through the world, without any plane but that of its own level."""
     board, _ = plate(levels, 2.0)
-    scene = misaligned(at_size(named_scene("two_spheres_500"), 504), 4).with_bodies(())
+    scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 4).with_bodies(())
     bench = unknowns_of(scene, [0.0], FitTable(), print_sigma=board.print_sigma)
     index = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(-1, 2)
     pixel = scene.camera.project(board.place_mm(index))
@@ -90,7 +90,7 @@ def test_a_plate_told_right_fits_and_says_its_step():
 
 
 def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_off():
-    scene = misaligned(at_size(named_scene("two_spheres_500"), 504), 5)
+    scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 5)
     board, paper = plate("rows", 1.0, 5.0)
     frame = EXACT.expose(render_irradiance(scene, paper, samples=5, seed=1), seed=0)
     shown = expect(scene, TargetPose(), board)
@@ -114,8 +114,8 @@ def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles
 )
 def test_the_map_behind_two_balls_is_right_by_plates(seed, levels, bright):
     board, paper = plate(levels, 1.0, 3.5, bright)
-    nominal = at_size(named_scene("two_spheres_500"), 1008)
-    truth = misaligned(nominal, seed)
+    nominal = at_size(demo_scene("two_spheres_500"), 1008)
+    truth = misalign(nominal, seed)
     frames = [
         TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=5, seed=1), False),
         TargetFrame("glass", render(truth, paper, Sensor(), samples=5, seed=2), True),

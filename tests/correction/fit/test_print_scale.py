@@ -11,7 +11,7 @@ from correction.fit.solve.unknowns import unknowns_of
 from correction.grid import grid_of
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -79,8 +79,8 @@ def test_each_way_of_the_stretch_moves_the_corners_that_way() -> None:
 
 @pytest.mark.slow
 def test_a_print_that_nobody_measured_is_measured_by_the_balls() -> None:
-    nominal = at_size(named_scene("two_spheres_500"), 1008)
-    truth, paper = misaligned(nominal, 3), Print(3.5, 1.4, scale=(1.004, 0.997))
+    nominal = at_size(demo_scene("two_spheres_500"), 1008)
+    truth, paper = misalign(nominal, 3), Print(3.5, 1.4, scale=(1.004, 0.997))
     frames = [
         TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=3, seed=1), False),
         TargetFrame("glass", render(truth, paper, Sensor(), samples=3, seed=2), True),

@@ -11,7 +11,7 @@ from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
 from correction.target import Chessboard
 from correction.target.codes import with_codes
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import CodedBoard, Pose
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -57,12 +57,12 @@ def photographed(truth, seed):
 
 @pytest.mark.slow
 def test_the_map_is_as_far_off_as_its_sigma_says():
-    nominal = at_size(named_scene("one_sphere_500"), SIZE_PX)
+    nominal = at_size(demo_scene("one_sphere_500"), SIZE_PX)
     board = with_codes(Chessboard(SQUARE_MM, **BOARD), CODES)
     at = np.stack(np.meshgrid(*2 * (np.arange(20, SIZE_PX - 8, 45),)), -1).reshape(-1, 2).astype(float)
     behind, clear = [], []
     for seed in SEEDS:
-        truth = misaligned(nominal, seed)
+        truth = misalign(nominal, seed)
         fit = fit_scene(nominal, photographed(truth, seed), board)
         assert any("lines of the print" in str(step) for step in fit.history)
         behind.append(errors_behind(fit, truth)[:2])

@@ -12,7 +12,7 @@ from correction.fit.judge.result import check
 from correction.fit.judge.verdict import STRAINED
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.drawn_labs import BOARD, photographed
 from tests.correction.fit.drawn_optics import Ball, Lab
 from tests.slow_cases import slow
@@ -24,8 +24,8 @@ SIZE_PX = 504
 def fitted(name, print_scale=1.0, radius_scale=1.0, radius_mm=0.02, scale_sigma=0.0, seed=5):
     """Fit a lab whose print, or whose balls, are larger than the files say."""
     rng = np.random.default_rng(seed)
-    nominal = at_size(named_scene(name), SIZE_PX)
-    truth = misaligned(nominal, seed)
+    nominal = at_size(demo_scene(name), SIZE_PX)
+    truth = misalign(nominal, seed)
     nominal = nominal.with_bodies([replace(s, radius_mm=s.radius_mm / radius_scale) for s in nominal.spheres])
     real = Chessboard(BOARD.square_mm * print_scale, BOARD.disc_mm)
     frames = []
@@ -80,7 +80,7 @@ def test_a_right_lab_is_left_alone():
 def linear_labs(heights_mm, shift, count, seed):
     """Tests of labs drawn from their priors, `shift` (P,) of them off, by the linear algebra of a fit."""
     rng = np.random.default_rng(seed)
-    bench = unknowns_of(named_scene("three_spheres_500"), heights_mm, FitTable(), print_sigma=(0.005, 0.005))
+    bench = unknowns_of(demo_scene("three_spheres_500"), heights_mm, FitTable(), print_sigma=(0.005, 0.005))
     free = len(bench.names)
     root = rng.normal(size=(free, free)) * 10.0 ** rng.uniform(-1.0, 3.0, free)  # known badly, well, not at all
     root[:, ::7] = 0.0
@@ -124,9 +124,7 @@ def test_right_labs_drawn_from_the_linear_model_of_a_fit_raise_few_alarms(name):
     ],
 )
 def test_each_kind_that_is_pulled_alike_is_named(names, kind):
-    bench = unknowns_of(
-        named_scene("three_spheres_500"), [-20.0, -10.0, 10.0], FitTable(), print_sigma=(5e-3,) * 2
-    )
+    bench = unknowns_of(demo_scene("three_spheres_500"), [-20.0, -10.0, 10.0], FitTable(), print_sigma=(5e-3,) * 2)
     assert set(names) <= set(bench.names), bench.names
     x = np.zeros(len(bench.names))
     x[[bench.names.index(name) for name in names]] = 4.0 if len(names) > 1 else 6.5
@@ -137,7 +135,7 @@ def test_each_kind_that_is_pulled_alike_is_named(names, kind):
 
 
 def test_balls_that_all_stand_beside_their_place_by_the_same_step_are_no_fault():
-    bench = unknowns_of(named_scene("three_spheres_500"), [0.0], FitTable())
+    bench = unknowns_of(demo_scene("three_spheres_500"), [0.0], FitTable())
     x = np.array([4.0 if name.endswith(".x") and not name.startswith("camera") else 0.0 for name in bench.names])
     well = np.eye(len(x))
     assert not prior_pulls(bench, x, 1e4 * well, 1e-4 * well)

@@ -13,7 +13,7 @@ from correction.errors import GlassNotSeen
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -43,7 +43,7 @@ def drawn(rng: np.random.Generator) -> tuple[Scene, float]:
         gaps = [np.linalg.norm(np.subtract(centre, b.centre_mm)) - radius - b.radius_mm for b in balls]
         if min(gaps, default=2.0) > 1.0 and centre[2] + radius < 0.6 * distance_mm:
             balls.append(Sphere(f"ball{len(balls)}", centre, radius, medium))
-    camera = at_size(named_scene("one_sphere_250"), SIZE_PX).camera
+    camera = at_size(demo_scene("one_sphere_250"), SIZE_PX).camera
     camera = replace(camera, focal_px=focal_mm / PITCH_MM, position_mm=(0.0, 0.0, distance_mm))
     square_mm = float(rng.uniform(16.0, 30.0)) * PITCH_MM * distance_mm / focal_mm
     return Scene(camera, tuple(balls)), round(square_mm, 2)
@@ -55,7 +55,7 @@ def drawn(rng: np.random.Generator) -> tuple[Scene, float]:
 def test_the_map_is_true_or_the_fit_says_why(seed):
     rng = np.random.default_rng((5, seed))
     nominal, square_mm = drawn(rng)
-    truth = misaligned(nominal, seed, barrel=float(rng.choice([0.0, 0.005, -0.01])))
+    truth = misalign(nominal, seed, barrel=float(rng.choice([0.0, 0.005, -0.01])))
     sensor = Sensor(blur_px=float(rng.uniform(0.4, 1.2)))
     frames = []
     for glass in (False, True):

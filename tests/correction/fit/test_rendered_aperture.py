@@ -11,7 +11,7 @@ import pytest
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import Pose, placed
+from sim.renderer.patterns import Pose, place
 from sim.renderer.render import Aperture, render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import SQUARE_MM, bench, errors_behind
@@ -33,7 +33,7 @@ def rms_px(nominal, made, frames):
 def test_a_stop_that_is_told_costs_the_map_little_and_the_sigma_holds_it(f_number):
     made = bench("two_spheres_500", 6)
     pupil = Aperture(FOCAL_MM, f_number, FOCUS_MM)
-    print_ = placed(Print(SQUARE_MM, 0.4 * SQUARE_MM), Pose())
+    print_ = place(Print(SQUARE_MM, 0.4 * SQUARE_MM), Pose())
     image = render(made.truth, print_, Sensor(), samples=8, seed=61, aperture=pupil)
     frames = [*(frame for frame in made.frames if not frame.glass), TargetFrame("glass", image, True, 0.0)]
     camera = replace(made.nominal.camera, pupil=Pupil(0.5 * FOCAL_MM / f_number, FOCUS_MM))

@@ -9,7 +9,7 @@ import scipy
 from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.fit.solve.contact import push_apart
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.benches import BOARD, SIZE_PX, errors_behind, photograph
 from tracer.harmonics import NAMES, of_ellipsoid
 from tracer.scene.fit_section import FitSphereTable, FitTable
@@ -19,8 +19,8 @@ UNEVEN = FitTable(spheres=FitSphereTable(out_of_round_um=20.0))
 
 
 def lab(seed: int, which: int, differ_um: float, more_um: dict[str, float] | None = None) -> Scene:
-    """A misaligned bench of two balls that touch, one of them an ellipsoid of some orientation, and more."""
-    truth = misaligned(at_size(named_scene("two_spheres_500"), SIZE_PX), seed)
+    """A misalign bench of two balls that touch, one of them an ellipsoid of some orientation, and more."""
+    truth = misalign(at_size(demo_scene("two_spheres_500"), SIZE_PX), seed)
     one, half = truth.spheres[which], 0.5e-3 * differ_um
     rotation = scipy.spatial.transform.Rotation.random(random_state=np.random.default_rng(seed)).as_matrix()
     axes = (one.radius_mm + half, one.radius_mm, one.radius_mm - half)
@@ -47,7 +47,7 @@ def heights(fit: SceneFit, number: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("seed", "which", "differ_um"), [(3, 1, 25.0), (4, 0, 25.0), (5, 1, 50.0)])
 def test_a_ball_out_of_round_is_found(seed: int, which: int, differ_um: float) -> None:
     """Map below 0.02 px rms with harmonics, coefficients as unsure as they say; a sphere does not fit."""
-    truth, nominal = lab(seed, which, differ_um), at_size(named_scene("two_spheres_500"), SIZE_PX)
+    truth, nominal = lab(seed, which, differ_um), at_size(demo_scene("two_spheres_500"), SIZE_PX)
     frames = [photograph(truth if glass else truth.bare(), glass, 0.0, 100 * seed + glass) for glass in (0, 1)]
     frames = [replace(frame, glass=bool(frame.glass)) for frame in frames]
     sphere = fit_scene(nominal, frames, BOARD)
@@ -76,7 +76,7 @@ def test_a_ball_out_of_round_is_found(seed: int, which: int, differ_um: float) -
 @pytest.mark.timeout(1800)
 def test_degrees_that_were_held_are_named_with_the_one_that_would_do() -> None:
     """A ball with 40 um of degree 3, of which a fit finds the ellipsoid alone: not what it shows, and why."""
-    truth, nominal = lab(3, 1, 25.0, {"C30": 30.0, "S32": 25.0}), at_size(named_scene("two_spheres_500"), SIZE_PX)
+    truth, nominal = lab(3, 1, 25.0, {"C30": 30.0, "S32": 25.0}), at_size(demo_scene("two_spheres_500"), SIZE_PX)
     frames = [photograph(truth if glass else truth.bare(), bool(glass), 0.0, 700 + glass) for glass in (0, 1)]
     fit = fit_scene(nominal, frames, BOARD, UNEVEN)
     assert not fit.verdict.is_right

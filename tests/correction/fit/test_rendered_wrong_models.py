@@ -9,7 +9,7 @@ from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.sensor import SILENT, Sensor
 from tests.correction.fit.drawn_labs import map_error
@@ -58,8 +58,8 @@ def sampled(board: Print, four: list[np.ndarray], count: int) -> np.ndarray:
 @cache
 def judged(fault: str, seed: int) -> tuple[SceneFit, np.ndarray, np.ndarray]:
     """Fit of a lab, error and sigma (M, 2) of its map behind glass [px]; even seeds are without noise."""
-    nominal = at_size(named_scene("two_spheres_500"), SIZE_PX)
-    truth = misaligned(nominal, seed)
+    nominal = at_size(demo_scene("two_spheres_500"), SIZE_PX)
+    truth = misalign(nominal, seed)
     shape = np.diag([0.025, -0.025, 0.0]) if fault == "ellipsoid" else np.zeros((3, 3))
     room = truth.n_ambient
     balls = tuple(

@@ -7,7 +7,7 @@ import pytest
 
 from correction.fit.seen.prediction import expect
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.drawn_labs import Drawn, drawn_lab
 from tracer.bodies import Core, Sphere
 from tracer.media import VACUUM, ConstantMedium, shifted
@@ -21,8 +21,8 @@ NOT_COUNTED = "the radius of a core is held as told; 0.02 mm of doubt make error
 
 def aligned(rng: np.random.Generator, seed: int) -> tuple[Scene, Scene, Chessboard]:
     """Three balls on the axis, whose radii and glass are known as well as the fit takes them to be."""
-    nominal = at_size(named_scene("three_spheres_500"), SIZE_PX)
-    truth = misaligned(nominal, 1000 + seed)
+    nominal = at_size(demo_scene("three_spheres_500"), SIZE_PX)
+    truth = misalign(nominal, 1000 + seed)
     n = shifted(truth.spheres[0].medium, float(rng.normal(0.0, 0.003)))
     smaller = [
         replace(ball, medium=n, radius_mm=ball.radius_mm - rng.uniform(0.0, 0.02)) for ball in truth.spheres
@@ -40,8 +40,8 @@ def hollow(rng: np.random.Generator, seed: int) -> tuple[Scene, Scene, Chessboar
             ("right", (23.5, -3.0, 26.0), 22.0, 1.47),
         )
     ]
-    nominal = at_size(named_scene("one_sphere_500"), SIZE_PX).with_bodies(balls)
-    truth = misaligned(nominal, 1000 + seed)
+    nominal = at_size(demo_scene("one_sphere_500"), SIZE_PX).with_bodies(balls)
+    truth = misalign(nominal, 1000 + seed)
 
     def made(ball: Sphere) -> Sphere:
         off, inside = np.clip(rng.normal(0.0, 0.02, 2), -0.04, 0.04)
@@ -59,7 +59,7 @@ def chi(labs: list[Drawn], behind: bool) -> float:
 
 
 def test_the_bending_of_a_view_pulls_corners_along_its_unevenness_and_nowhere_else():
-    scene = at_size(named_scene("three_spheres_500"), SIZE_PX)
+    scene = at_size(demo_scene("three_spheres_500"), SIZE_PX)
     shown = expect(scene, TargetPose(), BOARD)
     pull = np.linalg.norm(shown.bent_px, axis=1)
     assert pull[shown.branch == 0].max() < 1e-6

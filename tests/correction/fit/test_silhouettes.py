@@ -7,7 +7,7 @@ import pytest
 
 from correction.fit.seen.silhouettes import outlines_of
 from correction.fit.solve.contact import push_apart
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.renderer.kernels.rays import last_way
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
@@ -59,7 +59,7 @@ def found(truth: Scene, believed: Scene, seed: int):
 )
 def test_balls_are_seen_where_they_stand(name, seed):
     """Up to 5 mm off, all together or one by itself."""
-    truth = at_size(named_scene(name), 504)
+    truth = at_size(demo_scene(name), 504)
     rng = np.random.default_rng((1, seed))
     move = rng.normal(size=3) * (1.0, 1.0, 0.5)
     move *= rng.uniform(2.0, 5.0) / np.linalg.norm(move)
@@ -75,7 +75,7 @@ def test_balls_are_seen_where_they_stand(name, seed):
 
 
 def test_what_is_off_is_said_and_what_is_not_is_not():
-    truth = at_size(named_scene("pair_off_axis"), 504)
+    truth = at_size(demo_scene("pair_off_axis"), 504)
     right, _ = found(truth, truth, 1)
     assert right.in_words(1.0) == ""
     together, _ = found(truth, told(truth, np.array([[-3.0, 0.0, 0.0]] * 2)), 1)
@@ -88,7 +88,7 @@ def test_what_is_off_is_said_and_what_is_not_is_not():
 
 
 def test_a_ball_stands_beside_its_rim_if_it_is_moved_sideways_and_not_if_it_is_moved_in_depth():
-    truth = at_size(named_scene("pair_off_axis"), 504)
+    truth = at_size(demo_scene("pair_off_axis"), 504)
     moved = told(truth, np.array([[0.0, 0.0, 0.0], [0.0, 3.7, 0.0]]))
     outlines, _ = found(truth, moved, 1)
     least_mm = 0.8 * SQUARE_MM
@@ -98,14 +98,14 @@ def test_a_ball_stands_beside_its_rim_if_it_is_moved_sideways_and_not_if_it_is_m
 
 
 def test_a_ball_behind_another_goes_with_it():
-    truth = at_size(named_scene("three_spheres_500"), 504)
+    truth = at_size(demo_scene("three_spheres_500"), 504)
     outlines, _ = found(truth, told(truth, np.array([[2.0, 3.0, 0.0]] * 3)), 2)
     assert outlines.own_rim.tolist() == [False, False, True]
     assert np.all(outlines.move_mm[:2, 1] < -1.0)
 
 
 def test_a_lattice_that_says_nothing_moves_nothing():
-    truth = at_size(named_scene("pair_off_axis"), 504)
+    truth = at_size(demo_scene("pair_off_axis"), 504)
     corners, _ = corners_and_hidden(truth, 1)
     free = np.ones(2, bool)
     for hidden in (np.zeros(len(corners), bool), np.ones(len(corners), bool)):
@@ -114,7 +114,7 @@ def test_a_lattice_that_says_nothing_moves_nothing():
 
 
 def test_a_ball_that_is_held_stays():
-    truth = at_size(named_scene("pair_off_axis"), 504)
+    truth = at_size(demo_scene("pair_off_axis"), 504)
     corners, hidden = corners_and_hidden(truth, 1)
     believed = told(truth, np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
     outlines = outlines_of(believed, truth.camera, np.array([True, False]), corners, hidden, SQUARE_MM)
@@ -123,7 +123,7 @@ def test_a_ball_that_is_held_stays():
 
 def test_a_ball_in_the_middle_of_a_heap_has_no_rim_of_its_own() -> None:
     """Gaps show a little of it, at which others hide as well: it was seen 1 mm beside its place, and followed."""
-    base = at_size(named_scene("two_spheres_500"), 504)
+    base = at_size(demo_scene("two_spheres_500"), 504)
     ring = [(50.1 * np.cos(k * np.pi / 3.0), 50.1 * np.sin(k * np.pi / 3.0), 25.1) for k in range(6)]
     top = [(28.95 * np.cos(a), 28.95 * np.sin(a), 66.2) for a in (np.pi / 2.0, 7.0 * np.pi / 6.0, -np.pi / 6.0)]
     places = [(0.0, 0.0, 25.1), *ring, *top]

@@ -13,7 +13,7 @@ from correction.fit.seen.smear_test import (
     index_width,
     smear_in_view,
 )
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tracer.light import band, gaussian
 from tracer.media import MEDIA, ConstantMedium
@@ -83,7 +83,7 @@ def test_a_drawn_lab_in_white_light_is_named_and_one_in_one_colour_is_not():
 
 
 def test_the_blur_of_a_stop_is_what_traced_parts_of_it_show():
-    scene = at_size(named_scene("two_spheres_500"), 504)
+    scene = at_size(demo_scene("two_spheres_500"), 504)
     pixel = np.random.default_rng(3).uniform(180.0, 320.0, (80, 2))
     rays = landings(scene, pixel)
     axes = np.tile(np.array([[20.0, 0.0], [0.0, -20.0]]), (80, 1, 1))
@@ -100,7 +100,7 @@ def test_the_blur_of_a_stop_is_what_traced_parts_of_it_show():
 
 
 def test_a_frame_without_a_corner_behind_glass_has_nothing_to_smear():
-    scene = at_size(named_scene("two_spheres_500"), 504)
+    scene = at_size(demo_scene("two_spheres_500"), 504)
     pixel = np.random.default_rng(3).uniform(0.0, 40.0, (20, 2))
     axes = np.tile(np.array([[20.0, 0.0], [0.0, -20.0]]), (20, 1, 1))
     spread = EdgeSpread(*np.ones((3, 20, 2)))

@@ -22,7 +22,7 @@ from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
 from correction.target import Chessboard
 from correction.target.corners import refine_corners
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -39,7 +39,7 @@ TURNS_RAD = (0.0, 0.0005, 0.001, 0.003, 0.01)
 
 def aligned(square_px: float, roll_rad: float, rng: np.random.Generator) -> tuple[Scene, Scene, float]:
     """Nominal scene, the true one, whose camera stands beside its place and looks straight; a square [mm]."""
-    nominal = at_size(named_scene("one_sphere_500"), SIZE_PX)
+    nominal = at_size(demo_scene("one_sphere_500"), SIZE_PX)
     x, y, z = np.array(nominal.camera.position_mm) + rng.uniform(-0.2, 0.2, 3)
     turned = look_at((x, y, z), (x, y, 0.0), roll_rad)
     camera = replace(nominal.camera, position_mm=(x, y, z), rotation=turned)
@@ -199,7 +199,7 @@ def test_the_pull_of_the_lock_has_the_slope_that_it_says():
 
 
 def test_information_without_the_lock_is_what_its_covariance_says():
-    locked = with_lock(unknowns_of(at_size(named_scene("one_sphere_500"), SIZE_PX), [0.0], FitTable()))
+    locked = with_lock(unknowns_of(at_size(demo_scene("one_sphere_500"), SIZE_PX), [0.0], FitTable()))
     size, free = len(locked.names), len(locked.names) - len(NAMES)
     half = np.random.default_rng(8).normal(size=(size, size))
     normal = half @ half.T

@@ -5,7 +5,7 @@ import pytest
 
 from correction.fit.scene_fit import fit_scene
 from correction.target import Chessboard
-from sim.demo.scenes import misaligned
+from sim.demo.scenes import misalign
 from tests.correction.fit.benches import photograph
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Sphere
@@ -33,7 +33,7 @@ def three_of_acrylic() -> Scene:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_lab_as_it_was_told_is_fitted(seed: int) -> None:
     nominal = three_of_acrylic()
-    truth = misaligned(nominal, seed)
+    truth = misalign(nominal, seed)
     frames = [
         photograph(truth if glass else truth.with_bodies(()), glass, height, 100 * seed + number, SQUARE_MM)
         for glass, heights in HEIGHTS

@@ -9,7 +9,7 @@ from correction.fit.adjustment import feasible_scene
 from correction.fit.camera_stage import turn_scene
 from correction.fit.solve.contact import HELD_MM
 from correction.fit.solve.unknowns import unknowns_of
-from sim.demo.scenes import named_scene
+from sim.demo.scenes import demo_scene
 from tracer.bodies import Rod, Sphere
 from tracer.media import MEDIA
 from tracer.scene.fit_section import FitTable
@@ -23,7 +23,7 @@ FAR = Rod("far", (-90.0, -90.0, 10.0), (90.0, -90.0, 10.0), 4.0)
 
 
 def scene_of(*supports: Rod):
-    return named_scene("two_spheres_500").with_bodies([*BALLS, *supports])
+    return demo_scene("two_spheres_500").with_bodies([*BALLS, *supports])
 
 
 def fitted(scene, **steps):

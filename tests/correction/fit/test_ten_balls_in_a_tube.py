@@ -13,7 +13,7 @@ from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.contact import push_apart
 from correction.target import Chessboard
-from sim.demo.scenes import misaligned
+from sim.demo.scenes import misalign
 from tests.correction.fit.benches import photograph
 from tracer.bodies import Sphere
 from tracer.scene.scene import Scene
@@ -35,7 +35,7 @@ def column() -> tuple[Scene, Scene, tuple[TargetFrame, ...]]:
         replace(ball, name=f"b{number}", centre_mm=(x, -4.34, 19.76)) for number, x in ((9, -7.51), (10, 7.51))
     ]
     nominal = scene.with_bodies([*scene.bodies, *more]).with_camera(scene.camera.with_width(SIZE_PX))
-    truth = misaligned(nominal, 2)
+    truth = misalign(nominal, 2)
     bodies = [
         body.with_numbers([0.1, -0.1, 0.002, -0.001, 50.1, 45.05, body.media[0][1].n(532.0)], 532.0)
         if body.name == TUBE

@@ -15,7 +15,7 @@ from correction.fit.solve.light import back_from_light, in_light
 from correction.fit.solve.solver import Corners, residuals
 from correction.fit.solve.unknowns import rotation_jacobian, unknowns_of
 from ground.errors import ConfigError
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.bodies import Dome, Tube, Window
 from tracer.harmonics import COUNT
 from tracer.light import FULL_WIDTH, gaussian
@@ -38,7 +38,7 @@ ALL = FitTable(
 
 @pytest.mark.parametrize("deep_mm", [(0.0, 0.0), (0.0, 1.5), (-0.8, 2.0)])
 def test_every_derivative_agrees_with_differences(deep_mm):
-    scene = at_size(named_scene("pyramid_500"), 700)
+    scene = at_size(demo_scene("pyramid_500"), 700)
     deep = any(deep_mm)
     bench = unknowns_of(scene, [0.0, -10.0], ALL, print_sigma=(0.0, 0.0, 0.01) if deep else (0.0, 0.0))
     u, v = np.meshgrid(np.linspace(150, 550, 9), np.linspace(160, 545, 9))
@@ -74,7 +74,7 @@ def uneven(scene: Scene, seed: int) -> Scene:
 @pytest.mark.slow
 def test_every_derivative_by_shapes_agrees_with_differences() -> None:
     """All degrees of one ball, an ellipsoid of the other; both touch, so that they push each other as well."""
-    scene = uneven(at_size(named_scene("two_spheres_500"), 700), 4)
+    scene = uneven(at_size(demo_scene("two_spheres_500"), 700), 4)
     upper, lower = (one.name for one in scene.spheres)
     named = {upper: FitNamedTable(out_of_round_um=5.0, out_of_round_degree=6)}
     named |= {lower: FitNamedTable(out_of_round_um=5.0)}
@@ -105,7 +105,7 @@ def test_every_derivative_by_shapes_agrees_with_differences() -> None:
 
 
 def test_walls_of_balls_out_of_round_follow_every_number() -> None:
-    scene = uneven(named_scene("two_spheres_500"), 5)
+    scene = uneven(demo_scene("two_spheres_500"), 5)
     table, shapes = scene.sphere_table(), scene.shapes()
     depth, rate, by_shape = walls(table, shapes)
     assert (np.abs(depth) < 0.02).sum() == 2  # on the plane, and on each other
@@ -171,7 +171,7 @@ def test_every_derivative_by_walls_agrees_with_differences() -> None:
 
 def walled_scene() -> Scene:
     """A tank behind a window, a tube in it, and two balls, one of which is in the tube."""
-    scene, glass, liquid = at_size(named_scene("one_sphere_500"), 700), MEDIA["N-BK7"], ConstantMedium(1.4)
+    scene, glass, liquid = at_size(demo_scene("one_sphere_500"), 700), MEDIA["N-BK7"], ConstantMedium(1.4)
     (ball,) = scene.spheres
     inside = replace(ball, centre_mm=(-12.0, 5.0, 21.0), radius_mm=20.0)
     outside = replace(ball, name="outside", centre_mm=(70.0, 8.0, 25.0), radius_mm=18.0)
@@ -182,9 +182,9 @@ def walled_scene() -> Scene:
 
 
 def test_spheres_of_one_glass_share_n_and_others_do_not():
-    same = unknowns_of(named_scene("two_spheres_500"), [0.0], FitTable())
+    same = unknowns_of(demo_scene("two_spheres_500"), [0.0], FitTable())
     assert [name for name in same.names if name.endswith(".n")] == ["glass sphere1+sphere2.n"]
-    different = unknowns_of(named_scene("pair_off_axis"), [0.0], FitTable())
+    different = unknowns_of(demo_scene("pair_off_axis"), [0.0], FitTable())
     assert [name for name in different.names if name.endswith(".n")] == ["glass sphere1.n", "glass sphere2.n"]
     x = np.zeros(len(same.names))
     x[-1] = 1.0
@@ -199,7 +199,7 @@ def test_zero_sigma_holds_a_number_and_a_name_overrides_the_rest():
         named={"sphere2": FitNamedTable(radius_mm=0.0, centre_mm=0.0)},
         n=0.0,
     )
-    names = unknowns_of(named_scene("two_spheres_500"), [0.0], priors).names
+    names = unknowns_of(demo_scene("two_spheres_500"), [0.0], priors).names
     assert names == (
         *(f"camera.{part}" for part in ("x", "y", "z", "rx", "ry", "rz")),
         *(f"sphere1.{part}" for part in ("x", "y", "z", "radius")),
@@ -207,14 +207,14 @@ def test_zero_sigma_holds_a_number_and_a_name_overrides_the_rest():
 
 
 def test_focal_length_is_free_only_with_a_stack_or_on_request():
-    scene = named_scene("two_spheres_500")
+    scene = demo_scene("two_spheres_500")
     assert "camera.focal_px" not in unknowns_of(scene, [0.0], FitTable()).names
     assert "camera.focal_px" in unknowns_of(scene, [0.0, -10.0, 10.0], FitTable(), focal_free=True).names
     assert "camera.focal_px" in unknowns_of(scene, [0.0], FitTable(camera=FitCameraTable(focal_px=3.0))).names
 
 
 def test_free_undoes_full():
-    bench = unknowns_of(named_scene("three_spheres_500"), [0.0, 10.0], ALL)
+    bench = unknowns_of(demo_scene("three_spheres_500"), [0.0, 10.0], ALL)
     x = np.random.default_rng(1).normal(size=len(bench.names))
     np.testing.assert_allclose(bench.free(bench.full(x)), x, atol=1e-9)
 
@@ -232,7 +232,7 @@ def test_left_jacobian_is_what_a_small_turn_after_the_rotation_sees(turn):
 
 
 def test_overlaps_are_pushed_apart_exactly_and_no_further():
-    scene = named_scene("two_spheres_500")
+    scene = demo_scene("two_spheres_500")
     bench = unknowns_of(scene, [0.0], FitTable())
     full = np.array(bench.start)
     full[bench.glass].reshape(-1, 5)[1, 2] -= 0.004
@@ -246,13 +246,13 @@ def test_overlaps_are_pushed_apart_exactly_and_no_further():
 
 
 def test_what_does_not_overlap_is_left_alone():
-    table = named_scene("pair_off_axis").sphere_table()
+    table = demo_scene("pair_off_axis").sphere_table()
     np.testing.assert_array_equal(push_apart(table)[:, :3], table[:, :3])
     assert (walls(table)[0] <= 1e-9).all()
 
 
 def test_a_fitted_index_moves_to_another_wavelength_with_the_dispersion_of_its_glass():
-    scene = named_scene("one_sphere_500")
+    scene = demo_scene("one_sphere_500")
     sphere = replace(scene.spheres[0], medium=MEDIA["N-BK7"])
     scene = replace(scene.with_bodies([sphere]), wavelength_nm=590.0)
     bench = unknowns_of(scene, [0.0], FitTable())
@@ -274,7 +274,7 @@ def test_the_mean_index_of_a_wide_light_follows_the_bend_of_the_dispersion():
 
 
 def test_a_glass_seen_in_another_light_comes_back_as_it_was():
-    scene = named_scene("two_spheres_500")
+    scene = demo_scene("two_spheres_500")
     light = gaussian(590.0, 25.0)
     with pytest.raises(ViewsMissing, match="number without dispersion"):
         in_light(scene, light)

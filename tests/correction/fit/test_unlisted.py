@@ -11,7 +11,7 @@ from correction.fit.seen.unlisted_parts import Compared, View, compare_views
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import Aperture, render
 from sim.renderer.sensor import Sensor
@@ -38,7 +38,7 @@ BODIES: dict[str, Body] = {
 
 @cache
 def lab() -> Scene:
-    return misaligned(at_size(named_scene("two_spheres_500"), 504), 6)
+    return misalign(at_size(demo_scene("two_spheres_500"), 504), 6)
 
 
 @cache
@@ -137,7 +137,7 @@ def test_a_rim_whose_place_is_not_known_is_no_body_of_its_own():
 def right_lab(kind: str, seed: int) -> tuple[Scene, np.ndarray]:
     """A scene as a fit would have it, hundredths of a millimetre off, and the frame of the target."""
     glass, rng = MEDIA["N-BK7"], np.random.default_rng((33, seed))
-    nominal = at_size(named_scene("two_spheres_500"), 504)
+    nominal = at_size(demo_scene("two_spheres_500"), 504)
     balls, walls = [replace(ball, medium=glass) for ball in nominal.spheres], list[Body]()
     if kind == "window":
         walls = [
@@ -149,7 +149,7 @@ def right_lab(kind: str, seed: int) -> tuple[Scene, np.ndarray]:
             Sphere(name, (float(rng.uniform(-4.0, 4.0)), y, 20.5), 19.0, glass)
             for name, y in (("low", -20.5), ("high", 20.5))
         ]
-    truth = misaligned(nominal.with_bodies([*walls, *balls]), seed)
+    truth = misalign(nominal.with_bodies([*walls, *balls]), seed)
     board = Print(SQUARE_MM, 0.4 * SQUARE_MM)
     frames, aperture, samples = [truth], None, 3
     if kind == "aperture":
@@ -183,8 +183,8 @@ def test_right_labs_of_other_kinds_mask_nothing(kind):
     ids=["bead of 4 mm", "drop of 1.2 mm radius"],
 )
 def test_a_whole_calibration_says_it_and_masks_it(stray):
-    nominal = at_size(named_scene("two_spheres_500"), 1008)
-    truth = misaligned(nominal, 6)
+    nominal = at_size(demo_scene("two_spheres_500"), 1008)
+    truth = misalign(nominal, 6)
     shown = truth.with_bodies([*truth.bodies, stray])
     frames = [photograph(truth.bare(), False, 0.0, 600), photograph(shown, True, 0.0, 601)]
     fit = fit_scene(nominal, frames, Chessboard(3.5, 1.4))

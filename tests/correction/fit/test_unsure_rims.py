@@ -9,7 +9,7 @@ from correction.fit.seen.measurement import MeasuredFrame
 from correction.fit.seen.unsure_rims import beside_rim, unsure_rims, windows_beside
 from correction.fit.solve.solver import Corners
 from correction.masked import pixels_in
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import trace
 
@@ -22,7 +22,7 @@ STEP = 3
 @pytest.fixture(scope="module")
 def lab() -> Scene:
     """One ball, clear of the plane."""
-    scene = at_size(named_scene("one_sphere_500"), 504)
+    scene = at_size(demo_scene("one_sphere_500"), 504)
     x, y, z = scene.spheres[0].centre_mm
     return scene.with_bodies([replace(scene.spheres[0], centre_mm=(x, y, z + 3.0))])
 

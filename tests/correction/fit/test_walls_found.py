@@ -11,7 +11,7 @@ from correction.fit.scene_fit import fit_scene
 from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
 from correction.target import Chessboard
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.benches import errors_behind, map_error_px, photograph
 from tracer.bodies import Body, Sphere, Tube, Window
 from tracer.media import MEDIA
@@ -19,7 +19,7 @@ from tracer.scene.scene import Scene
 
 SIZE_PX, SQUARE_MM = 700, 3.5
 GLASS = MEDIA["borosilicate"]
-BASE = at_size(named_scene("two_spheres_500"), SIZE_PX)
+BASE = at_size(demo_scene("two_spheres_500"), SIZE_PX)
 WINDOW = Window("window", (0.0, 0.0, 160.0), (0.0, 0.0, 1.0), 10.0, 90.0, GLASS)
 TUBE = Tube("tube", (0.0, -150.0, 0.0), (0.0, 150.0, 0.0), 50.0, 45.0, GLASS)
 LEAN = float(np.deg2rad(1.0))
@@ -31,7 +31,7 @@ TRUE = {  # in the order of `Body.numbers`, from where the scene file has them
 
 def fitted(nominal: Scene, wall: Body) -> tuple[SceneFit, Scene]:
     """The fit from a scene whose wall is in truth another one, and the truth."""
-    truth = misaligned(nominal, 1)
+    truth = misalign(nominal, 1)
     truth = truth.with_bodies([wall if body.name == wall.name else body for body in truth.bodies])
     frames = [photograph(truth.bare(), False, 0.0, 1, SQUARE_MM)]
     frames += [photograph(truth, True, 0.0, 2, SQUARE_MM)] if nominal.spheres else []
@@ -87,7 +87,7 @@ def test_what_a_tubes_edge_cuts_of_the_board_does_not_hold_its_radii() -> None:
     side = 2.5
     true = (-0.240498749, 0.0832879232, 0.000107587284, -0.000319684612, 49.9642281, 45.0489962, 1.47395425)
     balls = [Sphere("a", (2.0, 20.5, 20.5), 20.0, GLASS), Sphere("b", (-2.0, -20.5, 20.5), 20.0, GLASS)]
-    truth = misaligned(BASE.with_bodies([TUBE, *balls]), 5).with_bodies([TUBE.with_numbers(true, 532.0)])
+    truth = misalign(BASE.with_bodies([TUBE, *balls]), 5).with_bodies([TUBE.with_numbers(true, 532.0)])
     frame = photograph(truth, False, 0.0, 500, side)
     fit = fit_scene(replace(BASE, bodies=(TUBE,)), [frame], Chessboard(side, 0.4 * side))
     for part, number in (("outer_radius", 4), ("inner_radius", 5), ("n", 6)):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow
 from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
@@ -29,7 +29,7 @@ def camera(
     crop_px=None,
 ):
     """A camera that sees a jet behind balls `GAP_MM` off the target's plane, or only the middle of its view."""
-    stack = at_size(named_scene(name), size_px)
+    stack = at_size(demo_scene(name), size_px)
     if crop_px is not None:
         middle = np.subtract(stack.camera.principal_px, 0.5 * (size_px - crop_px))
         lens = replace(stack.camera, principal_px=tuple(middle.tolist()), sensor_px=(crop_px, crop_px))

@@ -14,7 +14,7 @@ from correction.node_status import NodeStatus
 from daq.live.scene_lines import folds_and_masks
 from daq.runs.glass_place import with_glass_at
 from ground.errors import ConfigError
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
 from tracer.masked import LEFT_OUT, UNCONFIRMED, UNLISTED, MaskedPart
@@ -29,7 +29,7 @@ WAY = MaskedPart(UNCONFIRMED, through=THROUGH)
 
 
 def scene(*masked: MaskedPart) -> Scene:
-    return replace(at_size(named_scene("two_spheres_500"), SIZE_PX), masked=masked)
+    return replace(at_size(demo_scene("two_spheres_500"), SIZE_PX), masked=masked)
 
 
 def test_nodes_seen_through_an_outline_are_left_out_with_its_reason():
@@ -84,7 +84,7 @@ def test_a_way_that_is_not_confirmed_is_left_out_whole():
 @pytest.mark.parametrize("name", ["three_spheres_500", "pyramid_500"])
 def test_the_next_best_view_takes_over_where_the_best_is_masked(name):
     """Nothing is left out that an unmasked view shows, and nothing is shown by a masked one."""
-    whole = replace(scene(), bodies=at_size(named_scene(name), SIZE_PX).bodies)
+    whole = replace(scene(), bodies=at_size(demo_scene(name), SIZE_PX).bodies)
     views = build_correction_map(whole, build_ray_map(whole), layers=6)
     used = views.weight > 0.0
     twice = used[0] & used[1]
@@ -122,7 +122,7 @@ def test_vectors_of_raw_frames_do_not_come_from_there():
 
 
 def test_the_sheet_is_not_found_by_what_is_masked():
-    three = at_size(named_scene("three_spheres_500"), SIZE_PX)
+    three = at_size(demo_scene("three_spheres_500"), SIZE_PX)
     left_out = []
     for masked in ((), (CORNER,)):
         found = double_views(replace(three, masked=masked), step=2)

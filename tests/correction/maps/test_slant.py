@@ -8,7 +8,7 @@ import pytest
 from correction.fitted.prepared import prepare
 from correction.maps.slant import node_slopes, ray_slopes, vector_slopes
 from piv.correlation.windows import window_grid
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.view import ParticleView
 from sim.renderer.render import Aperture
 from tests.correction.small_scenes import small_scene
@@ -23,7 +23,7 @@ LENS = Aperture(60.0, 22.0, 440.0)
 
 def two_balls(pupil=None):
     """Two balls of 50 mm, one behind the other, a little before the plane."""
-    scene = at_size(named_scene("two_spheres_500"), SIDE_PX)
+    scene = at_size(demo_scene("two_spheres_500"), SIDE_PX)
     moved = scene.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in scene.bodies])
     return moved if pupil is None else moved.with_camera(replace(moved.camera, pupil=pupil))
 

@@ -10,7 +10,7 @@ from correction.light_sheet.double_views import double_views
 from correction.self_check import moved_sphere
 from correction.self_check.moved_sphere import RunningCheck, check_spheres, judge_pairs
 from correction.self_check.seen_twice import SeenTwice
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tests.correction.alignment.drawn import moved as glass_moved
 from tests.correction.light_sheet.particle_frames import GAP_MM, camera, frames_of, moved
 from tracer.light_sheet import LightSheet
@@ -69,7 +69,7 @@ def test_of_what_no_particle_tells_nothing_is_said():
 
 def drawn_flow():
     """A scene, and pairs of frames with particles where it shows them twice."""
-    scene = glass_moved(at_size(named_scene("three_spheres_500"), 400), glass_mm=(0.0, 0.0, GAP_MM))
+    scene = glass_moved(at_size(demo_scene("three_spheres_500"), 400), glass_mm=(0.0, 0.0, GAP_MM))
     views = double_views(scene, step=2)
     rng = np.random.default_rng(1)
     rows, columns = np.indices(scene.camera.shape)

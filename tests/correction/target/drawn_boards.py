@@ -14,7 +14,7 @@ from correction.target import Chessboard
 from correction.target.board_search import track_board
 from correction.target.codes import with_codes
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import CodedBoard, DotGrid, Plate, Pose, placed
+from sim.renderer.patterns import CodedBoard, DotGrid, Plate, Pose, place
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tracer.board import LARGE_DOTS, Codes, Dots
@@ -109,7 +109,7 @@ def drawn(seed, kind=None):
     balls = balls_before(seed)
     if kind == "plate":  # whose face may lie before the plane
         balls = tuple(ball for ball in balls if ball.centre_mm[2] - ball.radius_mm > 1.6)
-    light = render_irradiance(Scene(true, balls), placed(real, Pose()), samples=3, seed=seed)
+    light = render_irradiance(Scene(true, balls), place(real, Pose()), samples=3, seed=seed)
     light, words = _as_a_lab_sees_it(light, true, board, squares, rng)
     words += f", {len(balls)} balls" if balls else ""
     image = Sensor().expose(light.astype(np.float32), seed=seed, illumination=float(rng.uniform(0.25, 1.0)))

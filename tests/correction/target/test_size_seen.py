@@ -11,7 +11,7 @@ from correction.target.board_search import corners_in_view, find_board, track_bo
 from correction.target.codes import with_codes
 from correction.target.size_seen import size_seen
 from sim.renderer.patterns import Chessboard as Print
-from sim.renderer.patterns import CodedBoard, DotGrid, Pose, placed
+from sim.renderer.patterns import CodedBoard, DotGrid, Pose, place
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.target.drawn_boards import NOMINAL, REACH_MM, camera, drawn, verdict
@@ -52,7 +52,7 @@ def seen(kind, true=OFF, bodies=(), pose=FLAT):
         "charuco": CodedBoard(side, discs=(), codes=CODES, squares=(12, 10)),
         "dots": DotGrid(side, 0.65 * side, discs=LARGE_DOTS, dots=Dots(0.4 * side)),
     }[kind]
-    return render(Scene(true, bodies), placed(paper, pose), Sensor(), samples=2, seed=1)
+    return render(Scene(true, bodies), place(paper, pose), Sensor(), samples=2, seed=1)
 
 
 @pytest.fixture(scope="module", params=SIDE_MM)

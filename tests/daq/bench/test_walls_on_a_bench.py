@@ -12,7 +12,7 @@ from daq.bench.elements import GLASS
 from daq.bench.guards import guard_of, sheet_clearance_mm
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from ground.errors import ConfigError
-from sim.arranged import arranged
+from sim.arranged import arrange
 from sim.witness.clearances import Carried, Clearances
 from stages.errors import Obstructed, StageUsageError
 from stages.way import Piece
@@ -49,7 +49,7 @@ def test_a_window_goes_where_its_carrier_goes(tmp_path, carried_by, step_mm):
     bench = load_bench(bench_file(tmp_path, PANE, carried_by=carried_by))
     at = bench.home_mm | GLASS_Z | {"rail_z": 7.0}
     off = {"pane": step_mm, "near": 30.0, "far": 30.0}
-    shown, _ = arranged(bench, bench.scene, at)
+    shown, _ = arrange(bench, bench.scene, at)
     for name, points in places(bench.scene).items():
         np.testing.assert_allclose(places(shown)[name], points + np.array([0.0, 0.0, off[name]]))
     taken = with_glass_at(bench.scene, glass_off_scene_mm(bench.table, bench.home_mm | GLASS_Z))

@@ -9,7 +9,7 @@ from correction.node_status import NodeStatus
 from daq.live import scene_lines as lines_module
 from daq.live.scene_lines import LIT, folds_and_masks, scene_lines
 from rtpiv.analysis.views.field_of_view import field_of_view
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
 from tracer.strategies.ray_map import build_ray_map
@@ -17,7 +17,7 @@ from tracer.strategies.ray_map import build_ray_map
 
 def test_the_fold_of_a_ball_on_the_axis_is_a_circle_of_the_radius_that_the_curve_has():
     """`field_of_view` finds it on one ray's curve, where the determinant's radial part is zero."""
-    scene = at_size(named_scene("one_sphere_500"), 1008)
+    scene = at_size(demo_scene("one_sphere_500"), 1008)
     seen, camera = field_of_view(scene), scene.camera
     assert seen.folds
     expected_px = camera.focal_px * seen.fold_mm / seen.distance_mm
@@ -30,7 +30,7 @@ def test_the_fold_of_a_ball_on_the_axis_is_a_circle_of_the_radius_that_the_curve
 
 
 def test_masks_are_around_what_is_not_recovered_and_nothing_else():
-    scene = at_size(named_scene("pyramid_500"), 504)  # its own coarse pixels
+    scene = at_size(demo_scene("pyramid_500"), 504)  # its own coarse pixels
     status = build_correction_map(scene, build_ray_map(scene)).status
     lost = ~np.isin(status, (NodeStatus.RECOVERED, NodeStatus.OUT_OF_FRAME))
     masks = folds_and_masks(scene)["corrected"]["masks"]
@@ -42,12 +42,12 @@ def test_masks_are_around_what_is_not_recovered_and_nothing_else():
 
 
 def test_without_glass_there_is_no_line():
-    bare = at_size(named_scene("two_spheres_500"), 504).bare()
+    bare = at_size(demo_scene("two_spheres_500"), 504).bare()
     assert all(not lines for kinds in folds_and_masks(bare).values() for lines in kinds.values())
 
 
 def test_views_have_lines_of_their_own_and_what_cannot_be_traced_keeps_its_outlines(monkeypatch):
-    scene = at_size(named_scene("two_spheres_500"), 252)
+    scene = at_size(demo_scene("two_spheres_500"), 252)
     lines = scene_lines(scene, whole=True)
     assert lines["glass"]["raw"]["folds"]
     assert lines[LIT] == lines["glass"]

@@ -7,13 +7,13 @@ import pytest
 
 from correction.grid import grid_of
 from daq.live.scene_lines import MAX_BALLS, outlines
-from sim.demo.scenes import named_scene
+from sim.demo.scenes import demo_scene
 from tracer.strategies.trace import trace
 
 
 @pytest.mark.parametrize("name", ["two_spheres_500", "pyramid_500", "tilted"])
 def test_rays_inside_an_outline_meet_the_ball_and_those_outside_do_not(name):
-    scene = named_scene(name)
+    scene = demo_scene(name)
     for ball, (called, points) in zip(scene.spheres, outlines(scene)["raw"]["lines"], strict=True):
         assert called == ball.name
         line, alone = np.array(points), scene.with_bodies((ball,))
@@ -24,7 +24,7 @@ def test_rays_inside_an_outline_meet_the_ball_and_those_outside_do_not(name):
 
 
 def test_on_the_plane_an_outline_is_what_the_ball_hides():
-    scene = named_scene("two_spheres_500")
+    scene = demo_scene("two_spheres_500")
     grid, (x, y, z) = grid_of(scene.camera), scene.camera.position_mm
     for ball, (_, points) in zip(scene.spheres, outlines(scene)["corrected"]["lines"], strict=True):
         plane = grid.to_mm(np.array(points))
@@ -36,7 +36,7 @@ def test_on_the_plane_an_outline_is_what_the_ball_hides():
 
 
 def test_what_has_no_outline_is_left_out_and_a_bed_is_not_drawn_whole():
-    scene = named_scene("one_sphere_500")
+    scene = demo_scene("one_sphere_500")
     (ball,) = scene.spheres
     many = [
         replace(ball, name=f"b{i}", radius_mm=1.0, centre_mm=(3.0 * i, 0.0, 2.0)) for i in range(2 * MAX_BALLS)

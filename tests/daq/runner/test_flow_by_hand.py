@@ -11,7 +11,7 @@ from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
 from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import world
-from sim.happened import read_happened
+from sim.event_log import read_event_log
 from sim.stages import SimulatedStages
 from tests.daq.flow_bench import ToldLight, told
 from tests.daq.hand_bench import write_hand_flow
@@ -41,7 +41,7 @@ def test_ten_pairs_by_hand_are_lit_by_two_lights_each_and_none_while_a_hand_is_i
         first, second = (told(tifffile.imread(frame)) for frame in pair.frames)
         assert (first[0], first[2], second[0], second[2]) == (1, 0, 1, 1), "each frame shows one pulse, A then B"
         assert first[1] == second[1]
-    happened = read_happened(run)
+    happened = read_event_log(run)
     lights = happened.of_kind("light")
     assert not happened.violations
     assert [light.said["pulse"] for light in lights] == [0, 1] * (len(lights) // 2)

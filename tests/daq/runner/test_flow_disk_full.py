@@ -12,7 +12,7 @@ from daq.runs.run_check import check_run
 from rtpiv.verbs.acquire import LiveFrames, acquire
 from rtpiv.verbs.resume import resume
 from sim import world
-from sim.happened import Kept, read_happened
+from sim.event_log import Kept, read_event_log
 from tests.daq.flow_bench import ToldLight, write_flow
 from tests.slow_cases import slow
 
@@ -47,7 +47,7 @@ def test_light_ends_with_the_room_on_the_disk(tmp_path, monkeypatch, frames):
             frames=LiveFrames(correct=False),
         )  # fmt: skip
     (path,) = (tmp_path / "runs").iterdir()
-    happened = read_happened(path)
+    happened = read_event_log(path)
     assert not happened.violations
     assert len(lit_s) >= frames
     assert lit_s[-1] - full_s[0] < 0.5

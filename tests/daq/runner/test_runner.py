@@ -305,7 +305,7 @@ def test_unplugged_stage_ends_the_run_and_forgets_its_position(bench_and_plan, f
     with files_bench(rehearsal.of(bench, len(plan.steps)), files) as hardware:
         with pytest.raises(DeviceLost):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
-        assert hardware.simulation.happened().faults == ["unplug of target at step 4"]
+        assert hardware.simulation.event_log().faults == ["unplug of target at step 4"]
         assert hardware.stage.where_mm()["target_x"] is None
         assert steps_on_disk(folder.entries()) == {0, 1, 2}
     with files_bench(bench, files) as hardware:

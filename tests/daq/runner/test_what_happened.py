@@ -11,7 +11,7 @@ from daq.runner.session import HAPPENED, _keep_what_happened
 
 
 def keep(folder, text):
-    simulation = SimpleNamespace(happened=lambda: SimpleNamespace(text=lambda: text))
+    simulation = SimpleNamespace(event_log=lambda: SimpleNamespace(text=lambda: text))
     _keep_what_happened(simulation, SimpleNamespace(path=folder))
 
 

@@ -128,7 +128,7 @@ class Story(JudgedLaser):
         self.emulator.advance()
         self.emulator.set_inside(number, keyword, value)
         if self.emulator.is_on_at(0) and number > 0:
-            self.turned |= {(output, keyword) for output in self.emulator.fed_by(number)}
+            self.turned |= {(output, keyword) for output in self.emulator.sources_of(number)}
 
     def refuse_off(self):
         """One output, or T0, is not switched off when it is told to, a few times."""
@@ -185,7 +185,7 @@ class Story(JudgedLaser):
         if (
             self.line.dead
             or not self.emulator.is_on
-            or (self.kind == "oltSync" and (not self.line.reached or self.line.faults._by_answer))
+            or (self.kind == "oltSync" and (not self.line.is_reached or self.line.faults._by_answer))
         ):
             return
         self.emulator.advance()
@@ -217,7 +217,7 @@ class Story(JudgedLaser):
         """What the thread does that reads a switch."""
         was_on = self.laser._states._state in (*EMITS, *BETWEEN)
         self.laser.switch_opened(self.laser.switches.look(name))
-        if was_on and self.line.reached:
+        if was_on and self.line.is_reached:
             self.ended()
 
     def shut_door(self):
@@ -261,7 +261,7 @@ class Story(JudgedLaser):
 
     def stop(self):
         self.laser.stop("asked")
-        if self.line.reached:
+        if self.line.is_reached:
             self.ended()
 
     def confirm(self):
@@ -317,7 +317,7 @@ class Story(JudgedLaser):
         if self.laser._states._state is LaserState.UNKNOWN and self.is_refused_since(begun_s):
             self.laser.confirm_off()  # as the supervisor of a burst does, at once
         is_over = self.laser._states._state in EMITS and self.clock.now_s() > self.laser._ends_s
-        if name in LOOKS and self.line.reached and is_over:
+        if name in LOOKS and self.line.is_reached and is_over:
             self.found.append("it goes on although its time is over, and was looked at")
 
     def end(self):

@@ -174,7 +174,7 @@ class JudgedLaser:
 
     def judge_end(self, pulse, knobs):
         """Of a box in reach at which somebody looks whether the time of its chunk is over."""
-        if self.looks_s is None or not self.line.reached or "MUX" in knobs:
+        if self.looks_s is None or not self.line.is_reached or "MUX" in knobs:
             return
         late_s = pulse.rises_s - max(self.laser._ends_s, self.looks_s)
         if late_s > LATE_S:
@@ -186,7 +186,7 @@ class JudgedLaser:
 
     def is_out_of_reach(self, state):
         """Whether the program knows that light may leave, and no word of it can reach the box."""
-        return state is LaserState.UNKNOWN and not self.line.reached
+        return state is LaserState.UNKNOWN and not self.line.is_reached
 
     def is_refused(self, pulse, state):
         """Whether the program knows, has said off, and the box has just refused it."""

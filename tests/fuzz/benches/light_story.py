@@ -236,7 +236,7 @@ class LightStory(laser.Story):
         self.stage.stop_quietly()
 
     def stage_clear(self):
-        self.bench.world.witness.cleared()
+        self.bench.world.witness.note_clear()
         self.stage.clear_stop()
 
     VERBS: ClassVar = {

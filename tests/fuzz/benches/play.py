@@ -195,7 +195,7 @@ class Player:
         return self.bench.stage.latch._gate._is_owned()  # type: ignore[attr-defined]
 
     def _stop(self) -> None:
-        self.witness.stopped()
+        self.witness.note_stop()
         self.bench.stage.stop_quietly()
 
     def _person(self, controller: str) -> None:
@@ -226,13 +226,13 @@ class Player:
 
     def _cleared(self) -> None:
         """A person releases the bench; a box that is held at its own keys is not released by that."""
-        self.witness.cleared()
+        self.witness.note_clear()
         self._note_hold("portal")
 
     def _note_hold(self, controller: str) -> None:
         line = self.bench.lines[controller]
         if getattr(line.emulator, "is_held", False):
-            self.witness.stopped(only=line)
+            self.witness.note_stop(only=line)
 
     def _take_over(self, controller: str, act: Callable[[], object], only: str = "") -> None:
         """Let a person do something that ends motions; one that ends short of its target is a stop."""
@@ -249,20 +249,20 @@ class Player:
         for name, target in before.items():
             motor = emulator.motors[name]
             short = abs(target - motor.target) * motor.mechanics.lead_mm / motor.mechanics.steps_per_rev
-            if short > SHORT_MM and not self._orphans and self.bench.lines[controller].reached:
-                self.witness.stopped()
+            if short > SHORT_MM and not self._orphans and self.bench.lines[controller].is_reached:
+                self.witness.note_stop()
                 self._pressed_at = controller
 
     def _press(self, controller: str, button: str) -> None:
         """Somebody lets a held board go on, or resets it at a pendant."""
-        self.witness.cleared(self.bench.lines[controller])
+        self.witness.note_clear(self.bench.lines[controller])
         self.bench.lines[controller].emulator.button(grbl.RESUME if button == "resume" else grbl.RESET)
 
     def _restart(self, controller: str, off_s: float) -> None:
         """Power fails."""
         if controller == self._pressed_at:
             self._forget_press()
-        self.witness.cleared(self.bench.lines[controller])
+        self.witness.note_clear(self.bench.lines[controller])
         self.bench.lines[controller].power_cycle(off_s)
 
     def _unplug(self, controller: str) -> None:
@@ -286,7 +286,7 @@ class Player:
         def run() -> None:
             if other == ["stop"]:
                 self.bench.stage.stop_quietly()
-                self.witness.stopped()
+                self.witness.note_stop()
             else:
                 self._try(other)
 
@@ -318,4 +318,4 @@ class Player:
         self.told += 1
         if not math.isfinite(at_mm):
             self.crashes.append(f"crash of {axis}: told {at_mm}")
-        self.witness.told(axis, at_mm)
+        self.witness.check_report(axis, at_mm)

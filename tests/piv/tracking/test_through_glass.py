@@ -13,7 +13,7 @@ from correction.grid import grid_of
 from piv.errors import PairError
 from piv.tracking.particles import Particles
 from piv.tracking.tracks import track_particles
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow, Uniform, Vortex
 from sim.flow.images import FlowCamera
 from sim.flow.particles import LightSheet, Seeding
@@ -24,7 +24,7 @@ from tracer.strategies.sensitivity import landings
 from tracer.strategies.trace import trace
 
 SHIFT_PX = np.array((3.3, -2.1))  # u right, v down
-SCENE = at_size(named_scene("two_spheres_500"), 504)
+SCENE = at_size(demo_scene("two_spheres_500"), 504)
 
 
 @cache

@@ -9,7 +9,7 @@ import tifffile
 
 from ground.map_file import save_arrays
 from rtpiv.command_line.cli import DONE, USAGE, main
-from sim.renderer.patterns import printed_particles
+from sim.renderer.patterns import print_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.small_scenes import small_scene
@@ -26,9 +26,9 @@ def good(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pair")
     scene = small_scene("two_spheres_500", SIZE_PX).with_bodies(())
     (folder / "scene.yaml").write_text(dump_scene(scene))
-    sheet = printed_particles((180.0, 180.0), scene.camera.focal_px / 500.0, seed=1)
+    sheet = print_particles((180.0, 180.0), scene.camera.focal_px / 500.0, seed=1)
     frames = [
-        render(scene, print_, Sensor(), seed=k) for k, print_ in enumerate((sheet, sheet.displaced((1.5, 0.8))))
+        render(scene, print_, Sensor(), seed=k) for k, print_ in enumerate((sheet, sheet.displace((1.5, 0.8))))
     ]
     return folder / "scene.yaml", frames
 
@@ -90,7 +90,7 @@ def test_the_removed_route_is_one_sentence(good, tmp_path, capsys):
 
 def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
     scene, frames = good
-    other = render(load_scene(scene), printed_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
+    other = render(load_scene(scene), print_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
     assert evaluate(tmp_path, scene, (frames[0], other)) == DONE
     said = " ".join(capsys.readouterr().out.split())
     assert "no better than unrelated pictures, so no vector is valid" in said
@@ -102,7 +102,7 @@ def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
 
 def test_a_pair_of_which_little_is_shared_is_told_what_measures_more(good, tmp_path, capsys):
     scene, (first, second) = good
-    other = render(load_scene(scene), printed_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
+    other = render(load_scene(scene), print_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
     mixed = np.where(np.arange(first.shape[1]) < 96, second, other)
     assert evaluate(tmp_path, scene, (first, mixed)) == DONE
     said = " ".join(capsys.readouterr().out.split())

@@ -8,7 +8,7 @@ import tifffile
 
 from rtpiv.analysis.pairs.evaluation import PairDetails
 from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
-from sim.renderer.patterns import printed_particles
+from sim.renderer.patterns import print_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tracer.scene.scene_file import load_scene
@@ -29,10 +29,10 @@ def test_shift_in_beds(name: str, least: int, tmp_path: Path) -> None:
     scene = load_scene(path)
     px_per_mm = scene.camera.focal_px / float(np.linalg.norm(scene.camera.position_mm))
     width, height = (1.5 * size / px_per_mm for size in scene.camera.sensor_px)
-    sheet = printed_particles((width, height), px_per_mm, seed=3)
+    sheet = print_particles((width, height), px_per_mm, seed=3)
     step = SHIFT_PX / px_per_mm / float(np.sqrt(2.0))
     pair = [tmp_path / "a.tif", tmp_path / "b.tif"]
-    for seed, (file, pattern) in enumerate(zip(pair, (sheet, sheet.displaced((step, step))), strict=True)):
+    for seed, (file, pattern) in enumerate(zip(pair, (sheet, sheet.displace((step, step))), strict=True)):
         tifffile.imwrite(file, render(scene, pattern, Sensor(), samples=4, seed=50 + seed))
     details, output = PairDetails((step, step)), EvaluationOutput(pictures=False)
     (found,) = evaluate(pair, tmp_path / "out", path, details=details, output=output).details

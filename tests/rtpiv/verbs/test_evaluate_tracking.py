@@ -12,9 +12,9 @@ from rtpiv.analysis.pairs.evaluation import PairDetails
 from rtpiv.analysis.report.pair_folder import write_pair, write_pair_page
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.evaluate import evaluate
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow, Uniform
-from sim.flow.images import FlowCamera, rendered_pairs
+from sim.flow.images import FlowCamera, render_pairs
 from sim.flow.particles import LightSheet, Seeding
 from tracer.scene.scene_file import dump_scene
 
@@ -26,10 +26,10 @@ BY_HAND = {"seen directly", "behind glass, r < 0.75 R", "behind glass, r > 0.75 
 def pair(tmp_path_factory):
     """A thinly seeded pair behind two balls, as files."""
     folder = tmp_path_factory.mktemp("thin")
-    scene = at_size(named_scene("two_spheres_500"), 252)
+    scene = at_size(demo_scene("two_spheres_500"), 252)
     flow = Flow(Uniform((*SHIFT_MM, 0.0)))
     camera = FlowCamera(scene, flow, sheet=LightSheet(0.02), seeding=Seeding(0.006), reflections=None)
-    (frames,) = rendered_pairs(scene, flow, dt_s=1.0, count=1, camera=camera)
+    (frames,) = render_pairs(scene, flow, dt_s=1.0, count=1, camera=camera)
     (folder / "scene.yaml").write_text(dump_scene(scene))
     for name, frame in zip("ab", frames, strict=True):
         tifffile.imwrite(folder / f"{name}.tif", frame)

@@ -27,7 +27,7 @@ from rtpiv.command_line.cli import main
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.target import target
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
@@ -63,9 +63,9 @@ class Lab:
 def lab_of(name, folder):
     """A lab, written as its user would have it."""
     if name not in INIT:
-        nominal = at_size(named_scene(name), SIZE_PX)
+        nominal = at_size(demo_scene(name), SIZE_PX)
         (folder / "scene.yaml").write_text(dump_scene(nominal))
-        return Lab(nominal, misaligned(nominal, 3), folder / "scene.yaml", HEIGHTS_MM, by_init=False)
+        return Lab(nominal, misalign(nominal, 3), folder / "scene.yaml", HEIGHTS_MM, by_init=False)
     readme = [line.strip() for line in (ROOT / "README.md").read_text().splitlines()]
     command = INIT[name] or next(line for line in readme if line.startswith("rtpiv init lab --yes"))
     program, verb, _, *words = shlex.split(command)
@@ -74,7 +74,7 @@ def lab_of(name, folder):
     nominal = load_scene(folder / "lab" / "scene.yaml")
     plan = yaml.safe_load((folder / "lab" / "plan-target.yaml").read_text())
     heights = {view: tuple(plan[view]["z_mm"]) for view in ("clear", "glass")}
-    return Lab(nominal, misaligned(nominal, 3), folder / "lab" / "scene.yaml", heights, by_init=True)
+    return Lab(nominal, misalign(nominal, 3), folder / "lab" / "scene.yaml", heights, by_init=True)
 
 
 def photographs(lab, paper, folder):

@@ -20,7 +20,7 @@ from piv.errors import PairError
 from rtpiv.analysis.report import pair_folder
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
-from sim.renderer.patterns import Chessboard, printed_particles
+from sim.renderer.patterns import Chessboard, print_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.small_scenes import small_scene
@@ -67,8 +67,8 @@ def shift_run(tmp_path_factory):
     """Glass and clear pairs, and one that moved out of the plane."""
     scene = small_scene("two_spheres_500", SIZE_PX)
     scale = scene.camera.focal_px / scene.camera.position_mm[2]
-    sheet = printed_particles((190.0, 190.0), scale, seed=3)
-    moved = sheet.displaced(SHIFT_MM[:2])
+    sheet = print_particles((190.0, 190.0), scale, seed=3)
+    moved = sheet.displace(SHIFT_MM[:2])
     pairs = [("clear_b", "clear", SHIFT_MM), ("glass_b", "glass", SHIFT_MM), ("deep_b", "glass", (0.9, 0.6, -0.5))]
     prints, found = [], []
     for tag, view, shift in pairs:

@@ -54,9 +54,9 @@ class Replay:
 
     def listen(self):
         if self.is_hexadecimal:
-            self.heard += [said.data.hex(" ") for said in self.device.said()]
+            self.heard += [said.data.hex(" ") for said in self.device.take_answers()]
             return
-        data = b"".join(said.data for said in self.device.said()).decode("latin-1")
+        data = b"".join(said.data for said in self.device.take_answers()).decode("latin-1")
         if self.framed:
             self.heard += [line.removesuffix("\r") for line in data.split("\n") if line.strip("\r")]
         elif data:
@@ -96,10 +96,10 @@ def test_documented_dialogue(title, protocol, setup, lines):
 def test_a_c142_knows_no_version():
     device = IselEmulator({"X": Motor(SCREW)}, VirtualClock(), model=None)
     device.feed(b"@0V\r@01\r@0J100\r")
-    assert b"".join(said.data for said in device.said()) == b"505"
+    assert b"".join(said.data for said in device.take_answers()) == b"505"
 
 
 def test_an_isel_box_has_inputs_and_outputs():
     device = IselEmulator({"X": Motor(SCREW)}, VirtualClock())
     device.feed(b"@0b0\r@0B0,8\r@0B0,256\r@0B0\r")
-    assert [said.data for said in device.said()] == [b"000", b"0", b"1", b"5"]
+    assert [said.data for said in device.take_answers()] == [b"000", b"0", b"1", b"5"]

@@ -39,9 +39,9 @@ def test_exposures_show_what_was_lit_and_the_truth_is_told_apart(flow_bench):
         bench.seed(k > 0)
         world.lit.flash(0, 100 * k * MS)
         world.lit.flash(1, 100 * k * MS + MS // 2)
-    dark = world.exposed(0, 50 * MS, 60 * MS)
-    still = world.exposed(1, 0, MS // 4)
-    first, second = world.exposed(2, 100 * MS, 100 * MS + 1), world.exposed(3, 100 * MS + 1, 101 * MS)
+    dark = world.expose(0, 50 * MS, 60 * MS)
+    still = world.expose(1, 0, MS // 4)
+    first, second = world.expose(2, 100 * MS, 100 * MS + 1), world.expose(3, 100 * MS + 1, 101 * MS)
     assert dark.max() < 60
     assert still[:30].mean() == pytest.approx(37.0, abs=0.5)  # haze over the offset: not seeded yet
     assert first[:30].mean() > 38.0
@@ -56,12 +56,12 @@ def test_the_flow_is_seen_from_where_the_camera_stands(flow_bench, monkeypatch):
     world = flow_bench().world
     world.lit.flash(0, 0)
     world.lit.flash(0, 100 * MS)
-    here = world.exposed(0, 100 * MS, 101 * MS)
+    here = world.expose(0, 100 * MS, 101 * MS)
     true_mm = world.true_mm()
     monkeypatch.setattr(world, "true_mm", lambda: {**true_mm, "rail_z": true_mm["rail_z"] + 50.0})
-    assert not np.array_equal(here, world.exposed(1, 100 * MS, 101 * MS))
+    assert not np.array_equal(here, world.expose(1, 100 * MS, 101 * MS))
     monkeypatch.setattr(world, "true_mm", lambda: true_mm)
-    np.testing.assert_array_equal(here, world.exposed(2, 100 * MS, 101 * MS))
+    np.testing.assert_array_equal(here, world.expose(2, 100 * MS, 101 * MS))
 
 
 def test_pairs_made_beforehand_are_replayed(flow_bench, tmp_path, monkeypatch):
@@ -78,7 +78,7 @@ def test_pairs_made_beforehand_are_replayed(flow_bench, tmp_path, monkeypatch):
     for k, pulse in ((1, 0), (2, 1), (3, 0)):
         start_ns = 100 * k * MS + pulse * MS // 2
         kept = np.load(tmp_path / "ready" / f"pair_{k % 2:05d}_{'ab'[pulse]}.npy")
-        np.testing.assert_array_equal(world.exposed(0, start_ns, start_ns + 1), kept)
+        np.testing.assert_array_equal(world.expose(0, start_ns, start_ns + 1), kept)
 
 
 def test_without_a_flow_nothing_of_it_is_there(tmp_path):
@@ -86,6 +86,6 @@ def test_without_a_flow_nothing_of_it_is_there(tmp_path):
     try:
         assert bench.world.lit is None
         assert list(bench.secrets()) == ["truth.yaml"]
-        assert bench.world.exposed(0, 0, 1).shape == (96, 96)
+        assert bench.world.expose(0, 0, 1).shape == (96, 96)
     finally:
         bench.close()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow, LaminarChannel, Shear, Uniform, Vortex
-from sim.flow.images import FlowCamera, rendered_pairs
+from sim.flow.images import FlowCamera, render_pairs
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
-from sim.flow.particles import LightSheet, Seeding, moved
+from sim.flow.particles import LightSheet, Seeding, advect
 from tests.sim.flow.test_view import flow_scene
 from tracer.errors import SceneError
 
@@ -21,13 +21,13 @@ DT_S = 500e-6
 def test_particles_that_turn_in_a_vortex_keep_their_distance_to_its_axis():
     flow, rng = Flow(Vortex(core_mm=10.0, fastest_mm_s=2000.0)), np.random.default_rng(0)
     start = rng.uniform(-30.0, 30.0, (500, 3))
-    end = moved(flow, start, 0.0, DT_S)
+    end = advect(flow, start, 0.0, DT_S)
     radius = np.hypot(start[:, 0], start[:, 1])
     np.testing.assert_allclose(np.hypot(end[:, 0], end[:, 1]), radius, atol=1e-5)
     angle = np.arctan2(end[:, 1], end[:, 0]) - np.arctan2(start[:, 1], start[:, 0])
     speed = np.linalg.norm(flow.mean(start), axis=1)
     np.testing.assert_allclose(np.mod(angle + np.pi, 2.0 * np.pi) - np.pi, speed * DT_S / radius, atol=2e-5)
-    np.testing.assert_allclose(moved(flow, end, DT_S, -DT_S), start, atol=2e-5)
+    np.testing.assert_allclose(advect(flow, end, DT_S, -DT_S), start, atol=2e-5)
 
 
 def test_light_of_a_tilted_sheet_and_its_second_pulse():
@@ -39,7 +39,7 @@ def test_light_of_a_tilted_sheet_and_its_second_pulse():
 
 @pytest.mark.parametrize("flow", [Flow(Uniform((300.0, 500.0, 0.0))), Flow(Shear((0.0, 400.0, 0.0)))])
 def test_correlation_finds_what_the_flow_did_beside_and_behind_the_glass(flow):
-    scene = at_size(named_scene("two_spheres_500"), 512).with_bodies([])
+    scene = at_size(demo_scene("two_spheres_500"), 512).with_bodies([])
     camera = FlowCamera(scene, flow, reflections=None, seeding=Seeding(0.05))
     first, second = (frame.astype(float) - 35.0 for frame in camera.pair(0, 4 * DT_S, 0.0))
     px_per_mm = 1.0 / camera.px_mm
@@ -59,7 +59,7 @@ def test_correlation_finds_what_the_flow_did_beside_and_behind_the_glass(flow):
 
 
 def test_motion_out_of_the_sheet_loses_the_pair():
-    scene = at_size(named_scene("two_spheres_500"), 256).with_bodies([])
+    scene = at_size(demo_scene("two_spheres_500"), 256).with_bodies([])
 
     def likeness(w_mm_s):
         camera = FlowCamera(scene, Flow(Uniform((0.0, 0.0, w_mm_s))), reflections=None)
@@ -73,7 +73,7 @@ def test_motion_out_of_the_sheet_loses_the_pair():
 
 
 def test_walls_hold_no_particles():
-    scene = at_size(named_scene("two_spheres_500"), 256).with_bodies([])
+    scene = at_size(demo_scene("two_spheres_500"), 256).with_bodies([])
     camera = FlowCamera(scene, Flow(LaminarChannel(half_width_mm=20.0)), reflections=None)
     first, _ = camera.pair(0, DT_S, 0.0)
     wall = 20.0 / camera.px_mm
@@ -104,14 +104,14 @@ def test_a_pair_is_a_function_of_its_number(monkeypatch):
     monkeypatch.setenv("RTPIV_THREADS", "3")
     scene = flow_scene(size=200)
     flow = Flow(Jet(), RandomModes(8.0))
-    pairs = list(rendered_pairs(scene, flow, dt_s=DT_S, count=3))
+    pairs = list(render_pairs(scene, flow, dt_s=DT_S, count=3))
     monkeypatch.setenv("RTPIV_THREADS", "1")
-    (again,) = rendered_pairs(scene, flow, dt_s=DT_S, count=1, first=2)
+    (again,) = render_pairs(scene, flow, dt_s=DT_S, count=1, first=2)
     for frame, same, other in zip(again, pairs[2], pairs[1], strict=True):
         np.testing.assert_array_equal(frame, same)
         assert not np.array_equal(frame, other)
     camera = FlowCamera(scene, flow, seed=1)
-    (seeded,) = rendered_pairs(scene, flow, dt_s=DT_S, count=1, first=2, camera=camera)
+    (seeded,) = render_pairs(scene, flow, dt_s=DT_S, count=1, first=2, camera=camera)
     assert not np.array_equal(seeded[0], again[0])
 
 

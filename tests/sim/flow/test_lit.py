@@ -30,9 +30,9 @@ def test_a_frame_shows_the_flash_that_fell_into_it(camera):
     lit.flash(0, 100 * MS)
     lit.flash(1, 100 * MS + DT_NS)
     first, second = camera.pair(0, 1e-9 * DT_NS, 0.0)
-    dark = lit.exposed(camera, 90 * MS, 99 * MS)
-    np.testing.assert_array_equal(lit.exposed(camera, 99 * MS, 100 * MS + DT_NS), first)
-    np.testing.assert_array_equal(lit.exposed(camera, 100 * MS + DT_NS, 110 * MS), second)
+    dark = lit.expose(camera, 90 * MS, 99 * MS)
+    np.testing.assert_array_equal(lit.expose(camera, 99 * MS, 100 * MS + DT_NS), first)
+    np.testing.assert_array_equal(lit.expose(camera, 100 * MS + DT_NS, 110 * MS), second)
     assert dark.max() < 60 < first.max()
 
 
@@ -40,7 +40,7 @@ def test_both_flashes_in_one_exposure_show_both(camera):
     lit = LitFlow()
     lit.flash(0, 100 * MS)
     lit.flash(1, 100 * MS + DT_NS)
-    both = lit.exposed(camera, 99 * MS, 110 * MS).astype(float)
+    both = lit.expose(camera, 99 * MS, 110 * MS).astype(float)
     first, second = (frame.astype(float) for frame in camera.pair(0, 1e-9 * DT_NS, 0.0))
     assert (both - 35.0).sum() == pytest.approx((first - 35.0).sum() + (second - 35.0).sum(), rel=0.03)
 
@@ -53,17 +53,17 @@ def test_every_light_1_begins_a_pair_and_light_2_alone_shows_another(camera):
             lit.flash(1, (100 + 100 * k) * MS + DT_NS)
     lit.flash(1, 400 * MS)  # the first cavity did not fire
     third, _ = camera.pair(2, 1e-9 * DT_NS, 0.2)
-    np.testing.assert_array_equal(lit.exposed(camera, 299 * MS, 300 * MS + 1), third)
-    lone = lit.exposed(camera, 399 * MS, 401 * MS)
-    assert not np.array_equal(lone, lit.exposed(camera, 300 * MS + 1, 301 * MS))
+    np.testing.assert_array_equal(lit.expose(camera, 299 * MS, 300 * MS + 1), third)
+    lone = lit.expose(camera, 399 * MS, 401 * MS)
+    assert not np.array_equal(lone, lit.expose(camera, 300 * MS + 1, 301 * MS))
 
 
 def test_without_a_laser_light_falls_at_the_start_of_exposures(camera):
     lit = LitFlow()
     first, second = camera.pair(0, 1e-9 * DT_NS, 0.0)
-    np.testing.assert_array_equal(lit.exposed(camera, 7 * MS, 8 * MS), first)
-    np.testing.assert_array_equal(lit.exposed(camera, 7 * MS + DT_NS, 9 * MS), second)
-    later = lit.exposed(camera, 107 * MS, 108 * MS)
+    np.testing.assert_array_equal(lit.expose(camera, 7 * MS, 8 * MS), first)
+    np.testing.assert_array_equal(lit.expose(camera, 7 * MS + DT_NS, 9 * MS), second)
+    later = lit.expose(camera, 107 * MS, 108 * MS)
     np.testing.assert_array_equal(later, camera.pair(1, 0.0, 0.1)[0])
 
 
@@ -74,9 +74,9 @@ def test_before_the_seeding_is_open_only_reflections_are_seen(camera):
     lit.seed(True)  # before the picture of the first one is drawn
     lit.flash(0, 200 * MS)
     np.testing.assert_array_equal(
-        lit.exposed(camera, 99 * MS, 101 * MS), camera.pair(0, 0.0, 0.0, is_seeded=False)[0]
+        lit.expose(camera, 99 * MS, 101 * MS), camera.pair(0, 0.0, 0.0, is_seeded=False)[0]
     )
-    assert lit.exposed(camera, 199 * MS, 201 * MS).mean() > 37.5
+    assert lit.expose(camera, 199 * MS, 201 * MS).mean() > 37.5
 
 
 def test_prepared_pairs_come_round_and_refuse_another_dt_or_scene(camera, tmp_path):
@@ -89,11 +89,11 @@ def test_prepared_pairs_come_round_and_refuse_another_dt_or_scene(camera, tmp_pa
     for k in range(4):
         for pulse, frame in enumerate(camera.pair(k % 2, 1e-9 * DT_NS, 0.1 * (k % 2))):
             start_ns = 100 * k * MS + pulse * DT_NS
-            np.testing.assert_array_equal(lit.exposed(camera, start_ns, start_ns + DT_NS, pairs), frame)
+            np.testing.assert_array_equal(lit.expose(camera, start_ns, start_ns + DT_NS, pairs), frame)
     lit.flash(0, 900 * MS)
     lit.flash(1, 901 * MS)
     with pytest.raises(SceneError, match=r"made for dt = 500 us, not 1000\.0 us"):
-        lit.exposed(camera, 901 * MS, 902 * MS, pairs)
+        lit.expose(camera, 901 * MS, 902 * MS, pairs)
     with pytest.raises(SceneError, match="another scene"):
         PreparedPairs(tmp_path, "0" * 16)
     (tmp_path / "pairs.json").write_text("{}")

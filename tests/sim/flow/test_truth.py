@@ -7,7 +7,7 @@ from sim.flow.fields import Flow, Shear, Vortex
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
 from sim.flow.particles import LightSheet
-from sim.flow.truth import window_places, windowed_mean, windowed_stresses
+from sim.flow.truth import window_mean, window_places, window_stresses
 
 SHEET = LightSheet()
 
@@ -25,9 +25,9 @@ def test_a_linear_flow_is_its_own_average_and_a_vortex_is_not():
     places, weights = window_places(4.0, SHEET)
     at = np.array([[1.0, 2.0, 0.0], [0.0, 6.0, 0.0]])
     shear = Flow(Shear((3.0, 0.0, 0.0)))
-    np.testing.assert_allclose(windowed_mean(shear, at, places, weights), shear.mean(at), atol=1e-9)
+    np.testing.assert_allclose(window_mean(shear, at, places, weights), shear.mean(at), atol=1e-9)
     vortex = Flow(Vortex(core_mm=5.0, about_mm=(0.0, 0.0, 0.0)))
-    assert windowed_mean(vortex, at, places, weights)[1, 0] > vortex.mean(at)[1, 0]  # less than its fastest, -x
+    assert window_mean(vortex, at, places, weights)[1, 0] > vortex.mean(at)[1, 0]  # less than its fastest, -x
 
 
 def test_stresses_of_windows_are_those_of_sampled_averages():
@@ -37,9 +37,9 @@ def test_stresses_of_windows_are_those_of_sampled_averages():
     samples = np.array(
         [weights @ (flow.velocity(at + places, 0.1 * k) - flow.mean(at + places)) for k in range(1500)]
     )
-    wanted = windowed_stresses(flow, at, places, weights)[0]
+    wanted = window_stresses(flow, at, places, weights)[0]
     found = samples.T @ samples / len(samples)
     point = flow.stresses(at)[0]
     assert found == pytest.approx(wanted, abs=0.1 * np.trace(wanted) / 3.0)
     assert 0.3 < np.trace(wanted) / np.trace(point) < 0.8
-    assert not windowed_stresses(Flow(Jet()), at, places, weights).any()
+    assert not window_stresses(Flow(Jet()), at, places, weights).any()

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.view import ParticleView, pupil_points
 from sim.renderer.kernels.rays import camera_ray, last_way
 from sim.renderer.patterns import Pose
@@ -20,7 +20,7 @@ ZOOM = 8
 
 
 def flow_scene(name="two_spheres_500", size=504):
-    scene = at_size(named_scene(name), size)
+    scene = at_size(demo_scene(name), size)
     return scene.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in scene.bodies])
 
 

@@ -6,7 +6,7 @@ import pytest
 import tifffile
 
 from sim.demo.frames import load_frames, make_frames
-from sim.demo.scenes import SCENES, at_size, misaligned, named_scene
+from sim.demo.scenes import SCENES, at_size, demo_scene, misalign
 from sim.renderer.sensor import SILENT
 from tracer.errors import SceneError
 
@@ -32,8 +32,8 @@ def test_folder_holds_the_whole_set(frames):
 def test_truth_is_hidden_and_read_back(frames):
     again = load_frames(frames.folder)
     assert again == frames
-    assert frames.nominal.content_hash() == at_size(named_scene("two_spheres_500"), 504).content_hash()
-    assert frames.truth.content_hash() == misaligned(frames.nominal, 3).content_hash()
+    assert frames.nominal.content_hash() == at_size(demo_scene("two_spheres_500"), 504).content_hash()
+    assert frames.truth.content_hash() == misalign(frames.nominal, 3).content_hash()
     assert frames.truth.content_hash() != frames.nominal.content_hash()
 
 
@@ -71,9 +71,9 @@ def test_a_set_repeats_and_replaces(tmp_path):
 
 @pytest.mark.parametrize("name", sorted(SCENES))
 def test_misalignment_is_small_legal_and_everywhere(name):
-    nominal = named_scene(name)
+    nominal = demo_scene(name)
     for seed in range(8):
-        truth = misaligned(nominal, seed)
+        truth = misalign(nominal, seed)
         for before, after in zip(nominal.spheres, truth.spheres, strict=True):
             step = np.abs(np.subtract(after.centre_mm, before.centre_mm))
             assert 0.0 < step.max() < 0.8
@@ -82,13 +82,13 @@ def test_misalignment_is_small_legal_and_everywhere(name):
         turn = nominal.camera.rotation_matrix @ truth.camera.rotation_matrix.T
         assert 1e-5 < np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)) < 0.006
         assert truth.camera.focal_px == nominal.camera.focal_px
-    barrel = misaligned(nominal, 1, barrel=0.018).camera
+    barrel = misalign(nominal, 1, barrel=0.018).camera
     edge = barrel.ideal([(barrel.principal_px[0] + 1007.5, barrel.principal_px[1])])[0, 0] - barrel.principal_px[0]
     assert edge == pytest.approx(1007.5 * 1.018)
 
 
 def test_size_keeps_the_field_of_view():
-    full, half = named_scene("tilted").camera, at_size(named_scene("tilted"), 1008).camera
+    full, half = demo_scene("tilted").camera, at_size(demo_scene("tilted"), 1008).camera
     # The outer edges of the sensor, half a pixel outside the outermost centres.
     for whole, part in ((-0.5, -0.5), (2015.5, 1007.5)):
         assert half.directions((part, part)) == pytest.approx(full.directions((whole, whole)), abs=1e-14)
@@ -96,4 +96,4 @@ def test_size_keeps_the_field_of_view():
 
 def test_unknown_name_lists_the_known_ones():
     with pytest.raises(SceneError, match="two_spheres_500"):
-        named_scene("nowhere")
+        demo_scene("nowhere")

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.kernels import rays
 from sim.renderer.kernels import reflectance as prints
-from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Pose, printed_particles
+from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Pose, print_particles
 from sim.renderer.render import Aperture, render, render_irradiance, tables_of
 from sim.renderer.sensor import SILENT, Sensor
 from tracer.bodies import Sphere
@@ -20,12 +20,12 @@ WHITE = Image(np.ones((1, 1), np.float32), 1.0, outside=1.0)
 
 
 def small(name="two_spheres_500", size=200):
-    return at_size(named_scene(name), size)
+    return at_size(demo_scene(name), size)
 
 
 @pytest.mark.parametrize("aperture", [None, Aperture(60.0, 4.0, 500.0)])
 def test_compiled_loops_do_what_the_python_says(aperture):
-    scene = misaligned(small("tilted", 40), 1)
+    scene = misalign(small("tilted", 40), 1)
     tables, n, count = tables_of(scene, Pose(), aperture), 3, 60
     pixels = np.random.default_rng(0).integers(8, 30, (count, 2))
     world = (tables.camera, tables.spheres, tables.rods, tables.walls, tables.bounds, tables.plane)
@@ -36,7 +36,7 @@ def test_compiled_loops_do_what_the_python_says(aperture):
         results.append((points, light, spread))
     for compiled, plain in zip(*results, strict=True):
         assert compiled == pytest.approx(plain, rel=1e-9, abs=1e-9)
-    sheet = printed_particles((60.0, 60.0), 3.0, seed=1)
+    sheet = print_particles((60.0, 60.0), 3.0, seed=1)
     flat = results[0][0].reshape(-1, 2)
     out = np.empty(len(flat), np.float32)
     prints.particles.py_func(flat, *sheet._bins, sheet.sigma_mm, sheet.background, out)
@@ -51,7 +51,7 @@ def test_compiled_loops_do_what_the_python_says(aperture):
 
 def test_index_one_gives_the_direct_view():
     scene = small()
-    sheet = printed_particles((200.0, 200.0), scene.camera.focal_px / 500.0, seed=1)
+    sheet = print_particles((200.0, 200.0), scene.camera.focal_px / 500.0, seed=1)
     air = [replace(s, medium=ConstantMedium(1.0)) for s in scene.spheres]
     through = render_irradiance(scene.with_bodies(air), sheet)
     direct = render_irradiance(scene.with_bodies(()), sheet)
@@ -100,7 +100,7 @@ def test_edge_coverage_is_unbiased(edge, upright):
 
 
 def test_same_bits_for_any_number_of_threads(monkeypatch):
-    scene = misaligned(small("tilted", 160), 4)
+    scene = misalign(small("tilted", 160), 4)
     monkeypatch.setenv("RTPIV_THREADS", "1")
     one = render(scene, Chessboard(), Sensor(), seed=5)
     monkeypatch.setenv("RTPIV_THREADS", "3")
@@ -111,14 +111,14 @@ def test_same_bits_for_any_number_of_threads(monkeypatch):
 def test_compressed_view_converges():
     """Four times the samples change rims and all by little: the extra rays go where they are needed."""
     scene = small("one_sphere_250", 120)
-    sheet = printed_particles((200.0, 200.0), 1.0, seed=2)
+    sheet = print_particles((200.0, 200.0), 1.0, seed=2)
     coarse, fine = render_irradiance(scene, sheet), render_irradiance(scene, sheet, samples=12)
     assert np.sqrt(np.mean((coarse - fine) ** 2)) < 0.004
 
 
 def test_defocus_widens_a_particle_as_a_thin_lens_does():
     """Second moments of the image add up: particle, blur disc (radius^2 / 4 an axis), pixel (1/12)."""
-    scene = at_size(named_scene("two_spheres_500"), 401).with_bodies(())
+    scene = at_size(demo_scene("two_spheres_500"), 401).with_bodies(())
     scene = scene.with_camera(replace(scene.camera, principal_px=(40.0, 40.0), sensor_px=(81, 81)))
     pupil, back = Aperture(60.0, 2.0, 500.0), 60.0
     sheet = ParticleSheet(np.zeros((1, 2)), 0.3, 1.0, 0.0, Pose((0.0, 0.0, -back)))

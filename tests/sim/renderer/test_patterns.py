@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Plate, Pose, placed, printed_particles
+from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Plate, Pose, place, print_particles
 from tracer.board import LARGE_DOTS, Dots
 from tracer.errors import SceneError
 
@@ -45,12 +45,12 @@ def test_pose_turns_and_moves():
     )
     tipped = Pose(turn_rad=(0.1, 0.0, 0.0))
     assert tipped.axes()[2] == pytest.approx((0.0, math.cos(0.1), math.sin(0.1)))
-    assert pose.moved(z_mm=5.0).offset_mm == (1.0, 2.0, 2.0)
-    assert placed(Chessboard(3.0), pose) == Chessboard(3.0, pose=pose)
+    assert pose.translate(z_mm=5.0).offset_mm == (1.0, 2.0, 2.0)
+    assert place(Chessboard(3.0), pose) == Chessboard(3.0, pose=pose)
 
 
 def test_particles_are_the_plain_sum_of_gaussians():
-    sheet = printed_particles((8.0, 6.0), 12.0, seed=3, density_per_px=0.05, background=0.02)
+    sheet = print_particles((8.0, 6.0), 12.0, seed=3, density_per_px=0.05, background=0.02)
     rng = np.random.default_rng(0)
     points = rng.uniform((-5.0, -4.0), (5.0, 4.0), (3000, 2))
     r2 = ((points[:, None] - sheet.places_mm) ** 2).sum(axis=2)
@@ -61,20 +61,20 @@ def test_particles_are_the_plain_sum_of_gaussians():
 
 
 def test_particle_density_and_diameter_are_those_of_the_stated_scale():
-    sheet = printed_particles((50.0, 40.0), 12.4, seed=1)
+    sheet = print_particles((50.0, 40.0), 12.4, seed=1)
     assert len(sheet.places_mm) == pytest.approx(0.02 * 50 * 40 * 12.4**2, abs=1)
     assert sheet.sigma_mm == pytest.approx(0.75 / 12.4)
-    assert np.array_equal(sheet.places_mm, printed_particles((50.0, 40.0), 12.4, seed=1).places_mm)
-    assert not np.array_equal(sheet.places_mm, printed_particles((50.0, 40.0), 12.4, seed=2).places_mm)
+    assert np.array_equal(sheet.places_mm, print_particles((50.0, 40.0), 12.4, seed=1).places_mm)
+    assert not np.array_equal(sheet.places_mm, print_particles((50.0, 40.0), 12.4, seed=2).places_mm)
 
 
 def test_shifted_particles_are_an_exact_copy():
-    sheet = printed_particles((20.0, 20.0), 12.0, seed=4)
+    sheet = print_particles((20.0, 20.0), 12.0, seed=4)
     shift = np.array([0.7983, -0.31])
     points = np.random.default_rng(1).uniform(-9.0, 9.0, (5000, 2))
-    moved = sheet.displaced(shift).reflectance(points + shift)
+    moved = sheet.displace(shift).reflectance(points + shift)
     assert moved == pytest.approx(sheet.reflectance(points), abs=2e-5)
-    turned = sheet.displaced(lambda places: 0.1 * places[:, ::-1] * (-1.0, 1.0))
+    turned = sheet.displace(lambda places: 0.1 * places[:, ::-1] * (-1.0, 1.0))
     assert turned.places_mm == pytest.approx(sheet.places_mm + 0.1 * sheet.places_mm[:, ::-1] * (-1.0, 1.0))
 
 
@@ -116,7 +116,7 @@ def test_a_ray_meets_the_face_of_a_plate_its_grooves_or_the_wall_between(step_mm
     """Rows of 5 mm, the origin on the face or in a groove; rays lean by 0.4 mm a step along y, or by 3."""
     plate = Plate(5.0, 2.5, discs=LARGE_DOTS, dots=Dots(1.5, True, "rows", step_mm), dark=0.1, bright=0.9)
     face = np.array([(0.0, 0.0), (0.0, 5.0), (5.0, 1.0), (5.0, 6.0), (20.0, -20.6)])
-    met = plate.seen(face, face + np.array((0.0, 0.4)))
+    met = plate.shade(face, face + np.array((0.0, 0.4)))
     dot = {True: np.float32(0.9), False: np.float32(0.1)}
     rows = np.array([0, 1, 0, 1, -4])
     on_face = (rows % 2 == 0) == (step_mm > 0.0)
@@ -124,7 +124,7 @@ def test_a_ray_meets_the_face_of_a_plate_its_grooves_or_the_wall_between(step_mm
     near = np.abs(y - 5.0 * rows)
     radius = np.array([1.25, 0.75, 1.25, 0.75, 0.75])
     assert met.tolist() == [dot[bool(r < size)] for r, size in zip(near, radius, strict=True)]
-    steep = plate.seen(face[:2], face[:2] + np.array((0.0, 3.0)))
+    steep = plate.shade(face[:2], face[:2] + np.array((0.0, 3.0)))
     assert steep.tolist() == [np.float32(0.9 if face_first else 0.03) for face_first in on_face[:2]]
     with pytest.raises(SceneError, match="levels"):
         Plate(5.0, 2.5, discs=LARGE_DOTS, dots=Dots(1.5))

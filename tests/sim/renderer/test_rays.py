@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.demo.scenes import SCENES, misaligned, named_scene
+from sim.demo.scenes import SCENES, demo_scene, misalign
 from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.kernels.surfaces import entry_rod, entry_sphere, snell
 from sim.renderer.patterns import Pose
@@ -184,7 +184,7 @@ def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
 @loop_over("name", sorted(SCENES))
 def test_two_formulations_agree(name, cores):
     """Quadratic and vectors here, foot points and rotations in the tracer: the same plane points and light."""
-    scene = misaligned(named_scene(name), seed=7, barrel=0.01)
+    scene = misalign(demo_scene(name), seed=7, barrel=0.01)
     inside = [(share / 25.0, ConstantMedium(n)) for share, n in cores]
     bodies = [replace(ball, cores=tuple(Core(part * ball.radius_mm, glass) for part, glass in inside))
               for ball in scene.spheres]  # fmt: skip
@@ -211,7 +211,7 @@ def test_two_formulations_agree(name, cores):
 
 
 def test_a_target_that_cuts_a_body_is_refused():
-    scene = named_scene("two_spheres_500")
+    scene = demo_scene("two_spheres_500")
     with pytest.raises(SceneError, match="cuts through body 'sphere1'"):
         tables_of(scene, Pose((0.0, 0.0, 10.0)), None)
     behind = tables_of(scene, Pose((0.0, 0.0, 50.0)), None)
@@ -220,7 +220,7 @@ def test_a_target_that_cuts_a_body_is_refused():
 
 
 def test_index_is_taken_against_the_room():
-    camera = named_scene("one_sphere_500").camera
+    camera = demo_scene("one_sphere_500").camera
     ball = Sphere("ball", (0.0, 0.0, 30.0), 20.0, GLASS)
     scene = Scene(camera, (ball,), ambient=ConstantMedium(1.25))
     assert tables_of(scene, Pose(), None).spheres[0, 4] == pytest.approx(1.2)

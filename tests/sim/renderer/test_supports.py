@@ -8,7 +8,7 @@ import pytest
 from daq.errors import PlanError
 from daq.plans.forecast import check_views
 from rtpiv.command_line.cli import DONE, USAGE, main
-from sim.renderer.patterns import Chessboard, Pose, placed
+from sim.renderer.patterns import Chessboard, Pose, place
 from sim.renderer.render import render_irradiance, tables_of
 from tests.daq.small_bench import load
 from tracer.bodies import Rod, Sphere
@@ -55,7 +55,7 @@ def test_a_rod_and_an_opaque_ball_are_dark_where_they_stand_and_nowhere_else():
 
 def test_glass_beside_the_sheet_may_reach_past_its_plane_and_shows_no_sheet():
     ball = Sphere("ball", (0.0, 45.0, 30.0), 20.0, ConstantMedium(1.5))
-    forward = placed(WHITE, Pose().moved(z_mm=25.0))  # the ball's middle is 5 mm before it
+    forward = place(WHITE, Pose().translate(z_mm=25.0))  # the ball's middle is 5 mm before it
     with pytest.raises(SceneError, match="cuts through body 'ball'"):
         render_irradiance(scene_of(ball), forward, samples=2)
     with pytest.raises(SceneError, match="cuts through body 'ball'"):
@@ -72,7 +72,7 @@ def test_a_support_beside_the_sheet_may_reach_past_it(kind):
         if kind == "rod"
         else Sphere("post", (0.0, 50.0, 25.0), 5.0, None)
     )
-    pose = Pose().moved(z_mm=25.0)
+    pose = Pose().translate(z_mm=25.0)
     assert len(tables_of(scene_of(body), pose, None, (80.0, 80.0)).bounds) == 1
     with pytest.raises(SceneError, match="'post'"):
         tables_of(scene_of(body), pose, None, (80.0, 120.0))

@@ -47,7 +47,7 @@ def guard():
 
 
 def put(judge, places_mm):
-    judge.rested()
+    judge.note_rest()
     for name, at_mm in places_mm.items():
         judge.put(name, at_mm)
 
@@ -60,7 +60,7 @@ def test_one_axis_at_a_time_it_agrees_with_the_guard():
         axis = rng.choice(list(AXES))
         end_mm = places_mm[axis] + rng.uniform(-300.0, 300.0)
         put(judge, places_mm)
-        found = judge.moved({axis: end_mm}, {axis}, {})
+        found = judge.judge_motion({axis: end_mm}, {axis}, {})
         piece = Piece(axis, places_mm[axis], end_mm, places_mm)
         expected = [
             (one.name, two.name, closest)
@@ -91,10 +91,10 @@ def test_a_way_in_small_stretches_is_judged_like_the_way_as_a_whole():
         for _ in range(4):
             axis = rng.choice(list(AXES))
             begin_mm, way_mm = places_mm[axis], rng.uniform(-100.0, 100.0)
-            at_once = {(a.one, a.other): a for a in whole.moved({axis: begin_mm + way_mm}, {axis}, {})}
+            at_once = {(a.one, a.other): a for a in whole.judge_motion({axis: begin_mm + way_mm}, {axis}, {})}
             in_parts = {}
             for part in range(1, 41):
-                for approach in cut.moved({axis: begin_mm + way_mm * part / 40}, {axis}, {}):
+                for approach in cut.judge_motion({axis: begin_mm + way_mm * part / 40}, {axis}, {}):
                     key = approach.one, approach.other
                     in_parts[key] = min(in_parts.get(key, approach), approach, key=lambda a: a.clearance_mm)
             assert in_parts.keys() == at_once.keys()
@@ -102,19 +102,19 @@ def test_a_way_in_small_stretches_is_judged_like_the_way_as_a_whole():
                 assert in_parts[key].clearance_mm == pytest.approx(approach.clearance_mm, abs=1e-6)
             seen += len(at_once)
             places_mm[axis] += way_mm
-            whole.rested()
-            cut.rested()
+            whole.note_rest()
+            cut.note_rest()
     assert seen > 30
 
 
 def test_two_axes_that_are_harmless_one_by_one():
     judge = clearances()
     put(judge, AT_SCENE)
-    assert not judge.moved({"glass_z": -20.0}, {"glass_z"}, {})  # 10 mm are left
-    judge.rested()
-    assert not judge.moved({"glass_z": 0.0}, {"glass_z"}, {})
-    judge.rested()
-    found = judge.moved({"glass_z": -20.0, "target_z": 3.0}, {"glass_z", "target_z"}, {})
+    assert not judge.judge_motion({"glass_z": -20.0}, {"glass_z"}, {})  # 10 mm are left
+    judge.note_rest()
+    assert not judge.judge_motion({"glass_z": 0.0}, {"glass_z"}, {})
+    judge.note_rest()
+    found = judge.judge_motion({"glass_z": -20.0, "target_z": 3.0}, {"glass_z", "target_z"}, {})
     assert [(a.one, a.other) for a in found] == [("front", "the target")]
     assert found[0].clearance_mm == pytest.approx(0.0, abs=1e-9)
 
@@ -122,29 +122,31 @@ def test_two_axes_that_are_harmless_one_by_one():
 def test_away_from_what_is_too_close_is_allowed_and_deeper_is_not():
     judge = clearances()
     put(judge, AT_SCENE | {"glass_z": -27.0})
-    assert not judge.moved({"glass_z": -20.0}, {"glass_z"}, {})
+    assert not judge.judge_motion({"glass_z": -20.0}, {"glass_z"}, {})
     put(judge, AT_SCENE | {"glass_z": -27.0})
-    assert not judge.moved({"glass_x": 13.0}, {"glass_x"}, {})  # along the target
+    assert not judge.judge_motion({"glass_x": 13.0}, {"glass_x"}, {})  # along the target
     put(judge, AT_SCENE | {"glass_z": -27.0})
-    assert judge.moved({"glass_z": -27.2}, {"glass_z"}, {})
+    assert judge.judge_motion({"glass_z": -27.2}, {"glass_z"}, {})
     put(judge, AT_SCENE | {"glass_z": -27.0})
-    assert not judge.moved({"glass_z": -27.2}, {"glass_z"}, {"target_x": 0.3})  # within what nobody can know
+    assert not judge.judge_motion(
+        {"glass_z": -27.2}, {"glass_z"}, {"target_x": 0.3}
+    )  # within what nobody can know
 
 
 def test_what_looks_for_its_reference_is_not_judged_but_what_moves_then_is():
     judge = clearances()
     put(judge, AT_SCENE)
-    assert not judge.moved({"glass_z": -28.0}, set(), {})
-    assert judge.moved({"glass_z": -29.0}, {"glass_z"}, {})
+    assert not judge.judge_motion({"glass_z": -28.0}, set(), {})
+    assert judge.judge_motion({"glass_z": -29.0}, {"glass_z"}, {})
     put(judge, AT_SCENE)
-    assert not judge.moved({"rail_z": 400.0}, {"rail_z"}, {})
-    assert judge.moved({"glass_z": -28.0, "target_x": 1.0}, {"target_x"}, {})
+    assert not judge.judge_motion({"rail_z": 400.0}, {"rail_z"}, {})
+    assert judge.judge_motion({"glass_z": -28.0, "target_x": 1.0}, {"target_x"}, {})
 
 
 def test_contact_is_allowed_to_the_body_that_is_named():
     judge = clearances(contact=["front"])
     put(judge, AT_SCENE)
-    assert not judge.moved({"glass_z": -30.02}, {"glass_z"}, {})
-    judge.rested()
-    assert judge.moved({"glass_z": -30.1}, {"glass_z"}, {})
+    assert not judge.judge_motion({"glass_z": -30.02}, {"glass_z"}, {})
+    judge.note_rest()
+    assert judge.judge_motion({"glass_z": -30.1}, {"glass_z"}, {})
     assert not clearances(0.05, contact=["front"]).moved({"glass_z": -30.1}, {"glass_z"}, {})

@@ -110,7 +110,7 @@ def test_a_motion_is_judged_although_the_controller_believes_to_be_elsewhere():
 def test_after_a_stop_a_motor_must_brake_within_100_ms(pressed_s, brakes_s, seen):
     world = World()
     world.go(wait_s=pressed_s, X=80.0)
-    world.witness.stopped()
+    world.witness.note_stop()
     world.clock.sleep_s(brakes_s - pressed_s)
     world.board.advance()
     world.motors["X"].brake(RAMP / 10)  # a second to brake
@@ -122,10 +122,10 @@ def test_after_a_stop_a_motor_must_brake_within_100_ms(pressed_s, brakes_s, seen
 def test_after_a_stop_nothing_begins_until_it_is_cleared(cleared):
     world = World()
     world.go(X=60.0)
-    world.witness.stopped()
+    world.witness.note_stop()
     world.clock.sleep_s(100.0)
     if cleared:
-        world.witness.cleared()
+        world.witness.note_clear()
     world.go(Y=60.0)
     assert world.kinds() == ([] if cleared else [("stop", "Y")])
     world.go(X=50.0)
@@ -135,7 +135,7 @@ def test_after_a_stop_nothing_begins_until_it_is_cleared(cleared):
 def test_a_stop_ends_reference_runs_too():
     world = World()
     world.board._state = "Home"
-    world.witness.stopped()
+    world.witness.note_stop()
     world.go(X=60.0)
     assert world.kinds() == [("stop", "X")]
 
@@ -144,7 +144,7 @@ def test_what_no_stop_can_reach_may_end_its_motion_and_begin_no_other():
     world = World()
     world.go(wait_s=1.0, X=80.0)
     world.line.unplug()
-    world.witness.stopped()
+    world.witness.note_stop()
     world.clock.sleep_s(20.0)
     assert not world.kinds()
     world.go(X=70.0)
@@ -155,7 +155,7 @@ def test_what_no_stop_can_reach_may_end_its_motion_and_begin_no_other():
 def test_a_plug_that_is_pulled_in_the_moment_of_a_stop_may_keep_it_away(after_s, seen):
     world = World()
     world.go(wait_s=1.0, X=80.0)
-    world.witness.stopped()
+    world.witness.note_stop()
     world.clock.sleep_s(after_s)
     world.line.unplug()
     world.clock.sleep_s(20.0)
@@ -165,9 +165,9 @@ def test_a_plug_that_is_pulled_in_the_moment_of_a_stop_may_keep_it_away(after_s,
 def test_a_position_that_is_told_is_compared_with_the_carriage():
     world = World()
     world.go(X=60.0)
-    world.witness.told("X", 60.09)
+    world.witness.check_report("X", 60.09)
     assert not world.kinds()
-    world.witness.told("X", 60.4)
+    world.witness.check_report("X", 60.4)
     assert world.kinds() == [("told", "X")]
     assert "is at 60.000 mm" in str(world.witness.violations[0])
 
@@ -175,28 +175,28 @@ def test_a_position_that_is_told_is_compared_with_the_carriage():
 def test_a_slip_is_forgiven_until_the_axis_is_homed():
     world = World()
     world.motors["X"].slip(3.0)
-    world.witness.slipped("X", 3.0)
-    world.witness.told("X", 50.0)
+    world.witness.note_slip("X", 3.0)
+    world.witness.check_report("X", 50.0)
     world.go(X=92.0)
     assert not world.kinds()
     world.board._state = "Home"
     world.go(X=60.0)
     world.board._state = "Idle"
     world.witness.judge()
-    world.witness.told("X", 57.0)
+    world.witness.check_report("X", 57.0)
     assert world.kinds() == [("told", "X")]
 
 
 def test_a_shove_by_hand_is_nobodys_motion_and_moves_the_truth():
     world = World()
-    world.witness.stopped()
+    world.witness.note_stop()
     world.motors["X"].shove(round(45.0 * PER_MM))
     world.clock.sleep_s(1.0)
     assert not world.kinds()
     assert world.motors["X"].carriage_mm == pytest.approx(95.0)
     assert world.motors["X"].encoder_steps == 45 * PER_MM
     assert world.motors["X"].steps == 0
-    world.witness.cleared()
+    world.witness.note_clear()
     world.go(X=96.0)
     assert world.kinds() == [("limit", "X")]
 

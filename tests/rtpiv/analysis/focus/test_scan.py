@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from rtpiv.analysis.focus import BestFocus, FocusScan, Spots, best_focus, parts_of, spots_in, trusted_px2
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 
 
 def spots(sigma_px, seed=0, side=200, share=0.02, noise=0.0):
@@ -85,7 +85,7 @@ def test_eq_1_both_ways():
 
 
 def test_parts_follow_the_line_of_sight():
-    parts = parts_of(at_size(named_scene("two_spheres_500"), 400))
+    parts = parts_of(at_size(demo_scene("two_spheres_500"), 400))
     assert list(parts) == ["beside", "sphere2+sphere1: centre", "sphere2+sphere1: halfway", "sphere2+sphere1: rim"]
     assert parts["sphere2+sphere1: centre"][200, 200]
     assert parts["beside"][10, 10]

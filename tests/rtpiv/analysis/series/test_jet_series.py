@@ -6,13 +6,13 @@ import pytest
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
 from rtpiv.verbs.mean import mean
-from sim.demo.scenes import at_size, named_scene
+from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow
 from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
 from sim.flow.particles import LightSheet
-from sim.flow.truth import window_places, windowed_mean
+from sim.flow.truth import window_mean, window_places
 from tests.daq.small_run import about_run, keep_frame, planned
 from tracer.bodies import shifted_by
 from tracer.scene.scene_file import dump_scene
@@ -41,7 +41,7 @@ def flow_run(parent, scene, flow):
 @pytest.mark.timeout(1800)
 def test_the_mean_of_a_jet_is_as_sure_as_it_says_where_the_background_is_taken_off(tmp_path):
     """Errors behind the glass are within their sigma as often as they should be; with reflections, less often."""
-    stack = at_size(named_scene("two_spheres_500"), SIDE_PX)
+    stack = at_size(demo_scene("two_spheres_500"), SIDE_PX)
     scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     flow = Flow(Jet(), RandomModes(8.0, seed=14))
     run = flow_run(tmp_path, scene, flow)
@@ -52,7 +52,7 @@ def test_the_mean_of_a_jet_is_as_sure_as_it_says_where_the_background_is_taken_o
         window_mm = WINDOW_PX / found.px_per_mm
         places, weights = window_places(window_mm, LightSheet(), 0.3 * window_mm / np.sqrt(2.0))
         points = np.column_stack((x.ravel(), y.ravel(), np.zeros(x.size)))
-        true = 1e-3 * windowed_mean(flow, points, places, weights)[:, :2].reshape(*x.shape, 2)
+        true = 1e-3 * window_mean(flow, points, places, weights)[:, :2].reshape(*x.shape, 2)
         behind = (np.hypot(x, y) < RADIUS_MM) & (found.count > 0.5 * found.used)
         assert behind.sum() > 50
         off, sigma = ((values * found.px_per_m_s)[behind] for values in (found.mean_m_s - true, found.sigma_m_s))

@@ -64,7 +64,7 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Happened:
+class EventLog:
     """Events of a simulated world, in order.
 
     Parameters
@@ -75,7 +75,7 @@ class Happened:
 
     events: tuple[Event, ...]
 
-    def told(self, box: str) -> str:
+    def bytes_to(self, box: str) -> str:
         """Everything that has reached a box, as text."""
         return "".join(str(event.said) for event in self.events if event.what == "told" and event.of == box)
 
@@ -108,7 +108,7 @@ class Happened:
         return "".join(event.line() for event in self.events)
 
 
-def read_happened(run: Path | str) -> Happened:
+def read_event_log(run: Path | str) -> EventLog:
     """Read what has happened in the world of a rehearsed run, all of its sessions.
 
     Parameters
@@ -128,7 +128,7 @@ def read_happened(run: Path | str) -> Happened:
         raise RunUsageError(
             f"{path} is not there: only a rehearsal keeps what happens; acquire the run with a seed or with faults"
         ) from None
-    return Happened(tuple(_events(lines)))
+    return EventLog(tuple(_events(lines)))
 
 
 def _events(lines: Iterable[str]) -> Iterable[Event]:
