@@ -24,7 +24,7 @@ from tracer.scene.scene import Scene
 def true_scene(bench: Bench, table: SimulationTable) -> Scene:
     """Return where everything really is while every axis stands where the scene file holds.
 
-    It is what a simulated bench hides from whoever measures with it.
+    It is what a simulated bench hides from its user.
     """
     return misalign(bench.scene, table.seed) if table.is_misaligned else bench.scene
 

@@ -51,7 +51,7 @@ SERIAL = "SIM-BENCH"
 CAMERA_HERE = "sim.camera.in_process:InProcessCamera"
 STOOD = """# The true scene with every axis where the scene holds. Screws have play: where things truly stood for a
 # frame is its true_mm in steps.jsonl (`sim.arranged`). 0.05 mm from here, a map of two balls differs by 0.04 px.
-# Glass is told at wavelength_nm; a run of the target was taken in fit.light, any other in the laser's light.
+# Glass is given at wavelength_nm; a run of the target was taken in fit.light, any other in the laser's light.
 """
 
 

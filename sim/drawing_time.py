@@ -1,7 +1,7 @@
 """Time that a simulated bench spends drawing pictures: time of this computer, and none of any camera's.
 
 A real camera has its picture when the shutter closes; ours has to draw it first, with rays, for a second or for
-minutes. Whoever waits for a frame and gives up after a while takes this off what has passed.
+minutes. A timeout of a wait for a frame takes this off what has passed.
 """
 
 import threading

@@ -11,8 +11,8 @@ exposed    a camera                   `number` of the exposure, `crc32` of its p
 light      a timing unit              `pulse` 0 or 1 of a pair; the time is when the light fell
 fault      what it is of              `what` has happened to it, and `due` when
 waiting    the same                   a fault whose moment has not come
-differs    a box of a recording       what it was told otherwise than recorded, or not at all by the end
-violation  an axis or two things      a limit passed, too close, moved on after a stop, a false position told
+differs    a box of a recording       bytes sent to it other than recorded, or not at all by the end
+violation  an axis or two things      a limit passed, too close, moved on after a stop, a false position reported
 =========  =========================  =====================================================================
 
 Times are seconds of the world's clock, 0 where the bench was opened.

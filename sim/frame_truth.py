@@ -4,7 +4,7 @@ With ``prints_truth: true`` in the `simulation` section of a bench file, the top
 carries, as dark and bright pixels, what was true when it was exposed: number of the trigger, number of the
 exposure, the true position of every axis, and whether anything moved. It goes through crops (of the other
 sides), gains, formats of 8 to 16 bits and losses as every pixel does; so a test can ask a frame on a disk what
-it REALLY shows, whoever filed it.
+it REALLY shows, however it was filed.
 
 The block is `WIDTH_PX` wide. Its first row is a comb, bright and dark in turn: what lies halfway between the two
 is the threshold for the rest, whatever gain and offset have made of them. Then come, 32 bits a row and the
@@ -25,7 +25,7 @@ from daq.runs.run_folder import RunFolder, frame_entries
 
 WIDTH_PX = 32
 MOVING = 1 << 16
-WORLD_AT, WORLDS = 17, 1 << 15  # place and number of worlds that can be told apart
+WORLD_AT, WORLDS = 17, 1 << 15  # place and number of worlds that can be distinguished
 FILED_WITHIN_MM = 0.15  # measured positions may be off by play, lead error and the edge of the reference
 _WORD = np.dtype(">u4")
 

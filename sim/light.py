@@ -1,10 +1,10 @@
 """The light of the simulated world: pulses of a laser on a flow, and a lamp of many colours on a target.
 
 **A flow** (`LitFlow`) is dark until a laser fires: exposures show the light that fell while the shutter was open.
-Whoever simulates the laser tells of every flash: `flash(0, t)` for light 1, `flash(1, t)` for light 2, in ns of
+The simulated laser reports every flash: `flash(0, t)` for light 1, `flash(1, t)` for light 2, in ns of
 the machine's monotonic clock, before the exposure that holds it has been read out.  Light 1 begins a pair, with
 particles of its own; light 2 shows the same particles where they have gone by then.  An exposure without light is
-dark, one with two flashes shows both, and light 2 without a light 1 before it shows a pair that nobody has begun.
+dark, one with two flashes shows both, and light 2 without a light 1 before it shows a pair that was not begun.
 
 Without any laser on the bench light is taken to fall at the start of every exposure, as with a lamp that the
 camera switches: an exposure within `LONGEST_DT_S` behind the last light 1 shows its light 2.

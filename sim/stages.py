@@ -37,7 +37,7 @@ from stages.controller_tables import (
 )
 from stages.scale_question import ScaleQuestion
 
-LOOK_S = 0.1  # how often a hand looks whether it is to go on
+HAND_POLL_S = 0.1  # how often a hand looks whether it is to go on
 PATIENCE = 50  # times that a hand tries again
 
 
@@ -175,7 +175,7 @@ class SimulatedStages:
             hand.advance()
             typed = hand.begin(channel, question.target_mm)
         while self.motors[question.axis].running:
-            self.clock.sleep_s(LOOK_S)
+            self.clock.sleep_s(HAND_POLL_S)
             with line.lock:
                 hand.advance()
                 if given_up():

@@ -1,6 +1,6 @@
 """A simulated timing unit on a bench: firmware with a clock of its own behind a port, and plugs at its back.
 
-Whoever simulates what hangs on it finds it in `world.timing` and listens:
+Simulations of what hangs on it find it in `world.timing` and listens:
 
     for unit in world.timing:
         unit.listen(Role.CAMERA, lambda pulse: ...)     # pulse.rises_s, pulse.falls_s on the world's clock
@@ -61,7 +61,7 @@ class SimulatedSwitch:
         self._address = address
 
     def is_closed(self) -> bool:
-        """Return whether nobody has opened it."""
+        """Return whether no program has opened it."""
         return CLOSED[self._address]
 
     def close(self) -> None:

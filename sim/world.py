@@ -191,21 +191,21 @@ class World:
 def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid | Plate:
     """The board on paper, as large as its printer has made it: what was measured of it is not quite that.
 
-    A plain board hangs either way round: which of its squares are bright nobody has said.
+    A plain board hangs either way round: which of its squares are bright is not specified.
     """
-    told, rng = bench.board, np.random.default_rng((seed, PRINTER))
-    x, y = (s + sigma * rng.standard_normal() for s, sigma in zip(told.scale, told.scale_sigma, strict=True))
+    board, rng = bench.board, np.random.default_rng((seed, PRINTER))
+    x, y = (s + sigma * rng.standard_normal() for s, sigma in zip(board.scale, board.scale_sigma, strict=True))
     on_paper = Board(
-        told.square_mm, told.disc_mm, discs=told.discs, squares=told.squares, origin_corner=told.origin_corner,
-        codes=told.codes, dots=told.dots, scale=(x, y),
-        odd_bright=bool(rng.integers(2)) if told.is_plain else True,
+        board.square_mm, board.disc_mm, discs=board.discs, squares=board.squares, origin_corner=board.origin_corner,
+        codes=board.codes, dots=board.dots, scale=(x, y),
+        odd_bright=bool(rng.integers(2)) if board.is_plain else True,
     )  # fmt: skip
-    if told.dots is not None and told.dots.levels:
-        step = told.dots.step_mm + told.step_sigma_mm * rng.standard_normal()
-        return Plate(**vars(replace(on_paper, dots=replace(told.dots, step_mm=step))))
-    if told.dots is not None:
+    if board.dots is not None and board.dots.levels:
+        step = board.dots.step_mm + board.step_sigma_mm * rng.standard_normal()
+        return Plate(**vars(replace(on_paper, dots=replace(board.dots, step_mm=step))))
+    if board.dots is not None:
         return DotGrid(**vars(on_paper))
-    return (Chessboard if told.codes is None else CodedBoard)(**vars(on_paper))
+    return (Chessboard if board.codes is None else CodedBoard)(**vars(on_paper))
 
 
 def print_of(bench: Bench, seed: int, shows: str) -> Print:

@@ -2,7 +2,7 @@
 
 `adapters` is a folder with a file camera.json: the configuration of a simulated camera (`sim.camera.config`).
 Names, types and habits are those of pymmcore and of its DemoCamera: exposures in ms, properties as text, a buffer
-that overflows when nobody takes images out of it, images numbered from 0 within a sequence.
+that overflows when no images are taken out of it, images numbered from 0 within a sequence.
 """
 
 import threading

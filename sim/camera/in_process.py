@@ -8,7 +8,7 @@ itself and takes frames from its sink: the same registers, formats, counters and
     camera = InProcessCamera("bench")                    # a bench file: sim.camera.in_process:InProcessCamera
 
 Frames wait packed, as the camera sends them, and are unpacked when they are asked for.  Those that wait and those
-whose pixels somebody holds are at most as many as `arm` was told; a frame that finds no room is an underrun.
+whose pixels are still held are at most the `buffers` of `arm`; a frame that finds no room is an underrun.
 """
 
 import threading
@@ -147,7 +147,7 @@ class InProcessCamera:
             )  # fmt: skip
 
     def open(self) -> None:
-        """Take control; CameraSetupError if there is no such device, CameraBusy if somebody has it."""
+        """Take control; CameraSetupError if there is no such device, CameraBusy if it is open already."""
         if self._device is not None:
             raise CameraUsageError("the camera is open already; close it first")
         device = DEVICES.get(self._name)
@@ -157,7 +157,7 @@ class InProcessCamera:
             raise CameraLost(f"camera {self._name} is listed and does not answer; check cable and power")
         with _LOCK:
             if self._name in _HELD:
-                raise CameraBusy(f"somebody holds camera {self._name}; close it there")
+                raise CameraBusy(f"camera {self._name} is open elsewhere; close it there")
             _HELD.add(self._name)
         self._device, self._configured, self._chunks = device, {}, ()
 
@@ -242,7 +242,7 @@ class InProcessCamera:
         return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
-        """Stop the acquisition; frames that nobody fetched count as unused."""
+        """Stop the acquisition; frames that were not fetched count as unused."""
         if self._room is not None:
             with suppress(CameraLost):  # its registers cannot be asked
                 self._ignored = self.counters.ignored_triggers

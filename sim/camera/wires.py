@@ -1,8 +1,8 @@
 """Wires from a simulated timing unit to the input lines of simulated cameras, in this process and in others.
 
-A pulse is told whole, with the times of both edges on the machine's monotonic clock, so the camera exposes at the
-edge itself and not when the word of it arrives.  Pulses may be told a little ahead of their time; those that other
-pulses are judged by, such as a marker, are told first.
+A pulse is sent whole, with the times of both edges on the machine's monotonic clock, so the camera exposes at the
+edge itself and not when the word of it arrives.  Pulses may be sent a little ahead of their time; those that other
+pulses are judged by, such as a marker, are sent first.
 """
 
 import json

@@ -15,7 +15,7 @@ def emulator_class(driver: str) -> type[Emulator]:
     Raises
     ------
     ModuleNotFoundError
-        Nobody has written one.
+        There is none for this driver.
     """
     found: type[Emulator] = importlib.import_module(f"sim.emulators.{driver}").EMULATOR
     return found

@@ -3,9 +3,9 @@
 The drum of a screw shows where its nut is; the carriage follows with the play and the errors of the screw.  The
 person turns until the drum seems to stand at the place that was asked for, to within half a division.  How the
 eye takes the drum is off by an error of its own each time (`reads_um`, standard deviation), so the screw is off as
-well; what is typed is what the eye has seen, to the nearest division.  The error itself is told to nobody.
+well; what is typed is what the eye has seen, to the nearest division.  The error itself is hidden.
 
-There are no bytes, and nothing to be plugged in: whoever asks is answered (`sim.stages`).
+There are no bytes, and nothing to be plugged in: every question is answered (`sim.stages`).
 """
 
 from collections.abc import Mapping

@@ -131,7 +131,7 @@ class Emulator(ABC):
         return self._is_on
 
     def person_stops(self) -> None:  # noqa: B027 - not every box has a button
-        """Somebody stops what moves, at the box or through another of its interfaces."""
+        """Stop what moves as a person does, at the box or through another of its interfaces."""
 
     def purpose(self, channel: str) -> Purpose:
         """Purpose of the present motion of a motor, as firmware knows it."""

@@ -1,4 +1,4 @@
-"""A stage behind somebody else's library: one motor a channel, no bytes; what the library calls happens at once.
+"""A stage behind a foreign library: one motor a channel, no bytes; what the library calls happens at once.
 
 Positions are mm from the firmware's own scale, counted from where the box got its power or found its reference:
 the low switch, from below. It knows no limits but its switches, at which it stops without a word, notices no
@@ -49,7 +49,7 @@ class ForeignBox(Emulator):
     begins_late_s : float
         How long it says "done" before a motion that it was sent on begins.
     encoder : bool
-        Whether it reads where the motor really is, and not what it was told.
+        Whether it reads where the motor really is, and not the commanded position.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class ForeignBox(Emulator):
         return "reference" if self._channels[channel].seeks else "move"
 
     def person_stops(self) -> None:
-        """Somebody presses stop at the box."""
+        """Press stop at the box."""
         self.advance()
         for channel in self._channels:
             self.stop(channel)

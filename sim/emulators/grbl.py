@@ -14,7 +14,7 @@ board with homing switched on is then locked.
 
 Homing seeks the switch, leaves it, finds it again slowly and stops ``$27`` away from it; the direction is set by
 ``$23``. A switch that is still closed then ends homing with ALARM:8. Machine coordinates then run from -travel
-to 0. Nobody watches the rotors.
+to 0. Nothing watches the rotors.
 """
 
 import re
@@ -103,7 +103,7 @@ class GrblEmulator(Emulator):
     # ---- power and buttons ---------------------------------------------------------------------
 
     def button(self, code: int = grbl.HOLD) -> None:
-        """Somebody presses a button on the box: feed hold, resume or reset, as their real-time bytes."""
+        """Press a button on the box: feed hold, resume or reset, as their real-time bytes."""
         self.advance()
         self._real_time(code)
 

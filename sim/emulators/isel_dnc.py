@@ -3,7 +3,7 @@
 The controller obeys one command after the other and answers each with one character when it has been carried
 out, a motion when it has ended; what is sent meanwhile waits, only the byte 253 does not. Reference runs go
 axis by axis, Z first: onto the low switch, slowly off it, zero there. A switch that closes during a motion
-halts everything, is answered with 2, and undoes initialisation and reference. Nobody watches the rotor. The stop
+halts everything, is answered with 2, and undoes initialisation and reference. Nothing watches the rotor. The stop
 key on the box does what byte 253 does. After power-up it is not initialised, and a motion that was under way is
 never answered. Nothing in its protocol tells two boxes apart but the text of the version.
 
@@ -70,7 +70,7 @@ class IselEmulator(Emulator):
             what_waits.clear()
 
     def person_stops(self) -> None:
-        """Somebody presses the stop key."""
+        """Press the stop key."""
         self.advance()
         self._stop()
 

@@ -1,4 +1,4 @@
-"""The wire between an emulator and whoever opens the other end: latency, order, faults, one owner at a time.
+"""The wire between an emulator and the program at the other end: latency, order, faults, one owner at a time.
 
 Actions may wait for a place in the traffic (hooks): what goes wrong does so between two bytes.
 
@@ -94,9 +94,9 @@ class Line:
         self.clock = clock
         self.faults = faults or FaultSchedule()
         self.lock = threading.RLock()
-        self.owner: object | None = None  # whoever has it open
+        self.owner: object | None = None  # the program that has it open
         self.opened_with = 0  # `plugged` when the host opened it
-        self.plugged = 0  # times that somebody put the plug in; what was opened before is dead
+        self.plugged = 0  # times that the plug was put in; what was opened before is dead
         self.baud: int | None = None  # rate at which the box listens; None for any
         self.hooks = Hooks()
         self.has_echo = False  # the host hears itself
@@ -118,7 +118,7 @@ class Line:
 
     @property
     def is_opened(self) -> bool:
-        """Return whether somebody has it open."""
+        """Return whether a program has it open."""
         return self.owner is not None
 
     def open(self, owner: object) -> None:

@@ -198,7 +198,7 @@ class PiEmulator(Emulator):
         return {"serial": serial_number(name)}
 
     def person_stops(self) -> None:
-        """Somebody stops every axis through another interface of the controller."""
+        """Stop every axis through another interface of the controller."""
         self.advance()
         for address in self._chain:
             self._spoken_to = address

@@ -14,7 +14,7 @@ from typing import Self
 
 from sim.emulators.line import Line
 
-LOOK_S = 0.001  # how often answers that become due are looked for
+PTY_POLL_S = 0.001  # how often answers that become due are looked for
 
 
 class PtyPort:
@@ -50,7 +50,7 @@ class PtyPort:
 
     def _carry(self) -> None:
         while not self._ended.is_set() and not self.line.dead:
-            readable, _, _ = select.select([self._far], [], [], LOOK_S)
+            readable, _, _ = select.select([self._far], [], [], PTY_POLL_S)
             with contextlib.suppress(OSError):
                 if readable:
                     self.line.send(os.read(self._far, 4096))

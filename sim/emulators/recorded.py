@@ -1,11 +1,11 @@
-"""A box that answers from a recording: what somebody's box has once answered, it answers again, as late.
+"""A box that answers from a recording: what a real box has once answered, it answers again, as late.
 
-What it is told must be what was recorded, in order, byte for byte; the first byte that is another ends the
+The bytes sent to it must be those recorded, in order, byte for byte; the first byte that is another ends the
 conversation, with both in the sentence and the line of the file (`SaidOtherwise`).  At which rate the port is
 open does not matter.  A recording is `stages.dialogue`.
 
 Words alone move nothing.  So behind the recording stands an emulator of the same driver, which hears what the box
-hears and moves the motors of the world as it would; what it answers nobody hears.
+hears and moves the motors of the world as it would; its own answers are dropped.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ SHOWN = 60  # bytes in a sentence
 
 
 class SaidOtherwise(DeviceLost):
-    """A box of a recording was told something else than was recorded; it answers no more."""
+    """A box of a recording received other bytes than were recorded; it answers no more."""
 
 
 class RecordedBox(Emulator):
@@ -84,7 +84,7 @@ class RecordedBox(Emulator):
             self._obeys.switch_on()
 
     def person_stops(self) -> None:
-        """Somebody stops what moves."""
+        """Stop what moves, as a person does."""
         if self._obeys is not None:
             self._obeys.person_stops()
 

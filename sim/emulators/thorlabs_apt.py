@@ -10,8 +10,8 @@ there. After power-up a channel is not homed, counts from where it stands, corre
 lost every setting that was not written into its memory; a cube is switched on (thorlabs-apt-device homes a KDC101
 without switching it on), a rack is not. The wheel at the box stops what runs and drives what rests.
 
-Nothing that moves is answered. The end of a motion is told unasked, and the state ten times a second to those who
-have asked for that; who does not thank for it is told no more after fifty times.
+Nothing that moves is answered. The end of a motion is reported unasked, and the state ten times a second to hosts that
+have asked for that; without an acknowledgement the reports end after fifty.
 
 **Server alive.** With `falls_silent` the box keeps to the letter of the protocol, issue 26, p. 30: a host that has
 not said MOT_ACK_DCSTATUSUPDATE for a second is answered about fifty commands more, and then nothing until it does.
@@ -177,8 +177,8 @@ class _Channel:
 
     def _has_homed(self) -> None:
         self.zero, self.is_homed, self.phase = self._raw_count, True, "rest"
-        told = apt.Unasked(Kind.MOT_MOVE_HOMED, bytes((self.ident, 0)), True, self.place)
-        self.box.say(told.to_bytes(), self.motor.time_s)
+        report = apt.Unasked(Kind.MOT_MOVE_HOMED, bytes((self.ident, 0)), True, self.place)
+        self.box.say(report.to_bytes(), self.motor.time_s)
 
     def _ends(self, kind: Kind) -> None:
         self.phase = "rest"
@@ -199,7 +199,7 @@ class AptEmulator(Emulator):
     home_offset : int
         Counts from the switch to the zero of a reference run.
     falls_silent : bool
-        Whether it wants to hear that somebody is there.
+        Whether it needs a sign of life of the host.
     """
 
     def __init__(
@@ -213,7 +213,7 @@ class AptEmulator(Emulator):
     ) -> None:
         super().__init__(motors, clock)
         self._falls_silent, self._thanked_s, self._unthanked = falls_silent, clock.now_s(), 0
-        self.started_by: list[int] = []  # addresses that were told that nobody writes firmware
+        self.started_by: list[int] = []  # addresses that got the word that no firmware is written
         self.is_rack = any(name.startswith("bay") for name in motors)
         self.model = model or ("BSC203" if self.is_rack else "KDC101")
         self._serial, self.home_offset = serial, home_offset
@@ -235,21 +235,21 @@ class AptEmulator(Emulator):
         return self._channels[name]
 
     def person_stops(self) -> None:
-        """Somebody touches the wheel of every channel."""
+        """Touch the wheel of every channel."""
         self.advance()
         for channel in self._channels.values():
             if channel.motor.running:
                 channel.stop(words.STOP_SLOWING)
 
     def person_homes(self) -> None:
-        """Somebody homes every channel from the menu of the box; without power there is none."""
+        """Home every channel from the menu of the box; without power there is none."""
         self.advance()
         for channel in self._channels.values() if self.is_on else ():
             channel.is_on = True
             channel.home()
 
     def turn_wheel(self, name: str, steps: int) -> None:
-        """Somebody turns the wheel of a channel, whether it rests or not; without power nothing reads it."""
+        """Turn the wheel of a channel, whether it rests or not; without power nothing reads it."""
         self.advance()
         if self.is_on:
             self._channels[name].turn(steps)

@@ -180,7 +180,7 @@ class ZaberEmulator(Emulator):
             axis.stop()
 
     def turn_knob(self, device: int, axis: int, steps: int) -> None:
-        """Somebody turns the knob of an axis, whether it rests or not; without power nothing reads it."""
+        """Turn the knob of an axis, whether it rests or not; without power nothing reads it."""
         self.advance()
         if self.is_on:
             self._axes[device, axis].turn(steps)

@@ -28,7 +28,7 @@ Float64 = NDArray[np.float64]
 
 THREES = 24  # sets of three modes; 72 modes scatter the autocorrelation by 0.1
 PEAK = 0.746834  # k_e times the integral length
-BLOCK_POINTS = 1024  # stays in the first cache with its three components
+MODE_BLOCK_POINTS = 1024  # stays in the first cache with its three components
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class RandomModes:
             )
             out[:, first:last] = part
 
-        run_rows(block, points.shape[1], BLOCK_POINTS)
+        run_rows(block, points.shape[1], MODE_BLOCK_POINTS)
         return np.ascontiguousarray(out.T)
 
     def covariance(self, apart_mm: Float64, lag_s: float = 0.0) -> Float64:

@@ -1,6 +1,6 @@
 """Clocks of the simulated world.
 
-A `VirtualClock` moves only when somebody waits on it: a campaign of hours takes milliseconds and is the same
+A `VirtualClock` moves only when a thread waits on it: a campaign of hours takes milliseconds and is the same
 every time. Several threads may use it, but each of them then moves it on for all, so what they do at the same time
 happens in an order that differs from run to run. A `PacedClock` is one that keeps pace with the wall clock while
 a camera looks. A `ScaledClock` runs some times faster than the wall clock; emulators on pseudo-terminals use it.
@@ -73,7 +73,7 @@ class PacedClock(VirtualClock):
 
     def __init__(self, start_s: float = 0.0) -> None:
         super().__init__(start_s)
-        self.is_paced: Callable[[], bool] = lambda: False  # asked whenever somebody looks or waits
+        self.is_paced: Callable[[], bool] = lambda: False  # called at every look and wait
         self._keeps_pace = False
         self._ahead_s = 0.0  # of the wall's clock before the world's, while it keeps pace and since
 

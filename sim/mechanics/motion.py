@@ -1,15 +1,15 @@
 """Physics of an axis: what motor, screw, carriage and switches do, whatever firmware commands them.
 
-The motor driver makes pulses along a trapezoid of speed; it can be told to go, brake, or halt at any moment.
+The motor driver makes pulses along a trapezoid of speed; it can be made to go, brake, or halt at any moment.
 The rotor follows pulse by pulse, so it stands on whole steps. The screw turns rotor revolutions into nut
 positions,
 
     nut = lead (1 + scale error) rev + amplitude sin(2 pi rev),
 
 and the carriage hangs in the nut with play: it moves only while the nut pushes it (hysteresis operator "play").
-Where the carriage cannot go on (an obstacle, the hard ends) the rotor is held and pulses are lost; nobody is
-told. A carriage may `slip` in its coupling, which no encoder on the motor sees, or its screw may be turned by hand
-(`shove`), which an encoder counts and a step counter does not.
+Where the carriage cannot go on (an obstacle, the hard ends) the rotor is held and pulses are lost without
+a report. A carriage may `slip` in its coupling, which no encoder on the motor sees, or its screw may be turned by
+hand (`shove`), which an encoder counts and a step counter does not.
 
 Time is continuous and events are found, not sampled: within a piece of constant acceleration the motion is
 monotone, so the moment at which the carriage crosses the edge of a switch is found by bisection, the listener
@@ -86,7 +86,7 @@ class Listener(Protocol):
 
 
 class Glide(NamedTuple):
-    """A stretch of one motion, of constant acceleration: what really happened, for whoever watches."""
+    """A stretch of one motion, of constant acceleration: the true motion, for its watcher."""
 
     begin_s: float
     end_s: float

@@ -31,7 +31,7 @@ from tracer.errors import SceneError
 
 Points = NDArray[np.float64]
 MOST_SIDE_PX = 400  # of a square in the picture of a coded board
-REACH_SIGMAS = 5.0  # a Gaussian is 4e-6 of its peak there: below one count in 12 bit
+PRINT_REACH_SIGMAS = 5.0  # a Gaussian is 4e-6 of its peak there: below one count in 12 bit
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,7 @@ class ParticleSheet:
     @cached_property
     def _bins(self) -> tuple[Points, Points, NDArray[np.int64], Points, float]:
         """Particles sorted into square cells as wide as a particle reaches."""
-        cell = REACH_SIGMAS * self.sigma_mm
+        cell = PRINT_REACH_SIGMAS * self.sigma_mm
         places = np.ascontiguousarray(self.places_mm)
         peaks = np.broadcast_to(np.asarray(self.peaks, dtype=np.float64), places.shape[:1])
         if len(places) == 0:

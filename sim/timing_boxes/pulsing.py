@@ -1,6 +1,6 @@
 """Base of boxes that give pulses by themselves: periods that begin, pulses on their way, and the outputs.
 
-A period begins at its moment on the world's clock, whoever listens and whether or not the host still lives; what
+A period begins at its moment on the world's clock, with or without a listener and a living host; what
 falls into it is put on its way then, and leaves at its own moment, in order.  Who hangs on an output hears each:
 
     outputs = line.emulator.outputs
@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from sim.emulators.device import Clock, Emulator
 
-KEPT = 10_000  # pulses that can be looked back at
+MAX_KEPT_PULSES = 10_000  # pulses that can be looked back at
 
 
 class Pulse(NamedTuple):
@@ -34,11 +34,11 @@ class Outputs:
 
     def __init__(self) -> None:
         self.count: Counter[str] = Counter()
-        self.recent: deque[Pulse] = deque(maxlen=KEPT)
+        self.recent: deque[Pulse] = deque(maxlen=MAX_KEPT_PULSES)
         self._listeners: list[Callable[[Pulse], object]] = []
 
     def listen(self, hear: Callable[[Pulse], object]) -> None:
-        """Hang somebody on; called with every pulse from now on, when it rises."""
+        """Add a listener; called with every pulse from now on, when it rises."""
         self._listeners.append(hear)
 
     def emit(self, pulse: Pulse) -> None:

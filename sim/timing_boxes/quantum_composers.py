@@ -1,7 +1,7 @@
 """Pulse generators of Quantum Composers and Berkeley Nucleonics as firmware.
 
-T0 ticks on the world's clock from the moment at which its state was set to 1, whoever listens and whether or not
-the host still lives. An output that is on gives a pulse `DEL` after every tick, `WIDT` long, as its mode has it:
+T0 ticks on the world's clock from the moment at which its state was set to 1, with or without a listener
+and a living host. An output that is on gives a pulse `DEL` after every tick, `WIDT` long, as its mode has it:
 
     NORM  at every tick       SING  once, then its output is inhibited       BURS  BCO times, then inhibited
     DCYC  PCO ticks on, OCO ticks off, for ever               WCO   ticks to wait first, in any mode
@@ -10,8 +10,8 @@ the host still lives. An output that is on gives a pulse `DEL` after every tick,
 may be rearmed by pressing the RUN a second time" (9530 manual p. 14; 525 manual 5.1 says the same), and the state
 of T0 is that button (575 manual, 8: system pulse). A burst goes "'n' times, after which output is inhibited" (575
 manual p. 5-11, 9520 manual p. 16): STAT stays as it was written. The manuals leave open whether RUN arms an output
-that is off, so there is a box of either kind, and one of the kind that was believed in before anybody had read
-them:
+that is off, so there is a box of either kind, and one of the kind that was believed in before the manuals
+were read:
 
     "run"        RUN arms what is on; an output that is switched on while T0 runs gives nothing until RUN
     "run all"    RUN arms all; one that is switched on later gives its pulses then
@@ -206,7 +206,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         }
 
     def set_inside(self, number: int, keyword: str, value: str) -> None:
-        """Somebody sets something at the keys of the box."""
+        """Set something at the keys of the box."""
         if keyword == "STAT":
             self._switch(number, value == "1")
         else:

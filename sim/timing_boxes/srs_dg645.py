@@ -1,7 +1,7 @@
 """DG645 of Stanford Research Systems as firmware.
 
-A trigger begins a cycle, or a burst of BURC cycles BURP apart, the first BURD behind the trigger, whoever listens
-and whether or not the host still lives. In a cycle every output whose second channel comes behind its first is
+A trigger begins a cycle, or a burst of BURC cycles BURP apart, the first BURD behind the trigger, with or without
+a listener and a living host. In a cycle every output whose second channel comes behind its first is
 high from one to the other. What triggers is TSRC: 0 its own rate TRAT, 5 the word *TRG or a key; a trigger that
 comes while it is busy is lost.
 
@@ -76,7 +76,7 @@ class Dg645Emulator(PulsingEmulator):
         return self.is_running or self._settings["BURM"] == 1
 
     def set_inside(self, word: str, value: float) -> None:
-        """Somebody sets something at the keys of the box."""
+        """Set something at the keys of the box."""
         self.advance()
         self._set(word, value)
 

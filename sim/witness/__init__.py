@@ -1,1 +1,1 @@
-"""The judge of a simulated bench: sees where everything really is, and asks nobody who works on the bench."""
+"""The judge of a simulated bench: sees where everything really is, and uses no reading of the bench."""

@@ -9,7 +9,7 @@ it: that is what makes watching cheap.
 Shapes are those of the bench file: bodies are capsules (a sphere is one without length), the camera is a capsule
 along its axis, the target a box behind z = 0; a window is a raft of capsules as thick as it, a tube a ring of
 them, and what the bench carries stands. The scene is the file's: that a simulated bench is built a few tenths of a
-millimetre off it is not held against whoever works with the file.
+millimetre off it is not held against the user of the file.
 """
 
 import math
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from sim.witness.distances import Point, along, least, plus, segment_to_box, segment_to_segment
 from tracer.bodies import Body, Dome, Rod, Sphere, Tube, Window
 
-if TYPE_CHECKING:  # names alone: whoever watches without a scene does not wait for scipy and numba
+if TYPE_CHECKING:  # names alone: a watcher without a scene does not wait for scipy and numba
     from daq.bench.keep_out import KeepOutTable
     from tracer.scene.scene import Scene
 
@@ -152,7 +152,7 @@ class Clearances:
         watched : set of str
             Those of them that have to keep clear; two elements are judged if one of these carries one of them.
         slipped_mm : mapping of str to float
-            How far axes may be off besides, where nobody at the bench can know.
+            How far axes may be off besides, which no reading of the bench shows.
         """
         touched = {id(two): two for axis in ends_mm for two in self._of_axis[axis]}
         held = []

@@ -18,9 +18,9 @@ allowed may go away from there, and not further in. A motor that slows down does
 speed that does not fall is a violation, so the way of braking needs no number. What a stop cannot reach (a port
 that is closed or gone, or goes within `STOP_S`) may end its motion.
 
-**What is not held against anybody** is what the workshop built: `SLACK_MM` for the reference edge, whole steps
+**What is tolerated** is what the workshop built: `SLACK_MM` for the reference edge, whole steps
 and tolerances of arrival, the play, the lead error twice, the error of the scale over the whole travel. A
-carriage that has slipped where nobody can know it (`note_slip`) adds its way until its axis is homed again.
+carriage that has slipped unnoticed (`note_slip`) adds its way until its axis is homed again.
 
 It costs about 5 us a glide (one or two a poll of a moving axis): a tenth of the time of tests that do nothing
 but move stages, nothing of all others.
@@ -43,7 +43,7 @@ from sim.mechanics.motion import Glide, Motor
 from sim.witness.clearances import Carried, Clearances
 from stages.config import StagesTable
 
-if TYPE_CHECKING:  # names alone: whoever watches without a scene does not wait for scipy and numba
+if TYPE_CHECKING:  # names alone: a watcher without a scene does not wait for scipy and numba
     from daq.bench.keep_out import KeepOutTable
     from tracer.scene.scene import Scene
 
@@ -89,7 +89,7 @@ class Watched:
     limits_mm : (float, float)
         From the bench file.
     slack_mm : float
-        What is not held against anybody.
+        What is tolerated.
     """
 
     motor: Motor
@@ -194,10 +194,10 @@ class Witness:
         for name, watched in self.axes.items():
             self._clearances.put(name, watched.at_mm)
 
-    # ---- what it is told -----------------------------------------------------------------------
+    # ---- what is reported to it-------------------------------------------------------------------
 
     def note_stop(self, at_s: float | None = None, only: Line | None = None) -> None:
-        """Somebody has stopped the bench, or what hangs on one line."""
+        """Note a stop of the bench, or what hangs on one line."""
         at_s = self.clock.now_s() if at_s is None else at_s
         self._bring_up()
         out_of_reach = {
@@ -213,25 +213,25 @@ class Witness:
                 stop.out_of_reach[id(line)] = now_s
 
     def note_clear(self, only: Line | None = None) -> None:
-        """Somebody has cleared the stop, or that of one line alone: things may move again."""
+        """Note that the stop is cleared, or that of one line alone: things may move again."""
         for stop in self._stops:
             if only is None or stop.only == id(only):
                 stop.end_s = min(stop.end_s, self.clock.now_s())
 
     def note_slip(self, axis: str, distance_mm: float) -> None:
-        """A carriage slips now where nobody can know it; forgiven until its axis is homed."""
+        """Note that a carriage slips unnoticed now; forgiven until its axis is homed."""
         self.judge()  # an older reference run forgives nothing
         self.axes[axis].slipped_mm += abs(distance_mm)
 
     def check_report(self, axis: str, position_mm: float) -> None:
-        """Somebody was told where an axis is, as known now."""
+        """Check a position of an axis that was reported as known now."""
         watched = self.axes[axis]
         with watched.line.lock:
             watched.line.emulator.advance()
             true_mm = watched.axis_mm(watched.motor.carriage_mm)
         allowed_mm = watched.slack_mm + watched.slipped_mm
         if abs(position_mm - true_mm) > allowed_mm:
-            text = f"{position_mm:.3f} mm was told, it is at {true_mm:.3f} mm"
+            text = f"{position_mm:.3f} mm was reported, it is at {true_mm:.3f} mm"
             self._add("told", axis, self.clock.now_s(), abs(position_mm - true_mm) - allowed_mm, text)
 
     # ---- what it sees --------------------------------------------------------------------------

@@ -61,7 +61,7 @@ def write_u32(pointer: int, value: int) -> None:
 
 
 def write_bool(pointer: int, value: bool) -> None:
-    """Write a bool8_t; a null pointer means that nobody wants to know."""
+    """Write a bool8_t; a null pointer means that it is not asked for."""
     if pointer:
         ctypes.c_uint8.from_address(pointer).value = int(value)
 

@@ -160,7 +160,7 @@ class Device:
         Raises
         ------
         GenTLError
-            RESOURCE_IN_USE: somebody has it; IO: the camera is unplugged.
+            RESOURCE_IN_USE: it is open already; IO: the camera is unplugged.
         """
         if self.is_open:
             raise GenTLError(Status.RESOURCE_IN_USE, f"{self.config.serial} is open already")

@@ -4,7 +4,7 @@ Three things happen: requests are answered (control thread), frames are sent (th
 of the device model), and a controlling client that falls silent for longer than the heartbeat timeout loses
 control, and its stream stops.
 
-Loopback only: the device binds to 127.x.y.z, answers whoever asks and sends streams nowhere else.
+Loopback only: the device binds to 127.x.y.z, answers every client and sends streams nowhere else.
 
 It does not flood a plain UDP socket.  A real camera is slowed by its cable; a simulated one on the loopback is
 not, and the kernel's default receive buffer (212 kB) is smaller than a frame.  On Linux the fill of the
@@ -33,7 +33,7 @@ from sim.camera.source import FrameSource
 
 TABLE = Path("/proc/net/udp")
 FULL_BYTES = 50_000
-PATIENCE_S = 0.05
+QUEUE_PATIENCE_S = 0.05
 NAP_S = 0.0002
 
 
@@ -54,11 +54,11 @@ class Pacer:
         """Return when the receiver's queue has room, or when waiting turned out to be in vain."""
         if not self.is_useful:
             return
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + QUEUE_PATIENCE_S
         lowest = self._read_queue_bytes()
         while lowest is not None and (now := self._read_queue_bytes()) is not None and now > FULL_BYTES:
             if now < lowest:
-                lowest, deadline = now, time.monotonic() + PATIENCE_S
+                lowest, deadline = now, time.monotonic() + QUEUE_PATIENCE_S
             if time.monotonic() > deadline:
                 self.is_useful = False
                 return
@@ -362,7 +362,7 @@ class GigeDevice:
         try:
             self._stream.sendmsg(parts, [], 0, target)
         except OSError:
-            return  # nobody listens: the packet is lost, as on a cable
+            return  # no receiver: the packet is lost, as on a cable
 
 
 def _broadcast_socket() -> socket.socket:

@@ -17,7 +17,7 @@ from daq.child import child
 from sim.camera.config import CameraConfig
 from sim.camera.gige.device import GigeDevice
 
-PATIENCE_S = 10.0
+END_PATIENCE_S = 10.0
 _hosts = count(1)
 
 
@@ -46,7 +46,7 @@ def device_process(config: CameraConfig) -> Iterator[str]:
             raise OSError(f"no camera could be started on {address}")
         yield address
     finally:
-        device.communicate(timeout=PATIENCE_S)  # it ends with its standard input
+        device.communicate(timeout=END_PATIENCE_S)  # it ends with its standard input
 
 
 def main() -> None:
