@@ -26,7 +26,7 @@ def one_blas_thread() -> Iterator[None]:
     global _inside
     with _lock:
         if _inside == 0:
-            _before.update({path: found[0]() for path in _loaded() if (found := _get_and_set(path)) is not None})
+            _before.update({path: both[0]() for path in _libraries() if (both := _get_and_set(path)) is not None})
             _set(dict.fromkeys(_before, 1))
         _inside += 1
     try:
@@ -46,7 +46,7 @@ def _set(threads: dict[str, int]) -> None:
         found[1](count)
 
 
-def _loaded() -> set[str]:
+def _libraries() -> set[str]:
     """Libraries of OpenBLAS in this process; where the system does not list them, those beside NumPy and SciPy."""
     try:
         lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()

@@ -9,7 +9,7 @@ YAML 1.1 is generous in ways that ruin experiments: a duplicate key silently win
 * unknown keys (a wrong unit suffix is an unknown key; the nearest known key is named), missing keys,
   values of the wrong type or outside their range.
 
-Nothing is ever replaced by a default because it was wrong, and what is wrong is told at once, in the words of
+Nothing is ever replaced by a default because it was wrong, and what is wrong is reported at once, in the words of
 ``plain_words``.  Scene, bench and plan files all come through ``read``.
 """
 
@@ -64,14 +64,14 @@ Model = TypeVar("Model", bound=Table)
 class Document:
     """A YAML file as plain data, with the line of every place in it.
 
-    `doubtful` are places whose value YAML reads as something else than it looks like; `validate` tells them with
-    all other problems.
+    `ambiguous` are places whose value YAML reads as something else than it looks like; `validate` reports them
+    with all other problems.
     """
 
     path: Path
     tree: Any
     lines: dict[Place, int] = field(default_factory=dict)
-    doubtful: dict[Place, Problem] = field(default_factory=dict)
+    ambiguous: dict[Place, Problem] = field(default_factory=dict)
 
     def inside(self, *place: str | int) -> "Document":
         """Return a part as a document of its own, with the lines of the file."""
@@ -108,13 +108,13 @@ def load_yaml(path: Path | str) -> Document:
         The file is missing, too large, not UTF-8, not YAML, or uses what this module refuses.
     """
     document = open_document(path)
-    if document.doubtful:
-        raise ConfigError(document.path, list(document.doubtful.values()))
+    if document.ambiguous:
+        raise ConfigError(document.path, list(document.ambiguous.values()))
     return document
 
 
 def open_document(path: Path | str) -> Document:
-    """Read a YAML file as `load_yaml` does, and leave doubtful values to `validate`.
+    """Read a YAML file as `load_yaml` does, and leave ambiguous values to `validate`.
 
     Raises
     ------
@@ -258,7 +258,7 @@ class _Reader:
             return int(text) if len(text) < 20 else float(text)
         if _DECIMAL.fullmatch(text) and math.isfinite(float(text)) and "." in text:
             return float(text)
-        if said := _doubt(text, node.tag):
+        if said := _second_reading(text, node.tag):
             self.problems[place] = Problem(node.start_mark.line + 1, said)
         return text
 
@@ -274,7 +274,7 @@ def _decimal_comma(before: tuple[yaml.Node, yaml.Node], pair: tuple[yaml.Node, y
     return f"{name.value}: {said}: a decimal comma? write a decimal point: {said.replace(',', '.')}"
 
 
-def _doubt(text: str, tag: str) -> str | None:
+def _second_reading(text: str, tag: str) -> str | None:
     """Reason why plain text may be meant as something else; None if there is none."""
     if _NOT_FINITE.fullmatch(text):
         return f"{text!r} is not a finite number"
@@ -302,7 +302,7 @@ def validate(document: Document, model: type[Model]) -> Model:
         Everything that does not fit, with the lines; of a file of another kind only that.
     """
     require_kind(document, model.model_fields)
-    problems, found = list(document.doubtful.values()), None
+    problems, found = list(document.ambiguous.values()), None
     try:
         found = model.model_validate(document.tree)
     except ValidationError as error:
@@ -312,7 +312,7 @@ def validate(document: Document, model: type[Model]) -> Model:
         problems += [
             Problem(document.line(place), _words(document, model, place, several))
             for place, several in by_place.items()
-            if place not in document.doubtful and not _is_other_branch(document, place, several, by_place)
+            if place not in document.ambiguous and not _is_other_branch(document, place, several, by_place)
         ]
     if found is None or problems:
         raise ConfigError(document.path, problems)
@@ -357,10 +357,10 @@ def _is_other_branch(
 
 
 def _words(document: Document, model: type[Table], place: Place, several: list[Any]) -> str:
-    return sentence(place_words(document.tree, place), several, lambda: _known_keys(model))
+    return sentence(place_words(document.tree, place), several, lambda: _keys_of(model))
 
 
-def _known_keys(model: type[Table]) -> list[str]:
+def _keys_of(model: type[Table]) -> list[str]:
     """Every key of a model and of the models below it."""
     keys: set[str] = set()
     definitions = model.model_json_schema()

@@ -31,7 +31,7 @@ class RtpivError(Exception):
     Parameters
     ----------
     text : str
-        What is wrong; or all of the sentence, where place and cure are not told apart.
+        What is wrong; or all of the sentence, where place and cure are not separate.
     place : Path or str, optional
         File, folder or device at fault; stands in front of the sentence.
     cure : str, optional
@@ -77,8 +77,8 @@ class ConfigError(GroundError):
         self.place = self.path
 
     @classmethod
-    def joined(cls, errors: "Sequence[ConfigError]") -> "ConfigError":
-        """Return one error of several files, told in their order; `problems` are those of the first."""
+    def merge(cls, errors: "Sequence[ConfigError]") -> "ConfigError":
+        """Return one error of several files, in their order; `problems` are those of the first."""
         first, *others = errors
         same = [problem for error in others if error.path == first.path for problem in error.problems]
         rest = [error for error in others if error.path != first.path]

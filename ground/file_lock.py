@@ -1,8 +1,8 @@
 """A file or folder that one process holds, until it closes it or ends, however that is.
 
-Only who asks is kept away: nothing else knows of such locks (flock(2)).  Windows locks bytes, and whoever reads
-or writes them is kept away; so one is held that lies far behind all that a file holds.  It opens no folders: for
-each that is held a file stands in the user's folder for temporary ones.
+Only who asks is kept away: nothing else knows of such locks (flock(2)).  Windows locks bytes, and a program that
+reads or writes them is kept away; so one is held that lies far behind all that a file holds.  It opens no
+folders: for each that is held a file stands in the user's folder for temporary ones.
 """
 
 import errno
@@ -44,12 +44,12 @@ def hold(file: Opened | int, wait: bool = False) -> None:
     file : file or int
         It, or its descriptor.
     wait : bool
-        Wait for whoever holds it.
+        Wait for its holder.
 
     Raises
     ------
     BlockingIOError
-        Another process holds it, and nobody waits for that.
+        Another process holds it, and this one does not wait.
     OSError
         This file cannot be held.
     """
@@ -64,7 +64,7 @@ def hold(file: Opened | int, wait: bool = False) -> None:
 
 
 def _byte_held(descriptor: int) -> bool:
-    """Hold the byte that stands for an open file; False if somebody else does."""
+    """Hold the byte that stands for an open file; False if another process does."""
     place = lseek(descriptor, 0, SEEK_CUR)
     lseek(descriptor, FAR, SEEK_SET)
     try:
@@ -82,7 +82,7 @@ def _byte_held(descriptor: int) -> bool:
 def folder_held(folder: Path) -> Iterator[None]:
     """Hold a folder while the block lasts; BlockingIOError if another process does, or has just taken it away.
 
-    A folder that cannot be held keeps nobody away.
+    A folder that cannot be held keeps no process away.
     """
     if flock is None:
         with _standing_for(folder):
@@ -120,7 +120,7 @@ def _standing_for(folder: Path) -> Iterator[None]:
         yield
     finally:
         close(descriptor)
-        with suppress(OSError):  # somebody else has it open by now
+        with suppress(OSError):  # another process has it open by now
             path.unlink()
 
 

@@ -4,7 +4,7 @@ A file is an uncompressed .npz with one extra member ``header`` (UTF-8 JSON as b
 is, the layout version, the hash of the scene, and what the map itself wants to keep.  Before an array is
 read, its declared shape is compared with the bytes really there, so a damaged or hostile file cannot make
 the reader allocate memory; what an array holds is said in the one form that numpy writes, and nothing of it is
-evaluated.  Who knows a kind of map says what its header holds (`checked`).  Writing goes to a temporary name, is
+evaluated.  Each kind of map has a model of its header (`check_header`).  Writing goes to a temporary name, is
 flushed to disk, then renamed.
 """
 
@@ -96,7 +96,7 @@ def load_arrays(path: Path | str, kind: str) -> tuple[dict[str, Any], dict[str, 
     return header, arrays
 
 
-def checked(path: Path | str, header: dict[str, Any], model: type[Header]) -> Header:
+def check_header(path: Path | str, header: dict[str, Any], model: type[Header]) -> Header:
     """Check the header of a map against its model.
 
     Raises

@@ -17,7 +17,7 @@ _GROUP = Path("/sys/fs/cgroup")
 
 
 def free_bytes() -> int | None:
-    """Memory that this process can still take; None if nobody says."""
+    """Memory that this process can still take; None if the system does not say."""
     found = [each for each in (_of_system(), _of_group(), _of_process()) if each is not None]
     return min(found) if found else None
 

@@ -1,9 +1,9 @@
 """Programs that a file names, as "package.module:callable": imported and called only if the person trusts them.
 
 A bench file may name drivers, cameras and objects of other projects, and with them any program of this computer.
-So a file of somebody else is asked about before such a name is imported, once for each name: trusted are the names
-that rtpiv ships, those in the environment variable RTPIV_TRUST (``--trust`` of the command line puts them there),
-and those in a file of the person's own, one name a line.
+So a file of another person is asked about before such a name is imported, once for each name: trusted are the
+names that rtpiv ships, those in the environment variable RTPIV_TRUST (``--trust`` of the command line puts them
+there), and those in a file of the person's own, one name a line.
 """
 
 import os
@@ -103,10 +103,10 @@ def program_of(name: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - 
         return getattr(import_module(module), attribute)
     if ":" not in name:
         raise UnknownName(name)
-    return named_program(name)
+    return import_program(name)
 
 
-def named_program(dotted: str) -> Any:  # noqa: ANN401 - whatever the name stands for
+def import_program(dotted: str) -> Any:  # noqa: ANN401 - whatever the name stands for
     """Import what a file names.
 
     Raises

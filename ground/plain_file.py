@@ -1,7 +1,7 @@
 """Files that are files: what is read is a plain file of bounded length, never a pipe, a device or a folder.
 
-A pipe that nobody writes to holds its reader for ever, and /dev/zero has no end.  Such a name is opened without
-waiting, looked at and refused; between looking and reading nobody can put another file in its place.
+A pipe without a writer holds its reader for ever, and /dev/zero has no end.  Such a name is opened without
+waiting, looked at and refused; between looking and reading no process can put another file in its place.
 """
 
 import errno

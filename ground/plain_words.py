@@ -2,7 +2,7 @@
 
 The library that checks files has a code for each kind of problem, and sentences for programmers ("Unable to
 extract tag using discriminator").  Here each code becomes what stands in the file, what should stand there, and,
-where it can be told, the cure.  Of a value that may be one of several things ("a name or a table") the library
+where it is known, the cure.  Of a value that may be one of several things ("a name or a table") the library
 reports each that it is not; that becomes one sentence.
 """
 
@@ -58,7 +58,7 @@ _BOUNDS = {
 }
 
 
-def counted(number: int, noun: str, plural: str = "") -> str:
+def quantity(number: int, noun: str, plural: str = "") -> str:
     """Return a number with its noun, in the plural where it is not one: "1 chunk", "0 chunks", "9 axes"."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
@@ -156,25 +156,25 @@ def sentence(name: str, several: Sequence[Mapping[str, Any]], known_keys: Callab
         tag, key = str(context.get("tag", "")), str(context.get("discriminator", "")).strip("'")
         hint = near(tag, [word.strip("' ") for word in expected.split(",")])
         return f"{name}.{key}: should be one of {expected}, not {tag!r}{hint}"
-    said = _said(kind, str(details["msg"]), context, details.get("input"))
+    said = _sentence(kind, str(details["msg"]), context, details.get("input"))
     return f"{name or 'the file'}: {said}{_bound_slip(key, kind, context, details.get('input'))}"
 
 
-def _said(kind: str, message: str, context: Mapping[str, Any], given: Any) -> str:  # noqa: ANN401
+def _sentence(kind: str, message: str, context: Mapping[str, Any], given: Any) -> str:  # noqa: ANN401
     if kind == "value_error":
         return message.removeprefix("Value error, ")
     if kind == "entries":
         return message
     if kind in _BOUNDS:
         bound = _BOUNDS[kind].format(**{name: f"{limit:.9g}" for name, limit in context.items()})
-        return f"should be {bound}, not {_shown(given)}"
+        return f"should be {bound}, not {_quote(given)}"
     if kind in ("literal_error", "enum"):
         expected = str(context.get("expected", ""))
         hint = near(str(given), [word.strip("' ") for word in expected.replace(" or ", ",").split(",")])
-        return f"should be {expected}, not {_shown(given)}{hint}"
+        return f"should be {expected}, not {_quote(given)}{hint}"
     if kind == "string_pattern_mismatch":
         pattern = str(context.get("pattern", ""))
-        return f"should be {NAME_WORDS if pattern == NAME_PATTERN else 'like ' + pattern}, not {_shown(given)}"
+        return f"should be {NAME_WORDS if pattern == NAME_PATTERN else 'like ' + pattern}, not {_quote(given)}"
     if kind == "string_too_short":
         return "should not be empty"
     if kind == "too_short":
@@ -206,11 +206,11 @@ def _but(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
         return ", not a list"
     quoted = isinstance(given, str) and _is_number(given)
     if isinstance(given, str) and _DECIMAL_COMMA.fullmatch(given):
-        return f", not {_shown(given)}; write a decimal point: {given.replace(',', '.')}"
-    return f", not {_shown(given)}" + ("; leave the quotes out" if quoted else "")
+        return f", not {_quote(given)}; write a decimal point: {given.replace(',', '.')}"
+    return f", not {_quote(given)}" + ("; leave the quotes out" if quoted else "")
 
 
-def _shown(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
+def _quote(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
     text = {True: "true", False: "false"}[given] if isinstance(given, bool) else repr(given)
     return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 

@@ -65,7 +65,7 @@ def run_rows(
     try:
         work()
     finally:
-        queue.clear()  # after an error or Ctrl-C nobody begins another block
+        queue.clear()  # after an error or Ctrl-C no thread begins another block
         for future in others:
             if not future.cancel():  # cancelled: other work held the pool, and nothing was left for this thread
                 future.result()
@@ -103,7 +103,7 @@ def run_parts(function: Callable[[T], object], parts: Iterable[T]) -> None:
         while waiting:
             end_first()
     finally:
-        for _, future in waiting:  # after an error or Ctrl-C nobody begins another part
+        for _, future in waiting:  # after an error or Ctrl-C no thread begins another part
             future.cancel()
         wait([future for _, future in waiting])
 

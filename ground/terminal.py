@@ -69,7 +69,7 @@ def error_console() -> Console:
 
 
 @contextmanager
-def drawn_anew(live: Live) -> Iterator[Live]:
+def show_live(live: Live) -> Iterator[Live]:
     """Show what is drawn anew again and again, until the end of the block."""
     _drawn.append(live)
     try:
@@ -80,7 +80,7 @@ def drawn_anew(live: Live) -> Iterator[Live]:
 
 
 @contextmanager
-def held_still() -> Iterator[None]:
+def pause_drawing() -> Iterator[None]:
     """Let nothing be drawn anew while a person reads a question and types: it would wipe both out."""
     stopped = [live for live in _drawn if live.is_started]
     for live in stopped:

@@ -25,7 +25,7 @@ def unusual(document: Document, table: Table) -> list[Problem]:
     """Return a question, with its line, for every number of a checked file that is not usual."""
     return [
         Problem(document.line(place), f"{place_words(document.tree, place)}: {asked}")
-        for place, asked in _asked(table, ())
+        for place, asked in _questions_of(table, ())
     ]
 
 
@@ -37,7 +37,7 @@ def question(key: str, number: float, usual: Usual) -> str:
     return f"is {number:.6g} right? Usual are {usual.low:g} to {usual.high:g}{hint}"
 
 
-def _asked(value: object, place: Place) -> Iterator[tuple[Place, str]]:
+def _questions_of(value: object, place: Place) -> Iterator[tuple[Place, str]]:
     """Questions about a value and all that is in it."""
     if isinstance(value, Table):
         for name in value.model_fields_set:
@@ -45,13 +45,13 @@ def _asked(value: object, place: Place) -> Iterator[tuple[Place, str]]:
             for usual in type(value).model_fields[name].metadata:
                 if isinstance(usual, Usual):
                     yield from _about(inner, at, name, usual)
-            yield from _asked(inner, at)
+            yield from _questions_of(inner, at)
     elif isinstance(value, Mapping):
         for name, inner in value.items():
-            yield from _asked(inner, (*place, name))
+            yield from _questions_of(inner, (*place, name))
     elif isinstance(value, list):
         for index, inner in enumerate(value):
-            yield from _asked(inner, (*place, index))
+            yield from _questions_of(inner, (*place, index))
 
 
 def _about(value: object, place: Place, key: str, usual: Usual) -> Iterator[tuple[Place, str]]:

@@ -22,7 +22,7 @@ def whole_file(path: Path, let_go: bool = False, among_many: bool = False) -> It
         all of it within a minute, and finding ever new memory cost more than the writing.
     among_many : bool
         Others may write this file at the same time, on this computer or on another that sees its folder: the
-        temporary name is nobody else's, and whoever is ready last gives the file its contents.
+        temporary name belongs to one process, and the last to finish gives the file its contents.
 
     Yields
     ------

@@ -102,13 +102,13 @@ def compile_all(here: Path) -> int:
     """Compile for this process's kind of processor all that the cache in a folder holds; return how many."""
     count = 0
     for kernel in kernels():
-        kept = getattr(kernel.compiled._cache, "_impl", None)
+        kept = getattr(kernel.dispatcher._cache, "_impl", None)
         if kept is None:
             continue
         digest = digest_of(Path(kernel.py_func.__code__.co_filename))
         index = IndexDataCacheFile(str(here / "rtpiv" / digest), kept.filename_base, digest)  # type: ignore[no-untyped-call]
         for signature, *_ in index._load_index():  # type: ignore[no-untyped-call]
-            kernel.compiled.compile(signature)
+            kernel.dispatcher.compile(signature)
             count += 1
     return count
 

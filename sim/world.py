@@ -196,8 +196,8 @@ def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid | Pl
     board, rng = bench.board, np.random.default_rng((seed, PRINTER))
     x, y = (s + sigma * rng.standard_normal() for s, sigma in zip(board.scale, board.scale_sigma, strict=True))
     on_paper = Board(
-        board.square_mm, board.disc_mm, discs=board.discs, squares=board.squares, origin_corner=board.origin_corner,
-        codes=board.codes, dots=board.dots, scale=(x, y),
+        board.square_mm, board.disc_mm, discs=board.discs, squares=board.squares,
+        origin_corner=board.origin_corner, codes=board.codes, dots=board.dots, scale=(x, y),
         odd_bright=bool(rng.integers(2)) if board.is_plain else True,
     )  # fmt: skip
     if board.dots is not None and board.dots.levels:

@@ -42,7 +42,7 @@ from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import NodeStatus
 from ground.config import Pair, Table
 from ground.errors import MapFileError
-from ground.map_file import Hash, checked, load_arrays, save_arrays
+from ground.map_file import Hash, check_header, load_arrays, save_arrays
 from ground.short_repr import short_repr
 from piv.correlation.vector_field import VectorField
 from tracer.scene.scene import Scene
@@ -117,7 +117,7 @@ class MapSigma:
         fits = sigma.dtype.str == "<f4" and behind.dtype.str == "|u1" and sigma.shape == (*behind.shape, 2)
         if not fits or behind.ndim != 2:
             raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
-        said = checked(path, header, SigmaHeader)
+        said = check_header(path, header, SigmaHeader)
         (x0, y0), (height, width) = said.origin_mm, behind.shape
         return cls(
             PlaneGrid((x0, y0), said.pitch_mm, (height, width)), sigma, behind != 0, said.px_mm, said.scene_hash

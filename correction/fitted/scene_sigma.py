@@ -31,7 +31,7 @@ from correction.fit.solve.considered import ShapeRoot
 from correction.fit.solve.unknowns import rotation_jacobian
 from ground.config import Table
 from ground.errors import MapFileError
-from ground.map_file import Hash, checked, load_arrays, save_arrays
+from ground.map_file import Hash, check_header, load_arrays, save_arrays
 from ground.short_repr import short_repr
 from tracer.errors import StaleMap
 from tracer.harmonics import COUNT, NAMES, turning
@@ -121,7 +121,7 @@ class SceneSigma(SceneBound):
             The file is damaged, or of a version that did not store it.
         """
         header, arrays = load_arrays(path, KIND)
-        said, root = checked(path, header, FitHeader), arrays.get("scene_root")
+        said, root = check_header(path, header, FitHeader), arrays.get("scene_root")
         if root is None or root.dtype.str != "<f8" or root.ndim != 2 or not np.isfinite(root).all():
             raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
         if said.numbers and len(said.numbers) != len(root):
@@ -355,7 +355,7 @@ def load_verdict(path: Path | str) -> StoredVerdict:
     header, arrays = load_arrays(path, KIND)
     if not {"verdict", "ways"} <= header.keys():
         raise MapFileError(f"{path}: does not hold the test of its model; run the calibration again")
-    said = checked(path, header, VerdictHeader)
+    said = check_header(path, header, VerdictHeader)
     way, pixel, smooth = (arrays.get(name) for name in ("corner_way", "corner_px", "smooth_px"))
     if way is None or pixel is None or smooth is None:
         raise MapFileError(f"{path}: does not hold the test of its model; run the calibration again")

@@ -46,7 +46,7 @@ from correction.masked import STATUS, nodes_in
 from correction.node_status import NodeStatus
 from ground.config import Pair
 from ground.errors import MapFileError
-from ground.map_file import checked, load_arrays, save_arrays
+from ground.map_file import check_header, load_arrays, save_arrays
 from ground.memory import require_memory
 from ground.program_code import code_digest
 from ground.short_repr import short_repr
@@ -219,7 +219,7 @@ class CorrectionMap(SceneBound):
             The file is damaged or holds something else.
         """
         header, arrays = load_arrays(path, KIND)
-        said, status = checked(path, header, CorrectionHeader), arrays.get("status", np.zeros(0))
+        said, status = check_header(path, header, CorrectionHeader), arrays.get("status", np.zeros(0))
         bytes_alone = all(array.dtype == np.uint8 for array in arrays.values())
         if set(arrays) != {*ARRAYS, "seen"} or not bytes_alone or status.ndim != 2:
             raise MapFileError(f"{path}: arrays are missing; make the map again")

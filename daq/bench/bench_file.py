@@ -102,7 +102,7 @@ def load_bench(path: Path | str) -> Bench:
         scene = _scene_of_image(document, ("camera",), table.camera, scene, wrong)
     printed = None if table is None else _read_printed_board(document, table, wrong)
     if table is None or scene is None or wrong:
-        raise ConfigError.joined(wrong)
+        raise ConfigError.merge(wrong)
     return Bench(document.path.resolve(), document, table, scene, found, seen, printed)
 
 

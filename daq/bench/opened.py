@@ -24,7 +24,7 @@ from daq.timing.states import LaserState
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
-from ground.named_program import named_program, require_trust
+from ground.named_program import import_program, require_trust
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
 from stages.errors import StageError
@@ -225,7 +225,7 @@ def simulation_class(bench: Bench) -> Callable[..., object]:
         text = 'the bench has no simulation; say simulation: {bench: "package.module:Class"}'
         raise ConfigError(bench.path, [Problem(line, text)])
     try:
-        return cast("Callable[..., object]", named_program(dotted))
+        return cast("Callable[..., object]", import_program(dotted))
     except (ImportError, AttributeError) as error:
         raise ConfigError(bench.path, [Problem(line, f"{dotted} cannot be loaded: {error}")]) from error
 

@@ -43,7 +43,7 @@ from daq.errors import (
     SettingRefused,
     SettingsChanged,
 )
-from ground.named_program import named_program
+from ground.named_program import import_program
 from stages.errors import DeviceLost
 from stages.foreign.calls import Calls
 
@@ -443,6 +443,6 @@ class MicroManagerCamera:
 
 def _class_of(dotted: str) -> Any:  # noqa: ANN401 - third-party
     try:
-        return named_program(dotted)
+        return import_program(dotted)
     except (ImportError, AttributeError) as error:
         raise CameraSetupError(f"{dotted} cannot be imported ({error}); install rtpiv[micromanager]") from error

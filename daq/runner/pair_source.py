@@ -18,7 +18,7 @@ from daq.runner.pair_finder import BrightnessSign, MarkerPolarity, PairFinder, m
 from daq.runner.step_readings import ask_clock
 from daq.runs.frame_accounting import LEFT
 from daq.timing.pulses import PairExposures
-from ground.plain_words import counted
+from ground.plain_words import quantity
 
 
 @dataclass
@@ -43,8 +43,8 @@ class Chunk:
 
     def sentence(self) -> str:
         """Describe what became of the pairs that were fired."""
-        reasons = ", ".join(f"{counted(number, 'frame')} {why}" for why, number in sorted(self.dropped.items()))
-        never = f"{counted(self.never_came, 'frame')} never came" if self.never_came > 0 else ""
+        reasons = ", ".join(f"{quantity(number, 'frame')} {why}" for why, number in sorted(self.dropped.items()))
+        never = f"{quantity(self.never_came, 'frame')} never came" if self.never_came > 0 else ""
         losses = "; ".join(filter(None, (reasons, never)))
         return f"{self.kept} of {self.fired} pairs that were fired are sure ({losses or 'nothing else came'})"
 

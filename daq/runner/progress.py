@@ -15,8 +15,8 @@ from daq.pipeline.stats import PipelineStats
 from daq.plans.steps import Step
 from daq.runs.frame_accounting import FrameAccounting
 from daq.timing.states import LaserState
-from ground.plain_words import counted, in_words
-from ground.terminal import drawn_anew
+from ground.plain_words import in_words, quantity
+from ground.terminal import show_live
 
 TRUST, LEAST_TRUST_S = 0.03, 1.0  # share of the expected time that has to be measured to weigh as much as it
 LEAP = 4.0  # times what it should take is the most that a single frame may slow the others down by
@@ -128,7 +128,7 @@ def account_sentence(progress: Progress) -> str:
     """Return the account of the frames; those that a run with a laser does not want are dark, or surplus."""
     found = progress.accounting
     if progress.laser is not None and found.rejected and not found.written:
-        return f"waiting for light, {counted(found.rejected, 'dark frame')} so far"
+        return f"waiting for light, {quantity(found.rejected, 'dark frame')} so far"
     return found.sentence().replace("rejected", "rejected" if progress.laser is None else "dark or surplus")
 
 
@@ -190,7 +190,7 @@ def watch(screen: Console) -> Iterator[Watcher]:
 
         yield log
         return
-    with drawn_anew(Live(console=screen, refresh_per_second=1.0 / DRAW_S, transient=True)) as live:
+    with show_live(Live(console=screen, refresh_per_second=1.0 / DRAW_S, transient=True)) as live:
 
         def draw(progress: Progress) -> None:
             nonlocal last_s

@@ -41,7 +41,7 @@ from typing import Any, Self
 
 from daq.cameras.camera import Counters
 from daq.runs.journal import Entry
-from ground.plain_words import counted
+from ground.plain_words import quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +257,7 @@ def chunk_sentences(entries: Iterable[Entry]) -> list[str]:
     were = "was" if fired == 1 else "were"
     external = any(entry.get("synchroniser") == EXTERNAL for entry in chunks)
     verb = "triggered from outside" if external else "fired"
-    said = [f"{counted(fired, 'pair')} {were} {verb} in {bursts}: {kept} are kept{more}, {lost} are lost"]
+    said = [f"{quantity(fired, 'pair')} {were} {verb} in {bursts}: {kept} are kept{more}, {lost} are lost"]
     dropped: Counter[str] = Counter()
     for entry in chunks:
         dropped.update(entry["dropped"])

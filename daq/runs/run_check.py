@@ -18,7 +18,7 @@ from daq.runs.gaps import gaps_by_step, numbers_in
 from daq.runs.journal import Entry
 from daq.runs.run_file import SEALED_FROM, RunFile
 from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
-from ground.plain_words import counted
+from ground.plain_words import quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def check_run(path: Path, track: Track = no_tracking) -> RunCheck:
         about = folder.about
     except DaqError as error:
         return RunCheck(path, folder.is_done, 0, (), (Finding("run.json", False, str(error)),))
-    findings = [Finding("run.json", True, f"layout {about['layout']}, {counted(len(about['steps']), 'step')}")]
+    findings = [Finding("run.json", True, f"layout {about['layout']}, {quantity(len(about['steps']), 'step')}")]
     try:
         entries = folder.entries()
     except DaqError as error:
@@ -114,7 +114,7 @@ def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
     sessions = sum(entry["kind"] == "session" for entry in entries)
     rest = "" if is_done else "; not finished, rtpiv acquire --resume goes on"
     return Finding(
-        "journal", True, f"{len(finished)} of {counted(total, 'step')} in {counted(sessions, 'session')}{rest}"
+        "journal", True, f"{len(finished)} of {quantity(total, 'step')} in {quantity(sessions, 'session')}{rest}"
     )
 
 
@@ -186,10 +186,8 @@ def _check_end(folder: RunFolder, about: RunFile, entries: list[Entry], done: Do
     if now != done["sha256"]:
         return Finding("hash", False, f"is {now[:16]}..., and was {done['sha256'][:16]}... when the run ended")
     if faults:  # the hash is that of the checksums in the journal
-        said = (
-            f"that of the records agrees, but {counted(faults, 'frame')} {'is' if faults == 1 else 'are'} not what"
-        )
-        return Finding("hash", False, f"{said} it was made from")
+        said = f"that of the records agrees, but {quantity(faults, 'frame')} {'is' if faults == 1 else 'are'} not"
+        return Finding("hash", False, f"{said} what it was made from")
     return Finding("hash", True, now)
 
 

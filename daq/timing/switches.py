@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Protocol
 from pydantic import Field, model_validator
 
 from ground.config import Table
-from ground.named_program import named_program
+from ground.named_program import import_program
 from stages.errors import StageUsageError
 from stages.port import ModemLine
 
@@ -73,7 +73,7 @@ class SwitchTable(Table):
         if self.port is not None and self.line is not None:
             return ModemLine(self.port, self.line)
         try:
-            switch: Switch = named_program(str(self.by))(**self.options)
+            switch: Switch = import_program(str(self.by))(**self.options)
         except (ImportError, AttributeError, TypeError) as error:
             raise StageUsageError(f"the switch {self.by} cannot be opened: {error}") from error
         return switch

@@ -75,24 +75,24 @@ class Kernel:
         self._compiled: Any = None
 
     @property
-    def compiled(self) -> Any:  # noqa: ANN401 - numba has no types
+    def dispatcher(self) -> Any:  # noqa: ANN401 - numba has no types
         """Numba's own object for it."""
         if self._compiled is None:
-            from ground.jit.compiler import given_to_numba
+            from ground.jit.compiler import register_with_numba
 
             with _one_at_a_time:
                 if self._compiled is None:
-                    self._compiled = given_to_numba(self.py_func, self._options)
+                    self._compiled = register_with_numba(self.py_func, self._options)
         return self._compiled
 
     def __call__(self, *arguments: Any) -> Any:  # noqa: ANN401
         """Run the compiled function."""
-        return (self._compiled or self.compiled)(*arguments)
+        return (self._compiled or self.dispatcher)(*arguments)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - signatures, stats and what else numba knows of it
         if name.startswith("_"):
             raise AttributeError(name)
-        return getattr(self.compiled, name)
+        return getattr(self.dispatcher, name)
 
 
 def kernel(function: F) -> F:
@@ -117,8 +117,8 @@ def kernel_composed(function: F) -> F:
 def overload(function: Callable[..., Any], **options: Any) -> Callable[[F], F]:  # noqa: ANN401
     """Let compiled code take what the function below writes for its types instead of `function`, as numba does."""
 
-    def kept(writer: F) -> F:
+    def register(writer: F) -> F:
         overloads.append((function, writer, options))
         return writer
 
-    return kept
+    return register

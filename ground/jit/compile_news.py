@@ -67,7 +67,7 @@ def missing(place: str, form: object) -> None:
         helper.start(place, form)
 
 
-def compiled(place: str) -> None:
+def report_compiled(place: str) -> None:
     """Notify the helper that it is compiled."""
     if helper is not None:
         helper.finish(place)

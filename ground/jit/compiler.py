@@ -101,7 +101,7 @@ class _KeptByContent(caching.CompileResultCacheImpl):
     _locator_classes = [_ByContent]  # noqa: RUF012 - numba's own name for it
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:  # noqa: ANN401
-        """Make a kept function ready to be called; whoever asks holds numba's lock of its compiler."""
+        """Make a kept function ready to be called; the caller holds numba's lock of its compiler."""
         codegen = target_context.codegen()
         usual, codegen._library_class = codegen._library_class, _KeptCode
         try:
@@ -139,7 +139,7 @@ class _KernelCache(caching.FunctionCache):
 
     def _from_wheel(self, signature: object, target_context: Any) -> object:  # noqa: ANN401
         """Machine code for processors of this one's kind, as if it had been compiled here."""
-        folder = shipped.shipped_folder(numba.__version__, shipped.FOLDER)
+        folder = shipped.wheel_folder(numba.__version__, shipped.FOLDER)
         if not use_shipped or folder is None:
             return None
         digest = digest_of(Path(inspect.getfile(self._py_func)).resolve())
@@ -159,7 +159,7 @@ class _KernelCache(caching.FunctionCache):
             super().save_overload(signature, data)  # type: ignore[no-untyped-call]
 
 
-def given_to_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401
+def register_with_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401
     """Return numba's object for a function; what is in its folder of the cache is found when it is called."""
     while overloads:
         replaced, writer, how = overloads.pop(0)
@@ -180,10 +180,10 @@ def _type_integers_once(compiled: Any) -> None:  # noqa: ANN401
     """
     template = compiled.get_call_template
 
-    def typed_once(args: Sequence[types.Type], named: dict[str, types.Type]) -> object:
+    def type_call(args: Sequence[types.Type], named: dict[str, types.Type]) -> object:
         return template([*map(_int64, args)], {name: _int64(kind) for name, kind in named.items()})
 
-    compiled.get_call_template = typed_once
+    compiled.get_call_template = type_call
 
 
 def _int64(kind: types.Type) -> types.Type:
@@ -193,7 +193,7 @@ def _int64(kind: types.Type) -> types.Type:
 
 @typeof_impl.register(Kernel)
 def _type_of_kernel(kernel: Kernel, context: object) -> types.Type:
-    return types.Dispatcher(kernel.compiled)
+    return types.Dispatcher(kernel.dispatcher)
 
 
 class _Compiling(event.Listener):
@@ -225,7 +225,7 @@ class _Compiling(event.Listener):
         if self._depth == 0:
             if self._collects:
                 gc.enable()
-            compile_news.compiled(_place(event))
+            compile_news.report_compiled(_place(event))
         self._count.finish()
 
 

@@ -126,7 +126,7 @@ def dependencies(source: Path, root: Path = ROOT) -> set[Path]:
             continue
         found.add(path)
         if path == source or _has_kernels(path, root):
-            left.extend(_imported(path, root))
+            left.extend(_imports_of(path, root))
     return found
 
 
@@ -145,7 +145,7 @@ def _content(path: Path) -> bytes:
 
 
 @cache
-def _imported(path: Path, root: Path) -> tuple[Path, ...]:
+def _imports_of(path: Path, root: Path) -> tuple[Path, ...]:
     """Our files that a file imports, and those that register themselves with it."""
     text = _content(path).decode(errors="replace")
     found: list[Path] = []

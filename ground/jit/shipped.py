@@ -24,7 +24,7 @@ KINDS = {  # best first -> what a processor must have, as LLVM calls it
 
 
 @cache
-def shipped_folder(version: str, folder: Path) -> Path | None:
+def wheel_folder(version: str, folder: Path) -> Path | None:
     """Return the folder of the best code for this processor that a version of numba has made; None without any.
 
     Parameters

@@ -33,25 +33,25 @@ def plain(kind: Any) -> Plain:  # noqa: ANN401
     raise TypeError(f"{kind} is no argument of a kernel")
 
 
-def typed(form: Plain) -> Any:  # noqa: ANN401
+def to_type(form: Plain) -> Any:  # noqa: ANN401
     """Return the type that plain data stands for."""
     if isinstance(form, str):
         return getattr(types, form)
     what, *parts = form
     if what == "array":
         dtype, dimensions, layout, writable = parts
-        return types.Array(typed(dtype), dimensions, layout, readonly=not writable)
+        return types.Array(to_type(dtype), dimensions, layout, readonly=not writable)
     if what == "named":
         made_by, *of = parts
-        kinds, first = [typed(each) for each in of], named(made_by)
+        kinds, first = [to_type(each) for each in of], look_up(made_by)
         alike = len(set(kinds)) == 1
         return types.NamedUniTuple(kinds[0], len(kinds), first) if alike else types.NamedTuple(kinds, first)
     if what == "tuple":
-        return types.Tuple([typed(each) for each in parts])
-    return types.Dispatcher(named(parts[0]).compiled)
+        return types.Tuple([to_type(each) for each in parts])
+    return types.Dispatcher(look_up(parts[0]).dispatcher)
 
 
-def named(place: str) -> Any:  # noqa: ANN401 - a kernel or a class
+def look_up(place: str) -> Any:  # noqa: ANN401 - a kernel or a class
     """Return what ``module:name`` names."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
@@ -59,6 +59,6 @@ def named(place: str) -> Any:  # noqa: ANN401 - a kernel or a class
 
 def entry(place: str) -> Kernel:
     """Return the kernel that ``module:name`` names."""
-    found = named(place)
+    found = look_up(place)
     assert isinstance(found, Kernel), place
     return found

@@ -1,7 +1,7 @@
 """Numba, imported without coverage, and without what the environment may switch off.
 
-Wherever coverage is installed numba imports it, to ask whether anybody measures; where it is not loaded yet,
-nobody does. That was a sixth of what a process waits for numba.
+Wherever coverage is installed numba imports it, to ask whether coverage is measured; where it is not loaded yet,
+it is not. That was a sixth of what a process waits for numba.
 
 NUMBA_DISABLE_JIT leaves no kernel to compile, and NUMBA_NUM_THREADS of 0 stops numba's import; both are dropped:
 numba reads the environment whenever it compiles.  Only a run that measures coverage interprets kernels.

@@ -116,10 +116,10 @@ def compile_from_the_end(verb: str, first: int, step: int) -> None:
 
 def compile_call(call: Call) -> None:
     """Compile a kernel for the arguments of a call, or find that it is."""
-    from ground.jit.signatures import entry, typed
+    from ground.jit.signatures import entry, to_type
 
     place, form, _ = call
-    entry(place).compiled.compile(tuple(typed(each) for each in form))
+    entry(place).dispatcher.compile(tuple(to_type(each) for each in form))
 
 
 def _end_with_parent() -> None:

@@ -31,7 +31,7 @@ from daq.runs.frame_accounting import UNCHECKED, chunk_sentences, rejection_sent
 from daq.runs.gaps import gap_sentence
 from daq.runs.run_folder import RunFolder
 from ground.errors import ConfigError
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console, error_console
 from piv.resampling.sample import Method
 from rtpiv.options.numbers import Count, DewarpOrder
@@ -229,7 +229,7 @@ def _bench_of(bench: Path, plan: Path) -> Bench:
             read_plan(plan)
         except ConfigError as more:
             wrong.append(more)
-        raise ConfigError.joined(wrong) from None
+        raise ConfigError.merge(wrong) from None
 
 
 def run_and_report(
@@ -306,7 +306,7 @@ def print_forecast(
     time = f"about {time_said(bench, plan.steps, said, simulate)}"
     travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
     screen.print(
-        f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}, {time}; "
+        f"{quantity(len(plan.steps), 'step')}, {quantity(said.frames, 'frame')}, {time}; "
         f"travel in mm: {travel or 'none'}; "
         f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
     )

@@ -10,7 +10,7 @@ from daq.errors import PlanError
 from daq.plans.experiments.align import AlignPlan
 from daq.plans.plan import load_plan
 from daq.runner.session import Request, Run
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console, error_console
 from rtpiv.verbs.acquire import check_plan, run_and_report, start_run
 from rtpiv.verbs.operator import operator_of
@@ -74,7 +74,7 @@ def align(
         error_console().print(sentence, soft_wrap=True)
     forecast = check_plan(screen, request, loaded, steps, home, with_steps=dry_run)
     if dry_run:
-        screen.print(f"then up to {counted(steps.table.moves, 'move')}, each printed and checked first")
+        screen.print(f"then up to {quantity(steps.table.moves, 'move')}, each printed and checked first")
         return None
     person = operator_of(None, simulate)
     folder = start_run(screen, request, loaded, steps, Path(out), person, forecast.raw_bytes)

@@ -16,7 +16,7 @@ from daq.runs.acquired import read_acquired
 from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import TargetView, board_of, height_sigma_mm, load_kept, target_views
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.printable import readable_name
 from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS
@@ -99,7 +99,7 @@ def calibrate(
         def say(text: str) -> None:
             progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
-        say(f"{counted(len(frames), 'frame')} of the target in {folder}")
+        say(f"{quantity(len(frames), 'frame')} of the target in {folder}")
         fit = fit_scene(nominal, frames, target, _with_read_heights(priors, folder), say)
         seconds = time.monotonic() - began
         say("standard deviation of the map")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, Unpack
 
 from daq.errors import RunUsageError, Unfinished
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.rows import thread_count
 from ground.terminal import console
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunStatus, campaign_status
@@ -158,7 +158,7 @@ def campaign(
                 evaluate = evaluate_elsewhere if workers.is_elsewhere else evaluate_chunk
                 chunks = run_campaign(folder, executor, evaluate)
             were = "was" if chunks.kept == 1 else "were"
-            screen.print(f"{counted(chunks.made, 'chunk')} made, {chunks.kept} {were} there")
+            screen.print(f"{quantity(chunks.made, 'chunk')} made, {chunks.kept} {were} there")
         states = campaign_status(folder)
         show_campaign(screen, states)
         missing = sum(state.chunks - state.done for state in states)
@@ -180,7 +180,7 @@ def _option(text: str) -> tuple[str, str | int]:
 
 def _show_merged(folder: CampaignFolder, merged: CampaignMean) -> None:
     screen = console()
-    screen.print(f"{counted(merged.mean.used, 'pair')} in the mean, {len(merged.mean.left_out)} left out")
+    screen.print(f"{quantity(merged.mean.used, 'pair')} in the mean, {len(merged.mean.left_out)} left out")
     for doubt in merged.mean.doubts:
         screen.print(doubt, style="bold red")
     for name, apart in merged.apart.items():

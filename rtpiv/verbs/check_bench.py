@@ -13,7 +13,7 @@ from daq.plans.forecast import forecast_from_home, time_said
 from daq.plans.plan import Plan, load_plan, plan_questions, read_plan
 from daq.plans.plan_table import px_per_mm
 from daq.runs.frame_accounting import UNCHECKED
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from rtpiv.verbs.check import WRONG
 
 Summary = tuple[str, list[str]]  # of a file, and questions about it
@@ -62,7 +62,7 @@ def _describe_bench(bench: Bench) -> str:
     more = ", ".join(name for name in bench.more)
     simulated = "can be simulated" if check_simulation(bench) else "has no simulation"
     return (
-        f"{counted(len(stages.axes), 'axis', 'axes')} on {counted(len(stages.controllers), 'controller')},"
+        f"{quantity(len(stages.axes), 'axis', 'axes')} on {quantity(len(stages.controllers), 'controller')},"
         f" camera by {bench.table.camera.backend}"
         f"{', ' + more if more else ''}; {px_per_mm(bench):.1f} px/mm; {simulated}"
     )
@@ -76,6 +76,6 @@ def _describe_plan(path: Path, plan: Plan, bench: Bench) -> str:
             for v in said.violations
         ]
         raise PlanError("\n".join(lines))
-    size = f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}"
+    size = f"{quantity(len(plan.steps), 'step')}, {quantity(said.frames, 'frame')}"
     steps = f"{plan.table.experiment}, {size}, about {time_said(bench, plan.steps, said)}"
     return f"{steps}; {said.link}" if said.link else steps

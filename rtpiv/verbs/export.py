@@ -10,7 +10,7 @@ from typing import Literal
 
 from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError, RunUsageError
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console, progress_if_long
 from piv.files.vector_file import Vectors, read_vectors
 from rtpiv.analysis.export import FORMATS, MAP_FORMATS
@@ -103,7 +103,7 @@ def export(
                 raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
         sync_folder(out)
         console().print(
-            f"{counted(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False
+            f"{quantity(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False
         )
         return written
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from daq.atomic_write import write_text
 from daq.errors import RunUsageError
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.templates.arrangement import ARRANGEMENTS, Arrangement, most_balls, usual
@@ -293,7 +293,7 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     span = " x ".join(f"{side:.0f}" for side in lab.span_mm)
     sizes, glasses = (", ".join(dict.fromkeys(each)) for each in ([f"{d:g}" for d in lab.each_mm], lab.each_glass))
     stand = SAID.get(lab.arrangement, f" ({lab.arrangement})")
-    balls = f"{counted(lab.balls, 'ball')} of {sizes} mm {glasses}{stand if lab.balls > 1 else ''}"
+    balls = f"{quantity(lab.balls, 'ball')} of {sizes} mm {glasses}{stand if lab.balls > 1 else ''}"
     field = f"{width:.0f} x {height:.0f} mm of the plane, {lab.px_per_mm:.1f} px/mm"
     screen.print(f"{balls}, {span} mm; a lens of {lab.lens_mm:g} mm sees {field}", soft_wrap=True)
     board = f"board: squares of {lab.board_mm:g} mm, {lab.board_mm * lab.px_per_mm:.0f} px"

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from daq.errors import RunUsageError
 from daq.plans.steps import Step
 from daq.runner.laser_session import NoOperator, Operator, no_hands
-from ground.terminal import error_console, held_still
+from ground.terminal import error_console, pause_drawing
 from stages.scale_question import ScaleQuestion, no_place, place_mm
 
 ANSWER_POLL_S = 0.1  # of a wait for an answer, for a question that is given up
@@ -28,7 +28,7 @@ class TerminalOperator:
 
     def confirmation_code(self, challenge: str, watched: str) -> str:
         """Show the code and who watches the door, and return what was typed."""
-        with held_still():
+        with pause_drawing():
             error_console().print(
                 "\nThe laser is about to be armed. Software is no interlock: door switch, goggles and beam stops "
                 f"are yours.\nSwitches: {watched}.\nIs everybody out of the beam? "
@@ -39,13 +39,13 @@ class TerminalOperator:
 
     def open_seeding(self) -> None:
         """Wait for Enter."""
-        with held_still():
+        with pause_drawing():
             error_console().print("\nThe background is done. Open the seeding, then press Enter.", soft_wrap=True)
             _read_line()
 
     def stands_mm(self, axis: str) -> float:
         """Ask for a number until one is typed; RunUsageError at an empty line, or if the terminal has gone."""
-        with held_still():
+        with pause_drawing():
             screen = error_console()
             screen.print(
                 f"\n{axis} cannot look for its reference. Read on its scale where it stands, and type that in mm:",
@@ -59,7 +59,7 @@ class TerminalOperator:
 
     def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Show the question and return what is typed; None if it is given up, or the terminal has gone."""
-        with held_still():
+        with pause_drawing():
             _drop_typed_lines()
             error_console().print(f"\n{question.words}", markup=False, highlight=False, soft_wrap=True)
             return _read_line_unless(given_up)

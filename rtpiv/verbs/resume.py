@@ -5,7 +5,7 @@ from pathlib import Path
 from daq.bench.opened import require_camera_libraries
 from daq.runner.session import reopen
 from daq.runs.run_folder import remaining
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console, progress_if_long
 from rtpiv.verbs.acquire import run_and_report
 from rtpiv.verbs.operator import operator_of, require_person
@@ -50,7 +50,7 @@ def resume(
     screen.print(f"{run}: plan, bench and scene are those it began with, and every frame that counts is right")
     require_camera_libraries(found.bench, found.request.simulate)
     if found.again:
-        screen.print(f"taken again for missing or damaged frames: {counted(len(found.again), 'step')}")
+        screen.print(f"taken again for missing or damaged frames: {quantity(len(found.again), 'step')}")
     person = operator_of(operator, found.request.simulate)
     by_hand = [] if found.request.simulate else list(found.bench.table.stages.by_hand)
     require_person(person, remaining(found.plan.steps, found.folder.entries(), found.again), by_hand)

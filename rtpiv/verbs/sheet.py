@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from correction.light_sheet.self_calibration import SheetFound
 from daq.atomic_write import copy_whole, write_json, write_text
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console
 from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
 from rtpiv.analysis.light_sheet import about_sheet, flow_frames, sheet_of
@@ -66,7 +66,7 @@ def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = N
         if found.cells is not None:
             thick = found.sheet.thickness_mm
             screen.print(
-                f"{counted(found.pairs, 'pair')}, {counted(len(found.cells.kind), 'place')} where particles are"
+                f"{quantity(found.pairs, 'pair')}, {quantity(len(found.cells.kind), 'place')} where particles are"
                 " seen twice" + ("" if thick is None else f"; about {thick:.1f} mm thick")
             )
         for verdict in found.verdicts:

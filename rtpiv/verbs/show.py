@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from rtpiv.analysis.digits import places
 from rtpiv.analysis.report.table import Table
 
@@ -83,7 +83,7 @@ def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
     screen.print(Table("campaign", columns, rows))
     for each in forecasts:
         if each.again:
-            again = f"{counted(each.again, 'finished chunk')} {'is' if each.again == 1 else 'are'} made again"
+            again = f"{quantity(each.again, 'finished chunk')} {'is' if each.again == 1 else 'are'} made again"
             text = f"{each.name}: {again}, as frames have changed or the run has more pairs than before"
             screen.print(text, style="bold red")
 
@@ -101,7 +101,7 @@ def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
     ]
     screen.print(Table("campaign", ("run", "chunks", "done", "pairs done", "without vectors"), rows))
     lines = [
-        f"{s.name}: {counted(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
+        f"{s.name}: {quantity(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
     ]
     for line in lines[:SHOWN_REASONS]:
         screen.print(line)
@@ -121,7 +121,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     seen = mean.count > 0
     for each in mean.doubts:
         screen.print(each, style="bold red")
-    screen.print(f"mean of {counted(mean.used, 'pair')}; {len(mean.left_out)} are left out")
+    screen.print(f"mean of {quantity(mean.used, 'pair')}; {len(mean.left_out)} are left out")
     lost = [(tag, why) for tag, why in mean.left_out if tag not in said]
     for tag, why in lost[:SHOWN_REASONS]:
         screen.print(f"{tag} is left out: {why}", style="bold red")

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daq.errors import RunUsageError
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console
 from rtpiv.analysis.series.time_series import FILE, TimeSeries, time_series
 from rtpiv.verbs.paths import Named
@@ -58,7 +58,7 @@ def timeseries(
 
         time_series_page(found, found.run).write(out / PAGE)
         screen = console()
-        said = f"{counted(len(found.time), 'pair')} at {counted(len(found.place_mm), 'place')}"
+        said = f"{quantity(len(found.time), 'pair')} at {quantity(len(found.place_mm), 'place')}"
         screen.print(said if found.spectrum is not None else f"{said}; no spectrum: {found.why_none}")
         screen.print(f"look at {out / PAGE}", soft_wrap=True)
         return found

@@ -15,17 +15,15 @@ from dataclasses import dataclass
 
 LINES = 4
 RESET_LINE = 2  # a pulse on it sets the exposure counter to 0
-KEPT_PULSES = 256
+KEPT_EDGES = 256
 
 
 class Lines:
     """Levels of the input lines over the last pulses."""
 
     def __init__(self) -> None:
-        self._pulses: dict[int, deque[tuple[int, int]]] = {
-            line: deque(maxlen=KEPT_PULSES) for line in range(LINES)
-        }
-        self._exposed: deque[int] = deque(maxlen=KEPT_PULSES)
+        self._pulses: dict[int, deque[tuple[int, int]]] = {line: deque(maxlen=KEPT_EDGES) for line in range(LINES)}
+        self._exposed: deque[int] = deque(maxlen=KEPT_EDGES)
 
     def note(self, line: int, rise_ns: int, fall_ns: int) -> None:
         """Take a pulse; one on a line that the camera has not is lost."""

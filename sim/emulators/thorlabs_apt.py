@@ -10,8 +10,8 @@ there. After power-up a channel is not homed, counts from where it stands, corre
 lost every setting that was not written into its memory; a cube is switched on (thorlabs-apt-device homes a KDC101
 without switching it on), a rack is not. The wheel at the box stops what runs and drives what rests.
 
-Nothing that moves is answered. The end of a motion is reported unasked, and the state ten times a second to hosts that
-have asked for that; without an acknowledgement the reports end after fifty.
+Nothing that moves is answered. The end of a motion is reported unasked, and the state ten times a second to hosts
+that have asked for that; without an acknowledgement the reports end after fifty.
 
 **Server alive.** With `falls_silent` the box keeps to the letter of the protocol, issue 26, p. 30: a host that has
 not said MOT_ACK_DCSTATUSUPDATE for a second is answered about fifty commands more, and then nothing until it does.

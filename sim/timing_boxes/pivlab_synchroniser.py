@@ -1,8 +1,8 @@
 """PIVlab's synchronisers as firmware: oltSync and xmSync.
 
-A started sequence repeats on the world's clock until it is stopped, with or without a listener
-and a living host; nothing is counted. A line for another box is not answered. A sequence is taken whole or refused:
-moments must rise, come in pairs, and end within the cycle. The pins are the outputs 1, 2, 3, 4.
+A started sequence repeats on the world's clock until it is stopped, with or without a
+listener and a living host; nothing is counted. A line for another box is not answered. A sequence is taken whole
+or refused: moments must rise, come in pairs, and end within the cycle. The pins are the outputs 1, 2, 3, 4.
 """
 
 import itertools

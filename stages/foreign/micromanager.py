@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ground.named_program import named_program
+from ground.named_program import import_program
 from stages.controller_tables import AdapterTable, ForeignTable, MicroManagerTable
 from stages.errors import PortUnavailable, StageUsageError, WrongDevice
 from stages.foreign.foreign_controller import ForeignController
@@ -121,7 +121,7 @@ def _label_and_axis(channel: str) -> tuple[str, str]:
 
 def _class_of(dotted: str) -> Any:  # noqa: ANN401 - third-party
     try:
-        return named_program(dotted)
+        return import_program(dotted)
     except (ImportError, AttributeError) as error:
         raise PortUnavailable(f"{dotted} cannot be imported ({error}); install rtpiv[micromanager]") from error
 

@@ -9,7 +9,7 @@ event loop (ophyd-async) cannot be driven this way.
 import contextlib
 from typing import Any
 
-from ground.named_program import named_program
+from ground.named_program import import_program
 from stages.controller_tables import ForeignTable, PositionersTable
 from stages.errors import DeviceError, PortUnavailable, StageUsageError, WrongDevice
 from stages.foreign.foreign_controller import ForeignController
@@ -89,7 +89,7 @@ def _failure(status: Any) -> BaseException | None:  # noqa: ANN401 - third-party
 
 def _make(dotted: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401
     try:
-        made = named_program(dotted)
+        made = import_program(dotted)
     except (ImportError, AttributeError) as error:
         raise PortUnavailable(f"{dotted} cannot be imported: {error}") from error
     return made(**arguments)

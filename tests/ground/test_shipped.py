@@ -11,7 +11,7 @@ import numba
 import pytest
 
 from ground.jit.kernel_cache import ROOT
-from ground.jit.shipped import KINDS, other_numba, shipped_folder
+from ground.jit.shipped import KINDS, other_numba, wheel_folder
 from tests.ground.test_kernel_cache import CALLEE, CALLER, USE
 
 KIND = "x86-64-v3"
@@ -91,7 +91,7 @@ def test_what_is_damaged_or_of_an_edited_file_is_compiled(install, able):
 def test_another_numba_compiles_and_is_named(install, tmp_path):
     made_by = f"numba-{numba.__version__}"
     shutil.copytree(install.made, tmp_path / "numba-0.1.0" / KIND)
-    assert shipped_folder(numba.__version__, tmp_path) is None
+    assert wheel_folder(numba.__version__, tmp_path) is None
     assert other_numba(numba.__version__, tmp_path) == "0.1.0"
     (tmp_path / made_by).mkdir()
     assert other_numba(numba.__version__, tmp_path) is None
@@ -106,13 +106,13 @@ def test_a_processor_takes_the_best_that_it_can_run(tmp_path, mocker, lacks, tak
         (tmp_path / "numba-1.0" / kind).mkdir(parents=True)
     has = {name: name not in lacks for name in KINDS["x86-64-v4"]}
     mocker.patch("llvmlite.binding.get_host_cpu_features", return_value=has)
-    found = shipped_folder("1.0", tmp_path)
+    found = wheel_folder("1.0", tmp_path)
     assert (found and found.name) == taken
 
 
 def test_a_kind_that_the_wheel_lacks_is_left_out(tmp_path, mocker):
     (tmp_path / "numba-1.0" / KIND).mkdir(parents=True)
     mocker.patch("llvmlite.binding.get_host_cpu_features", return_value=dict.fromkeys(KINDS["x86-64-v4"], True))
-    found = shipped_folder("1.0", tmp_path)
+    found = wheel_folder("1.0", tmp_path)
     assert found is not None
     assert found.name == KIND

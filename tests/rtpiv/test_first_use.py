@@ -14,7 +14,7 @@ import tifffile
 
 import ground.jit.compile_news as compile_news
 from correction.target.kernels import corner_fit
-from ground.jit.signatures import entry, plain, typed
+from ground.jit.signatures import entry, plain, to_type
 from rtpiv.command_line import first_use
 from rtpiv.command_line.first_use import ALSO, FirstUse, calls_of
 from tests.loops import loop_over
@@ -47,7 +47,7 @@ def test_every_kernel_of_the_list_is_there_and_its_types_are_read_as_they_were_w
     assert len(calls) > 10
     for place, form, seconds in calls:
         assert len(inspect.signature(entry(place).py_func).parameters) == len(form), place
-        assert [plain(typed(each)) for each in form] == form
+        assert [plain(to_type(each)) for each in form] == form
         assert seconds >= 0.0
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ground.config import Table
 from ground.errors import MapFileError
-from ground.map_file import Hash, checked, load_arrays, save_arrays
+from ground.map_file import Hash, check_header, load_arrays, save_arrays
 from ground.memory import require_memory
 from ground.short_repr import short_repr
 from tracer.errors import RayMapUsageError
@@ -96,7 +96,7 @@ class RayMap(SceneBound):
             plane, status, branch = arrays["plane_mm"], arrays["status"], arrays["branch"]
         except KeyError as error:
             raise MapFileError(f"{path}: lacks {error}; trace the scene again") from None
-        said = checked(path, header, RayHeader)
+        said = check_header(path, header, RayHeader)
         branches = tuple(map(tuple, said.branches))
         fits = plane.shape == (*status.shape, 2) and branch.shape == status.shape and status.ndim == 2
         kinds = plane.dtype.str in ("<f8", "<f4") and branch.dtype.str in ("<u2", "<u4")

@@ -20,7 +20,7 @@ from daq.frames.source import is_source
 from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import scene_file
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.campaign.campaign_folder import (
@@ -288,7 +288,7 @@ def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
 def would_be_lost(folder: Path, chunks: int, differences: Sequence[str]) -> str:
     """Return the reason to refuse a campaign that would replace finished chunks."""
     return (
-        f"{folder}: {counted(chunks, 'finished chunk')} would be made anew: {'; '.join(differences)};"
+        f"{folder}: {quantity(chunks, 'finished chunk')} would be made anew: {'; '.join(differences)};"
         " choose another folder with -o, or delete this one"
     )
 

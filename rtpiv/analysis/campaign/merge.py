@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from daq.atomic_write import write_text
 from daq.errors import Unfinished
 from daq.runs.lab_readings import merge_readings, readings_attribute
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
@@ -99,7 +99,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
 
 def said_missing(chunks: int) -> str:
     """Return the number of missing chunks as the begin of a sentence."""
-    return f"{counted(chunks, 'chunk')} {'is' if chunks == 1 else 'are'} missing"
+    return f"{quantity(chunks, 'chunk')} {'is' if chunks == 1 else 'are'} missing"
 
 
 def write_index(folder: CampaignFolder) -> None:

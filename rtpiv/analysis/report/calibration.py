@@ -10,7 +10,7 @@ from correction.fitted.scene_sigma import StoredVerdict, load_verdict
 from correction.masked import STATUS, pixels_in
 from correction.node_status import MEANING
 from ground.errors import MapFileError
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from rtpiv.analysis.calibration import Calibration
 from rtpiv.analysis.digits import places
 from rtpiv.analysis.pictures.calibration import map_sigma_figure, smooth_figure
@@ -43,7 +43,7 @@ def calibration_chapter(page: Page, fit_file: Path, scene: Scene) -> None:
 def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
     """Write the page of a calibration of the frames called `of`."""
     fit = found.fit
-    page = Page(f"{of}: calibration", f"{counted(len(fit.frames), 'frame')} of the target")
+    page = Page(f"{of}: calibration", f"{quantity(len(fit.frames), 'frame')} of the target")
     recovered = np.isfinite(found.sigma.sigma_px[..., 0])
     through_lead(page, found.through, fit.measured_scene, float(recovered.mean()))
     page.lead(*calibration_lead(found))

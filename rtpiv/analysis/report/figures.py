@@ -14,7 +14,7 @@ from correction.evaluate.particle_tracks import PlaneVectors
 from correction.evaluate.regions import Scatter
 from correction.grid import PlaneGrid
 from daq.runs.run_views import length_unit
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from piv.correlation.vector_field import VectorField
 from rtpiv.analysis.pictures.plane_axes import (
     INK,
@@ -103,7 +103,7 @@ def draw_arrows(axes: Axes, place: Floats, shift: Floats, cell_mm: float, colour
         edgecolor="white", linewidth=0.3,
     )  # fmt: skip
     if cut.any():
-        many = counted(int(cut.sum()), "arrow")
+        many = quantity(int(cut.sum()), "arrow")
         said = f"{many} longer than drawn, up to {length.max() / longest:.3g} times the usual"
         axes.set_title(said, fontsize=8, color=CUT, loc="right")
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeVar
 
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.terminal import console
 from piv.errors import PairError, SeriesError
 from piv.files.vector_file import Vectors
@@ -77,7 +77,7 @@ class Evaluated:
     @property
     def summary(self) -> str:
         """Number of pairs with vectors, in a line."""
-        done = f"{self.pairs - len(self.failed)} of {counted(self.pairs, 'pair')} have vectors"
+        done = f"{self.pairs - len(self.failed)} of {quantity(self.pairs, 'pair')} have vectors"
         if not self.has_few_valid:
             return done
         share = f"{100.0 * self.valid_share:.0f} %"
@@ -197,7 +197,7 @@ def _announce(folder: SeriesFolder, about: SeriesFile) -> None:
     unlike = folder.unlike(about)
     if not unlike.lost:
         return
-    finished = counted(unlike.lost, "finished chunk")
+    finished = quantity(unlike.lost, "finished chunk")
     if unlike.run not in (None, about["run"]):
         raise SeriesError(
             f"{folder.path}: holds {finished} of another run, {unlike.run}; choose another folder with -o"

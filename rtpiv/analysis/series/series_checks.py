@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from piv.correlation.vector_field import VectorFlag, could_be_measured
 from rtpiv.analysis.pairs.plausible import scale_warnings
 from rtpiv.analysis.series.series_folder import SeriesFolder
@@ -83,8 +83,8 @@ def _unlike_pair_warnings(pairs: Sequence[SeriesPair], share_of: Sequence[float]
         return ()
     a, b = few[0].frames
     return (
-        f"{counted(len(few), 'pair')} of {len(pairs)} with hardly any valid vector, the first {a.name} + {b.name}:"
-        " was a frame lost before it? Evaluate the frames from there on apart",
+        f"{quantity(len(few), 'pair')} of {len(pairs)} with hardly any valid vector, the first {a.name} + {b.name}"
+        ": was a frame lost before it? Evaluate the frames from there on apart",
     )
 
 
@@ -108,6 +108,6 @@ def _jump_warnings(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> tupl
         return ()
     which = ", ".join(found[:NAMED]) + (", ..." if len(found) > NAMED else "")
     return (
-        f"{counted(len(found), 'pair')} moved twice as far as those before and after ({which}): was a frame lost"
+        f"{quantity(len(found), 'pair')} moved twice as far as those before and after ({which}): was a frame lost"
         " before the files were numbered? Leave these frames out",
     )

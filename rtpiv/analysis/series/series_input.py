@@ -20,7 +20,7 @@ from daq.runs.glass_place import with_glass_at
 from daq.runs.names import is_run
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
 from daq.runs.run_views import length_unit, scene_file, shows_light_sheet, where_lit
-from ground.plain_words import counted
+from ground.plain_words import quantity
 from ground.printable import readable_name
 from ground.terminal import console
 from piv.errors import PairError
@@ -274,11 +274,11 @@ def _announce(run: Path, source: FrameSource) -> None:
         require_pairs(run, source.pairs())
     said = [first_pairs(source.pairs())]
     if source.count_unpaired():
-        said.append(f"{counted(source.count_unpaired(), 'frame')} without a partner, in no pair")
+        said.append(f"{quantity(source.count_unpaired(), 'frame')} without a partner, in no pair")
     if files.missing:
         where = ", ".join(f"between {before} and {after}" for before, after in files.gaps[:MOST_NAMED])
         more = ", ..." if len(files.gaps) > MOST_NAMED else ""
-        said.append(f"{counted(files.missing, 'frame')} missing by number, {where}{more}; in no pair")
+        said.append(f"{quantity(files.missing, 'frame')} missing by number, {where}{more}; in no pair")
     if files.set_aside:
         said.append(f"set aside: {', '.join(files.set_aside[:MOST_NAMED])}")
     console().print("; ".join(said), soft_wrap=True, highlight=False)

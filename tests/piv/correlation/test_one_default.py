@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from ground.blas import _get_and_set, _loaded, one_blas_thread
+from ground.blas import _get_and_set, _libraries, one_blas_thread
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
 from rtpiv.analysis.pairs.piv_file import piv_choice
@@ -30,12 +30,12 @@ def test_python_has_the_default_of_the_command(pair):
 
 
 def blas_threads():
-    return [found[0]() for path in sorted(_loaded()) if (found := _get_and_set(path)) is not None]
+    return [found[0]() for path in sorted(_libraries()) if (found := _get_and_set(path)) is not None]
 
 
 @pytest.mark.skipif(not blas_threads(), reason="NumPy has another library than OpenBLAS here")
 def test_openblas_has_one_thread_within_and_as_many_as_before_after(pair):
-    libraries = [found for path in _loaded() if (found := _get_and_set(path)) is not None]
+    libraries = [found for path in _libraries() if (found := _get_and_set(path)) is not None]
     before = blas_threads()
     try:
         for count in (2, 3):
