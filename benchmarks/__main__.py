@@ -85,7 +85,7 @@ def measure(name: str, rounds: int, rays: int) -> dict[str, Any]:
     """One scene: times of all contenders that are installed, errors of those that make a ray map."""
     scene = bench_scene(name)
     pixels = scene.camera.shape[0] * scene.camera.shape[1]
-    names = ["rtpiv", *(["drjit", "torch", "jax", "mitsuba", "opencv"] if rays else [])]
+    names = ["rtpiv", *(["drjit", "torch", "jax", "mitsuba"] if rays else [])]
     if not in_one_row(scene):
         names = [peer for peer in names if peer not in STACKED]
     if not solid(scene):
@@ -94,7 +94,7 @@ def measure(name: str, rounds: int, rays: int) -> dict[str, Any]:
         names = [peer for peer in names if peer not in IDEAL_LENS]
     racers = [racer for peer in names if (racer := start(peer, name))]
     race(racers, rounds)
-    slow = ["scipy", "raysect", "rtpiv, ray by ray", *(["numpy"] if in_one_row(scene) else [])]
+    slow = ["raysect", "rtpiv, ray by ray", *(["numpy"] if in_one_row(scene) else [])]
     if not solid(scene):
         slow.remove("raysect")
     late = [racer for peer in (slow if rays else []) if (racer := start(peer, name))]

@@ -81,37 +81,6 @@ def march(scene: Scene) -> Tasks:
     return {"ray_map": task}
 
 
-def opencv(scene: Scene) -> Tasks:
-    """The same frames through cv2.remap with float maps."""
-    import cv2
-
-    from correction.maps.correction_map import build_correction_map
-    from tracer.strategies.ray_map import build_ray_map
-
-    cv2.setNumThreads(thread_count())
-    cmap = build_correction_map(scene, build_ray_map(scene))
-    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
-    position = np.nan_to_num(cmap.pixel[0], nan=-1.0)
-    u, v = (np.ascontiguousarray(position[..., k], dtype=np.float32) for k in (0, 1))
-    return {
-        "cubic": lambda: cv2.remap(frame, u, v, cv2.INTER_CUBIC),
-        "linear": lambda: cv2.remap(frame, u, v, cv2.INTER_LINEAR),
-    }
-
-
-def scipy(scene: Scene) -> Tasks:
-    """The same spline through scipy.ndimage, prefilter included."""
-    from scipy import ndimage
-
-    from correction.maps.correction_map import build_correction_map
-    from tracer.strategies.ray_map import build_ray_map
-
-    cmap = build_correction_map(scene, build_ray_map(scene))
-    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
-    coordinates = np.moveaxis(np.nan_to_num(cmap.pixel[0], nan=-1.0)[..., ::-1], -1, 0)
-    return {"order 5": lambda: ndimage.map_coordinates(frame, coordinates, np.float32, order=5, mode="mirror")}
-
-
 def numpy(scene: Scene) -> Tasks:
     """Textbook formulas in vectorised NumPy."""
     from benchmarks.formulas import numpy_ray_map
@@ -212,8 +181,6 @@ CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
     "jax": (jax, "jax"),
     "mitsuba": (mitsuba, "mitsuba"),
     "raysect": (raysect, "raysect"),
-    "opencv": (opencv, "opencv-contrib-python-headless"),
-    "scipy": (scipy, "scipy"),
 }
 STACKED = ("drjit", "torch", "jax", "numpy")  # their formulas know one order of spheres and no lens terms
 SOLID_BALLS = ("mitsuba", "raysect")  # and nothing in them, as STACKED

@@ -1,7 +1,7 @@
 """Frames of a flow: pairs of pictures of one sheet of particles through glass, with background and noise.
 
-    scene = named_scene("two_spheres_500")
-    for first, second in rendered_pairs(scene, Flow(Jet()), dt_s=500e-6, count=10):
+    scene = demo_scene("two_spheres_500")
+    for first, second in render_pairs(scene, Flow(Jet()), dt_s=500e-6, count=10):
         ...
 
 A pair is a pure function of its number: made alone, in another order or in another process it has the same bits,
