@@ -126,11 +126,17 @@ class SimulatedStages:
     def true_mm(self, axis: str) -> float:
         """Return the true position of an axis, in the coordinate of the bench file."""
         table = self.config.axes[axis]
-        line = self.lines[table.controller]
+        with self._up_to_now(axis) as motor:
+            carriage_mm = motor.carriage_mm
+        return table.sign * (carriage_mm - self._zero_mm[axis]) + table.offset_mm
+
+    @contextmanager
+    def _up_to_now(self, axis: str) -> Iterator[Motor]:
+        """Hold the line of an axis and let its world catch up with the clock; yield its motor."""
+        line = self.lines[self.config.axes[axis].controller]
         with line.lock:
             line.emulator.advance()
-            carriage_mm = self.motors[axis].carriage_mm
-        return table.sign * (carriage_mm - self._zero_mm[axis]) + table.offset_mm
+            yield self.motors[axis]
 
     @property
     def is_moving(self) -> bool:
@@ -140,9 +146,8 @@ class SimulatedStages:
     def slip(self, axis: str, distance_mm: float) -> None:
         """Let a carriage slip in its coupling now, which no controller can know."""
         self.witness.note_slip(axis, distance_mm)
-        with self.lines[self.config.axes[axis].controller].lock:
-            self.lines[self.config.axes[axis].controller].emulator.advance()
-            self.motors[axis].slip(distance_mm)
+        with self._up_to_now(axis) as motor:
+            motor.slip(distance_mm)
 
     def place(self, positions_mm: Mapping[str, float]) -> None:
         """Let carriages stand elsewhere from now on, which no controller knows."""
@@ -151,15 +156,12 @@ class SimulatedStages:
 
     def jam(self, axis: str) -> None:
         """Let the carriage of an axis be stuck from now on; pulses go on, and an encoder notices."""
-        with self.lines[self.config.axes[axis].controller].lock:
-            self.lines[self.config.axes[axis].controller].emulator.advance()
-            self.motors[axis].is_jammed = True
+        with self._up_to_now(axis) as motor:
+            motor.is_jammed = True
 
     def shove(self, axis: str, distance_mm: float) -> None:
         """Turn the screw of an axis by hand now, which encoders count and step counters do not."""
-        motor = self.motors[axis]
-        with self.lines[self.config.axes[axis].controller].lock:
-            self.lines[self.config.axes[axis].controller].emulator.advance()
+        with self._up_to_now(axis) as motor:
             motor.shove(round(distance_mm / motor.mechanics.lead_mm * motor.mechanics.steps_per_rev))
 
     def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:

@@ -115,14 +115,8 @@ class World:
         with self.drawing.count(), self._lock:
             true_mm = self.true_mm()
             light = self._light(true_mm) * np.float32(self._dimmed)
-            number, self._exposures = self._exposures, self._exposures + 1
-            image = self._sensor.expose(light, seed=self._table.seed * 1_000_003 + number)
-            if self.on_exposed is not None:
-                self.on_exposed(number, image, true_mm)
-            if not self._table.prints_truth:
-                return image
-            truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
-            return with_truth(image, truth, self._sensor.bits)
+            image = self._sensor.expose(light, seed=self._table.seed * 1_000_003 + self._exposures)
+            return self._keep(trigger_index, image, true_mm)
 
     def expose(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
         """One exposure (H, W) uint16; a flow is seen by the light that falls while the shutter is open."""
@@ -131,13 +125,19 @@ class World:
         with self.drawing.count(), self._lock:
             true_mm = self.true_mm()
             image = self.lit.expose(self._flow_camera(true_mm), start_ns, end_ns, self._prepared)
-            number, self._exposures = self._exposures, self._exposures + 1
-            if self.on_exposed is not None:
-                self.on_exposed(number, image, true_mm)
-            if not self._table.prints_truth:
-                return image
-            truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
-            return with_truth(image, truth, self._sensor.bits)
+            return self._keep(trigger_index, image, true_mm)
+
+    def _keep(
+        self, trigger_index: int, image: NDArray[np.uint16], true_mm: dict[str, float]
+    ) -> NDArray[np.uint16]:
+        """Count and report an exposure; print the truth into its image where the bench file wants it."""
+        number, self._exposures = self._exposures, self._exposures + 1
+        if self.on_exposed is not None:
+            self.on_exposed(number, image, true_mm)
+        if not self._table.prints_truth:
+            return image
+        truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
+        return with_truth(image, truth, self._sensor.bits)
 
     def _flow_camera(self, true_mm: Mapping[str, float]) -> FlowCamera:
         """The camera that looks at the flow from where it stands."""

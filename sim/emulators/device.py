@@ -49,6 +49,7 @@ class Emulator(ABC):
         Time of the world.
     """
 
+    has_serial: ClassVar[bool] = False  # a number by which its protocol distinguishes it from another of its kind
     zero_at_top: ClassVar[bool] = False  # the controller's coordinate is zero at the upper switch
 
     def __init__(self, motors: Mapping[str, Motor], clock: Clock) -> None:
@@ -65,7 +66,7 @@ class Emulator(ABC):
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
         """Options that make a box tell itself from another of its kind, where its protocol can show it."""
-        return {}
+        return {"serial": serial_number(name)} if cls.has_serial else {}
 
     def feed(self, data: bytes) -> None:
         """Take bytes from the host, now."""

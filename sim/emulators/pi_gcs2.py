@@ -11,9 +11,9 @@ gone, and positions count from where the axes stand, unless their encoders are a
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
-from sim.emulators.device import Clock, Emulator, Purpose, serial_number
+from sim.emulators.device import Clock, Emulator, Purpose
 from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import pi_gcs2 as gcs
@@ -165,6 +165,8 @@ class PiEmulator(Emulator):
         emulated than that, its name and ERR?, and that it knows no word of GCS 2.
     """
 
+    has_serial = True
+
     def __init__(
         self,
         motors: Mapping[str, Motor],
@@ -191,11 +193,6 @@ class PiEmulator(Emulator):
             address, slash, _ = name.partition("/")
             axes = self._chain.setdefault(int(address) if slash else None, {})
             axes[name.rpartition("/")[2]] = _Axis(motor, counts_per_mm, reference_mm, travel_mm)
-
-    @classmethod
-    def individual(cls, name: str) -> dict[str, Any]:
-        """Options that distinguish this box from another of its kind."""
-        return {"serial": serial_number(name)}
 
     def person_stops(self) -> None:
         """Stop every axis through another interface of the controller."""

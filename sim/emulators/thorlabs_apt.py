@@ -19,9 +19,8 @@ not said MOT_ACK_DCSTATUSUPDATE for a second is answered about fifty commands mo
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
-from sim.emulators.device import Clock, Emulator, Purpose, serial_number
+from sim.emulators.device import Clock, Emulator, Purpose
 from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import apt_words as words
@@ -202,6 +201,8 @@ class AptEmulator(Emulator):
         Whether it needs a sign of life of the host.
     """
 
+    has_serial = True
+
     def __init__(
         self,
         motors: Mapping[str, Motor],
@@ -224,11 +225,6 @@ class AptEmulator(Emulator):
             self._channels[name] = _Channel(self, motor, place, 1 if self.is_rack else int(name))
         self._updates_left = 0
         self._next_update_s = 0.0
-
-    @classmethod
-    def individual(cls, name: str) -> dict[str, Any]:
-        """Options that distinguish this box from another of its kind."""
-        return {"serial": serial_number(name)}
 
     def channel(self, name: str) -> _Channel:
         """One motor, for tests that look inside."""

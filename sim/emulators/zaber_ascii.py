@@ -14,9 +14,9 @@ without one (ASCII manual, checksums).
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from sim.emulators.device import Clock, Emulator, Purpose, serial_number
+from sim.emulators.device import Clock, Emulator, Purpose
 from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols.zaber_ascii import Alert, Command, CommandStream, Reply
@@ -136,6 +136,8 @@ class ZaberEmulator(Emulator):
         Version.
     """
 
+    has_serial = True
+
     READ_ONLY: ClassVar[dict[str, str]] = {
         "deviceid": "50081", "version.build": "14571", "device.hw.modified": "0",
         "comm.packet.size.max": "80", "comm.command.packets.max": "1", "comm.word.size.max": "50",
@@ -167,11 +169,6 @@ class ZaberEmulator(Emulator):
     def axis(self, device: int, axis: int) -> _Axis:
         """One axis, for tests that look inside."""
         return self._axes[device, axis]
-
-    @classmethod
-    def individual(cls, name: str) -> dict[str, Any]:
-        """Options that distinguish this box from another of its kind."""
-        return {"serial": serial_number(name)}
 
     def person_stops(self) -> None:
         """The knob of every device is pressed."""

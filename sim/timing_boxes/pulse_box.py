@@ -10,7 +10,6 @@ says how many pulses were sent. A count that was set ends it by itself.
 """
 
 import math
-from typing import Any
 
 from daq.timing.protocols.pulse_box import (
     INTERVAL_US,
@@ -56,11 +55,6 @@ class PulseBoxEmulator(Emulator):
         self._edges: list[tuple[float, bool]] = []  # of the input, to come
         self._is_high = self._runs = self._is_ready = self._starts_at_edge = False
         self._power_up()
-
-    @classmethod
-    def individual(cls, name: str) -> dict[str, Any]:
-        """It has no name of its own."""
-        return {}
 
     def hear_pulse(self, pulse: Pulse) -> None:
         """A pulse comes to its input."""

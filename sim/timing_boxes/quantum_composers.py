@@ -37,7 +37,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from daq.timing.protocols.quantum_composers import Command, CommandStream, short_forms
-from sim.emulators.device import Clock, serial_number
+from sim.emulators.device import Clock
 from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
 
@@ -159,6 +159,8 @@ class QuantumComposersEmulator(PulsingEmulator):
         Serial number.
     """
 
+    has_serial = True
+
     def __init__(self, clock: Clock, variant: Variant = QC9530, serial: int = 2311) -> None:
         super().__init__(clock)
         self._variant = variant
@@ -182,11 +184,6 @@ class QuantumComposersEmulator(PulsingEmulator):
         if number:
             return {**OUTPUT_WORDS, "MUX": str(1 << (number - 1))}
         return T0_WORDS | (CLOCK_MODE_WORDS if self._variant.has_clock_mode else CLOCK_WORDS)
-
-    @classmethod
-    def individual(cls, name: str) -> dict[str, Any]:
-        """Options that distinguish this box from another of its kind."""
-        return {"serial": serial_number(name)}
 
     @classmethod
     def model_of(cls, box: str) -> dict[str, Any]:

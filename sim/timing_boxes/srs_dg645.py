@@ -9,7 +9,7 @@ What ends a burst that runs, no text says. `ends` is what does: "mode" (BURM 0),
 its count; a new delay holds from the next cycle on, and what has not risen yet is taken back.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 from daq.timing.protocols.srs_dg645 import (
     ENDED_BURST,
@@ -21,7 +21,7 @@ from daq.timing.protocols.srs_dg645 import (
     CommandStream,
     Value,
 )
-from sim.emulators.device import Clock, serial_number
+from sim.emulators.device import Clock
 from sim.timing_boxes.pulsing import Pulse, PulsingEmulator
 from stages.errors import ProtocolViolation
 
@@ -51,6 +51,8 @@ class Dg645Emulator(PulsingEmulator):
         What ends a burst that runs.
     """
 
+    has_serial = True
+
     def __init__(
         self,
         clock: Clock,
@@ -64,11 +66,6 @@ class Dg645Emulator(PulsingEmulator):
         self._settings: dict[str, float] = {}
         self._delays: dict[int, tuple[int, float]] = {}
         self._power_up()
-
-    @classmethod
-    def individual(cls, name: str) -> dict[str, Any]:
-        """Options that distinguish this box from another of its kind."""
-        return {"serial": serial_number(name)}
 
     @property
     def has_something_to_stop(self) -> bool:

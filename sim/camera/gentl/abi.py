@@ -3,6 +3,7 @@
 Pointers and handles are plain integers here.  Source: EMVA, GenICam GenTL Standard 1.5, chapter 6.
 """
 
+from collections.abc import Mapping
 from ctypes import c_int32, c_size_t, c_uint32, c_uint64
 from enum import IntEnum
 from typing import Any
@@ -130,3 +131,21 @@ class GenTLError(Exception):
     def __init__(self, status: Status, text: str = "") -> None:
         self.status = status
         super().__init__(text or status.name)
+
+
+def answer_of(answers: Mapping[int, Answer], command: int, what: str) -> Answer:
+    """Return the answer to the command of an Info function.
+
+    Raises
+    ------
+    GenTLError
+        NOT_AVAILABLE: the command asks for something else.
+    """
+    if command not in answers:
+        raise GenTLError(Status.NOT_AVAILABLE, f"{what} info {command}")
+    return answers[command]
+
+
+def texts(*entries: str) -> dict[int, Answer]:
+    """Return answers that are strings, of the commands 0, 1, ..."""
+    return {command: (Kind.STRING, text) for command, text in enumerate(entries)}

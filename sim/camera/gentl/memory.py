@@ -8,56 +8,37 @@ import ctypes
 from sim.camera.gentl.abi import SIZES, Answer, GenTLError, Kind, Status
 
 
-def read_text(pointer: int) -> str:
-    """A zero-terminated string of the caller.
+def _address(pointer: int, what: str) -> int:
+    """Return a pointer that is not null.
 
     Raises
     ------
     GenTLError
-        INVALID_PARAMETER: the pointer is null.
+        INVALID_PARAMETER: it is null.
     """
     if not pointer:
-        raise GenTLError(Status.INVALID_PARAMETER, "null pointer instead of a string")
-    return ctypes.string_at(pointer).decode("utf-8", "replace")
+        raise GenTLError(Status.INVALID_PARAMETER, f"null pointer {what}")
+    return pointer
+
+
+def read_text(pointer: int) -> str:
+    """Return a zero-terminated string of the caller."""
+    return ctypes.string_at(_address(pointer, "instead of a string")).decode("utf-8", "replace")
 
 
 def read_size(pointer: int) -> int:
-    """A size_t of the caller.
-
-    Raises
-    ------
-    GenTLError
-        INVALID_PARAMETER: the pointer is null.
-    """
-    if not pointer:
-        raise GenTLError(Status.INVALID_PARAMETER, "null pointer instead of a size")
-    return ctypes.c_size_t.from_address(pointer).value
+    """Return a size_t of the caller."""
+    return ctypes.c_size_t.from_address(_address(pointer, "instead of a size")).value
 
 
 def write_size(pointer: int, value: int) -> None:
-    """Write a size_t, a handle or a pointer.
-
-    Raises
-    ------
-    GenTLError
-        INVALID_PARAMETER: the pointer is null.
-    """
-    if not pointer:
-        raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
-    ctypes.c_size_t.from_address(pointer).value = value
+    """Write a size_t, a handle or a pointer."""
+    ctypes.c_size_t.from_address(_address(pointer, "for a result")).value = value
 
 
 def write_u32(pointer: int, value: int) -> None:
-    """Write a uint32_t.
-
-    Raises
-    ------
-    GenTLError
-        INVALID_PARAMETER: the pointer is null.
-    """
-    if not pointer:
-        raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
-    ctypes.c_uint32.from_address(pointer).value = value
+    """Write a uint32_t."""
+    ctypes.c_uint32.from_address(_address(pointer, "for a result")).value = value
 
 
 def write_bool(pointer: int, value: bool) -> None:
@@ -88,15 +69,8 @@ def put(data: bytes, address: int) -> None:
 
     A client may hold a lock of its own (GenApi's node map) around this call; another thread of it that gets
     Python's lock now and then waits for that one would never let us go on.
-
-    Raises
-    ------
-    GenTLError
-        INVALID_PARAMETER: the address is null.
     """
-    if not address:
-        raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
-    if data:
+    if _address(address, "for a result") and data:
         memoryview((ctypes.c_char * len(data)).from_address(address)).cast("B")[:] = data
 
 

@@ -18,15 +18,8 @@ from xml.sax.saxutils import escape
 from sim.camera.config import CameraConfig
 from sim.camera.device import MODEL, VENDOR, SimCamera
 from sim.camera.features import XML_BASE
-from sim.camera.gentl.abi import (
-    ACCESS_BUSY,
-    ACCESS_OPEN_READWRITE,
-    ACCESS_READWRITE,
-    Answer,
-    GenTLError,
-    Kind,
-    Status,
-)
+from sim.camera.gentl import abi
+from sim.camera.gentl.abi import Answer, GenTLError, Kind, Status, answer_of, texts
 from sim.camera.gentl.stream import Stream
 from sim.camera.registers import BadAddress
 
@@ -199,25 +192,22 @@ class Device:
         GenTLError
             NOT_AVAILABLE: the command asks for something else.
         """
-        if command == 5:
-            return (Kind.INT32, self._access())
         serial = self.config.serial
-        texts = {0: serial, 1: VENDOR, 2: MODEL, 3: TL_TYPE, 4: f"{MODEL} {serial}", 6: "", 7: serial, 8: "1.0"}
-        if command in texts:
-            return (Kind.STRING, texts[command])
-        if command == 9:
-            return (Kind.UINT64, 1_000_000_000)
-        raise GenTLError(Status.NOT_AVAILABLE, f"device info {command}")
+        answers = texts(serial, VENDOR, MODEL, TL_TYPE, f"{MODEL} {serial}", "", "", serial, "1.0")
+        answers[9] = (Kind.UINT64, 1_000_000_000)
+        if command == 5:  # asked of the lock file
+            answers[5] = (Kind.INT32, self._access())
+        return answer_of(answers, command, "device")
 
     def _access(self) -> int:
         if self.is_open:
-            return ACCESS_OPEN_READWRITE
+            return abi.ACCESS_OPEN_READWRITE
         if self.config.lock_path:
             try:
                 os.close(_lock(self.config.lock_path))
             except GenTLError:
-                return ACCESS_BUSY
-        return ACCESS_READWRITE
+                return abi.ACCESS_BUSY
+        return abi.ACCESS_READWRITE
 
     def _unlock(self) -> None:
         if self._lock is not None:
@@ -253,10 +243,7 @@ class Interface:
         GenTLError
             NOT_AVAILABLE: the command asks for something else.
         """
-        texts = {0: INTERFACE_ID, 1: "rtpiv simulated interface", 2: TL_TYPE}
-        if command not in texts:
-            raise GenTLError(Status.NOT_AVAILABLE, f"interface info {command}")
-        return (Kind.STRING, texts[command])
+        return answer_of(texts(INTERFACE_ID, "rtpiv simulated interface", TL_TYPE), command, "interface")
 
 
 @dataclass
@@ -290,24 +277,9 @@ class System:
             NOT_AVAILABLE: the command asks for something else.
         """
         name = self.path.rsplit("/", 1)[-1]
-        texts = {
-            0: "rtpiv",
-            1: VENDOR,
-            2: "simulated cameras",
-            3: "1.0",
-            4: TL_TYPE,
-            5: name,
-            6: self.path,
-            7: "rtpiv",
-        }
-        numbers = {9: 1, 10: 5}
-        if command in texts:
-            return (Kind.STRING, texts[command])
-        if command == 8:
-            return (Kind.INT32, 1)
-        if command in numbers:
-            return (Kind.UINT32, numbers[command])
-        raise GenTLError(Status.NOT_AVAILABLE, f"system info {command}")
+        answers = texts("rtpiv", VENDOR, "simulated cameras", "1.0", TL_TYPE, name, self.path, "rtpiv")
+        numbers = {8: (Kind.INT32, 1), 9: (Kind.UINT32, 1), 10: (Kind.UINT32, 5)}
+        return answer_of(answers | numbers, command, "system")
 
 
 @dataclass
@@ -320,6 +292,10 @@ class StreamModule:
         default_factory=lambda: InfoPort("StreamPort", {"StreamID": "Stream0", "StreamType": TL_TYPE})
     )
 
+    def answer(self, command: int) -> Answer:
+        """DSGetInfo."""
+        return self.stream.answer(command, TL_TYPE)
+
 
 @dataclass
 class Event:
@@ -327,6 +303,12 @@ class Event:
 
     owner: StreamModule
     fired: int = 0
+
+    def answer(self, command: int) -> Answer:
+        """EventGetInfo."""
+        numbers = (abi.EVENT_NEW_BUFFER, len(self.owner.stream.output), self.fired, 16, 16)
+        kinds = (Kind.INT32, Kind.SIZET, Kind.UINT64, Kind.SIZET, Kind.SIZET)
+        return answer_of(dict(enumerate(zip(kinds, numbers, strict=True))), command, "event")
 
 
 class Handles:

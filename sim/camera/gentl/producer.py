@@ -14,14 +14,16 @@ import json
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 from sim.camera.config import CameraConfig
 from sim.camera.device import CameraGone
 from sim.camera.features import XML_BASE
 from sim.camera.gentl import memory
-from sim.camera.gentl.abi import SIGNATURES, GenTLError, Kind, Status
+from sim.camera.gentl.abi import SIGNATURES, Answer, GenTLError, Kind, Status, answer_of, texts
 from sim.camera.gentl.elf import TABLE
-from sim.camera.gentl.modules import CameraPort, Device, Handles, Interface, Port, StreamModule, System
+from sim.camera.gentl.modules import CameraPort, Device, Event, Handles, Interface, Port, StreamModule, System
 from sim.camera.gentl.stream_calls import StreamCalls
 from sim.camera.registers import BadAddress, BadValue, WriteProtected
 
@@ -85,33 +87,20 @@ class PortCalls:
         port = self._port(handle)
         if index != 0:
             raise GenTLError(Status.INVALID_INDEX, f"URL {index}")
-        answers: dict[int, tuple[Kind, int | str]] = {
-            0: (Kind.STRING, self._url(handle)),
-            1: (Kind.INT32, 1),
-            2: (Kind.INT32, 1),
-            3: (Kind.INT32, 1),
-            4: (Kind.INT32, 0),
-            5: (Kind.INT32, 0),
-            7: (Kind.UINT64, XML_BASE),
-            8: (Kind.UINT64, len(port.xml)),
-            9: (Kind.INT32, 0),
-            10: (Kind.STRING, f"rtpiv_{port.port_name}.xml"),
-        }
-        if command not in answers:
-            raise GenTLError(Status.NOT_AVAILABLE, f"URL info {command}")
-        memory.give_answer(answers[command], kind, buffer, size)
+        name, length = f"rtpiv_{port.port_name}.xml", len(port.xml)
+        answers: dict[int, Answer] = dict.fromkeys((1, 2, 3), (Kind.INT32, 1))
+        answers |= dict.fromkeys((4, 5, 9), (Kind.INT32, 0))
+        answers |= {0: (Kind.STRING, self._url(handle)), 10: (Kind.STRING, name)}
+        answers |= {7: (Kind.UINT64, XML_BASE), 8: (Kind.UINT64, length)}
+        memory.give_answer(answer_of(answers, command, "URL"), kind, buffer, size)
 
     def GCGetPortInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
         port = self._port(handle)
-        texts = {0: port.port_name, 1: "rtpiv", 2: port.port_name, 3: "Custom", 4: port.port_name, 11: "1.0"}
-        texts[12] = port.port_name
-        flags = {5: 0, 6: 1, 7: 1, 8: int(port.port_name == "Device"), 9: 0, 10: 0}
-        if command in texts:
-            memory.give_answer((Kind.STRING, texts[command]), kind, buffer, size)
-        elif command in flags:
-            memory.give_answer((Kind.BOOL8, flags[command]), kind, buffer, size)
-        else:
-            raise GenTLError(Status.NOT_AVAILABLE, f"port info {command}")
+        name = port.port_name
+        answers = texts(name, "rtpiv", name, "Custom", name) | {11: (Kind.STRING, "1.0"), 12: (Kind.STRING, name)}
+        flags = {5: 0, 6: 1, 7: 1, 8: int(name == "Device"), 9: 0, 10: 0}
+        answers |= {number: (Kind.BOOL8, flag) for number, flag in flags.items()}
+        memory.give_answer(answer_of(answers, command, "port"), kind, buffer, size)
 
 
 class FindCalls:
@@ -129,9 +118,6 @@ class FindCalls:
     def TLClose(self, handle: int) -> None:  # noqa: D102, N802
         self.handles.get(handle, System).is_open = False
         self.handles.drop(handle)
-
-    def TLGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self.handles.get(handle, System).answer(command), kind, buffer, size)
 
     def TLGetNumInterfaces(self, handle: int, number: int) -> None:  # noqa: D102, N802
         self.handles.get(handle, System)
@@ -169,9 +155,6 @@ class FindCalls:
         self.handles.get(handle, Interface).is_open = False
         self.handles.drop(handle)
 
-    def IFGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self.handles.get(handle, Interface).answer(command), kind, buffer, size)
-
     def IFGetNumDevices(self, handle: int, number: int) -> None:  # noqa: D102, N802
         memory.write_u32(number, len(self.handles.get(handle, Interface).devices))
 
@@ -197,10 +180,6 @@ class FindCalls:
         device.remote_handle = self.handles.add(CameraPort(camera))
         memory.write_size(result, device.handle)
 
-    def IFGetParentTL(self, handle: int, result: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Interface)
-        raise GenTLError(Status.NOT_IMPLEMENTED, "parents are not handed out")
-
     def _device(self, handle: int, name: int) -> Device:
         wanted = memory.read_text(name)
         found = self.handles.get(handle, Interface).devices.get(wanted)
@@ -211,6 +190,11 @@ class FindCalls:
 
 log = logging.getLogger(__name__)
 _attached: dict[str, object] = {}  # callbacks must outlive every caller
+INFO: dict[str, type[Any]] = {  # functions that ask a module for one of its answers
+    "TLGetInfo": System, "IFGetInfo": Interface, "DevGetInfo": Device, "DSGetInfo": StreamModule,
+    "EventGetInfo": Event,
+}  # fmt: skip
+ABSENT: dict[str, type[Any]] = {"IFGetParentTL": Interface, "DevGetParentIF": Device}  # parents are not handed out
 
 
 class Producer(PortCalls, FindCalls, StreamCalls):
@@ -234,7 +218,9 @@ class Producer(PortCalls, FindCalls, StreamCalls):
 
     def callback(self, name: str) -> Callable[..., int]:
         """Wrap a method so that it returns a status, that of a GenTLError, and never lets an exception out."""
-        method = getattr(self, name)
+        method = (
+            partial(self._info, INFO[name]) if name in INFO else getattr(self, name, partial(self._absent, name))
+        )
 
         def call(*arguments: int) -> int:
             status, text = Status.SUCCESS, ""
@@ -258,6 +244,16 @@ class Producer(PortCalls, FindCalls, StreamCalls):
             return int(status)
 
         return call
+
+    def _info(self, module: type[Any], handle: int, command: int, kind: int, buffer: int, size: int) -> None:
+        memory.give_answer(self.handles.get(handle, module).answer(command), kind, buffer, size)
+
+    def _absent(self, name: str, handle: int, *arguments: int) -> None:
+        """Refuse a function that clients expect to be exported."""
+        if name in ABSENT:
+            self.handles.get(handle, ABSENT[name])
+        why = "parents are not handed out" if name in ABSENT else "flows and segments came after version 1.5"
+        raise GenTLError(Status.NOT_IMPLEMENTED, why)
 
     def GCInitLib(self) -> None:  # noqa: D102, N802 - the standard's names; see SIGNATURES
         if self.is_initialised:

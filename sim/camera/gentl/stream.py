@@ -10,15 +10,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from sim.camera.device import SimCamera, SimFrame
-from sim.camera.gentl.abi import (
-    LITTLE_ENDIAN_PIXELS,
-    NAMESPACE_PFNC_32BIT,
-    PAYLOAD_IMAGE,
-    Answer,
-    GenTLError,
-    Kind,
-    Status,
-)
+from sim.camera.gentl import abi
+from sim.camera.gentl.abi import Answer, GenTLError, Kind, Status, answer_of
 
 
 @dataclass(slots=True)
@@ -72,11 +65,11 @@ class Buffer:
             16: (Kind.UINT64, frame.frame_id),
             17: (Kind.BOOL8, 1),
             18: (Kind.SIZET, 0),
-            19: (Kind.SIZET, PAYLOAD_IMAGE),
+            19: (Kind.SIZET, abi.PAYLOAD_IMAGE),
             20: (Kind.UINT64, frame.picture.format_code),
-            21: (Kind.UINT64, NAMESPACE_PFNC_32BIT),
+            21: (Kind.UINT64, abi.NAMESPACE_PFNC_32BIT),
             22: (Kind.SIZET, frame.picture.height),
-            26: (Kind.INT32, LITTLE_ENDIAN_PIXELS),
+            26: (Kind.INT32, abi.LITTLE_ENDIAN_PIXELS),
             27: (Kind.SIZET, self.filled),
             28: (Kind.UINT64, frame.timestamp_ns),
             29: (
@@ -84,9 +77,7 @@ class Buffer:
                 int(self.filled < frame.picture.payload.size + len(frame.tail) and not frame.is_incomplete),
             ),
         }
-        if command not in of_frame:
-            raise GenTLError(Status.NOT_AVAILABLE, f"buffer info {command}")
-        return of_frame[command]
+        return answer_of(of_frame, command, "buffer")
 
 
 class Stream:
@@ -251,6 +242,4 @@ class Stream:
                 12: (Kind.SIZET, 1),
                 13: (Kind.SIZET, 1),
             }
-        if command not in answers:
-            raise GenTLError(Status.NOT_AVAILABLE, f"stream info {command}")
-        return answers[command]
+        return answer_of(answers, command, "stream")

@@ -9,7 +9,7 @@ import struct
 from contextlib import suppress
 
 from sim.camera.gentl import memory
-from sim.camera.gentl.abi import EVENT_NEW_BUFFER, GenTLError, Kind, Status
+from sim.camera.gentl.abi import EVENT_NEW_BUFFER, Answer, GenTLError, Kind, Status, answer_of
 from sim.camera.gentl.modules import Device, Event, Handles, StreamModule
 from sim.camera.gentl.stream import Buffer, Stream
 from sim.camera.payload import places
@@ -43,18 +43,11 @@ class StreamCalls:
         device.stream = Stream(device.camera)
         memory.write_size(result, self.handles.add(StreamModule(device, device.stream)))
 
-    def DevGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self.handles.get(handle, Device).answer(command), kind, buffer, size)
-
     def DevClose(self, handle: int) -> None:  # noqa: D102, N802
         device = self.handles.get(handle, Device)
         device.close()
         self.handles.drop(device.remote_handle)
         self.handles.drop(handle)
-
-    def DevGetParentIF(self, handle: int, result: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Device)
-        raise GenTLError(Status.NOT_IMPLEMENTED, "parents are not handed out")
 
     # ---- events --------------------------------------------------------------------------------------------
     def GCRegisterEvent(self, handle: int, event: int, result: int) -> None:  # noqa: D102, N802
@@ -80,24 +73,9 @@ class StreamCalls:
         self.handles.get(handle, Event)
         if length < 16 or not data:
             raise GenTLError(Status.INVALID_PARAMETER, "no event data")
-        answers = {0: 0, 1: 8}
-        if command not in answers:
-            raise GenTLError(Status.NOT_AVAILABLE, f"event data info {command}")
-        value = ctypes.c_uint64.from_address(data + answers[command]).value
-        memory.give_answer((Kind.PTR, value), kind, buffer, size)
-
-    def EventGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        event = self.handles.get(handle, Event)
-        answers: dict[int, tuple[Kind, int]] = {
-            0: (Kind.INT32, EVENT_NEW_BUFFER),
-            1: (Kind.SIZET, len(event.owner.stream.output)),
-            2: (Kind.UINT64, event.fired),
-            3: (Kind.SIZET, 16),
-            4: (Kind.SIZET, 16),
-        }
-        if command not in answers:
-            raise GenTLError(Status.NOT_AVAILABLE, f"event info {command}")
-        memory.give_answer(answers[command], kind, buffer, size)
+        id_and_user = (ctypes.c_uint64 * 2).from_address(data)
+        answers: dict[int, Answer] = {command: (Kind.PTR, value) for command, value in enumerate(id_and_user)}
+        memory.give_answer(answer_of(answers, command, "event data"), kind, buffer, size)
 
     def EventFlush(self, handle: int) -> None:  # noqa: D102, N802
         self.handles.get(handle, Event).owner.stream.flush(1)
@@ -133,9 +111,6 @@ class StreamCalls:
 
     def DSStopAcquisition(self, handle: int, flags: int) -> None:  # noqa: D102, N802
         self._stream(handle).stop()
-
-    def DSGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self._stream(handle).answer(command, "Custom"), kind, buffer, size)
 
     def DSGetBufferID(self, handle: int, index: int, result: int) -> None:  # noqa: D102, N802
         numbers = list(self._stream(handle).buffers)
@@ -195,9 +170,3 @@ class StreamCalls:
     ) -> None:
         self._stream(handle).find(buffer)
         raise GenTLError(Status.INVALID_INDEX, f"part {part}")
-
-    def DSGetNumFlows(self, *arguments: int) -> None:  # noqa: D102, N802
-        raise GenTLError(Status.NOT_IMPLEMENTED, "flows and segments came after version 1.5")
-
-    DSGetFlowInfo = DSAnnounceCompositeBuffer = DSGetNumFlows  # exported, because clients warn of what is absent
-    DSGetNumBufferSegments = DSGetBufferSegmentInfo = DSGetNumFlows
