@@ -57,14 +57,14 @@ class Reflections:
 
     def light(self, scene: Scene, sheet: LightSheet, pulse: int) -> NDArray[np.float32]:
         """Counts (H, W) that pulse 0 (A) or 1 (B) adds to every frame."""
-        tables = tables_of(scene, Pose(), None)
+        world = tables_of(scene, Pose(), None).world
         height, width = scene.camera.shape
         out = np.empty((height, width, 2), np.float32)
         x, y, z = self.slit_mm
         source = np.array([x, y + (pulse - 0.5) * self.slits_apart_mm, z, self.slit_half_mm])
 
         def block(first: int, last: int) -> None:
-            trace_reflections(first, last, tables.camera, tables.spheres, sheet.offset_mm, source, BLUR_RAD, out)
+            trace_reflections(first, last, world.camera, world.spheres, sheet.offset_mm, source, BLUR_RAD, out)
 
         run_rows(block, height)
         light = self.sheet_counts * out[..., 0] + self.glint_counts * out[..., 1] + np.float32(self.haze_counts)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from ground.memory import require_memory
 from ground.rows import run_rows
 from sim.flow.kernels.splat import count_bands, order_by_band, splat
-from sim.flow.kernels.views import NUMBERS, ROUGH, cell_bins, find_images, judge_cells, trace_nodes
+from sim.flow.kernels.views import NUMBERS, ROUGH, Cells, Patches, cell_bins, find_images, judge_cells, trace_nodes
 from sim.renderer.patterns import Pose
 from sim.renderer.render import Aperture, tables_of
 from tracer.errors import SceneError
@@ -81,10 +81,7 @@ def pupil_points(count: int) -> Float64:
 class _Grid:
     """The rays of one point of the pupil: one patch, the sensor, or many: cells of it, cut finer."""
 
-    lens_mm: tuple[float, float]
-    corners_px: Float64
-    patch_rows: int
-    step_px: float
+    patches: Patches
     margin: float
     ways: Float32
     tops: Float32
@@ -159,14 +156,15 @@ class ParticleView:
             for place in places.tolist()
         ]
         fine = [
-            self._trace_grid(whole.lens_mm, _rough(whole), (FINER + 1, FINER + 1), True) for whole in self._whole
+            self._trace_grid(whole.patches[3:], _rough(whole), (FINER + 1, FINER + 1), True)
+            for whole in self._whole
         ]
         self.corners_mm = _extent(self._whole, self._bare_mm(), heights_mm)
         self._edge_mm = BIN_CELLS * step_px * self._tables.px_mm
         (x0, y0), (x1, y1) = self.corners_mm
         counts = [max(1.0, np.ceil((high - low) / self._edge_mm)) for low, high in ((y0, y1), (x0, x1))]
         self._bins = np.array([x0, y0, *counts])
-        self._found_by = [self._bin_cells(grid) for grid in [*self._whole, *fine] if len(grid.corners_px)]
+        self._found_by = [self._bin_cells(grid) for grid in [*self._whole, *fine] if len(grid.patches.corners)]
 
     def images(self, points_mm: Float64, shine: Float64) -> Float32:
         """All images (M, 3) of points (N, 3): u, v [px], light; `shine` (N,) is that of each without glass."""
@@ -225,58 +223,37 @@ class ParticleView:
 
     def _images_by(self, table: _Table, points: Float64, shine: Float64) -> Float32:
         room, grid = 2 * len(points) + 16, table.grid
+        bins = (table.starts, table.entries, table.corner, self._edge_mm, grid.margin)
+        cells = Cells(grid.ways, grid.tops, grid.chains, *bins)
         while True:
             out = np.empty((room, 3), np.float32)
-            found = find_images(
-                points,
-                shine,
-                grid.ways,
-                grid.tops,
-                grid.chains,
-                table.starts,
-                table.entries,
-                table.corner,
-                self._edge_mm,
-                grid.margin,
-                grid.corners_px,
-                grid.patch_rows,
-                grid.step_px,
-                *grid.lens_mm,
-                *self._world,
-                BRIGHTEST,
-                out,
-            )
+            found = find_images(points, shine, cells, grid.patches, self._tables.world, BRIGHTEST, out)
             if found <= room:
                 return out[:found]
             room = found
-
-    @property
-    def _world(self) -> tuple[Float64, Float64, Float64, Float64, Float64, Float64]:
-        t = self._tables
-        return t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane
 
     def _trace_grid(
         self, lens_mm: tuple[float, float], corners_px: Float64, patch: tuple[int, int], is_fine: bool
     ) -> _Grid:
         rows, columns = len(corners_px) * patch[0], patch[1]
         step_px = self._step_px / FINER if is_fine else self._step_px
+        patches = Patches(corners_px, patch[0], step_px, *lens_mm)
         ways = np.empty((rows, columns, NUMBERS), np.float32)
         tops = np.empty((rows, columns), np.float32)
         chains = np.empty((rows, columns), np.int64)
 
         def block(first: int, last: int) -> None:
-            about = (corners_px, patch[0], step_px, *lens_mm)
-            trace_nodes(first, last, *about, *self._world, ways, tops, chains)
+            trace_nodes(first, last, patches, self._tables.world, ways, tops, chains)
 
         run_rows(block, rows, 8)
         widest = (step_px * self._tables.px_mm) ** 2 / DIMMEST if is_fine else np.inf
         cells = np.zeros((max(rows - 1, 0), columns - 1), np.uint8)
         judge_cells(chains, ways, max(self.heights_mm, key=abs), patch[0], widest, cells)
-        return _Grid(lens_mm, corners_px, patch[0], step_px, MARGINS[is_fine], ways, tops, chains, cells)
+        return _Grid(patches, MARGINS[is_fine], ways, tops, chains, cells)
 
     def _bin_cells(self, grid: _Grid) -> _Table:
         low, high = self.heights_mm
-        layers = LAYERS[grid.step_px < self._step_px]
+        layers = LAYERS[grid.patches.step_px < self._step_px]
         corner = np.array([*self._bins, low, (high - low) / layers, layers])
         counts = np.zeros(int(corner[2] * corner[3] * layers), np.int64)
         about = (grid.ways, grid.cells, grid.margin, corner, self._edge_mm)
@@ -289,7 +266,7 @@ class ParticleView:
     def _bare_mm(self) -> Float64:
         """Corners of the view without glass at z = 0: (2, 2), low and high, x and y."""
         height, width = self.shape
-        camera = self._tables.camera
+        camera = self._tables.world.camera
         focal, cu, cv = camera[:3]
         rotation = camera[6:15].reshape(3, 3)
         corners = np.array([[u, v] for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])
@@ -301,7 +278,7 @@ class ParticleView:
 def _rough(grid: _Grid) -> Float64:
     """Pixels (K, 2) of the first nodes of cells that must be cut finer."""
     row, column = np.nonzero(grid.cells == ROUGH)
-    return np.ascontiguousarray(np.column_stack((column, row)) * grid.step_px - MARGIN_PX)
+    return np.ascontiguousarray(np.column_stack((column, row)) * grid.patches.step_px - MARGIN_PX)
 
 
 def _extent(grids: list[_Grid], bare_mm: Float64, heights_mm: tuple[float, float]) -> Float64:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.renderer.kernels.reflectance import (
+    Bins,
     chessboard,
     dot_grid,
     draw_image,
@@ -287,18 +288,17 @@ class ParticleSheet:
     def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
         """Reflectance (N,) at points (N, 2) of the sheet [mm]."""
         out = np.empty(len(points_mm), np.float32)
-        places, peaks, starts, corner, cell = self._bins
-        particles(points_mm, places, peaks, starts, corner, cell, self.sigma_mm, self.background, out)
+        particles(points_mm, self._bins, self.sigma_mm, self.background, out)
         return out
 
     @cached_property
-    def _bins(self) -> tuple[Points, Points, NDArray[np.int64], Points, float]:
+    def _bins(self) -> Bins:
         """Particles sorted into square cells as wide as a particle reaches."""
         cell = PRINT_REACH_SIGMAS * self.sigma_mm
         places = np.ascontiguousarray(self.places_mm)
         peaks = np.broadcast_to(np.asarray(self.peaks, dtype=np.float64), places.shape[:1])
         if len(places) == 0:
-            return places, peaks.copy(), np.zeros((1, 2), np.int64), np.zeros(2), cell
+            return Bins(places, peaks.copy(), np.zeros((1, 2), np.int64), np.zeros(2), cell)
         corner = places.min(axis=0)
         index = ((places - corner) / cell).astype(np.int64)
         columns, rows = (int(n) + 1 for n in index.max(axis=0))
@@ -306,7 +306,7 @@ class ParticleSheet:
         order = np.argsort(flat, kind="stable")
         ends = np.concatenate(([0], np.cumsum(np.bincount(flat, minlength=rows * columns))))
         first = np.arange(rows)[:, None] * columns + np.arange(columns + 1)
-        return places[order], peaks[order], ends[first].astype(np.int64), corner, cell
+        return Bins(places[order], peaks[order], ends[first].astype(np.int64), corner, cell)
 
 
 def print_particles(

@@ -18,6 +18,7 @@ from ground.memory import require_memory
 from ground.rows import run_rows
 from sim.renderer.bodies import WALLS, as_rows, ball_around, ball_rows, wall_rows
 from sim.renderer.kernels.rays import average_weighted, trace_pixels
+from sim.renderer.kernels.surfaces import World
 from sim.renderer.kernels.walls import NUMBERS
 from sim.renderer.patterns import Pattern, Plate, Pose
 from sim.renderer.sensor import Sensor
@@ -63,12 +64,7 @@ class Aperture:
 class SceneTables:
     """A scene as the compiled loops want it."""
 
-    camera: NDArray[np.float64]
-    spheres: NDArray[np.float64]
-    rods: NDArray[np.float64]
-    walls: NDArray[np.float64]
-    bounds: NDArray[np.float64]
-    plane: NDArray[np.float64]
+    world: World
     px_mm: float  # width a pixel sees on the sheet without glass
 
 
@@ -181,16 +177,14 @@ def _sample(
     points = np.empty((count, n * n, 2))
     transmittance = np.empty((count, n * n), np.float32)
     spread, light = np.empty(count), np.empty(count, np.float32)
-    t, order = tables, _pupil_order(n)
-    world = (t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane)
-    trace_pixels(pixels, n, seed, *world, order, points, transmittance, spread)
+    world, order = tables.world, _pupil_order(n)
+    trace_pixels(pixels, n, seed, world, order, points, transmittance, spread)
     if isinstance(pattern, Plate):  # the same rays to either level
         levels = []
         for above_mm in (pattern.face_mm, pattern.ground_mm):
-            plane = t.plane.copy()
+            plane, on_level = world.plane.copy(), np.empty_like(points)
             plane[0] += above_mm * plane[3]
-            on_level, world = np.empty_like(points), (t.camera, t.spheres, t.rods, t.walls, t.bounds, plane)
-            trace_pixels(pixels, n, seed, *world, order, on_level, transmittance, spread)
+            trace_pixels(pixels, n, seed, world._replace(plane=plane), order, on_level, transmittance, spread)
             levels.append(on_level.reshape(-1, 2))
         values = pattern.shade(*levels).reshape(count, n * n)
     else:
@@ -236,7 +230,7 @@ def tables_of(
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
     lens_and_place = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
-    return SceneTables(
+    world = World(
         camera=np.array([*lens_and_place, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
         spheres=ball_rows(scene, spheres),
         rods=as_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
@@ -245,8 +239,9 @@ def tables_of(
             [[*s.centre_mm, s.radius_mm + s.uneven_mm] for s in spheres] + [ball_around(r) for r in rods], 4
         ),
         plane=plane,
-        px_mm=float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3])) / camera.focal_px,
     )
+    away_mm = float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3]))
+    return SceneTables(world, away_mm / camera.focal_px)
 
 
 def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, float] | None) -> bool:

@@ -22,27 +22,27 @@ PARTS = 150  # of the pupil, and as many opposite to them
 
 
 @kernel
-def spot_light(camera, spheres, rods, walls, plane, first, parts, x, y, spot_mm, light):
+def spot_light(world, first, parts, x, y, spot_mm, light):
     for row in range(light.shape[0]):
         for column in range(light.shape[1]):
             u, v = first[0] + STEP_PX * column, first[1] + STEP_PX * row
             for part in range(parts.shape[0]):
-                ray = camera_ray(u, v, parts[part, 0], parts[part, 1], camera)
-                px, py, passed = to_plane(*ray, spheres, rods, walls, plane)
+                ray = camera_ray(u, v, parts[part, 0], parts[part, 1], world.camera)
+                px, py, passed = to_plane(*ray, world)
                 light[row, column] += passed * np.exp(-0.5 * ((px - x) ** 2 + (py - y) ** 2) / spot_mm**2)
 
 
 def picture(scene: Scene, aperture: Aperture, pixel: np.ndarray) -> tuple[np.ndarray, float]:
     """Centroid minus `pixel`, and widest standard deviation, of the picture of the point that `pixel` shows."""
     tables = tables_of(scene, Pose(), aperture)
-    world = tables.spheres, tables.rods, tables.walls, tables.plane
-    x, y, _ = to_plane(*camera_ray(*pixel, 0.0, 0.0, tables.camera), *world)
+    world = tables.world
+    x, y, _ = to_plane(*camera_ray(*pixel, 0.0, 0.0, world.camera), world)
     turn, share = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(PARTS), (np.arange(PARTS) + 0.5) / PARTS
-    parts = tables.camera[20] * np.sqrt(share)[:, None] * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
+    parts = world.camera[20] * np.sqrt(share)[:, None] * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
     parts = np.concatenate((parts, -parts))
     along = STEP_PX * (np.arange(SIDE) - SIDE // 2)
     light = np.zeros((SIDE, SIDE))
-    spot_light(tables.camera, *world, pixel + along[0], parts, x, y, 0.6 * tables.px_mm, light)
+    spot_light(world, pixel + along[0], parts, x, y, 0.6 * tables.px_mm, light)
     seen = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     weight = light.ravel() / light.sum()
     mean = weight @ seen

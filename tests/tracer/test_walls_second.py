@@ -22,11 +22,11 @@ RAYS = 25_000  # of a scene
 
 
 @kernel
-def through_walls(start, ways, spheres, rods, walls, plane, out):  # type: ignore[no-untyped-def]
+def through_walls(start, ways, world, out):  # type: ignore[no-untyped-def]
     """Plane point and light of each ray (N, 3), as the renderer has them."""
     for i in range(ways.shape[0]):
         out[i, 0], out[i, 1], out[i, 2] = to_plane(
-            start[0], start[1], start[2], ways[i, 0], ways[i, 1], ways[i, 2], spheres, rods, walls, plane
+            start[0], start[1], start[2], ways[i, 0], ways[i, 1], ways[i, 2], world
         )
 
 
@@ -51,7 +51,7 @@ def compare(scenes: int, seed: int) -> tuple[int, int, int]:
         ways = np.ascontiguousarray(aimed(rng, scene, RAYS))
         rays = trace_from(scene, np.broadcast_to(start, ways.shape), ways).rays
         other = np.empty((RAYS, 3))
-        through_walls(start, ways, tables.spheres, tables.rods, tables.walls, tables.plane, other)
+        through_walls(start, ways, tables.world, other)
         arrived, lands = other[:, 2] > 0.0, rays["status"] == 0
         apart = np.hypot(other[:, 0] - rays["x_mm"], other[:, 1] - rays["y_mm"])
         calm = np.abs(rays["direction"][:, 2]) > LEVEL

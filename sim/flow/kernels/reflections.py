@@ -23,7 +23,7 @@ def trace_reflections(
             nearest, body = np.inf, -1
             for index in range(spheres.shape[0]):
                 s = spheres[index]
-                t = entry_sphere(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
+                t = entry_sphere(ox, oy, oz, dx, dy, dz, s, s[3])
                 if t < nearest:
                     nearest, body = t, index
             if body < 0 or spheres[body, 5] != 0.0:
@@ -38,7 +38,7 @@ def trace_reflections(
             for index in range(spheres.shape[0]):
                 if index != body:
                     b = spheres[index]
-                    if entry_sphere(x, y, z, rx, ry, rz, b[0], b[1], b[2], b[3]) < np.inf:
+                    if entry_sphere(x, y, z, rx, ry, rz, b, b[3]) < np.inf:
                         blocked = True
             if blocked:
                 continue

@@ -11,10 +11,13 @@ A cell tells nothing but where Newton's method starts, which then follows rays o
 or not at all.  So images lie where the rays say, however coarse the grid is, and no two cells find the same one.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ground.jit import Array, kernel, kernel_inlined
 from sim.renderer.kernels.rays import camera_ray, last_way, may_meet
+from sim.renderer.kernels.surfaces import World
 
 X, Y, DX, DY, NUMBERS = 0, 1, 2, 3, 4
 NOTHING, WHOLE, ROUGH = 0, 1, 2  # cells without a ray, cells to look in, cells to be cut finer
@@ -23,6 +26,29 @@ BENT = 0.1  # of a cell: what the middle of two nodes may lie beside the one bet
 NEWTON = 8
 FINEST = 1e6  # parts of a cell that are distinguished
 CLOSE_PX, APART_PX = 1e-3, 0.01  # the last step of Newton's method, and what derivatives are taken over
+
+
+class Patches(NamedTuple):
+    """Nodes of a grid: pixels u, v (patches, 2) of the first node of each patch, rows of a patch, pupil point."""
+
+    corners: Array
+    rows: int
+    step_px: float
+    lens_u: float
+    lens_v: float
+
+
+class Cells(NamedTuple):
+    """Rays of a grid's nodes, and the bins that find its cells; see `trace_nodes` and `cell_bins`."""
+
+    ways: Array
+    tops: Array
+    chains: Array
+    starts: Array
+    entries: Array
+    corner: Array
+    edge: float
+    margin: float
 
 
 @kernel_inlined
@@ -42,26 +68,19 @@ def bare_light(u: float, v: float, lens_u: float, lens_v: float, camera: Array) 
 
 @kernel
 def way_of(
-    u: float,
-    v: float,
-    lens_u: float,
-    lens_v: float,
-    camera: Array,
-    spheres: Array,
-    rods: Array,
-    walls: Array,
-    bounds: Array,
-    plane: Array,
+    u: float, v: float, lens_u: float, lens_v: float, world: World
 ) -> tuple[float, float, float, float, float, float, int]:
     """Last straight way of a ray: x, y at z = 0, dx/dz, dy/dz, its top, its transmittance, and the bodies passed.
 
     The top is the height below which the way is straight.  A ray that does not arrive passes -1.
     """
+    camera, spheres, rods, walls, bounds, plane = world
     ox, oy, oz, dx, dy, dz = camera_ray(u, v, lens_u, lens_v, camera)
     if walls.shape[0] > 0 or (bounds.shape[0] > 0 and may_meet(u, v, camera, bounds)):
-        ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
+        ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, world)
     else:
-        ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, spheres[:0], rods[:0], walls, plane)
+        clear = World(camera, spheres[:0], rods[:0], walls, bounds, plane)
+        ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, clear)
     if not (part > 0.0 and dz < 0.0):
         return 0.0, 0.0, 0.0, 0.0, -NO_GLASS_MM, 0.0, -1
     top = oz if chain != 0 or walls.shape[0] > 0 else NO_GLASS_MM
@@ -70,33 +89,17 @@ def way_of(
 
 @kernel
 def trace_nodes(
-    first: int,
-    last: int,
-    corners: Array,
-    patch_rows: int,
-    step_px: float,
-    lens_u: float,
-    lens_v: float,
-    camera: Array,
-    spheres: Array,
-    rods: Array,
-    walls: Array,
-    bounds: Array,
-    plane: Array,
-    ways: Array,
-    tops: Array,
-    chains: Array,
+    first: int, last: int, patches: Patches, world: World, ways: Array, tops: Array, chains: Array
 ) -> None:
-    """Trace rows first..last of a grid; `corners` (patches, 2) are pixels u, v of its patches' first nodes.
+    """Trace rows first..last of a grid.
 
     Out: `ways` (rows, columns, NUMBERS) float32, `tops` (rows, columns) float32, `chains` (rows, columns) int64.
     """
+    corners, patch_rows, step_px, lens_u, lens_v = patches
     for i in range(first, last):
         u, v = corners[i // patch_rows, 0], corners[i // patch_rows, 1] + step_px * (i % patch_rows)
         for j in range(ways.shape[1]):
-            x, y, dx, dy, top, _, chain = way_of(
-                u + step_px * j, v, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
-            )
+            x, y, dx, dy, top, _, chain = way_of(u + step_px * j, v, lens_u, lens_v, world)
             ways[i, j, X], ways[i, j, Y], ways[i, j, DX], ways[i, j, DY] = x, y, dx, dy
             tops[i, j], chains[i, j] = top, chain
 
@@ -205,35 +208,16 @@ def cell_bins(
 
 @kernel
 def find_images(
-    points: Array,
-    shine: Array,
-    ways: Array,
-    tops: Array,
-    chains: Array,
-    starts: Array,
-    entries: Array,
-    corner: Array,
-    edge: float,
-    margin: float,
-    corners: Array,
-    patch_rows: int,
-    step_px: float,
-    lens_u: float,
-    lens_v: float,
-    camera: Array,
-    spheres: Array,
-    rods: Array,
-    walls: Array,
-    bounds: Array,
-    plane: Array,
-    brightest: float,
-    out: Array,
+    points: Array, shine: Array, cells: Cells, patches: Patches, world: World, brightest: float, out: Array
 ) -> int:
     """Find all images of points (N, 3) [mm]; `out` (capacity, 3) gets u, v [px] and light, the number is returned.
 
     Cells are cut into two triangles each, whose edges belong to one of them only: no image is found twice.  A
     number beyond the capacity says that `out` was too short.
     """
+    ways, tops, chains, starts, entries, corner, edge, margin = cells
+    corners, patch_rows, step_px, lens_u, lens_v = patches
+    camera = world.camera
     rows, columns = int(corner[2]), int(corner[3])
     wide = ways.shape[1] - 1
     found = 0
@@ -280,17 +264,11 @@ def find_images(
                 light = dx = dy = 0.0
                 for _ in range(NEWTON):
                     u, v = u0 + step_px * a, v0 + step_px * b
-                    x, y, dx, dy, _, part, chain = way_of(
-                        u, v, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
-                    )
+                    x, y, dx, dy, _, part, chain = way_of(u, v, lens_u, lens_v, world)
                     # Derivatives are taken towards the middle of the cell, never out of it.
                     hu, hv = APART_PX if a < 0.5 else -APART_PX, APART_PX if b < 0.5 else -APART_PX
-                    ux, uy, ud, ue, _, _, chain_u = way_of(
-                        u + hu, v, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
-                    )
-                    vx, vy, vd, ve, _, _, chain_v = way_of(
-                        u, v + hv, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
-                    )
+                    ux, uy, ud, ue, _, _, chain_u = way_of(u + hu, v, lens_u, lens_v, world)
+                    vx, vy, vd, ve, _, _, chain_v = way_of(u, v + hv, lens_u, lens_v, world)
                     if chain != chains[i, j] or chain_u != chain or chain_v != chain:
                         break
                     x, y = x + z * dx, y + z * dy

@@ -19,6 +19,7 @@ from sim.renderer.kernels.surfaces import (
     BLOCKED,
     SOLID,
     Float64,
+    World,
     entry_rod,
     entry_sphere,
     far_side,
@@ -60,25 +61,14 @@ def pixel_shift(seed: int, row: int, column: int) -> tuple[float, float, float]:
 
 @kernel
 def last_way(
-    ox: float,
-    oy: float,
-    oz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    spheres: Float64,
-    rods: Float64,
-    walls: Float64,
-    plane: Float64,
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, world: World
 ) -> tuple[float, float, float, float, float, float, float, int]:
     """Follow one ray to the straight way on which it meets the plane: its origin, direction, transmittance, chain.
 
-    T = 0 if it does not arrive.  `chain` tells rays apart that went through other bodies or in another order; 0
-    went through none.  Rows of `spheres`: centre, radius, n / n around, opaque, then cores, see `through_cores`,
-    or what makes a ball uneven, see `sim.renderer.kernels.uneven`;
-    of `walls` see `sim.renderer.kernels.walls`.
-    Rows of `plane`: origin, x axis, y axis, normal.
+    T = 0 if it does not arrive.  `chain` differs between rays that went through other bodies or in another order;
+    0 went through none.
     """
+    _, spheres, rods, walls, _, plane = world
     transmittance = 1.0
     last = -1
     chain = 0
@@ -102,7 +92,7 @@ def last_way(
                 if is_uneven(s):
                     t = crossing(ox, oy, oz, dx, dy, dz, s, True)
                 else:
-                    t = entry_sphere(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
+                    t = entry_sphere(ox, oy, oz, dx, dy, dz, s, s[3])
                 if t < nearest:
                     nearest, body = t, index
         for index in range(rods.shape[0]):
@@ -145,7 +135,7 @@ def last_way(
             nx, ny, nz = normal_at(ox, oy, oz, s)
             nx, ny, nz = -nx, -ny, -nz
         else:
-            ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
+            ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s, s[3])
             nx, ny, nz = (s[0] - ox) / s[3], (s[1] - oy) / s[3], (s[2] - oz) / s[3]
         dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, s[4])
         transmittance *= part
@@ -158,19 +148,11 @@ def last_way(
 
 @kernel
 def to_plane(
-    ox: float,
-    oy: float,
-    oz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    spheres: Float64,
-    rods: Float64,
-    walls: Float64,
-    plane: Float64,
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, world: World
 ) -> tuple[float, float, float]:
     """Follow one ray to the plane: (x, y, transmittance) in the plane's own axes, arguments as of `last_way`."""
-    ox, oy, oz, dx, dy, dz, transmittance, _ = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
+    ox, oy, oz, dx, dy, dz, transmittance, _ = last_way(ox, oy, oz, dx, dy, dz, world)
+    plane = world.plane
     if transmittance <= 0.0:
         return 0.0, 0.0, BLOCKED
     x, y, z = ox - plane[0, 0], oy - plane[0, 1], oz - plane[0, 2]
@@ -246,12 +228,7 @@ def trace_pixels(
     pixels: Int64,
     n: int,
     seed: int,
-    camera: Float64,
-    spheres: Float64,
-    rods: Float64,
-    walls: Float64,
-    bounds: Float64,
-    plane: Float64,
+    world: World,
     pupil_order: Int64,
     points: Float64,
     transmittance: Float32,
@@ -263,6 +240,7 @@ def trace_pixels(
     of the arriving points [mm], infinite if only some arrive.
     """
     count = n * n
+    camera, _, _, walls, bounds, plane = world
     for index in range(pixels.shape[0]):
         row, column = pixels[index, 0], pixels[index, 1]
         shift_u, shift_v, turn = pixel_shift(seed, row, column)
@@ -285,7 +263,7 @@ def trace_pixels(
                     lens_u, lens_v = radius * np.cos(angle), radius * np.sin(angle)
                 ox, oy, oz, dx, dy, dz = camera_ray(u, v, lens_u, lens_v, camera)
                 if meets:
-                    x, y, part = to_plane(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
+                    x, y, part = to_plane(ox, oy, oz, dx, dy, dz, world)
                 else:
                     x, y, part = straight_to_plane(ox, oy, oz, dx, dy, dz, plane)
                 points[index, k, 0], points[index, k, 1] = x, y

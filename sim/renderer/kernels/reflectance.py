@@ -1,5 +1,7 @@
 """The loops of the patterns over millions of points of the sheet."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,24 +92,24 @@ def plate(
         out[index] = shades[0] if there and inside else shades[1]
 
 
-@kernel
-def particles(
-    points: Float64,
-    places: Float64,
-    peaks: Float64,
-    starts: Int64,
-    corner: Float64,
-    cell: float,
-    sigma: float,
-    background: float,
-    out: Float32,
-) -> None:
-    """Reflectance of Gaussian particles at points (N, 2) [mm].
+class Bins(NamedTuple):
+    """Particles by cell.
 
     `places` (M, 2) and `peaks` (M,) are sorted by cell (row-major, edge `cell`, from `corner`); `starts`
-    (rows, columns + 1) is the first particle of each cell, so three cells of a row are one run.  A particle
-    reaches as far as one cell.
+    (rows, columns + 1) is the first particle of each cell, so three cells of a row are one run.
     """
+
+    places: Float64
+    peaks: Float64
+    starts: Int64
+    corner: Float64
+    cell: float
+
+
+@kernel
+def particles(points: Float64, bins: Bins, sigma: float, background: float, out: Float32) -> None:
+    """Reflectance of Gaussian particles at points (N, 2) [mm]; a particle reaches as far as one cell."""
+    places, peaks, starts, corner, cell = bins
     rows, columns = starts.shape[0], starts.shape[1] - 1
     fade = -0.5 / (sigma * sigma)
     for index in range(points.shape[0]):

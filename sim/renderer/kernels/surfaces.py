@@ -14,8 +14,10 @@ just left is excluded.  With the unit normal N against the ray, Snell's law for 
 and Fresnel's transmittance of unpolarised light is 1 - (r_s^2 + r_p^2)/2 (Born and Wolf, ch. 1.5).
 Only refracted rays are followed; what is reflected is lost, unless at a core everything is.
 
-Vectors are three scalars each: numba keeps them in registers.
+Vectors are three scalars each: numba keeps them in registers.  What stands in the world is one `World`.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,22 @@ Float64 = NDArray[np.float64]
 
 BLOCKED = 0.0
 SOLID = 6  # numbers of a sphere before those of its cores
+
+
+class World(NamedTuple):
+    """Camera, bodies and sheet as arrays.
+
+    Rows of `spheres`: centre, radius, n / n around, opaque, then cores, see `through_cores`, or what makes a ball
+    uneven, see `sim.renderer.kernels.uneven`; of `walls` see `sim.renderer.kernels.walls`; of `bounds`: balls
+    around bodies, x, y, z, radius; of `plane`: origin, x axis, y axis, normal.  `camera` see `camera_ray`.
+    """
+
+    camera: Float64
+    spheres: Float64
+    rods: Float64
+    walls: Float64
+    bounds: Float64
+    plane: Float64
 
 
 @kernel
@@ -48,19 +66,10 @@ def snell(
 
 @kernel
 def entry_sphere(
-    ox: float,
-    oy: float,
-    oz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    cx: float,
-    cy: float,
-    cz: float,
-    radius: float,
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, centre: Float64, radius: float
 ) -> float:
-    """Path length to the entry into a sphere ahead, infinity if it is missed or behind."""
-    x, y, z = ox - cx, oy - cy, oz - cz
+    """Path length to the entry into a sphere ahead, infinity if missed or behind; `centre` begins with x, y, z."""
+    x, y, z = ox - centre[0], oy - centre[1], oz - centre[2]
     b = 2.0 * (dx * x + dy * y + dz * z)
     discriminant = b * b - 4.0 * (x * x + y * y + z * z - radius * radius)
     if b >= 0.0 or discriminant <= 0.0:
@@ -73,8 +82,8 @@ def entry_rod(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, 
     """Path length to a rod ahead (cylinder with ball ends; row of the rod table), infinity if it is missed."""
     sx, sy, sz, ex, ey, ez, radius = rod[0], rod[1], rod[2], rod[3], rod[4], rod[5], rod[6]
     nearest = min(
-        entry_sphere(ox, oy, oz, dx, dy, dz, sx, sy, sz, radius),
-        entry_sphere(ox, oy, oz, dx, dy, dz, ex, ey, ez, radius),
+        entry_sphere(ox, oy, oz, dx, dy, dz, rod, radius),
+        entry_sphere(ox, oy, oz, dx, dy, dz, rod[3:], radius),
     )
     ax, ay, az = ex - sx, ey - sy, ez - sz
     length = np.sqrt(ax * ax + ay * ay + az * az)
@@ -97,19 +106,10 @@ def entry_rod(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, 
 
 @kernel
 def far_side(
-    ox: float,
-    oy: float,
-    oz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    cx: float,
-    cy: float,
-    cz: float,
-    radius: float,
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, centre: Float64, radius: float
 ) -> tuple[float, float, float]:
     """Point at which a ray that is in a sphere leaves it: the far root."""
-    x, y, z = ox - cx, oy - cy, oz - cz
+    x, y, z = ox - centre[0], oy - centre[1], oz - centre[2]
     b = 2.0 * (dx * x + dy * y + dz * z)
     discriminant = b * b - 4.0 * (x * x + y * y + z * z - radius * radius)
     t = 0.5 * (-b + np.sqrt(max(discriminant, 0.0)))
@@ -129,7 +129,7 @@ def through_cores(
     for _ in range(2 * s.shape[0]):
         t = np.inf
         if deep < s.shape[0] and s[deep] > 0.0:
-            t = entry_sphere(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[deep])
+            t = entry_sphere(ox, oy, oz, dx, dy, dz, s, s[deep])
         inwards = t < np.inf
         if not inwards and deep == SOLID:
             return ox, oy, oz, dx, dy, dz, transmittance
@@ -139,7 +139,7 @@ def through_cores(
         else:
             place, side = deep - 2, -1.0
             other = s[place - 1] if place > SOLID else s[4]
-            ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[place])
+            ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s, s[place])
         radius = side * s[place]
         nx, ny, nz = (ox - s[0]) / radius, (oy - s[1]) / radius, (oz - s[2]) / radius
         ex, ey, ez, part = snell(dx, dy, dz, nx, ny, nz, n / other)

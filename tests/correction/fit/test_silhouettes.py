@@ -29,7 +29,7 @@ def corners_and_hidden(truth: Scene, seed: int) -> tuple[np.ndarray, np.ndarray]
     tables = tables_of(truth, Pose(), None)
     way = corners - eye
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    chain = [last_way(*eye, *w, tables.spheres, tables.rods, tables.walls, tables.plane)[6:] for w in way.tolist()]
+    chain = [last_way(*eye, *w, tables.world)[6:] for w in way.tolist()]
     hidden = np.array([passed <= 0.0 or crossed != 0 for passed, crossed in chain])
     wrong = np.random.default_rng(seed).random(len(hidden)) < CHANCE
     return corners, hidden ^ wrong

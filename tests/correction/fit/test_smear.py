@@ -101,9 +101,7 @@ def with_index(scene: Scene, index: float) -> Scene:
 def shown(scene: Scene, pixel: np.ndarray) -> np.ndarray:
     """Point of the plane that a pixel shows, by the renderer's optics."""
     tables = tables_of(scene, Pose(), None)
-    x, y, _ = to_plane(
-        *camera_ray(*pixel, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.walls, tables.plane
-    )
+    x, y, _ = to_plane(*camera_ray(*pixel, 0.0, 0.0, tables.world.camera), tables.world)
     return np.array([x, y])
 
 

@@ -77,9 +77,7 @@ def test_a_point_is_seen_where_and_as_bright_as_its_rays_say(name, z_mm):
     compared = 0
     for _ in range(14):
         u, v = rng.uniform(200.0, 800.0, 2)
-        *way, part, _ = last_way(
-            *camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.walls, tables.plane
-        )
+        *way, part, _ = last_way(*camera_ray(u, v, 0.0, 0.0, tables.world.camera), tables.world)
         if part <= 0.0:
             continue
         at = np.array(way[:3]) + (z_mm - way[2]) / way[5] * np.array(way[3:])
@@ -98,7 +96,7 @@ def test_a_point_is_seen_where_and_as_bright_as_its_rays_say(name, z_mm):
         centroid = images[:, :2].T @ images[:, 2] / light
         true_px, true_light = seen_by_rays(scene, disc, centroid, None, 5)
         # A disc shines by its area across the ray, on the bare way by that of a pixel; a particle all round.
-        _, _, oz, _, _, dz = camera_ray(u, v, 0.0, 0.0, tables.camera)
+        _, _, oz, _, _, dz = camera_ray(u, v, 0.0, 0.0, tables.world.camera)
         bare_cos = -dz
         bare_det = px_mm**2 * ((oz - z_mm) / oz) ** 2
         expected = true_light * bare_cos * bare_det / (-way[5] * np.pi * disc.radius_mm**2)
@@ -163,8 +161,8 @@ def test_rays_close_to_the_rims_find_their_way_back(name, z_mm):
     view, tables = ParticleView(scene, (-1.0, 1.0)), tables_of(scene, Pose(), None)
 
     def way(u, v):
-        ray = camera_ray(u, v, 0.0, 0.0, tables.camera)
-        *last, part, chain = last_way(*ray, tables.spheres, tables.rods, tables.walls, tables.plane)
+        ray = camera_ray(u, v, 0.0, 0.0, tables.world.camera)
+        *last, part, chain = last_way(*ray, tables.world)
         return np.add(last[:2], (z_mm - last[2]) / last[5] * np.array(last[3:5])), chain if part > 0.0 else -1
 
     def around(u, v, reach_px):

@@ -28,18 +28,18 @@ def test_compiled_loops_do_what_the_python_says(aperture):
     scene = misalign(small("tilted", 40), 1)
     tables, n, count = tables_of(scene, Pose(), aperture), 3, 60
     pixels = np.random.default_rng(0).integers(8, 30, (count, 2))
-    world = (tables.camera, tables.spheres, tables.rods, tables.walls, tables.bounds, tables.plane)
+    world = tables.world
     results = []
     for trace in (rays.trace_pixels, rays.trace_pixels.py_func):
         points, light, spread = np.empty((count, 9, 2)), np.empty((count, 9), np.float32), np.empty(count)
-        trace(pixels, n, 5, *world, np.arange(9)[::-1].copy(), points, light, spread)
+        trace(pixels, n, 5, world, np.arange(9)[::-1].copy(), points, light, spread)
         results.append((points, light, spread))
     for compiled, plain in zip(*results, strict=True):
         assert compiled == pytest.approx(plain, rel=1e-9, abs=1e-9)
     sheet = print_particles((60.0, 60.0), 3.0, seed=1)
     flat = results[0][0].reshape(-1, 2)
     out = np.empty(len(flat), np.float32)
-    prints.particles.py_func(flat, *sheet._bins, sheet.sigma_mm, sheet.background, out)
+    prints.particles.py_func(flat, sheet._bins, sheet.sigma_mm, sheet.background, out)
     assert sheet.reflectance(flat) == pytest.approx(out, abs=1e-6)
     board = Chessboard()
     discs, shades = np.array(board.discs, float), np.array([0.08, 0.92], np.float32)

@@ -8,7 +8,7 @@ import pytest
 
 from sim.demo.scenes import SCENES, demo_scene, misalign
 from sim.renderer.kernels.rays import camera_ray, to_plane
-from sim.renderer.kernels.surfaces import entry_rod, entry_sphere, snell
+from sim.renderer.kernels.surfaces import World, entry_rod, entry_sphere, snell
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
 from tests.loops import loop_over
@@ -23,6 +23,12 @@ GLASS = ConstantMedium(1.5)
 PLANE = Pose().axes()
 NO_RODS = np.empty((0, 7))
 NO_WALLS = np.empty((0, 13))
+MIDDLE = np.zeros(3)
+
+
+def world_of(spheres):
+    """Spheres alone before the sheet; what stands for the camera is not asked for."""
+    return World(np.empty(22), spheres, NO_RODS, NO_WALLS, np.empty((0, 4)), PLANE)
 
 
 def table(*rows):
@@ -64,9 +70,9 @@ def test_transmittance_of_known_cases(angle_rad, eta, transmitted):
 
 
 def test_sphere_entry_ahead_behind_and_missed():
-    assert entry_sphere(0.0, 0.0, 10.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 2.0) == pytest.approx(8.0)
-    assert entry_sphere(0.0, 0.0, 10.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0) == math.inf
-    assert entry_sphere(2.1, 0.0, 10.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 2.0) == math.inf
+    assert entry_sphere(0.0, 0.0, 10.0, 0.0, 0.0, -1.0, MIDDLE, 2.0) == pytest.approx(8.0)
+    assert entry_sphere(0.0, 0.0, 10.0, 0.0, 0.0, 1.0, MIDDLE, 2.0) == math.inf
+    assert entry_sphere(2.1, 0.0, 10.0, 0.0, 0.0, -1.0, MIDDLE, 2.0) == math.inf
 
 
 @pytest.mark.parametrize("height_mm", [0.0, 3.0, 11.0, 20.0, 24.5])
@@ -80,9 +86,7 @@ def test_one_sphere_by_angles(height_mm):
     x_exit, z_exit = radius * math.sin(around), centre + radius * math.cos(around)
     expected = x_exit - math.tan(bend) * z_exit
     spheres = table((0.0, 0.0, centre, radius, n))
-    x, y, part = to_plane(
-        0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE
-    )
+    x, y, part = to_plane(0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, world_of(spheres))
     assert (x, y) == pytest.approx((0.6 * expected, 0.8 * expected), abs=1e-11)
     assert 0.0 < part <= (4 * n / (1 + n) ** 2) ** 2 + 1e-12
 
@@ -96,9 +100,7 @@ def test_a_hollow_sphere_by_angles(height_mm):
     inner = 2.0 * i - math.pi if height_mm > core else 2.0 * (i - math.asin(height_mm / core))
     bend = 2.0 * outer + inner
     spheres = np.array([(0.0, 0.0, centre, radius, n, 0.0, core, 1.0)])
-    x, y, part = to_plane(
-        0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE
-    )
+    x, y, part = to_plane(0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, world_of(spheres))
     expected = height_mm / math.cos(bend) - centre * math.tan(bend)
     assert (x, y) == pytest.approx((0.6 * expected, 0.8 * expected), abs=1e-10)
     assert 0.0 < part <= ((4 * n / (1 + n) ** 2) ** (2 if height_mm > core else 4)) + 1e-12
@@ -106,7 +108,7 @@ def test_a_hollow_sphere_by_angles(height_mm):
 
 def test_axis_through_a_touching_stack_on_the_plane():
     spheres = table(*((0.0, 0.0, z, 25.0, 1.5) for z in (25.0, 75.0, 125.0)))
-    x, y, part = to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE)
+    x, y, part = to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, world_of(spheres))
     assert (x, y) == (0.0, 0.0)
     assert part == pytest.approx(0.96**6)
 
@@ -122,16 +124,16 @@ def test_ray_through_a_slanted_contact_goes_straight(turn):
     start = upper - 300.0 * way
     expected = start - way * start[2] / way[2]
     for off in (0.0, 1e-13, -1e-12, 1e-9):
-        x, y, part = to_plane(start[0] + off, start[1], start[2], *way, spheres, NO_RODS, NO_WALLS, PLANE)
+        x, y, part = to_plane(start[0] + off, start[1], start[2], *way, world_of(spheres))
         assert (x, y) == pytest.approx(expected[:2], abs=1e-7)
         assert part == pytest.approx(0.96**4, abs=1e-9)
 
 
 def test_opaque_sphere_and_upward_rays_are_dark():
     spheres = table((0.0, 0.0, 25.0, 25.0, 1.0, 1.0))
-    assert to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE)[2] == 0.0
-    assert to_plane(30.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE) == (30.0, 0.0, 1.0)
-    assert to_plane(0.0, 0.0, 500.0, 0.6, 0.0, 0.8, spheres, NO_RODS, NO_WALLS, PLANE)[2] == 0.0
+    assert to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, world_of(spheres))[2] == 0.0
+    assert to_plane(30.0, 0.0, 500.0, 0.0, 0.0, -1.0, world_of(spheres)) == (30.0, 0.0, 1.0)
+    assert to_plane(0.0, 0.0, 500.0, 0.6, 0.0, 0.8, world_of(spheres))[2] == 0.0
 
 
 def test_rod_is_hit_exactly_where_the_line_passes_near_its_axis():
@@ -162,17 +164,17 @@ def test_lens_terms_follow_the_documented_equation():
     gain = 1.0 + 0.2 * 0.13 - 0.1 * 0.0169 + 0.05 * 0.002197
     right = x * gain + 2 * 0.01 * x * y - 0.02 * (0.13 + 2 * 0.09)
     down = y * gain + 0.01 * (0.13 + 2 * 0.04) + 2 * -0.02 * x * y
-    *_, dx, dy, dz = camera_ray(800.0, 200.0, 0.0, 0.0, tables.camera)
+    *_, dx, dy, dz = camera_ray(800.0, 200.0, 0.0, 0.0, tables.world.camera)
     assert (dx / -dz, dy / -dz) == pytest.approx((right, -down), abs=1e-14)
 
 
 def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
     camera = SCENES["tilted"]().camera
     tables = tables_of(Scene(camera), Pose(), None)
-    tables.camera[20:] = 10.0, 430.0
+    tables.world.camera[20:] = 10.0, 430.0
     meeting = []
     for lens in ((0.0, 0.0), (10.0, 0.0), (-3.0, 7.0)):
-        ray = np.array(camera_ray(300.0, 1500.0, *lens, tables.camera))
+        ray = np.array(camera_ray(300.0, 1500.0, *lens, tables.world.camera))
         depth = camera.rotation_matrix[2] @ ray[3:]
         behind = camera.rotation_matrix[2] @ (ray[:3] - camera.position_mm)
         meeting.append(ray[:3] + ray[3:] * (430.0 - behind) / depth)
@@ -193,14 +195,7 @@ def test_two_formulations_agree(name, cores):
     tables = tables_of(scene, Pose(), None)
     pixels = np.random.default_rng(1).uniform(0.0, 2015.0, (3000, 2))
     traced = trace(scene, pixels)
-    ours = np.array(
-        [
-            to_plane(
-                *camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.walls, tables.plane
-            )
-            for u, v in pixels
-        ]
-    )
+    ours = np.array([to_plane(*camera_ray(u, v, 0.0, 0.0, tables.world.camera), tables.world) for u, v in pixels])
     good = traced.recovered
     assert np.array_equal(ours[:, 2] > 0.0, good)
     assert 0.5 < good.mean() < 1.0

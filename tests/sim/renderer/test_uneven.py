@@ -18,7 +18,7 @@ def test_rays_through_balls_are_those_of_the_tracer() -> None:
         ways = aimed(rng, scene, 30)
         traced = trace_from(scene, np.broadcast_to(start, ways.shape), ways).rays
         for way, ray in zip(ways, traced, strict=True):
-            x, y, light = to_plane(*start, *way, tables.spheres, tables.rods, tables.walls, tables.plane)
+            x, y, light = to_plane(*start, *way, tables.world)
             if (light > 0.0) != (ray["status"] == 0):
                 other += 1  # within a hair of a rim
             elif min(light, ray["transmittance"]) > 0.3 and abs(ray["direction"][2]) > 0.05:

@@ -21,7 +21,7 @@ def test_rays_through_walls_are_those_of_the_tracer(seed: int) -> None:
         ways = aimed(rng, scene, 50)
         traced = trace_from(scene, np.broadcast_to(start, ways.shape), ways).rays
         for way, ray in zip(ways, traced, strict=True):
-            x, y, light = to_plane(*start, *way, tables.spheres, tables.rods, tables.walls, tables.plane)
+            x, y, light = to_plane(*start, *way, tables.world)
             if (light > 0.0) != (ray["status"] == 0):
                 other += 1  # light that a sliver of glass within a hair of a surface lets through or not
                 continue
