@@ -161,7 +161,7 @@ def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
 )
 def test_what_cannot_be_meant_is_one_sentence(runs, tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.chdir(tmp_path)
-    Path("week").mkdir()
+    Path("week").mkdir(exist_ok=True)
     Path("week", "campaign.json").touch()
     words = [runs[0] if word == "RUN" else word for word in words]
     assert main(["campaign", *words, "-o", str(tmp_path / "out")]) == USAGE
