@@ -34,11 +34,11 @@ from ground.errors import ConfigError
 from ground.plain_words import quantity
 from ground.terminal import console, error_console
 from piv.resampling.sample import Method
+from rtpiv.analysis.report.table import ALL_COLUMNS, Table
 from rtpiv.options.numbers import Count, DewarpOrder
 from rtpiv.verbs.operator import ScriptOperator, operator_of, require_person
 from rtpiv.verbs.paths import Named, path_of
 from rtpiv.verbs.results import require_folder
-from rtpiv.verbs.tables import ALL, table_of
 from stages.errors import PortUnavailable
 from stages.identities import confusable
 
@@ -300,7 +300,7 @@ def print_forecast(
     if with_steps:
         columns = ("step", "frames", "tag", "view", "axes away from the scene's place in mm")
         rows = [_step_row(step, bench.home_mm) for step in plan.steps[:FORECAST_STEPS]]
-        screen.print(table_of(f"steps of {plan.name}", columns, rows, left=ALL))
+        screen.print(Table(f"steps of {plan.name}", columns, rows, left=ALL_COLUMNS))
         if len(plan.steps) > FORECAST_STEPS:
             screen.print(f"... and {len(plan.steps) - FORECAST_STEPS} more")
     time = f"about {time_said(bench, plan.steps, said, simulate)}"
@@ -366,6 +366,6 @@ def _print_displacements(screen: Console, path: Path, found: Sequence[Moved]) ->
         for entry in found[:SHOWN_DISPLACEMENTS]
     ]
     columns = ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um")
-    screen.print(table_of("displacement of the target in mm", columns, rows, left=ALL))
+    screen.print(Table("displacement of the target in mm", columns, rows, left=ALL_COLUMNS))
     if len(found) > SHOWN_DISPLACEMENTS:
         screen.print(f"... and {len(found) - SHOWN_DISPLACEMENTS} more in {path}")

@@ -33,11 +33,11 @@ from piv.files.frame_file import stem_of, write_frame
 from rtpiv.analysis.fit_beside import scene_sigma_beside
 from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.recipe import CorrectionRecipe, Resampling
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.through_glass import through_glass
 from rtpiv.analysis.views.arranged import little
 from rtpiv.verbs.paths import Named, path_of, paths_of
 from rtpiv.verbs.results import results_in
-from rtpiv.verbs.tables import table_of
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -295,4 +295,4 @@ def _print(
         title = "target corners in the corrected frame against the regular grid [px]"
         columns = ("frame", "region", "corners", "bias x, y", "rms x, y", "largest")
         rows = [(stem_of(path), *row) for path, error in zip(frames, errors, strict=True) for row in error.rows()]
-        screen.print(table_of(title, columns, rows, left=(0, 1)))
+        screen.print(Table(title, columns, rows, left=(0, 1)))

@@ -29,9 +29,9 @@ from daq.runs.run_folder import versions
 from daq.timing.drivers_by_name import DRIVERS as TIMING_UNITS
 from daq.timing.timing_table import TimingTable
 from ground.terminal import console
+from rtpiv.analysis.report.table import ALL_COLUMNS, Table
 from rtpiv.example_files import examples
 from rtpiv.verbs.paths import Named
-from rtpiv.verbs.tables import ALL, table_of
 from stages.controller_tables import ControllerTable, HandTable
 from stages.drivers_by_name import DRIVERS
 from stages.identities import confusable
@@ -70,7 +70,7 @@ def doctor(bench: Named | None = None) -> list[Finding]:
     needed = [] if bench is None else list(_bench(load_bench(bench)))
     found = [*here, *needed]
     screen, rows = console(), [(what, STATES[fine], words) for what, fine, words in found]
-    screen.print(table_of(None, ("item", "", "found"), rows, left=ALL))
+    screen.print(Table("", ("item", "", "found"), rows, left=ALL_COLUMNS))
     if bench is None:
         screen.print("Lines for a bench file (docs/add-a-device.md); use those whose device you recognise:\n")
         screen.print(bench_lines(ports, cameras, files), soft_wrap=True)

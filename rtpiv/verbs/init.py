@@ -12,6 +12,7 @@ from daq.atomic_write import write_text
 from daq.errors import RunUsageError
 from ground.plain_words import quantity
 from ground.terminal import console
+from rtpiv.analysis.report.table import Table
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.templates.arrangement import ARRANGEMENTS, Arrangement, most_balls, usual
 from rtpiv.templates.files import bench_text, flow_plan, scene_text, shift_plan, target_plan
@@ -21,7 +22,6 @@ from rtpiv.verbs.check import check_files
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.schema import write_schemas
-from rtpiv.verbs.tables import table_of
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
 SHOWN_ARRANGEMENTS = 8  # other arrangements
@@ -345,7 +345,7 @@ def _print_others(lab: Lab, share: float, lens: bool) -> None:
     ]
     columns = ("--balls", "--arrangement", "--gap-mm", "--lens-mm", "through glass")
     title = "other arrangements of such balls, each where it shows most"
-    console().print(table_of(title, columns, rows, left=(1,), box=None))
+    console().print(Table(title, columns, rows, left=(1,)))
 
 
 NEXT = (

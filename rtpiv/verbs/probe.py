@@ -7,8 +7,8 @@ from daq.bench.probe import RATES, Found, no_reply_reason
 from daq.bench.probe import probe as ask_port
 from ground.terminal import console
 from ground.whole_file import whole_file
+from rtpiv.analysis.report.table import ALL_COLUMNS, Table
 from rtpiv.verbs.paths import Named, path_of
-from rtpiv.verbs.tables import ALL, table_of
 from stages.errors import NoReply
 
 
@@ -44,7 +44,7 @@ def probe(port: str, /, out: Named | None = None) -> Found:
         raise NoReply(f"{no_reply_reason(asked)}; the dialogue is in {path}")
     rows = [("identity", found.identity), ("rate", f"{found.baud} baud")]
     rows += [("", fact) for fact in found.facts] + [("cannot be asked", unknown) for unknown in found.unknown]
-    console().print(table_of(f"{found.box} on {port}", ("", "reply"), rows, left=ALL))
+    console().print(Table(f"{found.box} on {port}", ("", "reply"), rows, left=ALL_COLUMNS))
     console().print("Lines for a bench file:\n")
     console().print(found.lines, soft_wrap=True, markup=False, highlight=False)
     console().print(f"\ndialogue: {path}")

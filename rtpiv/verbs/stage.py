@@ -15,15 +15,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from rich.table import Table
-
 from daq.bench.bench_session import BenchSession, open_session
 from daq.errors import DaqError, RunUsageError
 from ground.errors import GroundError
 from ground.terminal import console, error_console
+from rtpiv.analysis.report.table import ALL_COLUMNS, Table
 from rtpiv.verbs.operator import TerminalOperator, operator_of
 from rtpiv.verbs.paths import Named
-from rtpiv.verbs.tables import ALL, table_of
 from stages.errors import StageError
 from tracer.errors import TracerError
 
@@ -98,7 +96,7 @@ def where_table(session: BenchSession) -> Table:
         shown = f"{mm:.4f}" if mm is not None else "unknown"
         state = session.stage.axis(name).state.value
         rows.append((name, about.carries, about.along, shown, state, f"{low:g} to {high:g}"))
-    return table_of(None, ("axis", "carries", "along", "mm", "state", "limits"), rows, left=ALL)
+    return Table("", ("axis", "carries", "along", "mm", "state", "limits"), rows, left=ALL_COLUMNS)
 
 
 def numbers(named: list[str]) -> dict[str, float]:

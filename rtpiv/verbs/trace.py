@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.table import Table
 
 from correction.grid import PlaneGrid
 from correction.light_sheet.double_views import double_views
@@ -17,13 +16,13 @@ from ground.terminal import console, progress_if_long
 from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
 from rtpiv.analysis.pictures.drawing_process import Draw, drawing
 from rtpiv.analysis.pictures.saved import short
+from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
 from rtpiv.analysis.views.arranged import little
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
-from rtpiv.verbs.tables import table_of
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
@@ -202,7 +201,7 @@ def _plane_table(title: str, share: PlaneShare) -> Table:
     lost = [(MEANING[each], area) for each, area in share.areas_mm2.items() if each != NodeStatus.RECOVERED]
     rows += [("not recovered", share.whole_mm2 - share.recovered_mm2), *((f"  {why}", area) for why, area in lost)]
     texts = [(name, f"{area:.1f}", f"{100.0 * area / share.whole_mm2:.2f} %") for name, area in rows]
-    return table_of(title, columns, texts)
+    return Table(title, columns, texts)
 
 
 def _body_table(share: PlaneShare) -> Table:
@@ -214,7 +213,7 @@ def _body_table(share: PlaneShare) -> Table:
     )  # fmt: skip
     largest = sorted(share.bodies, key=lambda body: -body.outline_mm2)[:SHOWN_BODIES]
     rows = [_body_row(body) for body in largest]
-    return table_of("area of the plane hidden by each body" + more, columns, rows, left=(0, 4))
+    return Table("area of the plane hidden by each body" + more, columns, rows, left=(0, 4))
 
 
 def _body_row(body: BodyShare) -> tuple[str, ...]:
@@ -242,4 +241,4 @@ def _radial_table(view: FieldOfView) -> Table:
         ("enlarged at the centre by (r_i/r_o)", f"{view.centre_magnification:+.3f}"),
         ("distance of the camera (L/R)", f"{view.distance_mm / radius:.3g}"),
     ]
-    return table_of("balls in a row; lengths in radii R of the balls", ("", "value"), rows)
+    return Table("balls in a row; lengths in radii R of the balls", ("", "value"), rows)

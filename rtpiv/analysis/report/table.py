@@ -1,6 +1,6 @@
 """A table as a value: one for the page, the terminal and JSON."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -9,10 +9,12 @@ if TYPE_CHECKING:
 
     from rtpiv.analysis.report.page import Link
 
+ALL_COLUMNS = range(100)
+
 
 @dataclass(frozen=True)
 class Table:
-    """Text in rows and columns; the first column is a name, the others are numbers.
+    """Text in rows and columns.
 
     Parameters
     ----------
@@ -22,11 +24,14 @@ class Table:
         Heads of the columns.
     rows : sequence of sequence of str or Link
         Cells, as many as columns.
+    left : collection of int
+        Columns of text, aligned left in a terminal; numbers are aligned right.
     """
 
     title: str
     columns: Sequence[str]
     rows: "Sequence[Sequence[str | Link]]"
+    left: Collection[int] = (0,)
 
     def records(self) -> list[dict[str, Any]]:
         """Return each row by the heads of the columns."""
@@ -38,7 +43,7 @@ class Table:
 
         table = RichTable(title=self.title)
         for number, column in enumerate(self.columns):
-            table.add_column(column, justify="right" if number else "left")
+            table.add_column(column, justify="left" if number in self.left else "right", overflow="fold")
         for row in self.rows:
             table.add_row(*map(str, row))
         return table
