@@ -4,7 +4,7 @@
     trace        ray-trace a scene: field of view and what is lost
     acquire      execute a plan, on the bench or on its simulation
     calibrate    fit the geometry of the bench to frames of the target
-    correct      dewarp frames as if the glass were not there
+    correct      compute frames as if the glass were not there
     evaluate     vectors of image pairs, with errors and uncertainties
     mean         mean flow and Reynolds stresses of many pairs
     report       evaluate a run and write its report

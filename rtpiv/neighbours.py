@@ -1,8 +1,8 @@
-"""Our packages, and modules of the same names that a user has.
+"""Import of our packages beside modules of a user with the same names.
 
-The packages below are called ground, piv, tracer, correction, stages, daq and sim.  A lab's folder may well hold a
-sim.py or a daq.py of its own, beside its script or in PYTHONPATH, and Python looks there first.  Neither must
-break the other (docs/adr/0020 weighs the ways).  So a name that both have becomes one module in which both live:
+Our packages are called ground, piv, tracer, correction, stages, daq and sim.  A lab may have a sim.py or daq.py of
+its own, beside its script or in PYTHONPATH, where Python looks first.  Neither may break the other (docs/adr/0020
+compares solutions).  So a name that both use becomes one module that serves both:
 
 * below it are our modules: ``sim.bench`` is ours,
 * at its top are the user's names: ``sim.my_flow`` is theirs, and ``from sim import my_flow`` finds it.

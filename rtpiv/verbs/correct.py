@@ -1,4 +1,4 @@
-"""`rtpiv correct`: dewarp frames as if the glass were not there.
+"""`rtpiv correct`: compute frames as if the glass were not there.
 
 Results are written while the next ones are made, by a thread of its own that holds one (`WriteBehind`).
 """
@@ -43,10 +43,9 @@ from tracer.scene.scene_file import load_scene
 
 
 class WriteBehind:
-    """Carries out one call after the other beside its caller, in their order.
+    """Executes calls one after the other in a thread of its own.
 
-    A call that fails ends what was to come: `write`, or the end of the block, raises its error, and nothing more
-    begins.
+    When a call fails, `write` or the end of the block raises its error, and no further call begins.
     """
 
     def __init__(self) -> None:
@@ -73,7 +72,7 @@ class WriteBehind:
             if error is None:
                 self._wait()
         finally:
-            self._writer.shutdown(wait=True)  # what has begun is whole; another error is raised as it is
+            self._writer.shutdown(wait=True)  # a call in progress is completed; other errors are raised unchanged
 
 
 DEWARP_LIMIT_PX = 0.2  # several times the noise of a corner

@@ -1,7 +1,6 @@
-"""The folder for results: tried before work starts, one process at a time in it, none left behind without any.
+"""Output folders: checked before work starts, locked against other processes, removed if they stay empty.
 
-One that cannot be written to costs no minute of work.  Two calls at once would mix their files: vectors by one
-scene beside the scene of the other.
+Without the lock two calls could mix their files: vectors of one scene beside the scene of the other.
 """
 
 import errno
@@ -25,7 +24,7 @@ _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())  # 
 
 
 def _never(folder: Path) -> bool:
-    """No call has begun anything in a folder."""
+    """Return False: no earlier call may be resumed."""
     return False
 
 
@@ -38,32 +37,31 @@ def results_in(
     overwrite: bool = False,
     made_from: Mapping[str, Path] | None = None,
 ) -> Iterator[Path]:
-    """Give a call the folder for its results, for itself alone, the calls in it included.
+    """Lock the output folder of a call, which includes the calls that it makes.
 
-    A new one is taken away again if nothing is written there, or nothing but copies by a call that is refused.
+    A new folder is removed if nothing is written there, or only copies of input by a call that is refused.
 
     Parameters
     ----------
     out : path or None
-        The folder that was named, which is taken as it is.
+        The given folder, used as it is.
     usual : str
-        Where results go if none was; with a number behind it, "trace-2", if something lies there already, or
-        another process puts it there.
+        Default name; with a number, "trace-2", if that folder has files or another process uses it.
     goes_on : callable, optional
-        Whether the work of this call has been begun in a folder, and goes on there.
+        Test for a folder with an earlier, interrupted call of the same work.
     copies : collection of str
-        Names of the files that are no results but copies of what was given.
+        Names of files that are copies of input, not results.
     overwrite : bool
-        Replace what lies in the folder that was named: vectors of other frames, where `goes_on` tells them apart,
-        and files of `made_from`.
+        Overwrite files in the given folder: vectors of other frames, where `goes_on` identifies them, and files
+        of `made_from`.
     made_from : mapping of str to path, optional
-        Files that this call writes there, and from what. Those that are there and were made from something else,
-        or by hand, are overwritten on request only; the folder keeps a list of them.
+        Files that this call writes, and their input.  Existing ones that were made from other input, or by hand,
+        are overwritten on request only; the folder keeps a list of them.
 
     Yields
     ------
     path
-        The folder, which is there.
+        The folder, which exists.
 
     Raises
     ------
@@ -100,7 +98,7 @@ def results_in(
 
 
 def _keep_others(folder: Path, made_from: Mapping[str, str], overwrite: bool) -> None:
-    """Refuse to overwrite files in a folder that were made from something else; list those that will be made."""
+    """Refuse to overwrite files that were made from other input; record those that will be written."""
     try:
         known = json.loads((folder / MADE_FROM).read_bytes())
     except (OSError, ValueError):
@@ -149,7 +147,7 @@ def _hold_folder(folder: Path, copies: Collection[str]) -> Iterator[None]:
 
 
 def require_folder(out: Path | str) -> Path:
-    """Return the folder for results if it can be written to; it is not made yet if it is not there.
+    """Return the output folder if it can be written to; it is not created yet.
 
     Parameters
     ----------
