@@ -115,7 +115,7 @@ class SphereMonitor(Monitor):
         except (CorrectionError, PivError, SceneError) as error:
             self._can_tell, self.said = False, {"spheres": [str(error).split(";")[0], False]}
             return
-        self.said = {"spheres": [found.sentence, bool(found.moved)]}
+        self.said = {"spheres": [found.sentence, bool(found.likely_moves)]}
 
 
 def scene_told(text: str) -> Scene | None:
