@@ -4,6 +4,8 @@ Numba meets our `Kernel` objects as globals of the functions that it compiles, a
 of it here.
 """
 
+import ground.jit.without_coverage  # noqa: F401 - before all else that imports numba
+
 # isort: split
 import gc
 import inspect
