@@ -14,7 +14,7 @@ moves only if it is too far by more than `TELLING` sigmas, or seen nearer than k
 nearer to the target than `MOVE_SIGMAS` sigmas before what keep-out allows: what is left is said, and a person, or
 `rtpiv calibrate`, has to do the rest. The camera is moved in all directions if it is surely off.
 
-**Doubt.** Between two looks p must change as a does. If it changes the other way, or not at all, an axis is wired
+**Check.** Between two looks p must change as a does. If it changes the other way, or not at all, an axis is wired
 with the wrong sign, slips, or its motor is off: nothing is moved any more (`MoveDoubted`).
 """
 

@@ -421,7 +421,7 @@ def _combine_spheres(found: tuple[SphereSeen, ...]) -> tuple[NDArray[np.float64]
 
 
 def _own_places(found: tuple[SphereSeen, ...]) -> list[str]:
-    """Name the spheres that stand off where the others do, and those that nobody sees."""
+    """Name the spheres that stand off where the others do, and those out of sight."""
     said = []
     for one in found:
         others = [other.off_mm for other in found if other.own_rim and other is not one]

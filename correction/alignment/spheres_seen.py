@@ -359,7 +359,7 @@ def _fit_sphere(
 
 
 def _clear_beside(rim: Rim, behind: Behind | None) -> NDArray[np.bool_]:
-    """Points (N,) of a rim that are bright just outside, or before glass; all, if nobody knows."""
+    """Points (N,) of a rim that are bright just outside, or before glass; all, if that is unknown."""
     if behind is None:
         return np.ones(len(rim.pixel), dtype=np.bool_)
     out = np.arange(-BESIDE_PX[0], BESIDE_PX[1] + 0.5)

@@ -105,8 +105,8 @@ def _out_of_focus(work: Progress) -> str:
         return ""
     return (
         f"{frame.name}: its edges are blurred by {blur_px:.1f} px (one sigma), and squares are {square_px:.0f} px"
-        " wide: the frame is out of focus, so that the marks of the board cannot be told; focus the lens on the"
-        " board, or close its aperture"
+        " wide: the frame is out of focus, so that the marks of the board cannot be identified; focus the lens on"
+        " the board, or close its aperture"
     )
 
 
@@ -259,23 +259,23 @@ def _follow_board(work: Progress, unknowns: Unknowns, solution: Solution) -> tup
 
 
 def cause_on_bare(work: Progress) -> str:
-    """Say what explains the bare target with a camera as told, once it is free: the lens, or the target's heights.
+    """Say which of lens and heights, once it is free, explains the bare target with a camera as described.
 
     Numbers that are free explain a little of anything: by Schwarz's criterion they must be worth their number.
     """
-    told = work.unknowns.only((*ON_BARE, *work.walls))
-    before = Adjustment().solve(told, told.free(told.start), work.bare)
-    alone, numbers = _bare_rms_px(work, told, before.x), 2 * sum(map(len, work.bare))
+    given = work.unknowns.only((*ON_BARE, *work.walls))
+    before = Adjustment().solve(given, given.free(given.start), work.bare)
+    alone, numbers = _bare_rms_px(work, given, before.x), 2 * sum(map(len, work.bare))
     found = []
-    for wider, say in ((_lens_freed(work), _lens_in_words), (_heights_freed(told), _heights_in_words)):
+    for wider, say in ((_lens_freed(work), _lens_in_words), (_heights_freed(given), _heights_in_words)):
         if wider is None:
             continue
         after = Adjustment().solve(wider, wider.free(wider.start), work.bare)
         rms = _bare_rms_px(work, wider, after.x)
         gain = 2.0 * numbers * np.log(alone / rms) + float(before.x @ before.x - after.x @ after.x)
-        gain -= (len(wider.names) - len(told.names)) * np.log(numbers)
+        gain -= (len(wider.names) - len(given.names)) * np.log(numbers)
         if after.pull <= PRIOR_LIMIT and rms <= _limit_px(work) and gain >= 0.0:  # none of them NaN
-            found.append((gain, say(told, wider, after, rms)))
+            found.append((gain, say(given, wider, after, rms)))
     return max(found)[1] if found else ""
 
 
@@ -289,17 +289,17 @@ def _lens_freed(work: Progress) -> Unknowns:
     return wider.only((*ON_BARE, *work.walls))
 
 
-def _heights_freed(told: Unknowns) -> Unknowns | None:
+def _heights_freed(given: Unknowns) -> Unknowns | None:
     """The same if all heights of the target may be off by one factor; None if there is only one height."""
-    heights = np.zeros_like(told.start)
-    heights[told.place(0).start :] = HEIGHTS_FREED * told.start[told.place(0).start :]
+    heights = np.zeros_like(given.start)
+    heights[given.place(0).start :] = HEIGHTS_FREED * given.start[given.place(0).start :]
     if not heights.any():
         return None
-    return replace(told, names=(*told.names, "heights"), columns=np.column_stack((told.columns, heights)))
+    return replace(given, names=(*given.names, "heights"), columns=np.column_stack((given.columns, heights)))
 
 
-def _lens_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: float) -> str:
-    new = [name for name in wider.names if name not in told.names]
+def _lens_in_words(given: Unknowns, wider: Unknowns, after: Solution, rms_px: float) -> str:
+    new = [name for name in wider.names if name not in given.names]
     values = dict(zip(wider.names, after.x * wider.sigma, strict=True))
     spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
     sigma = dict(zip(wider.names, wider.sigma * spread, strict=True))
@@ -309,13 +309,13 @@ def _lens_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: flo
     free = dict(zip(wider.names, wider.sigma.tolist(), strict=True))
     sizes = {name: free["camera.cu" if name == "principal_px" else f"camera.{name}"] for name in LENS_FREED}
     return (
-        f"the lens is off its axis or distorts more than is told: with its terms free the bare target is where"
+        f"the lens is off its axis or distorts more than described: with its terms free the bare target is where"
         f" the camera shows it, to {rms_px:.2g} px, and {', '.join(found)} differ from what was held; free them in"
         f" fit.camera: {', '.join(f'{name}: {size:.2g}' for name, size in sizes.items())}"
     )
 
 
-def _heights_in_words(told: Unknowns, wider: Unknowns, after: Solution, rms_px: float) -> str:
+def _heights_in_words(given: Unknowns, wider: Unknowns, after: Solution, rms_px: float) -> str:
     spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
     return target_heights(HEIGHTS_FREED * after.x[-1:], HEIGHTS_FREED * spread[-1:])
 
@@ -372,7 +372,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
 
 
 def size_told(work: Progress) -> str:
-    """Say how much larger than told the first bare frame shows the board, if no camera near the told one would."""
+    """Say how much larger than described a bare frame shows the board, if no camera near the nominal one would."""
     frame, found = work.bare_frames[0], work.bare[0]
     camera = work.nominal.camera
     view = corners_in_view(work.board, _predict_view(work, frame, work.unknowns.start), camera.shape)

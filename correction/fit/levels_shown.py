@@ -8,8 +8,8 @@ explains
     share = (g' . r)^2 / (g' . g' r . r)
 
 of all there is.  One that explains much is looked at: the camera is fitted with each pattern of levels and a step
-that is free, and the one that fits is named.  A plate whose step, or whose level of the origin, is told wrong
-shows itself by the same fits, once its camera is refused.
+that is free, and the one that fits is named.  A plate whose step, or whose level of the origin, is described
+wrongly shows itself by the same fits, once its camera is refused.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ from tracer.board import Dots
 
 MUCH = 0.25  # of the squares: lines that a printer has set aside look like levels by a fiftieth
 CERTAIN = 30.0  # times what chance explains
-LOOKED_AT, FREE = 0.2, 2.0  # pitches: step of a pattern that is tried where none was told, and how free it is
+LOOKED_AT, FREE = 0.2, 2.0  # pitches: step of a pattern that is tried where none is described, and how free it is
 ON_BARE = ("camera.", "target", "print.")
 CLEAR_STEP_SIGMAS = 3.0  # sigmas
 
@@ -44,7 +44,7 @@ class _Tried:
 
 
 def levels_shown(work: Progress, limit_px: float) -> str:
-    """Name the levels on which the bare target shows its dots, if they are not those that were told.
+    """Name the levels on which the bare target shows its dots, if they are not those described.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ def levels_shown(work: Progress, limit_px: float) -> str:
     limit_px : float
         Largest residual of the bare target that is taken as a fit.
     """
-    told = work.board.dots
-    if told is None:
+    described = work.board.dots
+    if described is None:
         return ""
     tried = [_try_levels(work, levels) for levels in LEVEL_BY]
     fits = [one for one in tried if one.rms_px <= limit_px and one.pull <= PRIOR_LIMIT]
@@ -65,12 +65,15 @@ def levels_shown(work: Progress, limit_px: float) -> str:
             "the frames show all dots on one level: leave levels and step_mm out of the board file, or show the"
             " plate that it describes"
         )
-    if best.levels == told.levels and abs(best.step_mm - told.step_mm) < CLEAR_STEP_SIGMAS * best.sigma_mm:
+    if (
+        best.levels == described.levels
+        and abs(best.step_mm - described.step_mm) < CLEAR_STEP_SIGMAS * best.sigma_mm
+    ):
         return ""
     return (
         f"the frames show dots on two levels, by {best.levels}, the other one {best.step_mm:.4g} mm behind that of"
-        f" the origin, and the board file says {_describe_levels(told)}; say levels: {best.levels} and step_mm:"
-        f" {best.step_mm:.4g}, or show the plate that it describes"
+        f" the origin, and the board file says {_describe_levels(described)}; say levels: {best.levels} and"
+        f" step_mm: {best.step_mm:.4g}, or show the plate that it describes"
     )
 
 

@@ -62,7 +62,7 @@ def fit_scene(
     priors : FitTable, optional
         How far the nominal numbers are trusted.
     say : callable
-        Told what happens, one line a step.
+        Called with what happens, one line a step.
 
     Returns
     -------
@@ -99,10 +99,10 @@ def fit_scene(
         seen = light_of_glass(fit, nominal, light, priors.light.is_believed)
     if seen is not None:
         fit = replace(fit, verdict=replace(fit.verdict, wrong_light=str(seen) if seen.alarm else ""))
-        light = replace(seen.told, unsure_nm=seen.unsure_nm)
-    doubt = light_uncertainty(nominal, light, _rivals(fit, priors, light), priors.wavelength_nm)
+        light = replace(seen.given, unsure_nm=seen.unsure_nm)
+    unsure = light_uncertainty(nominal, light, _rivals(fit, priors, light), priors.wavelength_nm)
     measured = replace(back_from_light(fit.scene, nominal, light), masked=(*by_hand, *fit.verdict.masked))
-    return replace(fit, measured_scene=measured, light=doubt)
+    return replace(fit, measured_scene=measured, light=unsure)
 
 
 def _estimate(work: Progress) -> SceneFit:
@@ -110,14 +110,16 @@ def _estimate(work: Progress) -> SceneFit:
     measured = [*work.bare, *work.behind]
     fit = work.fits.estimate(work.unknowns, work.full, measured, work.history)
     rims = unsure_rims(fit.scene, fit.ball_root)
-    doubtful = [
+    beside_rims = [
         windows_beside(rims, frame) if frame.corners.glass else np.zeros(len(frame), np.bool_)
         for frame in measured
     ]
-    if not any(map(np.any, doubtful)):
+    if not any(map(np.any, beside_rims)):
         return fit
-    kept = [frame.take(~which) for frame, which in zip(measured, doubtful, strict=True)]
-    left = FitStep(f"{sum(map(np.count_nonzero, doubtful))} corners beside rims that are not known are left out")
+    kept = [frame.take(~which) for frame, which in zip(measured, beside_rims, strict=True)]
+    left = FitStep(
+        f"{sum(map(np.count_nonzero, beside_rims))} corners beside rims that are not known are left out"
+    )
     return work.fits.estimate(work.unknowns, fit.unknowns.full(fit.x), kept, [*work.history, left])
 
 

@@ -2,7 +2,7 @@
 
     scene -> ray map -> correction map (kept on the disk where asked) -> Corrector (with dewarp and method)
 
-Whoever corrects takes it from here: the lanes of a run, `correct`, `evaluate`, `report`, the figures of a fit.
+All that correct take it from here: the lanes of a run, `correct`, `evaluate`, `report`, the figures of a fit.
 `PreparedCorrections` keeps the latest: what is asked for again, by what it is made of (`content_key`), is at hand.
 
 The ray map is not kept: once inverted, only tracking asks for it, and tracing it once more (`ray_map`)

@@ -104,12 +104,12 @@ class SceneSigma(SceneBound):
             step = np.zeros(len(root))
             step[: len(fit.light.step)] = fit.light.step
             root = np.column_stack((root, step))
-        doubt = fit.shapes.with_columns(1) if fit.light.step.size else fit.shapes
+        of_shapes = fit.shapes.with_columns(1) if fit.light.step.size else fit.shapes
         known_as = parameter_names(fit.measured_scene)
         numbers = known_as[: unknowns.glass.stop + len(rows)] + unknowns.full_names[unknowns.all_shapes]
         numbers = numbers if len(rows) or len(shapes) else ()
         known = fit.verdict.systematic_px
-        return cls(fit.measured_scene.content_hash(), root, known, numbers=numbers, shapes=doubt)
+        return cls(fit.measured_scene.content_hash(), root, known, numbers=numbers, shapes=of_shapes)
 
     @classmethod
     def load(cls, path: Path | str) -> "SceneSigma":
@@ -207,7 +207,7 @@ class SceneSigma(SceneBound):
         return found
 
     def _ways(self, scene: Scene, pixels: NDArray[np.float64], rays: Landings) -> NDArray[np.str_]:
-        """Spheres crossed by each ray (N,); empty where nobody asks."""
+        """Spheres crossed by each ray (N,); empty where not needed."""
         if not (any(self.systematic_px.values()) or self.shapes.balls) or not len(pixels):
             return np.full(len(pixels), "")
         keys, firsts, which = np.unique(rays.key, return_index=True, return_inverse=True)

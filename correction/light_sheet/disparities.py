@@ -39,9 +39,7 @@ BRIGHTEST = 12.0  # standard deviations of a glint; particles of 0.03 a px have 
 EVENED_PX = (
     25  # side of the square whose standard deviation counts: of 5, single particles weigh their own place down
 )
-CLEAR_PEAK_SIGMAS = (
-    8.0  # standard deviations, told by ten blocks, that the best of thirty places must stand out by
-)
+CLEAR_PEAK_SIGMAS = 8.0  # standard deviations, from ten blocks, that the best of thirty places must stand out by
 ALONE = 20.0  # the same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
 MIN_VALID_SHARE = 0.25  # of the heights and lags looked at
 LONG_MM = 2.0  # height for a lag, from which on heights of cells are near enough for one step
@@ -112,7 +110,7 @@ class Disparities:
         Height of the particles over the plane of the map, and its standard deviation.
     common_mm : (C, Q) float64
         Errors of the heights that cells share, one standard deviation a column: what the model of bend and fading
-        makes of each kind, what depth of the sheet and size of pictures that are told too large make of all, and
+        makes of each kind, what depth of the sheet and size of pictures that are given too large make of all, and
         what the scene is unsure of.
     across_px, across_sigma_px : (C,) float64
         Disparity across D [corrected px].

@@ -11,7 +11,7 @@ chance stands what bend and fading of the views make of a height, by traced laye
 modelled, and what the scene's fit is unsure of: both as unknowns that places share, as in `fit_plane`.
 
 Left out are particles that differ in light, views of one cell that bend unlike each other, and what the model of
-the products leaves: sheets that were found were told to FOUND times what is foreseen.
+the products leaves: sheets that were found were known to FOUND times what is foreseen.
 """
 
 from dataclasses import dataclass
@@ -60,13 +60,13 @@ class SheetForecast:
         """In words."""
         if not self.area_mm2:
             return "of the light sheet nothing is seen twice: frames will not tell where it is, so measure it"
-        doubt = ""
+        warning = ""
         if self.sigma_mm > LITTLE_MM or self.tilt_sigma_deg > LITTLE_DEG:
-            doubt = ": too little to find it, so measure it"
+            warning = ": too little to find it, so measure it"
         return (
             f"{self.area_mm2:.0f} mm\u00b2 of the light sheet are seen twice; {PAIRS} pairs with {PER_PX:g}"
             f" particles a pixel would tell its height to {_format_range(*self.range_mm)} mm and its tilt to"
-            f" {_format_range(*_range(self.tilt_sigma_deg, UNMEASURED_DEG))} degrees{doubt}"
+            f" {_format_range(*_range(self.tilt_sigma_deg, UNMEASURED_DEG))} degrees{warning}"
         )
 
 
@@ -110,8 +110,8 @@ def sheet_forecast(
     peak_px2 = pictures[:, 0] + rate * SPREAD_MM**2
     covered = 4.0 * np.pi * np.sqrt(pictures.prod(axis=1))
     met = np.minimum(1.0, 0.25 * covered)  # much magnified: between places
-    told = pairs * PER_PX * views.step**2 / (1.0 + PER_PX * covered)
-    weight = told * met * rate / peak_px2
+    seen = pairs * PER_PX * views.step**2 / (1.0 + PER_PX * covered)
+    weight = seen * met * rate / peak_px2
     before = [UNMEASURED_MM**-2.0, *[float(np.deg2rad(UNMEASURED_DEG)) ** -2.0] * 2, *[1.0] * shared.shape[1]]
     known = np.linalg.inv(design.T @ (weight[:, None] * design) + np.diag(before))
     unsure = np.sqrt(np.diag(known)[:3])

@@ -277,8 +277,8 @@ class Model:
     def left_out(self, blocks: NDArray[np.float64], match: Match, free: list[int]) -> NDArray[np.float64]:
         """Standard deviations (2, len(free)) of the numbers: by chance, and by what the model does not explain.
 
-        Chance is told by leaving blocks (B, R * K) out one by one.  Where the model leaves more of the plane than
-        blocks differ by, the rest is taken to lie as chance does, and moves numbers by so many times more.
+        Chance is estimated by leaving blocks (B, R * K) out one by one.  Where the model leaves more of the plane
+        than blocks differ by, the rest is taken to lie as chance does, and moves numbers by so many times more.
         """
         count = len(blocks)
         design = self._design(match, free)
@@ -314,7 +314,7 @@ class Model:
         return float(weight @ lags / max(float(weight.sum()), 1e-300))
 
     def clearness(self, blocks: NDArray[np.float64], match: Match) -> float:
-        """By how many standard deviations, told by the blocks (B, R * K), the light stands out."""
+        """By how many standard deviations, from the blocks (B, R * K), the light stands out."""
         bell = self.plane(match.values)
         spread = bell - bell.mean()
         lights = blocks @ spread

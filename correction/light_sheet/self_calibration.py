@@ -47,8 +47,8 @@ CELLS_ACROSS = 8  # of the view
 LEAST_PLACES = 12  # of a cell
 VIEW_MARGIN_PX = 3.0
 LEAST_ROUNDS, ROUNDS = 2, 5  # the first one looks at heights that are far apart
-SETTLED, AT_REST = 2.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
-TELLS = 0.7  # of the sigma known before, and the frames have told something
+SETTLED, AT_REST = 2.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes below any measurement
+TELLS = 0.7  # of the sigma known before, below which the frames have added something
 SIGMAS, DEPTH_MM = 3.0, 0.7  # heights looked at: of what is unsure, and of the sheet itself
 MOST_REACH = 20  # lags to either side along D
 
@@ -133,7 +133,7 @@ def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArra
 def _across(found: Disparities, share: NDArray[np.float64]) -> float:
     """Disparity across D beyond what chance makes [px], of cells that count."""
     off, sigma = found.across_px[share > 0.0], found.across_sigma_px[share > 0.0]
-    unsure = (BLOCKS - 1.0) / (BLOCKS - 3.0)  # of sigmas that ten parts of the frames have told
+    unsure = (BLOCKS - 1.0) / (BLOCKS - 3.0)  # of sigmas that ten parts of the frames give
     if np.sum((off / sigma) ** 2) < unsure * scipy.special.chdtri(len(off), SHEET_FALSE_ALARMS):
         return 0.0
     weight = sigma**-2.0
@@ -240,8 +240,8 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
             return _nothing(known, views, count, rounds)
         # What the fit is unsure of moves all views of a kind together: an unknown that their cells share.
         if sigma is not None:
-            doubt = scene_doubt(seen, views, cell, sigma.in_light_sheet(replace(scene, sheet=now)))
-            cells = replace(cells, common_mm=np.column_stack((cells.common_mm, doubt[cells.number])))
+            common = scene_doubt(seen, views, cell, sigma.in_light_sheet(replace(scene, sheet=now)))
+            cells = replace(cells, common_mm=np.column_stack((cells.common_mm, common[cells.number])))
         # What was known before counts as a measurement, wherever the rounds have come to.
         fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
         before, now = now, _correct_sheet(now, fit, known)
@@ -365,9 +365,9 @@ def _with_plane(
 def _without_guess(now: LightSheet, known: LightSheet) -> LightSheet:
     """The sheet by the frames and the guessed tilt alone: a guess of the height draws all heights towards it."""
     guess = np.diag([known.sigma_mm**-2.0, 0.0, 0.0])
-    told = np.linalg.inv(_covariance(now))
-    covariance = np.asarray(np.linalg.inv(told - guess))
-    answer = covariance @ (told @ _numbers(now) - guess @ _numbers(known))
+    information = np.linalg.inv(_covariance(now))
+    covariance = np.asarray(np.linalg.inv(information - guess))
+    answer = covariance @ (information @ _numbers(now) - guess @ _numbers(known))
     return _with_plane(answer, covariance, now.thickness_mm)
 
 

@@ -24,7 +24,7 @@ are about to merge (FOLD).
 
 Where the light sheet runs into a body nothing flows, so nothing is recovered there (`outside_glass`).  A ball that
 touches the target's plane is cut by a sheet that lies a little before it: 0.3 mm before the plane, a ball of 25 mm
-radius fills a disc of 3.9 mm radius of the sheet.  The glass of a tube's wall, which may cross the plane, is told
+radius fills a disc of 3.9 mm radius of the sheet.  The glass of a tube's wall, which may cross the plane, is given
 by the rays that end in it.
 """
 

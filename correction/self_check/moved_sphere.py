@@ -36,7 +36,7 @@ FLOOR_MM = np.array((0.0015, 0.0015, 0.012))  # sideways, and along the view, wh
 MOVE_PRIOR_MM = 0.3  # standard deviation of a move that is looked for
 FEWEST_PAIRS = 10
 MIN_PARTICLES = 200  # particles seen twice
-MAX_REPORTED_SIGMA = 0.3  # of MOVE_PRIOR_MM; a move that is less sure than this is not told
+MAX_REPORTED_SIGMA = 0.3  # of MOVE_PRIOR_MM; a move that is less sure than this is not reported
 PARTICLE_ROUNDS = 6
 PARTICLE_BIWEIGHT = 4.0
 AS_GOOD = 0.9  # of what the best sphere explains: another one may be meant
@@ -111,10 +111,10 @@ class SelfCheck:
         if not self.moves:
             return f"{seen}: too few to tell whether a sphere has moved"
         if not self.likely_moves:
-            told = [m for m in self.moves if m.is_told]
+            reported = [m for m in self.moves if m.is_told]
             untold = ", ".join(m.name for m in self.moves if not m.is_told)
             said = f"{seen} agree: no sphere has moved by more than chance"
-            said += "".join(f", {m.name} +- {1e3 * float(m.sigma_mm[:2].max()):.0f} um" for m in told)
+            said += "".join(f", {m.name} +- {1e3 * float(m.sigma_mm[:2].max()):.0f} um" for m in reported)
             return said + (f"; they tell nothing of {untold}" if untold else "")
         x, y, z = (1e3 * self.likely_moves[0].move_mm).tolist()
         names = " or ".join(m.name for m in self.likely_moves)

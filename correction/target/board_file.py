@@ -43,7 +43,7 @@ Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
 UNMEASURED = 0.005  # by which printers stretch
 MACHINED, MACHINED_MM = 1e-4, 0.01  # by which the pitch of a plate is off, and its step
-DEEPEST = 0.8  # pitches: a step beyond hides dots from whoever looks aslant
+DEEPEST = 0.8  # pitches: a step beyond hides dots at oblique viewing
 SIZES = {
     "chessboard": ("square_mm",),
     "charuco": ("square_mm", "marker_mm", "squares", "dictionary", "origin_corner"),
@@ -127,8 +127,8 @@ class PrintedBoard(Table):
             )
         if self.step_mm is not None and not 0.0 < abs(self.step_mm) <= DEEPEST * (self.pitch_mm or 0.0):
             raise ValueError(
-                f"step_mm is not 0 and at most {DEEPEST:g} of pitch_mm; a deeper level is hidden from whoever"
-                " looks aslant"
+                f"step_mm is not 0 and at most {DEEPEST:g} of pitch_mm; a deeper level is hidden at"
+                " oblique viewing"
             )
         if self.layout is not None and self.kind != "charuco":
             raise ValueError("layout is that of the markers of a charuco board; leave it out")
@@ -144,7 +144,7 @@ class PrintedBoard(Table):
         Raises
         ------
         BoardError
-            Nothing of this kind can be, or nobody can print it.
+            Nothing of this kind can be, or cannot be printed.
         """
         if self.kind == "particles":
             raise BoardError(

@@ -350,7 +350,7 @@ def _plausible(board: Chessboard, view: View, patch: Patch, placing: Placing) ->
 
 
 def _why_another_size(frame: NDArray[Any], patch: Patch, view: View, board: Chessboard) -> str:
-    """Say how much larger than told the board is, where a patch is so all over; "" where it is not."""
+    """Say how much larger than described the board is, where a patch is so all over; "" where it is not."""
     if board.dots is None:  # saddles along an edge of the paper are of no size
         patch = patch.take(crossing_corners(frame, board, patch.position_px, patch.axes_px, patch.sign))
         lattice_axes(patch.index, patch.position_px, patch.axes_px)

@@ -120,7 +120,7 @@ class Chessboard(Board):
             )
         if not LARGER * dots.dot_mm <= self.disc_mm <= WIDEST_DOT * self.square_mm:
             raise BoardError(
-                f"large dots of {self.disc_mm:g} mm cannot be told from those of {dots.dot_mm:g} mm, or touch the"
+                f"large dots of {self.disc_mm:g} mm are too like those of {dots.dot_mm:g} mm, or touch the"
                 f" next; use {LARGER * dots.dot_mm:.3g} to {WIDEST_DOT * self.square_mm:.3g} mm"
             )
 

@@ -25,7 +25,7 @@ ELLIPSE = 0.8, 1.2  # area of a dot over that of an ellipse with its covariance
 NEAREST_DOTS = 9  # nearest dots that are asked for the grid's directions
 RIGHT_ANGLE = 0.5  # cosine between both directions at most, in the frame in which the dot is a circle
 ALIKE, ALIKE_ON_PLATE = 0.6, 0.45  # shorter over longer step, there
-USUAL_PX = 24.0  # a dot, if nobody says how wide they are
+USUAL_PX = 24.0  # a dot, if no width is known
 
 
 def find_dots(

@@ -1,9 +1,9 @@
 """Apparent size of the board against the camera's prediction: a wrong size, or a wrong camera.
 
 A square is as large as the longer of its sides: one that leans is narrower one way, and as long the other.  Every
-corner is compared with what is expected nearest to it, whichever that is: where a board is told with squares of
-another size, no index is right.  A bare board is as much too large all over the frame; what is seen through glass
-is not, and says nothing.
+corner is compared with what is expected nearest to it, whichever that is: where a board is described with squares
+of another size, no index is right.  A bare board is as much too large all over the frame; what is seen through
+glass is not, and says nothing.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ MAX_SIZE_RANGE = (
 TENTHS, TENTHS_APART = (10.0, 90.0), 2.563  # per cent, and standard deviations of a normal one between them
 OF_MEDIAN, SURE = 1.25, 3.0  # sigmas of a median in those of a mean; that count as sure
 MIN_SIZED_CORNERS = 20  # that show a size: few of them may lie in a corner of the view, or on something else
-CLEARLY_OFF = 0.03  # of the size: more than a camera that is told to a few millimetres
+CLEARLY_OFF = 0.03  # of the size: more than a camera that is known to a few millimetres
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class SizeSeen:
     sigma : float
         Standard deviation of their ratio.
     board : Chessboard
-        As it is told.
+        As described.
     """
 
     seen_px: float
@@ -82,7 +82,7 @@ def size_seen(
     view : (M, 2) int64 and (M, 2) float64
         Board corners in view and where they are expected [px].
     board : Chessboard
-        As it is told.
+        As described.
     """
     place = {(i, j): p for (i, j), p in zip(view[0].tolist(), view[1], strict=True)}
     far = len(board.depths_mm)  # of a plate the next dot but one is on the same level

@@ -2,8 +2,9 @@
 
 No edge tells the wavelength of a single colour.  But glass that is called by its name has the index of its
 catalogue, but for what melts differ by (`MELTS`), and in another light it has another.  With y_g how far the index
-of glass g was found from what it should be in the told light, r_g the change of its index with the wavelength, and
-V the covariance of y by the frames alone and by melts, a light that is off by d nm shows y = r d, so that
+of glass g was found from what it should be in the specified light, r_g the change of its index with the
+wavelength, and V the covariance of y by the frames alone and by melts, a light that is off by d nm shows y = r d,
+so that
 
     d = r V^-1 y / (r V^-1 r) +- (r V^-1 r)^-1/2.
 
@@ -12,7 +13,7 @@ may be singular; then V^-1 = L - L (L + T^-1)^-1 L with T the variances of melts
 V^-1 y = (1 - L (L + T^-1)^-1) S^-1 y.
 
 Melts and frames tell d to 15 to 30 nm.  What is beyond that by more than chance is counted in the map's sigma,
-which then covers an LED that was told to be the laser; far beyond it is an alarm.
+which then covers an LED that was described as the laser; far beyond it is an alarm.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +36,7 @@ class LightOfGlass:
 
     Parameters
     ----------
-    told : Light
+    given : Light
         With what is not known of its mean.
     is_believed : bool
         Whether its file says how well its mean is known; then only an alarm counts against it.
@@ -43,7 +44,7 @@ class LightOfGlass:
         What glass says, and how well it knows.
     """
 
-    told: Light
+    given: Light
     is_believed: bool
     off_nm: float
     sigma_nm: float
@@ -51,43 +52,43 @@ class LightOfGlass:
     @property
     def alarm(self) -> bool:
         """True if the light cannot be the specified one."""
-        return bool(abs(self.off_nm) > ALARM * np.hypot(self.sigma_nm, self.told.unsure_nm))
+        return bool(abs(self.off_nm) > ALARM * np.hypot(self.sigma_nm, self.given.unsure_nm))
 
     @property
     def unsure_nm(self) -> float:
         """Standard deviation of the mean wavelength in the light of what glass says."""
         if self.is_believed and not self.alarm:
-            return self.told.unsure_nm
-        beyond = self.off_nm**2 - BY_CHANCE * (self.sigma_nm**2 + self.told.unsure_nm**2)
-        return float(np.sqrt(max(self.told.unsure_nm**2, beyond)))
+            return self.given.unsure_nm
+        beyond = self.off_nm**2 - BY_CHANCE * (self.sigma_nm**2 + self.given.unsure_nm**2)
+        return float(np.sqrt(max(self.given.unsure_nm**2, beyond)))
 
     def __str__(self) -> str:
         """Return one sentence."""
         return (
             f"the light of the target frames seems to have a mean wavelength of"
-            f" {self.told.mean_nm + self.off_nm:.0f} +- {self.sigma_nm:.0f} nm, not {self.told.mean_nm:.0f} as"
+            f" {self.given.mean_nm + self.off_nm:.0f} +- {self.sigma_nm:.0f} nm, not {self.given.mean_nm:.0f} as"
             " fit.light tells: so far is the index of the glass from its catalogue; look at the lamp's data sheet"
             " and at the name of the glass. The map's sigma holds the difference"
         )
 
 
-def light_of_glass(fit: SceneFit, nominal: Scene, told: Light, is_believed: bool) -> LightOfGlass | None:
+def light_of_glass(fit: SceneFit, nominal: Scene, given: Light, is_believed: bool) -> LightOfGlass | None:
     """Compare glass that is called by its name with its catalogue; None where none tells.
 
     Parameters
     ----------
     fit : SceneFit
-        In the told light.
+        In the specified light.
     nominal : Scene
         As its file has it, the glass as it is at the scene's wavelength.
-    told : Light
+    given : Light
     is_believed : bool
         As of `LightOfGlass`.
     """
     media = glasses(nominal)
     here = [number for number, name in enumerate(fit.names) if name in media]
     known = [media[fit.names[number]] for number in here]
-    rate = np.array([replace(told, unsure_nm=1.0).index_sigma(medium) for medium in known])
+    rate = np.array([replace(given, unsure_nm=1.0).index_sigma(medium) for medium in known])
     if not rate.any():
         return None
     prior = fit.unknowns.sigma[here]
@@ -99,7 +100,7 @@ def light_of_glass(fit: SceneFit, nominal: Scene, told: Light, is_believed: bool
     if not certain > 0.0:
         return None
     found = inverse @ fit.x[here] / prior
-    return LightOfGlass(told, is_believed, float(rate @ (found - left @ found)) / certain, certain**-0.5)
+    return LightOfGlass(given, is_believed, float(rate @ (found - left @ found)) / certain, certain**-0.5)
 
 
 def _melt(medium: Medium, prior: float) -> float:

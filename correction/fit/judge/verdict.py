@@ -66,9 +66,9 @@ class Verdict:
     rims : tuple of UnsureRim
         Bands around balls whose place is not known to a fraction of a pixel.
     smear : ColourSmear or None
-        Colours that smear corners beyond what is told; None where too few corners tell.
+        Colours that smear corners beyond the specified ones; None where too few corners show it.
     wrong_light : str
-        What glass says of the light of the target frames, where that cannot be the told one.
+        Sentence on the light of the target frames, where it cannot be the specified one.
     strained : str
         The free number that is farthest from where it was given, if that is an alarm.
     misfits : tuple of Misfit
@@ -296,7 +296,7 @@ def judge_model(
     unknowns : Unknowns
         What was free, P numbers.
     wide : Unknowns
-        With H further ones that were held and are doubted.
+        With H further ones that are held, as consider parameters.
     x : (P + H,) float64
         The fitted free vector, and zeros.
     frames, weighted, parts :

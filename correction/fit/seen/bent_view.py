@@ -65,18 +65,18 @@ def window_bias(
         Of their edges as measured, pixel included; NaN where a corner was not found.
     """
     if board.dots is None:
-        aside, doubt, worth = np.zeros((len(expected), 2)), expected.bent_px.copy(), WORTH_PX
+        aside, sigma, worth = np.zeros((len(expected), 2)), expected.bent_px.copy(), WORTH_PX
     else:
-        aside, doubt, worth = expected.bent_px.copy(), LEFT_BY_RIM * expected.bent_px, WORTH_OF_DOTS_PX
+        aside, sigma, worth = expected.bent_px.copy(), LEFT_BY_RIM * expected.bent_px, WORTH_OF_DOTS_PX
     asked = (np.linalg.norm(expected.bent_px, axis=1) > worth) & np.isfinite(blur_px)
     if not asked.any():
-        return aside, doubt
+        return aside, sigma
     found = find_bent_corners(scene, pose, board, expected.take(asked), float(np.median(blur_px[asked])))
     known = np.isfinite(found[:, 0])
     here = np.flatnonzero(asked)[known]
     left = LEFT if board.dots is None else LEFT_OF_DOTS
-    aside[here], doubt[here] = found[known], left * found[known]
-    return aside, doubt
+    aside[here], sigma[here] = found[known], left * found[known]
+    return aside, sigma
 
 
 def find_bent_corners(

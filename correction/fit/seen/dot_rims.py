@@ -8,7 +8,7 @@ counting by its length in the frame, as pixels do:
     min over p, L of  sum_k w_k ((|L (u_k - p)| - 1) / |grad|)^2,      w_k = |u_(k+1) - u_(k-1)|
 
 p minus the pixel that shows the centre is how far the dot is found from where it is.  Where a rim is not all seen
-by one way, along folds, or lies more than EGG_PX (root mean square) off any ellipse, nobody should ask for the
+by one way, along folds, or lies more than EGG_PX (root mean square) off any ellipse, nothing should ask for the
 dot: such lie along rims of balls, where they weigh most, and are 1 % of their shift off after all.  What blur adds
 goes with its square over that of the dot.
 """

@@ -293,7 +293,7 @@ def glass_frame(
         )
     )
     fit = replace(fit, position_px=fit.position_px - aside)
-    doubt, alike = np.zeros(len(expected.pixel)), np.zeros((len(expected.pixel), 2, 2))
+    smooth, alike = np.zeros(len(expected.pixel)), np.zeros((len(expected.pixel), 2, 2))
     if dispersion is not None:
         of_levels = [colour_steps(scene, on, dispersion, expected.pixel[own]) for on, own in levels]
         parts = (
@@ -304,7 +304,7 @@ def glass_frame(
             smear = smear_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
         else:
             smear = smear_of(*parts, expected.axes_px, fit.blur_px)
-        alike[:, 0], doubt = UNEVEN_COLOURS * smear.shift_px, SMEAR_SIGMA * smear.width_px
+        alike[:, 0], smooth = UNEVEN_COLOURS * smear.shift_px, SMEAR_SIGMA * smear.width_px
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, spread.by_pupil_px2, smear.edges_px2)
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)
     if scene.camera.pupil is not None:
@@ -320,10 +320,10 @@ def glass_frame(
         alike[:, 1] = UNEVEN * smear.shift_px + uneven
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2, spread.by_light_px2)
         fit = replace(fit, position_px=fit.position_px - smear.shift_px)
-    doubt = np.hypot(doubt, np.linalg.norm(alike, axis=(1, 2)))
-    fit = replace(fit, sigma_px=np.hypot(fit.sigma_px, doubt[:, None]))
+    smooth = np.hypot(smooth, np.linalg.norm(alike, axis=(1, 2)))
+    fit = replace(fit, sigma_px=np.hypot(fit.sigma_px, smooth[:, None]))
     measured = _to_measured_frame(frame.name, board, expected, fit, spread, height_number)
-    return replace(measured, known_smooth_px=doubt[fit.valid], smear_px=alike[fit.valid], bent_px=bent[fit.valid])
+    return replace(measured, known_smooth_px=smooth[fit.valid], smear_px=alike[fit.valid], bent_px=bent[fit.valid])
 
 
 def _to_measured_frame(

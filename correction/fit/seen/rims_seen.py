@@ -1,6 +1,6 @@
 """Offsets of the rims of the listed balls from a fitted scene, to a fraction of a pixel.
 
-Corners tell a ball by what is seen through it.  Its outline is told by what is seen beside it: a bright square of
+Corners tell a ball by what is seen through it.  Its outline is found by what is seen beside it: a bright square of
 the board goes on up to the rim and ends there, where no light passes.  Of the pixels that show a bright square of
 the bare board, at the distance d outside the rim of the scene, a share is bright inside and nearly all are
 outside.  In each of SECTORS the rim is where

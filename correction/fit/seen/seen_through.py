@@ -46,7 +46,7 @@ MAX_WRONG_AGREEMENT, MIN_RIGHT_AGREEMENT = (
 )  # agreement up to which a ball is not as described, and from which a change explains it
 UNEXPLAINED = 0.65  # of the best change, up to which none explains it
 KIND_LEAD = 0.1  # of one kind of change over all others, from which it explains a view of small squares
-RIVAL_AGREEMENT = 0.03  # agreement by which changes are told apart
+RIVAL_AGREEMENT = 0.03  # agreement by which changes are distinguished
 
 
 def balls_seen_otherwise(

@@ -2,24 +2,24 @@
 
 A lamp of many colours, taken for one, leaves no residual: every corner stands where the mean index shows it.  What
 it does is to smear edges behind glass along the way on which glass spreads colours.  With b_k^2 the variance of
-edge k of a corner, as fitted, less what a fitted edge takes up of the told light (`smear.smear_by_colour`) and
-what the told pupil adds, m_k the edge's normal and J the derivative of the landing point X by the pixel,
+edge k of a corner, as fitted, less what a fitted edge takes up of the specified light (`smear.smear_by_colour`)
+and what the specified pupil adds, m_k the edge's normal and J the derivative of the landing point X by the pixel,
 
     b_k^2 = b_way + p P_k + c V_k,        V_k = (m_k . J^-1 dX/dn g)^2,        P_k = |m_k . J^-1 D|^2 / 4,
 
 V_k is the variance that a white lamp would add (g how much the index of each ball spreads in it), P_k that of a
 pupil of 1 mm (D how the landing point moves with the pinhole, while rays meet again in the plane in focus): a stop
-that nobody told, or a print magnified, must not pass for colours.  b_way, p and c come from least squares with
-weights for outliers.  c stands out, to either side, where it exceeds MIN_SMEAR, and of what the told light adds
-UNCERTAIN, by SMEAR_SIGMAS sigmas, which are NEIGHBOUR_FACTOR times those of corners that err independently.  It is
-below zero where the told light has too many colours.
+that is not specified, or a print magnified, must not pass for colours.  b_way, p and c come from least squares
+with weights for outliers.  c stands out, to either side, where it exceeds MIN_SMEAR, and of what the specified
+light adds UNCERTAIN, by SMEAR_SIGMAS sigmas, which are NEIGHBOUR_FACTOR times those of corners that err
+independently. It is below zero where the specified light has too many colours.
 
 A fitted edge takes up 0.2-1 of a smear's variance: the fit wishes both edges of a corner to be blurred alike, and
 where squares are small it has its way; of a wide smear the rest goes into the shape of its tails.  So c =
 MIN_SMEAR is light of some 25-40 nm standard deviation.  A narrower lamp, such as an LED of one colour, shows
 nowhere what its mean is.
 
-Light told by a width may have another shape, which moves its mean index.  What the smear leaves open of that
+Light given by a width may have another shape, which moves its mean index.  What the smear leaves open of that
 (`ColourSmear.open_share`) is counted in the map's sigma.
 """
 
@@ -40,7 +40,9 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, Landings
 LAMP_K = 4000.0
 COLOURS = 12
 MIN_SMEAR = 0.1  # of the white lamp's variance; rendered frames in one colour show up to 0.04
-UNCERTAIN = 0.15  # of what edges take up of the told light: rendered frames in told light show up to 0.13
+UNCERTAIN = (
+    0.15  # of what edges take up of the specified light: rendered frames in specified light show up to 0.13
+)
 SMEAR_SIGMAS = 4.0  # sigmas
 UNSEEN_SIGMAS = 2.0  # sigmas that a light may be off by without being seen
 NEIGHBOUR_FACTOR = 2.0  # neighbours err alike: what a sigma counts more than that of independent corners
@@ -56,9 +58,9 @@ class EdgeSpread:
     Parameters
     ----------
     variance_px2 : (N, 2) float64
-        Of the edges along the board's +x and +y, less what the light that is told adds.
+        Of the edges along the board's +x and +y, less what the specified light adds.
     by_pupil_px2, by_light_px2 : (N, 2) float64
-        What the pupil that is told adds, and the light.
+        What the specified pupil adds, and the light.
     """
 
     variance_px2: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
@@ -102,28 +104,28 @@ class ColourSmear:
         c, and its standard deviation.
     width_px : float
         Root mean square of the smear that it is, raw px.
-    told : float
-        What edges take up of the told light, in the same unit as c.
+    expected : float
+        What edges take up of the specified light, in the same unit as c.
     """
 
     share: float
     sigma: float
     width_px: float
-    told: float = 0.0
+    expected: float = 0.0
 
     @property
     def alarm(self) -> bool:
         """True if the light cannot be the specified one; a line cannot have too many colours."""
-        off = abs(self.share) if self.told else self.share
-        return off > MIN_SMEAR + UNCERTAIN * self.told + SMEAR_SIGMAS * self.sigma
+        off = abs(self.share) if self.expected else self.share
+        return off > MIN_SMEAR + UNCERTAIN * self.expected + SMEAR_SIGMAS * self.sigma
 
     def open_share(self, medium: Medium, light: Light, rival: Light) -> float:
-        """Share (0-1) of the way from the told light to a rival that the smear leaves open."""
+        """Share (0-1) of the way from the specified light to a rival that the smear leaves open."""
         white, *shown = (_index_variance(medium, one) for one in (white_led(LAMP_K), light, rival))
-        told, other = shown[0] / white, shown[1] / white
-        taken_up = self.told / told if told > 0.0 else 1.0  # of a smear's variance
-        left = (abs(self.share) + UNSEEN_SIGMAS * self.sigma) / max(taken_up, MIN_SMEAR) + UNCERTAIN * told
-        return float(min(1.0, left / max(abs(other - told), 1e-12)))
+        given, other = shown[0] / white, shown[1] / white
+        taken_up = self.expected / given if given > 0.0 else 1.0  # of a smear's variance
+        left = (abs(self.share) + UNSEEN_SIGMAS * self.sigma) / max(taken_up, MIN_SMEAR) + UNCERTAIN * given
+        return float(min(1.0, left / max(abs(other - given), 1e-12)))
 
     def __str__(self) -> str:
         """Return one sentence."""
@@ -181,21 +183,21 @@ def smear_in_view(
 
 def colour_smear(views: Sequence[SmearedView]) -> ColourSmear | None:
     """Find c in all frames together; None where too few corners tell it."""
-    wide, columns, lamp, told = [], [], [], []
+    wide, columns, lamp, light = [], [], [], []
     for number, view in enumerate(views):
         for way in np.unique(view.way):
             here = view.way == way
             if np.count_nonzero(here) >= MIN_WAY_CORNERS:
                 wide.append(view.spread.variance_px2[here].ravel())
                 lamp.append(view.by_lamp_px2[here].ravel())
-                told.append(view.spread.by_light_px2[here].ravel())
+                light.append(view.spread.by_light_px2[here].ravel())
                 own = np.stack((view.by_pupil_px2[here], view.spread.by_pupil_px2[here]), axis=-1)
                 columns.append((f"{number} {way}", own.reshape(-1, 2)))
     if not wide:
         return None
     level = [np.full(len(own), number) for number, (_, own) in enumerate(columns)]
     levels = (np.concatenate(level)[:, None] == np.arange(len(columns))).astype(np.float64)
-    of_lamp, of_told = np.concatenate(lamp), np.concatenate(told)
+    of_lamp, of_light = np.concatenate(lamp), np.concatenate(light)
     terms = np.column_stack((of_lamp, levels, np.concatenate([own for _, own in columns])))
     terms = terms[:, np.ptp(terms, axis=0) + np.abs(terms).max(axis=0) > 0.0]
     seen, weight = np.concatenate(wide), np.ones(len(terms))
@@ -209,7 +211,7 @@ def colour_smear(views: Sequence[SmearedView]) -> ColourSmear | None:
     used = terms * weight[:, None]
     sigma = NEIGHBOUR_FACTOR * size * float(np.sqrt(np.linalg.pinv(used.T @ used)[0, 0]))
     width = np.sqrt(abs(float(found[0])) * 2.0 * float(np.mean(of_lamp)))
-    return ColourSmear(float(found[0]), sigma, float(width), float(of_told @ of_lamp / (of_lamp @ of_lamp)))
+    return ColourSmear(float(found[0]), sigma, float(width), float(of_light @ of_lamp / (of_lamp @ of_lamp)))
 
 
 @cache

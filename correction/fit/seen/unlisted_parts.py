@@ -1,4 +1,4 @@
-"""Bodies that nobody listed: parts of a frame of the target that do not show what the fitted scene shows there.
+"""Unlisted bodies: parts of a frame of the target that do not show what the fitted scene shows there.
 
 Corners say little about a bead or a drop: it hides three of them, or none where squares are wide.  The frame
 itself says it, pixel by pixel (`view_agreement`).

@@ -29,7 +29,7 @@ from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import RayStatus, trace
 
 UNIFORM_SIDE_PX = 5  # side of what must show one square: blur and the fit's own errors reach less far
-MIN_SQUARE_PX = 8.0  # views of a square that can be told bright from dark
+MIN_SQUARE_PX = 8.0  # views of a square that show bright and dark apart
 NEARBY = 4.0  # squares: side of what W and B are taken from
 LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
 BLACKEST = 0.001  # share of the pixels below what a camera shows of no light

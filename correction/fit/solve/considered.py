@@ -1,8 +1,8 @@
 """Consider parameters (Schmidt): numbers that a fit holds although their uncertainty was not given.
 
-HELD.  A 0 in the fit section holds a number of the glass, be it a ball's or a wall's; nobody said how well it is
-known. The fit does not move it, but the map is not better for that: with J the derivatives of the residuals r by
-the free numbers x, K those by the held ones a in units of what labs ordinarily do not know, and G = (J, K),
+HELD.  A 0 in the fit section holds a number of the glass, be it a ball's or a wall's, without saying how well it
+is known. The fit does not move it, but the map is not better for that: with J the derivatives of the residuals r
+by the free numbers x, K those by the held ones a in units of what labs ordinarily do not know, and G = (J, K),
 
     C = (G^T G + 1)^-1,        (x, a) off by -C (G^T r + (x, 0)),
 
@@ -12,7 +12,7 @@ section, however small, is believed.  A ball that shows no corner and is held is
 free, for its map rests on what was said of it and on nothing else.
 
 SHAPES.  A ball that is out of round by little bends residuals less than corners may err alike
-(`model_test.SHARE`): nobody names it, and yet the map is wrong.  So the five numbers s of its shape to first order
+(`model_test.SHARE`): it is not named, and yet the map is wrong.  So the five numbers s of its shape to first order
 (`ball_shape`) stand with what is held in the covariance; what the frames leave open of them, and how far residuals
 pull at them, is in the map's sigma, through their own derivatives:
 
@@ -25,7 +25,7 @@ logarithm up to LARGEST_UM, and D, b the normal matrix and the gradient by s whe
 
     log L(tau) = sum 1/2 (tau^2 b_l^2 / (1 + tau^2 l) - log(1 + tau^2 l)),
 
-and the doubted size is the geometric mean of tau under it.  A model found wrong is not doubted so: its cause is
+and the considered size is the geometric mean of tau under it.  A model found wrong is not treated so: its cause is
 counted by itself (`rank_hypotheses`).
 
 A ball whose `out_of_round_um` is given is believed, as any sigma is.  Left out are rays through cores and scenes
@@ -49,7 +49,7 @@ PLACE_MM = BELIEVED.spheres.centre_mm
 ORDINARY = {"x": PLACE_MM, "y": PLACE_MM, "z": PLACE_MM, "radius": BELIEVED.spheres.radius_mm}
 WALL = {"place_mm": 0.2, "tilt_deg": np.deg2rad(0.3), "thickness_mm": 0.1, "radius_mm": 0.1}  # mm, rad
 ORDINARY_N = BELIEVED.n
-LARGEST_UM = 5.0  # rms over the surface, of what nobody need name
+LARGEST_UM = 5.0  # rms over the surface, of what need not be named
 SCALES = np.geomspace(0.002, 1.0, 25)  # of it that are asked: from 10 nm on
 _NORM2 = np.array([float(np.sum(shape**2)) for shape in SHAPES])
 SIZES_MM = 1e-3 * LARGEST_UM / np.sqrt(len(SHAPES)) / np.sqrt(_NORM2 * 2.0 / 15.0)  # rms of e.S e: sqrt(2/15) |S|
@@ -129,7 +129,7 @@ class ShapeRoot:
 
 
 def considered_shapes(unknowns: Unknowns) -> tuple[str, ...]:
-    """Names of the balls whose shape nobody told."""
+    """Names of the balls whose shape is not given."""
     scene = unknowns.scene
     if any(body.stays for body in scene.bodies) or unknowns.other_bodies.bodies:
         return ()
@@ -177,7 +177,7 @@ def with_shapes(wide: Unknowns, balls: Sequence[str]) -> Unknowns:
 def shape_parts(
     unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, ways: NDArray[np.str_], part: Residuals
 ) -> Residuals:
-    """Return residuals whose last derivatives are those by the doubted shapes, in units of LARGEST_UM.
+    """Return residuals whose last derivatives are those by the considered shapes, in units of LARGEST_UM.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ so the fit works with the glass moved by n_light - n(lambda_scene), and the cons
 stays when the glass is moved back.
 
 What is not known of the light is not known of the index either, and no frame tells: with N-BK7 8 nm are 3e-4 in n,
-0.07 px behind two balls.  A light that nobody tells may be any white lamp: the map is made as if it were the
+0.07 px behind two balls.  A light that is not specified may be any white lamp: the map is made as if it were the
 scene's own, and its sigma holds the most that one of LAMPS would change.  All glasses move together, as they stand
 in one light.  Glass that is a number has no dispersion to count by: it is said that its map holds in the light of
 the target frames.
@@ -33,7 +33,9 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE
 
 ORDINARY_GLASS = "N-BK7"
 WORTH_A_WORD = 3e-5  # of n: 0.005 px behind two balls
-Rival = tuple[Light, float]  # a light, and the share (0-1) of its difference from the told one that is left open
+Rival = tuple[
+    Light, float
+]  # a light, and the share (0-1) of its difference from the specified one that is left open
 LAMPS_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # white LEDs as they are sold
 
 
@@ -78,7 +80,7 @@ def light_uncertainty(
     ----------
     nominal : Scene
     light : Light or None
-        As told.
+        As specified.
     rivals : sequence of Rival
         What it may be instead.
     particles_unsure_nm : float
@@ -119,7 +121,7 @@ def light_uncertainty(
         )
     elif rivals:
         sentence = (
-            "the spectrum of the target's light is not known well: from what is told and from how edges are"
+            "the spectrum of the target's light is not known well: from its specification and from how edges are"
             f" smeared n is known to {largest:.1g}; the map's sigma holds that. The lamp's spectrum as"
             " fit.light.points would help"
         )

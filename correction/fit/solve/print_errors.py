@@ -96,12 +96,12 @@ class PrintErrors:
 
     def __str__(self) -> str:
         """Say it; nothing if nothing stands out."""
-        told = [
+        parts = [
             f"{what} of the print lie off by {100.0 * float(np.hypot(*off)) / np.sqrt(2.0):.2g} % of a square"
             for what, off in (("lines", self.lines), ("points", self.points))
             if any(off)
         ]
-        return ", ".join(told)
+        return ", ".join(parts)
 
 
 def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
@@ -111,8 +111,8 @@ def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
     per_square = np.concatenate([frame.per_square for frame in frames])
     way = np.concatenate([frame.way for frame in frames])
     height = np.concatenate([np.full(len(frame.way), frame.height_number) for frame in frames])
-    told = way == ""
-    told = told if told.any() else ~told
+    direct = way == ""
+    direct = direct if direct.any() else ~direct
     spread = np.zeros((frames[0].rate.shape[2],) * 2)
     point = np.unique(index, axis=0, return_inverse=True)[1].ravel()
     on_way = np.unique(way, return_inverse=True)[1]
@@ -124,13 +124,13 @@ def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
             [np.einsum("nip,ni->np", f.rate, f.per_square[:, :, axis], optimize=True) for f in frames]
         )
         along, weight = np.sum(g * value, axis=1), np.sum(g * g, axis=1)
-        of_told = along * told, weight * told
+        of_direct = along * direct, weight * direct
         _, line = np.unique(index[:, axis], return_inverse=True)
-        lines = _shared_variance(line, point, *of_told).significant
-        points = _shared_variance(point, own, *of_told, lines).significant
+        lines = _shared_variance(line, point, *of_direct).significant
+        points = _shared_variance(point, own, *of_direct, lines).significant
         elsewhere = _shared_variance(point, sight, along, weight, lines)
         points = elsewhere.significant or elsewhere.likely(points)
-        pixels = _shared_variance(sight, own, *of_told, lines + points).significant
+        pixels = _shared_variance(sight, own, *of_direct, lines + points).significant
         for variance, member in ((lines, line), (points, point), (pixels, sight)):
             if variance:
                 together = np.zeros((member.max() + 1, pull.shape[1]))

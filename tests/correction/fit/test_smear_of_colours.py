@@ -50,10 +50,10 @@ def test_colours_are_told_from_a_stop_and_from_the_print(colours, stop, told):
 def test_a_told_light_that_smears_less_than_was_told_is_named_and_a_line_cannot():
     frames = [np.random.default_rng(number) for number in range(3)]
     found = colour_smear([view(rng, -0.9, 0.0, told_colours=1.0) for rng in frames])
-    assert found.told == pytest.approx(1.0)
+    assert found.expected == pytest.approx(1.0)
     assert found.alarm
     assert "fewer colours than fit.light gives" in str(found)
-    assert not replace(found, told=0.0).alarm
+    assert not replace(found, expected=0.0).alarm
     assert not replace(found, share=-0.2).alarm  # so little is not known of what edges take up
 
 
@@ -64,7 +64,7 @@ def test_the_smear_leaves_open_which_of_two_lights_it_is_where_they_smear_alike(
     far = seen.open_share(glass, told, band(450.0, 650.0))
     assert 0.0 < far < 0.5
     assert replace(seen, share=-0.5).open_share(glass, told, band(450.0, 650.0)) > 2.0 * far
-    assert replace(seen, share=-0.5, told=0.5).open_share(glass, told, band(450.0, 650.0)) == 1.0
+    assert replace(seen, share=-0.5, expected=0.5).open_share(glass, told, band(450.0, 650.0)) == 1.0
 
 
 def test_too_few_corners_tell_nothing():
