@@ -303,15 +303,33 @@ def normal_equations(
     return cost + float(np.sum(np.maximum(depth, 0.0) ** 2)), gradient, normal
 
 
-def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P)."""
-    full = unknowns.full(x)
-    depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
-    columns = np.concatenate((unknowns.columns[unknowns.glass], unknowns.columns[unknowns.all_shapes]))
+def contacts(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Depth (K,) [mm] of each ball in the plane, in each other ball and in each wall, negative for a gap.
+
+    Returns
+    -------
+    depth_mm : (K,) float64
+    rate : (K, F) float64
+        Derivatives by the full vector.
+    """
+    depth, by_ball, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
+    rate = np.zeros((len(depth), len(full)))
+    rate[:, unknowns.glass] = by_ball.reshape(len(depth), by_ball.shape[1] * by_ball.shape[2])
+    rate[:, unknowns.all_shapes] = by_shape
     of_rooms, room_rate = room_depths(unknowns, full)
-    every = np.concatenate((rate.reshape(len(depth), rate.shape[1] * rate.shape[2]), by_shape), axis=1)
-    rates = (every @ columns, room_rate @ unknowns.columns)
-    return np.concatenate((depth, of_rooms)) / WALL_MM, np.concatenate(rates) / WALL_MM
+    return np.concatenate((depth, of_rooms)), np.concatenate((rate, room_rate))
+
+
+def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Overlaps (K,) that push at x, in units of WALL_MM, and their derivatives (K, F) by the full vector."""
+    depth, rate = contacts(unknowns, unknowns.full(x))
+    return depth[depth > 0.0] / WALL_MM, rate[depth > 0.0] / WALL_MM
+
+
+def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P) by the free vector."""
+    depth, rate = contacts(unknowns, unknowns.full(x))
+    return depth / WALL_MM, rate @ unknowns.columns / WALL_MM
 
 
 def _step(
@@ -381,20 +399,6 @@ def constrained_step(
             free_of = float(np.sum(depth[~pushing] ** 2))
             return np.asarray(step), np.asarray(inverse), float(-slope @ step) + free_of
         pushing &= ~let_go
-
-
-def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Overlaps (K,) that push at x, in units of WALL_MM, and their derivatives (K, F) by the full vector."""
-    full = unknowns.full(x)
-    depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
-    active = depth > 0.0
-    out = np.zeros((int(active.sum()), len(unknowns.start)))
-    out[:, unknowns.glass] = rate.reshape(len(depth), unknowns.glass.stop - unknowns.glass.start)[active]
-    out[:, unknowns.all_shapes] = by_shape[active]
-    of_rooms, room_rate = room_depths(unknowns, full)
-    cut = of_rooms > 0.0
-    deep, rates = (depth[active], of_rooms[cut]), (out, room_rate[cut])
-    return np.concatenate(deep) / WALL_MM, np.concatenate(rates) / WALL_MM
 
 
 def minimise(

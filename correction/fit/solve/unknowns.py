@@ -76,9 +76,43 @@ class Unknowns:
     columns: NDArray[np.float64]
 
     @cached_property
+    def blocks(self) -> dict[str, slice]:
+        """Place of each block of numbers in the full vector, in its order; of the target one for each height."""
+        sizes = {
+            "camera": len(CAMERA),
+            "spheres": len(SPHERE) * len(self.scene.spheres),
+            "walls": len(self.other_bodies.names),
+            "shapes": COUNT * len(self._uneven),
+            **{f"target {number}": len(TARGET) for number in range(len(self.heights_mm))},
+        }
+        ends = np.cumsum(list(sizes.values())).tolist()
+        blocks = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+        return {**blocks, "print": slice(ends[-1], len(self.full_names))}
+
+    @cached_property
     def glass(self) -> slice:
         """Place of the spheres' numbers in the full vector."""
-        return slice(len(CAMERA), len(CAMERA) + len(SPHERE) * len(self.scene.spheres))
+        return self.blocks["spheres"]
+
+    @cached_property
+    def others(self) -> slice:
+        """Place of the numbers of windows and tubes in the full vector."""
+        return self.blocks["walls"]
+
+    @cached_property
+    def all_shapes(self) -> slice:
+        """Place of all harmonics in the full vector."""
+        return self.blocks["shapes"]
+
+    def place(self, height_number: int) -> slice:
+        """Place of a height's pose in the full vector."""
+        return self.blocks[f"target {height_number}"]
+
+    @cached_property
+    def print_place(self) -> slice:
+        """Place of the print's width and height in the full vector."""
+        first = self.blocks["print"].start
+        return slice(first, first + 2)
 
     @cached_property
     def other_bodies(self) -> OtherBodies:
@@ -86,30 +120,16 @@ class Unknowns:
         return OtherBodies(self.scene)
 
     @cached_property
-    def others(self) -> slice:
-        """Place of the numbers of windows and tubes in the full vector."""
-        return slice(self.glass.stop, self.glass.stop + len(self.other_bodies.names))
+    def _uneven(self) -> list[int]:
+        """Numbers of the balls with a shape, nominal or free."""
+        named = set(self.full_names)
+        return [n for n, sphere in enumerate(self.scene.spheres) if f"{sphere.name}.{NAMES[0]}" in named]
 
     @cached_property
     def uneven(self) -> dict[int, slice]:
-        """Number of each ball with a shape, nominal or free, and the place of its harmonics in the full vector."""
-        first = {
-            number: self.full_names.index(f"{sphere.name}.{NAMES[0]}")
-            for number, sphere in enumerate(self.scene.spheres)
-            if f"{sphere.name}.{NAMES[0]}" in self.full_names
-        }
-        return {number: slice(at, at + COUNT) for number, at in first.items()}
-
-    @cached_property
-    def all_shapes(self) -> slice:
-        """Place of all harmonics in the full vector."""
-        return slice(self.others.stop, self.others.stop + COUNT * len(self.uneven))
-
-    @cached_property
-    def print_place(self) -> slice:
-        """Place of the print's width and height in the full vector."""
-        first = self.full_names.index(f"print.{PRINT[0]}")
-        return slice(first, first + 2)
+        """Number of each ball with a shape, and the place of its harmonics in the full vector."""
+        first = self.all_shapes.start
+        return {ball: slice(first + COUNT * k, first + COUNT * (k + 1)) for k, ball in enumerate(self._uneven)}
 
     def stretch(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
         """Scale (2 or 3,) of the print against its measured size: in width, height, and a plate's depth."""
@@ -122,11 +142,6 @@ class Unknowns:
     def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
         """Shapes (45,) [mm] of a full vector by the numbers of the balls."""
         return {number: full[place] for number, place in self.uneven.items()}
-
-    def place(self, height_number: int) -> slice:
-        """Place of a height's pose in the full vector."""
-        first = self.all_shapes.stop + len(TARGET) * height_number
-        return slice(first, first + len(TARGET))
 
     @property
     def sigma(self) -> NDArray[np.float64]:
