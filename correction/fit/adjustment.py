@@ -22,9 +22,9 @@ from correction.fit.seen.pixel_lock import PixelLock, remove_lock, with_lock, wi
 from correction.fit.solve.considered import (
     SIZES_MM,
     ShapeRoot,
-    considered_shapes,
     likely_scale,
     shape_parts,
+    shapes_to_consider,
     with_considered,
     with_shapes,
 )
@@ -191,11 +191,11 @@ class Adjustment:
         used = [frame.take(which) for frame, which in zip(measured, kept, strict=True)]
         solution = self.solve(unknowns, solution.x, used)
         # Consider parameters stand behind the free ones: held numbers of the glass, then shapes of balls.
-        locked, balls = with_lock(unknowns), considered_shapes(unknowns)
+        locked, balls = with_lock(unknowns), shapes_to_consider(unknowns)
         wide, free = with_shapes(with_considered(locked), balls), len(locked.names)
         at = np.concatenate((solution.x, self.lock, np.zeros(len(wide.names) - free)))
-        parts = [self.extended_residuals(unknowns, wide, at, frame) for frame in used]
-        every = [self.extended_residuals(unknowns, wide, at, frame) for frame in measured]
+        parts = [self.full_residuals(unknowns, wide, at, frame) for frame in used]
+        every = [self.full_residuals(unknowns, wide, at, frame) for frame in measured]
         weighted = [self.weigh_corners(frame) for frame in measured]
         verdict, rest = judge_model(locked, wide, at, measured, weighted, every)
         weights = self
@@ -284,7 +284,7 @@ class Adjustment:
         way, height = frame.branch_name, frame.corners.height_number
         return OnPrint(frame.index, way, height, np.nan_to_num(part.value), per_square, rate)
 
-    def extended_residuals(
+    def full_residuals(
         self, unknowns: Unknowns, wide: Unknowns, at: NDArray[np.float64], frame: MeasuredFrame
     ) -> Residuals:
         """Residuals of a frame with derivatives by free numbers, then by consider parameters, shapes last."""

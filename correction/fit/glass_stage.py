@@ -53,7 +53,7 @@ def find_glass(work: Progress) -> None:
     _refuse_undisturbed(work, work.glass_frames[0], candidates)
     _pair(work, coarse, candidates)
     _fit_glass(work, unknowns, "pass 1", only_behind=True)
-    lost = _lost_spheres(work)
+    lost = _spheres_lost(work)
     if lost and (work.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
         _find_all_lost(work, unknowns, coarse, candidates)
     _fit_glass(work, unknowns, "pass 2", only_behind=False)
@@ -179,7 +179,7 @@ def _why_none(work: Progress, scene: Scene) -> str:
     return "no corner behind glass could be measured; check focus, light and scene, or print smaller squares"
 
 
-def _lost_spheres(work: Progress) -> list[int]:
+def _spheres_lost(work: Progress) -> list[int]:
     """Numbers of the spheres through which the frames do not show what the scene says."""
     x = work.unknowns.free(work.full)
     kept = [work.fits.inliers(work.unknowns, x, frame) for frame in work.behind]
@@ -193,13 +193,13 @@ def _find_all_lost(work: Progress, unknowns: Unknowns, coarse: Unknowns, first: 
     itself, or touching it, it is found only after that one.
     """
     frames = [first, *(_candidates(work, coarse, frame) for frame in work.glass_frames[1:LOOKED_THROUGH])]
-    lost, before = _lost_spheres(work), len(work.unknowns.scene.spheres) + 1
+    lost, before = _spheres_lost(work), len(work.unknowns.scene.spheres) + 1
     while 0 < len(lost) < before:
         before = len(lost)
         for number in lost:
-            if number in _lost_spheres(work):
+            if number in _spheres_lost(work):
                 _find_lost(work, unknowns, coarse, frames, number)
-        lost = _lost_spheres(work)
+        lost = _spheres_lost(work)
 
 
 def _find_lost(
@@ -214,7 +214,7 @@ def _find_lost(
     please three wrong corners, but not quite.
     """
     name, before, behind = work.unknowns.scene.spheres[number].name, work.full, work.behind
-    scales, before_px, lost = dict(work.fits.scales), _off_px(work, number)[1], set(_lost_spheres(work))
+    scales, before_px, lost = dict(work.fits.scales), _off_px(work, number)[1], set(_spheres_lost(work))
     centre = slice(row := work.unknowns.glass.start + number * len(SPHERE), row + 3)
     believed = work.unknowns.start[centre]
     for place in likely_places(coarse, before, frames, work.board, work.pitch_mm, number):
@@ -222,7 +222,7 @@ def _find_lost(
         for _ in range(AGAIN):
             stood = work.full[centre]
             _fit_glass(work, unknowns, f"{name} elsewhere", only_behind=True)
-            still = set(_lost_spheres(work))
+            still = set(_spheres_lost(work))
             if number not in still:
                 own_px, others_px = _off_px(work, number)
                 alike = own_px <= OWN_WORSE * max(others_px, FLOOR_PX)

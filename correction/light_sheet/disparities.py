@@ -238,7 +238,7 @@ def _match_planes(
     for number, (kind, (whole_model, summed, match)) in enumerate(kinds.items()):
         here = np.nonzero(kind_of == kind)[0]
         # Kinds are alike: what the model leaves of one, it leaves of all, and their number does not make it less.
-        misfit = whole_model.left_out(summed, match, [HEIGHT, SHIFT])[1, 0] * np.sqrt(len(kinds))
+        misfit = whole_model.number_sigmas(summed, match, [HEIGHT, SHIFT])[1, 0] * np.sqrt(len(kinds))
         common[here, 2 * number + 1] = misfit
         for column, others in enumerate(unsure, 2 * len(kinds)):
             if kind in others:
@@ -255,7 +255,7 @@ def _match_planes(
                 at, values = own, own.values
             else:
                 continue
-            sigma = np.hypot(*models[one].left_out(blocks[:, one], at, [HEIGHT, SHIFT]))
+            sigma = np.hypot(*models[one].number_sigmas(blocks[:, one], at, [HEIGHT, SHIFT]))
             if not is_long and (sigma >= MIN_VALID_SHARE * np.array([reach_mm, ACROSS])).any():
                 continue
             if not (sigma > 0.0).all():  # no layer is seen from here
@@ -281,7 +281,7 @@ def _common(kinds: Kinds, number: int, usual: tuple[float, float]) -> tuple[floa
     """
     values, weights = [], []
     for model, blocks, match in kinds.values():
-        sigma = float(np.hypot(*model.left_out(blocks, match, [HEIGHT, SHIFT, number]))[-1])
+        sigma = float(np.hypot(*model.number_sigmas(blocks, match, [HEIGHT, SHIFT, number]))[-1])
         values.append(float(match.values[number]))
         weights.append(1.0 / max(sigma, 1e-3 * usual[1]) ** 2)
     value, weight = np.array(values), np.array(weights)

@@ -274,7 +274,7 @@ class Model:
         inside = self.height_mm[2] < values[0] < self.height_mm[-3]
         return Match(values, light) if light > 0.0 and inside else None
 
-    def left_out(self, blocks: NDArray[np.float64], match: Match, free: list[int]) -> NDArray[np.float64]:
+    def number_sigmas(self, blocks: NDArray[np.float64], match: Match, free: list[int]) -> NDArray[np.float64]:
         """Standard deviations (2, len(free)) of the numbers: by chance, and by what the model does not explain.
 
         Chance is estimated by leaving blocks (B, R * K) out one by one.  Where the model leaves more of the plane

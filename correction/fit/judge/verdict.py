@@ -1,10 +1,10 @@
 """The verdict on a fitted model, in numbers and in words.
 
-The test of every way (`model_test`) says whether and where the model is wrong, the suspects say what it most
+The test of every way (`model_test`) says whether and where the model is wrong, the hypotheses say what it most
 likely is, and the correlation of neighbours (`correlation`) says what the covariance must count.  What the test
 finds is an error of the map of its own, `systematic_px`, on every way whose residuals bend more than noise would,
 even where that is too little for an alarm: corners or model may be to blame, and the map is not taken for better.
-Behind glass it may be worse than residuals show, for balls follow what is wrong with the camera: so the suspects
+Behind glass it may be worse than residuals show, for balls follow what is wrong with the camera: so the hypotheses
 are asked as soon as residuals bend more than noise would, and their changes of the scene are counted.
 
 A cause that is named explains its field of residuals.  What the map is off by is then the difference that the

@@ -57,12 +57,12 @@ SIZES_MM = 1e-3 * LARGEST_UM / np.sqrt(len(SHAPES)) / np.sqrt(_NORM2 * 2.0 / 15.
 
 def with_considered(unknowns: Unknowns) -> Unknowns:
     """Return the same unknowns with the held numbers of the glass behind the free ones, in their ordinary size."""
-    held = list(_held_columns(unknowns))
+    held = list(_columns_of_held(unknowns))
     names = (*unknowns.names, *(name for name, _ in held))
     return replace(unknowns, names=names, columns=np.column_stack([unknowns.columns, *(one for _, one in held)]))
 
 
-def _held_columns(unknowns: Unknowns) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _columns_of_held(unknowns: Unknowns) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Numbers of the glass that no free one moves, with their columns (F,); one n for all balls of a glass."""
     scene, free = unknowns.scene, np.any(unknowns.columns != 0.0, axis=1)
 
@@ -128,7 +128,7 @@ class ShapeRoot:
         return replace(self, root=by_ball @ self.root)
 
 
-def considered_shapes(unknowns: Unknowns) -> tuple[str, ...]:
+def shapes_to_consider(unknowns: Unknowns) -> tuple[str, ...]:
     """Names of the balls whose shape is not given."""
     scene = unknowns.scene
     if any(body.stays for body in scene.bodies) or unknowns.other_bodies.bodies:
@@ -192,7 +192,7 @@ def shape_parts(
     part : Residuals
         Theirs, with derivatives (N, 2, P); the last 5 B of these are replaced.
     """
-    balls = considered_shapes(unknowns)
+    balls = shapes_to_consider(unknowns)
     if not balls or not corners.glass:
         return part
     rays = land_corners(unknowns, full, corners)

@@ -126,11 +126,11 @@ def print_errors(frames: Sequence[OnPrint]) -> PrintErrors:
         along, weight = np.sum(g * value, axis=1), np.sum(g * g, axis=1)
         of_direct = along * direct, weight * direct
         _, line = np.unique(index[:, axis], return_inverse=True)
-        lines = _shared_variance(line, point, *of_direct).significant
-        points = _shared_variance(point, own, *of_direct, lines).significant
-        elsewhere = _shared_variance(point, sight, along, weight, lines)
+        lines = _variance_shared(line, point, *of_direct).significant
+        points = _variance_shared(point, own, *of_direct, lines).significant
+        elsewhere = _variance_shared(point, sight, along, weight, lines)
         points = elsewhere.significant or elsewhere.likely(points)
-        pixels = _shared_variance(sight, own, *of_direct, lines + points).significant
+        pixels = _variance_shared(sight, own, *of_direct, lines + points).significant
         for variance, member in ((lines, line), (points, point), (pixels, sight)):
             if variance:
                 together = np.zeros((member.max() + 1, pull.shape[1]))
@@ -184,7 +184,7 @@ def _mean_between(low: float, high: float) -> float:
     return float(density[0] - density[1])
 
 
-def _shared_variance(
+def _variance_shared(
     member: NDArray[np.intp],
     part: NDArray[np.intp],
     along: NDArray[np.float64],

@@ -362,10 +362,10 @@ def newton_step(
 ) -> NDArray[np.float64]:
     """Step (P,) from x to the minimum of the linear model: gradient (P,), normal matrix (P, P) of data alone."""
     depth, wall = touching(unknowns, x)
-    return constrained_step(gradient, normal + np.eye(len(x)), depth, wall @ unknowns.columns)[0]
+    return step_with_walls(gradient, normal + np.eye(len(x)), depth, wall @ unknowns.columns)[0]
 
 
-def constrained_step(
+def step_with_walls(
     gradient: NDArray[np.float64],
     normal: NDArray[np.float64],
     depth: NDArray[np.float64],

@@ -16,7 +16,7 @@ import numpy as np
 
 from correction.fit.seen.prediction import expect
 from correction.fit.solve.ball_shape import balls_crossed, shape_rates
-from correction.fit.solve.considered import SIZES_MM, ShapeRoot, considered_shapes, likely_scale
+from correction.fit.solve.considered import SIZES_MM, ShapeRoot, likely_scale, shapes_to_consider
 from correction.fit.solve.solver import Corners, free_rates
 from correction.fit.solve.unknowns import unknowns_of
 from correction.fitted.scene_sigma import SceneSigma
@@ -54,7 +54,7 @@ def expected_sigma(
     """
     unknowns = unknowns_of(scene, (*bare_mm, *glass_mm), FitTable(), len(bare_mm) >= ENOUGH_BARE)
     board = Chessboard(square_mm, 0.4 * square_mm)
-    free, balls, names = len(unknowns.names), considered_shapes(unknowns), [ball.name for ball in scene.spheres]
+    free, balls, names = len(unknowns.names), shapes_to_consider(unknowns), [ball.name for ball in scene.spheres]
     doubted = [names.index(ball) for ball in balls]
     sizes_mm = np.tile(SIZES_MM, len(balls))
     normal = np.zeros((free + len(sizes_mm), free + len(sizes_mm)))

@@ -45,7 +45,7 @@ def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_i
     # What else is doubted would take the index over: pulled corners, and shapes.
     monkeypatch.setattr(prediction, "PULLED", 0.0)
     for module in (adjustment, doubts):
-        monkeypatch.setattr(module, "considered_shapes", lambda unknowns: ())
+        monkeypatch.setattr(module, "shapes_to_consider", lambda unknowns: ())
     monkeypatch.setattr(adjustment, "with_considered", lambda unknowns: unknowns)
     assert largest() > 2.5
 
@@ -87,7 +87,7 @@ def test_a_ball_out_of_round_by_less_than_is_named_is_in_the_sigma_of_the_map(se
     doubting = largest()
     monkeypatch.setattr(prediction, "PULLED", 0.0)  # the doubt of pulled corners would take it over
     for module in (adjustment, doubts):
-        monkeypatch.setattr(module, "considered_shapes", lambda unknowns: ())
+        monkeypatch.setattr(module, "shapes_to_consider", lambda unknowns: ())
     believing = largest()
     assert believing > 2.3
     assert doubting < 0.8 * believing
