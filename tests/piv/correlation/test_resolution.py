@@ -40,7 +40,7 @@ FLOWS = [
     pytest.param(wave(64), 0.05, MISSED, id="wave of 64 px"),
     pytest.param(vortex(), 0.02, MISSED, id="vortex"),
     *(slow(wave(length), 0.05, MISSED, name=f"wave of {length} px") for length in (48, 96, 128)),
-    # Windows show it whole: its random sigma is 0.0024 px of noise and 0.0019 px by where images lie between pixels.
+    # Windows show it whole: its sigma is 0.0024 px of noise and 0.0019 px by where images lie between pixels.
     slow(wave(256), 0.05, 1.0, name="wave of 256 px"),
     slow(turbulence(1, 2.0, 300, 50), 0.05, MISSED, name="turbulence 1"),
     slow(turbulence(1, 2.0, 300, 50), 0.025, MISSED, name="turbulence 1, half the seeding"),
