@@ -19,7 +19,7 @@ from benchmarks.flow import DT_S, RATE_HZ, RIM_FROM, Case, _background, _correct
 from correction.evaluate.regions import Region, regions_of
 from correction.grid import PlaneGrid
 from piv.correlation.pair import evaluate_pair
-from piv.correlation.prepare import prepared
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.statistics.ensemble import EnsembleSums
@@ -114,7 +114,7 @@ def compared(case: Case, pairs: int) -> dict[str, Any]:
     result["vectors 32"] = judged(case, windows, moments.mean_uv, moments.reynolds_stresses, noise, pairs)
     known = np.where(moments.count[..., None] > 0.25 * pairs, moments.mean_uv, np.nan)
     first = [np.asarray(frame, np.float32) for frame in frames[0]]
-    spread = prepared(first[0], first[1], corrector.recovered, 32).spread_px2
+    spread = prepare_pair(first[0], first[1], corrector.recovered, 32).spread_px2
     sweep = sweep_with(corrector.map.grid.shape, known, moments.reynolds_stresses, windows, spread)
     for number, own in ((1, False), (2, False), (3, True)):
         sums = EnsembleSums(sweep)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.piv_cases import of_the_tests
 from piv.correlation.pair import evaluate_pair
-from piv.correlation.prepare import prepared
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.windows import window_grid
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field
@@ -52,7 +52,7 @@ def compared(pairs: int, per_px: float, lost: float) -> dict[str, float]:
         sigma = np.stack((found.sigma_u_px, found.sigma_v_px), axis=-1)
         moments = moments.add(np.stack((found.u_px, found.v_px), axis=-1), found.valid, sigma)
     mean = np.where(moments.count[..., None] > pairs / 4, moments.mean_uv, np.nan)
-    spread = prepared(*frames[0], valid, 32).spread_px2
+    spread = prepare_pair(*frames[0], valid, 32).spread_px2
     sums = EnsembleSums(sweep_with((SIDE, SIDE), mean, moments.reynolds_stresses, grid, spread))
     for a, b in frames:
         sums.add(a, b, valid)

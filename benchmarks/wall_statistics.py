@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from piv.correlation.pair import evaluate_pair
-from piv.correlation.prepare import prepared
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.preprocessing.series_light import series_mean, series_minimum, without_light
@@ -39,7 +39,7 @@ from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field, next_sweep
 from piv.statistics.moments import Moments
 from piv.statistics.sweep import sweep_with
-from piv.statistics.unresolved import Unresolved, measured_often, selection_sigma
+from piv.statistics.unresolved import Unresolved, is_measured_often, selection_sigma
 
 Array = NDArray[Any]
 SHAPE, WALL = (224, 256), 160  # rows and columns of a frame; first row that is solid
@@ -227,7 +227,7 @@ def by_vectors(
         missing = missing.merged(Unresolved.of(uv, field.valid, field.resolution_px, 1))
         looked += field.asked
         vectors.append((uv, sigma, field.valid))
-    often = measured_often(moments, looked)
+    often = is_measured_often(moments, looked)
     total = moments.only(often)
     n = np.maximum(total.count, 2)[..., None]
     shared = missing.shared(total.mean_uv)
@@ -249,7 +249,7 @@ def by_ensemble(
     moments, vectors = begun
     grid = window_grid(SHAPE, 32, 0.5)
     known = np.where(moments.count[..., None] > 0.25 * len(frames), moments.mean_uv, np.nan)
-    spread = prepared(*frames[len(frames) // 2], valid, 32).spread_px2
+    spread = prepare_pair(*frames[len(frames) // 2], valid, 32).spread_px2
     sweep = sweep_with(SHAPE, known, moments.reynolds_stresses, grid, spread)
     found: dict[int, Found] = {}
     if still is not None:

@@ -65,7 +65,9 @@ class Agreed(NamedTuple):
     chance_px2: Floats
 
 
-def agreed(blocks: Blocks, grid: WindowGrid, beyond_px: Floats, weight: Floats, window_px: int) -> list[Agreed]:
+def measure_agreement(
+    blocks: Blocks, grid: WindowGrid, beyond_px: Floats, weight: Floats, window_px: int
+) -> list[Agreed]:
     """What pairs of blocks around each node agree on beyond the vectors.
 
     Parameters
@@ -107,11 +109,13 @@ def agreed(blocks: Blocks, grid: WindowGrid, beyond_px: Floats, weight: Floats, 
     means = []
     for reach in REACHES:
         steps = reach * window_px / grid.step_px
-        whole = np.maximum(_pooled(np.where(seen, expected, 0.0), steps), 1e-30)
+        whole = np.maximum(_mean_over_nodes(np.where(seen, expected, 0.0), steps), 1e-30)
         # The square of a Gaussian is one of half its variance.
-        scatter = _pooled(np.where(seen, square, 0.0), steps / np.sqrt(2.0)) / max(4.0 * np.pi * steps**2, 1.0)
+        scatter = _mean_over_nodes(np.where(seen, square, 0.0), steps / np.sqrt(2.0)) / max(
+            4.0 * np.pi * steps**2, 1.0
+        )
         chance = np.where(seen, np.sqrt(scatter) / whole, np.inf)
-        means.append(Agreed(_pooled(np.where(seen, product, 0.0), steps) / whole, chance))
+        means.append(Agreed(_mean_over_nodes(np.where(seen, product, 0.0), steps) / whole, chance))
     return means
 
 
@@ -158,6 +162,6 @@ def _weights(place_px: Floats, node_px: Floats, deviation_px: float) -> Singles:
     return np.where(np.abs(off) < 5.0, np.exp(-0.5 * off**2), 0.0).astype(np.float32)
 
 
-def _pooled(values: Floats, reach_steps: float) -> Floats:
+def _mean_over_nodes(values: Floats, reach_steps: float) -> Floats:
     pooled: Floats = scipy.ndimage.gaussian_filter(values, reach_steps, mode="constant")
     return pooled

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from piv.correlation.correlate import Searched, correlate_windows, peak_ratios
 from piv.correlation.deform import DeformedPair
 from piv.correlation.evidence import WEAK
-from piv.correlation.prepare import Pair, prepared, texture_of
+from piv.correlation.prepare import Pair, prepare_pair, texture_of
 from piv.correlation.refine import refine
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import PairError
@@ -80,7 +80,7 @@ class CommonLight(NamedTuple):
         """Length of the shortest vectors that mean something."""
         return FAR * self.image_px
 
-    def pushed(self, length_px: Floats) -> Floats:
+    def lengthening_px(self, length_px: Floats) -> Floats:
         """How much of the length of vectors comes of images that overlap."""
         return self.image_px * np.interp(length_px / self.image_px, *APART)
 
@@ -184,7 +184,7 @@ def without_common_light(
     if usual > GOOD or (is_slow and abs(lag) < MOVES_WHOLE):
         return None
     try:
-        rest = prepared(
+        rest = prepare_pair(
             np.maximum(pair.a - pair.b, 0.0), np.maximum(pair.b - pair.a, 0.0), pair.valid > 0.0, WINDOW_PX // 2
         )
     except PairError:

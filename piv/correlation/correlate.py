@@ -93,7 +93,7 @@ def correlate_windows(
         Threads to use.
     """
     size, least = grid.size_px, least_valid(grid, min_valid)
-    found, count = _correlated(pair, grid, np.ones(grid.shape, bool), least, False, threads)
+    found, count = _correlate(pair, grid, np.ones(grid.shape, bool), least, False, threads)
     shaped = found.reshape(*grid.shape, 4)
     return Searched(shaped[..., :2], shaped[..., 2], count.reshape(grid.shape) / size**2)
 
@@ -111,11 +111,11 @@ def correlate_some(
     pair: DeformedPair, grid: WindowGrid, which: NDArray[np.bool_], min_valid: float, threads: int | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Displacements (n, 2) and peak ratios (n,) of the windows asked for."""
-    found, _ = _correlated(pair, grid, which, least_valid(grid, min_valid), True, threads)
+    found, _ = _correlate(pair, grid, which, least_valid(grid, min_valid), True, threads)
     return found[:, :2], found[:, 3]
 
 
-def _correlated(
+def _correlate(
     pair: DeformedPair,
     grid: WindowGrid,
     which: NDArray[np.bool_],

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.planes import smoothed
+from piv.correlation.planes import smooth_field
 
 LEVELS = 0.625, 1.25  # of the window's side: standard deviation of the weights of what is smooth
 ORDER = 3
@@ -44,7 +44,7 @@ class Denoised(NamedTuple):
     taken_px: Floats
 
 
-def denoised(
+def remove_noise(
     vectors: Floats,
     good: NDArray[np.bool_],
     sigma_px: Floats,
@@ -76,7 +76,7 @@ def denoised(
     whole = [np.square(np.where(known[..., None], sigma_px, 0.0) * growth[..., None]) for growth in growths]
     trust = _trust(noises[-1].sum(axis=-1), good, known)
     fields = [np.where(good[..., None], vectors, 0.0)]
-    fields += [smoothed(vectors, good, level, ORDER, trust) for level in levels_steps]
+    fields += [smooth_field(vectors, good, level, ORDER, trust) for level in levels_steps]
     fields[0] = np.where(good[..., None], vectors, fields[1])
     around = [_Around(trust, known, level) for level in levels_steps]
     result, variance, taken = fields[-1].copy(), around[-1].mean(whole[-1]), np.zeros(good.shape)
@@ -85,7 +85,7 @@ def denoised(
         # The finest part is each vector's own, the others are made of many.
         noise = around[number - 1].mean(noises[number]) if number else noises[0]
         alone = noise if number else np.square(stated * growths[0][..., None])
-        share, lost = kept_share(
+        share, lost = wiener_share(
             np.square(part).sum(axis=-1), noise.sum(axis=-1), alone.sum(axis=-1), good if number else known, beta,
             levels_steps[number],
         )  # fmt: skip
@@ -97,7 +97,7 @@ def denoised(
     return Denoised(result, np.where(unknown, np.nan, np.sqrt(variance)), np.sqrt(taken))
 
 
-def kept_share(
+def wiener_share(
     strength: Floats,
     noise: Floats,
     alone: Floats,
@@ -130,7 +130,7 @@ def kept_share(
     # What goes may be weaker than the noise, and still be flow: more neighbours say how much. A jet beside it
     # says no more than what would be seen here.
     weights, above = (
-        _blurred(part, MORE * level_steps)
+        _blur(part, MORE * level_steps)
         for part in (weight, weight * (np.minimum(strength, LOUDEST * noise) - LOWER * noise))
     )
     flow = np.maximum(0.0, above / np.where(weights > 0.0, weights, 1.0))
@@ -143,14 +143,14 @@ class _Around:
     def __init__(self, trust: Floats, known: NDArray[np.bool_], level_steps: float) -> None:
         self._reach, self._known = level_steps / np.sqrt(2.0), known
         self._weight = np.where(known, trust, 0.0)
-        total = np.maximum(_blurred(self._weight, self._reach), 1e-6)
+        total = np.maximum(_blur(self._weight, self._reach), 1e-6)
         # At an edge the fit has half the vectors, and a plane from one side is twice as unsure again.
-        self._total = total**2 * np.maximum(_blurred(known.astype(float), self._reach), 0.05)
+        self._total = total**2 * np.maximum(_blur(known.astype(float), self._reach), 0.05)
 
     def mean(self, noise: Floats) -> Floats:
         """Mean of variances (ny, nx, 2) by trust and by the square of the fit's weights."""
         weighted = np.square(self._weight)[..., None] * noise
-        mean = np.stack([_blurred(weighted[..., axis], self._reach) for axis in range(2)], axis=-1)
+        mean = np.stack([_blur(weighted[..., axis], self._reach) for axis in range(2)], axis=-1)
         found: Floats = mean / self._total[..., None]
         return found
 
@@ -161,7 +161,7 @@ def _trust(noise: Floats, good: NDArray[np.bool_], known: NDArray[np.bool_]) -> 
     return np.where(known, 2.0 * usual / (noise + usual), 0.1) if usual > 0.0 else good.astype(float)
 
 
-def _blurred(values: Floats, sigma_steps: float) -> Floats:
+def _blur(values: Floats, sigma_steps: float) -> Floats:
     result: Floats = scipy.ndimage.gaussian_filter(values, sigma_steps, mode="constant")
     return result
 

@@ -32,7 +32,7 @@ BY_CHANCE = 2.3  # standard deviations
 ROWS_OF_THREE = (0, 1), (1, 0), (1, 1), (1, -1)  # steps along rows and columns
 
 
-def proven(
+def is_supported_by_peak(
     vectors: NDArray[np.float64],
     candidates: NDArray[np.bool_],
     suspects: NDArray[np.bool_],
@@ -82,11 +82,11 @@ def _in_rows(vectors: NDArray[np.float64], which: NDArray[np.bool_], near_px: fl
     return found
 
 
-def unproven(peak_ratio: NDArray[np.float64], sigma_px: NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_low_confidence(peak_ratio: NDArray[np.float64], sigma_px: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Vectors (ny, nx) with a weak peak and no uncertainty (ny, nx, 2): nothing was measured there."""
     return np.asarray((peak_ratio < WEAK) & np.isnan(sigma_px).any(axis=-1))
 
 
-def by_chance(match: NDArray[np.float64], pieces: NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_chance_match(match: NDArray[np.float64], pieces: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Where (ny, nx) frames that have nothing in common may match as well, with so many pieces looked at."""
     return np.asarray(match * np.sqrt(pieces) < BY_CHANCE)

@@ -64,7 +64,7 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     """
     weight = seen.astype(np.float32)
     missing = ~seen
-    holes = np.argwhere(missing & (blurred(weight, AROUND_PX) > HOLE))
+    holes = np.argwhere(missing & (blur_frame(weight, AROUND_PX) > HOLE))
     filled = np.empty((len(holes), 3))
     alike = np.exp(-np.square(np.arange(8.0)) / (4.0 * texture.spread_px2))
 
@@ -74,9 +74,9 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
         krige(a, b, seen, holes, NEAR, alike, texture.noise, *scratch, first, last, filled)
 
     run_rows(guess, len(holes))
-    share = np.maximum(blurred(weight, BLUR_PX), np.float32(0.05))[missing]
+    share = np.maximum(blur_frame(weight, BLUR_PX), np.float32(0.05))[missing]
     for frame in (a, b):
-        frame[missing] = blurred(frame * weight, BLUR_PX)[missing] / share
+        frame[missing] = blur_frame(frame * weight, BLUR_PX)[missing] / share
     if not len(holes):
         return None
     at = tuple(holes.T)
@@ -86,7 +86,7 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     return Doubt(variance, max(texture.noise, LEAST_NOISE))
 
 
-def blurred(frame: Floats, sigma_px: float) -> Floats:
+def blur_frame(frame: Floats, sigma_px: float) -> Floats:
     """Frame under a Gaussian of standard deviation `sigma_px`."""
     import cv2
 

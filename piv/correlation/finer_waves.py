@@ -51,7 +51,7 @@ class Evaluated(NamedTuple):
     between: Sequence[Transfer]
 
     @property
-    def apart(self) -> int:
+    def half_window_steps(self) -> int:
         """Nodes that are half a window apart."""
         return max(1, round(0.5 * self.side_px / self.step_px))
 
@@ -81,7 +81,10 @@ def finer_px(vectors: Floats, one_px: Floats, how: Evaluated) -> Floats:
         By which windows.
     """
     tail, noise = tail_of(how), np.square(one_px).mean(axis=-1)
-    sixth, fourth = differences(vectors, 6, how.apart), differences(vectors, 4, 2 * how.apart)
+    sixth, fourth = (
+        differences(vectors, 6, how.half_window_steps),
+        differences(vectors, 4, 2 * how.half_window_steps),
+    )
     by_chance = [np.square(growth) * noise for growth in tail.noise]
     reach = AROUND * how.side_px / how.step_px
     flow, wider = (
@@ -90,7 +93,8 @@ def finer_px(vectors: Floats, one_px: Floats, how: Evaluated) -> Floats:
     )
     exponent = np.interp(-0.5 * np.log(flow / wider), -np.log(tail.steepness), EXPONENTS)
     here, chance = (
-        scipy.ndimage.uniform_filter(part, 2 * how.apart + 1, mode="nearest") for part in (sixth, by_chance[0])
+        scipy.ndimage.uniform_filter(part, 2 * how.half_window_steps + 1, mode="nearest")
+        for part in (sixth, by_chance[0])
     )
     left = np.maximum(here - chance, 0.0)
     around = scipy.ndimage.gaussian_filter(by_chance[0], reach, mode="nearest")
@@ -135,7 +139,7 @@ def tail_of(how: Evaluated) -> Tail:
     weights = window_weights(how.side_px, how.window_sigma)
     shown = gain(weights, how.step_px, how.between, wave)
     energy = number ** -EXPONENTS[:, None]
-    orders = (6, how.apart), (4, 2 * how.apart)
+    orders = (6, how.half_window_steps), (4, 2 * how.half_window_steps)
     sixth, fourth = (
         energy @ np.square(shown * _transfer(order, apart)(how.step_px * wave)).mean(axis=-1)
         for order, apart in orders

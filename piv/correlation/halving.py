@@ -47,8 +47,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.passes import Course, Measured, moved
-from piv.correlation.sizes import Sizes, blurred, matched, variance_px2
+from piv.correlation.passes import Measured, MultipassState, interpolate_nodes
+from piv.correlation.sizes import Sizes, blur_nodes, match_around, variance_px2
 from piv.correlation.windows import WindowGrid
 
 PROMISED, WIDE = 0.05, 0.21  # of what does not match; deviation of a window's weights in sides
@@ -73,7 +73,7 @@ class Found(NamedTuple):
     missed_px: Floats
 
 
-def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2: float) -> Found:
+def find_sizes(course: MultipassState, grid: WindowGrid, spread_px2: float, sampled_px2: float) -> Found:
     """Go on from usual windows with those that each node of `grid` finds.
 
     Parameters
@@ -86,23 +86,23 @@ def find_sizes(course: Course, grid: WindowGrid, spread_px2: float, sampled_px2:
         Variance of a particle image, as it was recorded and as frames are sampled.
     """
     settings, usual_px = course.settings, course.grid.size_px
-    usual = moved(course.predictor(), course.grid, grid)
-    course.look(grid)
-    before = matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
-    if not _promises(course.predictor() - usual, before, spread_px2, grid, usual_px):
-        course.read_again(usual, Sizes((grid.size_px, usual_px), np.ones(grid.shape, np.int64)))
+    usual = interpolate_nodes(course.predictor(), course.grid, grid)
+    course.run_pass(grid)
+    before = match_around(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
+    if not _expected_gain(course.predictor() - usual, before, spread_px2, grid, usual_px):
+        course.read_sizes_again(usual, Sizes((grid.size_px, usual_px), np.ones(grid.shape, np.int64)))
         return Found(0, np.zeros(grid.shape))
-    course.look(grid)
-    after = matched(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
+    course.run_pass(grid)
+    after = match_around(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
     explained = (after - before) / np.maximum(1.0 - before, 1e-3)
     fine = (explained > EXPLAINED) & (
-        pieces_of(course.deformed.a, grid, settings.window_sigma, spread_px2) >= PIECES
+        effective_particles(course.deformed.a, grid, settings.window_sigma, spread_px2) >= PIECES
     )
     sizes = Sizes((grid.size_px, usual_px), np.where(fine, 0, 1))
-    course.look(grid, np.where(fine[..., None], course.predictor(), usual), sizes)
+    course.run_pass(grid, np.where(fine[..., None], course.predictor(), usual), sizes)
     added = 0
-    while added < settings.extra_passes and _changes(course.found):
-        course.look(grid, None, sizes)
+    while added < settings.extra_passes and _needs_another_pass(course.found):
+        course.run_pass(grid, None, sizes)
         added += 1
     flow = _clear_share(explained, fine, spread_px2, usual_px / grid.step_px)
     gained = flow * (1.0 - before) / np.maximum(after, 1e-3)
@@ -123,15 +123,15 @@ def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, 
     return np.maximum(mean, 0.0) * clear / (1.0 + clear)
 
 
-def _promises(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
+def _expected_gain(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
     """Whether a second trial may explain enough somewhere: by what the first has seen apart (ny, nx, 2)."""
     most = match * np.square(apart_px).sum(axis=-1) / (4.0 * spread_px2 * np.maximum(1.0 - match, 1e-3))
-    around = blurred(most, JUDGED * grid.size_px * WIDE / grid.step_px)
+    around = blur_nodes(most, JUDGED * grid.size_px * WIDE / grid.step_px)
     side = round(1.5 * usual_px / grid.step_px)
     return bool(scipy.ndimage.binary_opening(around > PROMISED, np.ones((side, side), bool)).any())
 
 
-def pieces_of(
+def effective_particles(
     frame: NDArray[np.float32], grid: WindowGrid, window_sigma: float, spread_px2: float = 0.0
 ) -> Floats:
     """How many particle images (ny, nx) of about the same light would make that of each window of `grid`.
@@ -155,7 +155,7 @@ def pieces_of(
     return np.asarray(count[np.ix_(*at)], np.float64)
 
 
-def _changes(found: Measured) -> bool:
+def _needs_another_pass(found: Measured) -> bool:
     """Whether the last pass has still moved more than a few vectors of the finest windows."""
     if found.sizes is None:
         return False

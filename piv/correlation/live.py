@@ -47,8 +47,8 @@ def live_vectors(
     """
     if np.ndim(frame_a) != 2 or np.shape(frame_a) != np.shape(frame_b):
         raise PairError(f"two frames of one size are needed, not {np.shape(frame_a)} and {np.shape(frame_b)}")
-    mask = None if valid is None else _joined(valid.astype(np.float32)) > 0.9
-    field = evaluate_pair(_joined(frame_a), _joined(frame_b), mask, LIVE, threads)
+    mask = None if valid is None else _join(valid.astype(np.float32)) > 0.9
+    field = evaluate_pair(_join(frame_a), _join(frame_b), mask, LIVE, threads)
     return replace(
         field,
         x_px=2.0 * field.x_px + 0.5,
@@ -65,7 +65,7 @@ def live_vectors(
     )
 
 
-def _joined(frame: NDArray[Any]) -> NDArray[np.float32]:
+def _join(frame: NDArray[Any]) -> NDArray[np.float32]:
     """Means of 2 x 2 pixels."""
     import cv2
 

@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.kernels.median import normalised_residual
-from piv.correlation.planes import FILL_SIGMA, smoothed
+from piv.correlation.kernels.median import median_residual
+from piv.correlation.planes import FILL_SIGMA, smooth_field
 
 RADIUS = 2  # 5 x 5 neighbourhood
 MIN_NEIGHBOURS = 5  # fewer do not make a median worth the name
@@ -47,7 +47,7 @@ def outliers(
         return rejected
     side = 2 * RADIUS + 1
     judged: NDArray[np.bool_] = candidates & scipy.ndimage.binary_dilation(rejected, np.ones((side, side), bool))
-    trend = smoothed(field, accepted, FILL_SIGMA)
+    trend = smooth_field(field, accepted, FILL_SIGMA)
     judged &= _residual(field - trend, accepted, judged, epsilon_px, threshold) > threshold
     return judged
 
@@ -67,7 +67,5 @@ def _residual(
     residual, work = np.full(usable.shape, np.nan), np.empty((2 * RADIUS + 1) ** 2)
     field = np.ascontiguousarray(field)  # a kernel is compiled once more for slices
     usable, judged = np.ascontiguousarray(usable), np.ascontiguousarray(judged)
-    normalised_residual(
-        field, usable, judged, RADIUS, epsilon_px, near, MIN_NEIGHBOURS, 0, len(field), work, residual
-    )
+    median_residual(field, usable, judged, RADIUS, epsilon_px, near, MIN_NEIGHBOURS, 0, len(field), work, residual)
     return residual

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from ground.blas import one_blas_thread
 from ground.memory import require_memory
-from piv.correlation.agreement import LEAST_BLOCKS, agreed, resolution_of
+from piv.correlation.agreement import LEAST_BLOCKS, measure_agreement, resolution_of
 from piv.correlation.common_light import (
     LAGS,
     CommonLight,
@@ -46,24 +46,24 @@ from piv.correlation.common_light import (
 from piv.correlation.correlate import peak_ratios
 from piv.correlation.cut_windows import cut_px
 from piv.correlation.deform import DeformedPair, Frames
-from piv.correlation.denoise import Denoised, denoised
-from piv.correlation.evidence import by_chance, unproven
+from piv.correlation.denoise import Denoised, remove_noise
+from piv.correlation.evidence import is_chance_match, is_low_confidence
 from piv.correlation.finer_waves import Evaluated, finer_px
 from piv.correlation.halving import find_sizes
 from piv.correlation.inclined_images import inclination_of
-from piv.correlation.passes import Course, Measured, search
-from piv.correlation.planes import filled
-from piv.correlation.prepare import Pair, checked, prepared
+from piv.correlation.passes import Measured, MultipassState, search
+from piv.correlation.planes import fill_gaps
+from piv.correlation.prepare import Pair, check_frames, prepare_pair
 from piv.correlation.refine import window_weights
-from piv.correlation.resolution import Window, matched_share, unmatched_px, unresolved_px
-from piv.correlation.response import everything, gain, levels_of, noise_growth, parts_of, smoothings_of
+from piv.correlation.resolution import Window, match_share, mismatch_px, resolution_model_px
+from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
-from piv.correlation.sizes import Sizes, leaning_of, matched, variance_px2
+from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, variance_px2
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
+    correlation_asymmetry,
     correlation_statistics,
-    leaning,
     sampling_error_px,
 )
 from piv.correlation.vector_field import TRUSTED_SHARE, VectorField, VectorFlag
@@ -153,12 +153,12 @@ def evaluate_pair(
     require_memory(
         BYTES_PER_PX * float(np.prod(size)), f"evaluating a pair of {' x '.join(map(str, size[::-1]))} px"
     )
-    frames, _, seen = checked(frame_a, frame_b, valid)
+    frames, _, seen = check_frames(frame_a, frame_b, valid)
     if still is None:
         still = still_light([(frames[0], frames[1])], seen)
     told = valid
     if told is not None and not told.all():
-        usable = checked(frame_a, frame_b, None)[2]
+        usable = check_frames(frame_a, frame_b, None)[2]
         valid = with_clean_rim((frames[0], frames[1]), told, usable)
     del frames, seen
     if still is not None:
@@ -167,14 +167,14 @@ def evaluate_pair(
     rim = None if valid is None or told is None or told.all() or not (valid & ~told).any() else told
 
     # Frames are prepared anew for each trial: none are held while one goes on.
-    def made() -> Pair:
-        pair = prepared(frame_a, frame_b, valid, sides[-1])
+    def prepare_again() -> Pair:
+        pair = prepare_pair(frame_a, frame_b, valid, sides[-1])
         return pair if rim is None else replace(pair, told=rim.astype(np.float32))
 
-    field = _evaluated(made(), sides, settings, threads)
+    field = _run_passes(prepare_again(), sides, settings, threads)
     for side in _larger(sides[0], min(np.shape(frame_a))) if _share(field) < DOUBTFUL_SHARE else ():
         try:
-            again = _evaluated(made(), [side, *sides], settings, threads)
+            again = _run_passes(prepare_again(), [side, *sides], settings, threads)
         except PairError:
             continue  # no more than there was
         if _share(again) < GAIN * _share(field) and 1.0 - _share(again) > LEFT * (1.0 - _share(field)):
@@ -185,7 +185,7 @@ def evaluate_pair(
     field = _without_strangers(field)
     if still is not None and still.any():
         field = _without_still(field, told, still, settings.min_valid)
-    return replace(field, is_one_picture=_are_one(frame_a, frame_b))
+    return replace(field, is_one_picture=_is_one_picture(frame_a, frame_b))
 
 
 def _larger(side_px: int, frame_px: int) -> list[int]:
@@ -203,7 +203,7 @@ def _without_strangers(field: VectorField) -> VectorField:
     return _without(field, field.asked, VectorFlag.REJECTED)
 
 
-def _are_one(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
+def _is_one_picture(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
     """Whether two frames of one size are the same, pixel by pixel."""
     return bool(np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True))
 
@@ -250,7 +250,7 @@ def _share_around(which: NDArray[np.bool_], side_px: int) -> NDArray[np.float32]
     return np.asarray(found, np.float32)
 
 
-def _evaluated(
+def _run_passes(
     pair: Pair, sides: list[int], settings: PivSettings, threads: int | None, common: CommonLight | None = None
 ) -> VectorField:
     """Make all passes: down to usual windows, then with those that places find, the last ones again if need be.
@@ -264,13 +264,13 @@ def _evaluated(
     found = search(pair, grids[0], settings, threads)
     inclination = inclination_of(pair.a)
     frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt, pair.told, inclination)
-    spread_px2, sampled_px2, nan_pixels = pair.spread_px2, pair.sampled_px2, pair.nan_pixels
+    spread_px2, sampled_px2, nan_pixels = pair.spread_px2, pair.spread_as_sampled_px2, pair.nan_pixels
     suspect = pair if common is None and is_suspect(still) else None
     del pair  # 8 bytes a pixel that are not needed any more
-    course = Course(frames, settings, threads, grids[0], found, deformed)
+    course = MultipassState(frames, settings, threads, grids[0], found, deformed)
     for grid in grids[1:]:
-        course.look(grid)
-    vectors = filled(course.found.vectors_px, course.found.good)[0]
+        course.run_pass(grid)
+    vectors = fill_gaps(course.found.vectors_px, course.found.good)[0]
     if suspect is not None:  # large images are still at their own place when they have moved by their width
         still = still - np.maximum(match_with_itself(suspect.a, vectors[::2, ::2]), 0.0)
     still_share = static_share(still, vectors, spread_px2)
@@ -280,33 +280,33 @@ def _evaluated(
         lag = lag_of_coarse_light(course.deformed, known._replace(vectors_px=believed), spread_px2, threads)
         common = without_common_light(suspect, known, settings.min_valid, threads, lag)
         if common is not None:
-            field = _evaluated(replace(common.pair, told=suspect.told), sides, settings, threads, common)
+            field = _run_passes(replace(common.pair, told=suspect.told), sides, settings, threads, common)
             return replace(field, nan_pixels=nan_pixels)
         if lag < -LAGS:
             still_share = max(-lag, np.nan_to_num(still_share))
         del suspect
     every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
-    while course.found.refined is not None and added < settings.extra_passes and _changes(course):
-        course.look(course.grid)
+    while course.found.refined is not None and added < settings.extra_passes and _needs_another_pass(course):
+        course.run_pass(course.grid)
         added += 1
-    if settings.finds:
+    if settings.finds_windows:
         own, every = settings.own_grid(shape)
         added, missed_px = find_sizes(course, own, spread_px2, sampled_px2)
     if settings.peak_ratios:
         dense = course.found.valid_fraction >= settings.min_valid
         ratio = peak_ratios(course.deformed, course.grid, dense, settings.min_valid, threads)
         course.found = course.found._replace(peak_ratio=ratio)
-    field = _result(course, spread_px2, added, missed_px)
+    field = _judge_vectors(course, spread_px2, added, missed_px)
     if common is not None:
         field = _without_seams(field, common)
         still_share = common.share
-    return _sparser(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
+    return _decimate(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
 
 
 def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
     """The field of a pair whose common light is off: without short vectors, and what lengthens the others."""
     length_px = np.hypot(field.u_px, field.v_px)
-    pushed_px = common.pushed(length_px)
+    pushed_px = common.lengthening_px(length_px)
     kept = 1.0 - pushed_px / np.maximum(length_px, common.least_px)
     resolution = field.resolution_px
     field = replace(
@@ -322,7 +322,7 @@ def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
     return _without(field, field.valid & (short | beside), VectorFlag.REJECTED)
 
 
-def _sparser(field: VectorField, every: int) -> VectorField:
+def _decimate(field: VectorField, every: int) -> VectorField:
     """One vector of so many along each axis."""
     if every == 1:
         return field
@@ -334,14 +334,14 @@ def _sparser(field: VectorField, every: int) -> VectorField:
     return replace(field, **places, step_px=every * field.step_px)
 
 
-def _changes(course: Course) -> bool:
+def _needs_another_pass(course: MultipassState) -> bool:
     """Whether a pass has still moved more than a few vectors."""
     dense = course.found.valid_fraction >= course.settings.min_valid
     far = ~(np.linalg.norm(course.found.left_px, axis=-1) < CHANGE_PX)
     return bool((far & dense).sum() > CHANGED_SHARE * dense.sum())
 
 
-def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) -> VectorField:
+def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_px: Floats) -> VectorField:
     """Judge the vectors of the last pass by their own uncertainty, and take noise off them.
 
     `missed_px` (ny, nx) is what smaller windows have shown that they miss.
@@ -351,42 +351,46 @@ def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) ->
     sizes = found.sizes or Sizes((grid.size_px,), np.zeros(grid.shape, np.int64))
     sigma, resolution = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
     if found.refined is not None:
-        left, _ = filled(found.left_px, good)
+        left, _ = fill_gaps(found.left_px, good)
         blocks = blocks_of(course.deformed, spread_px2, course.threads)
-        lean = leaning(blocks, grid, settings.window_sigma, left)
-        lean = leaning_of(lean, grid, sizes, settings.window_sigma)
+        lean = correlation_asymmetry(blocks, grid, settings.window_sigma, left)
+        lean = asymmetry_of_sizes(lean, grid, sizes, settings.window_sigma)
         one, pieces = correlation_statistics(lean, found.refined)
         if course.frames.inclination is not None:
             one = one * course.frames.inclination.noise_growth(grid)[..., None]
-        good = good & ~_empty(course, one, pieces / np.square(sizes.side_px))
-        good = good & ~_beside_the_point(found, good)
+        good = good & ~_is_unmeasured(course, one, pieces / np.square(sizes.side_px))
+        good = good & ~_is_mostly_unmatched(found, good)
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
         one = np.where(good[..., None] & np.isnan(one), LARGEST_PX, one)
-        vectors, sigma, taken = _denoised(course, sizes, good, one, added)
+        vectors, sigma, taken = _remove_noise(course, sizes, good, one, added)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
-        final = filled(vectors, good)[0]
-        resolution = np.maximum(_unresolved(course, sizes, final, taken, pieces), missed_px)
-        beyond = np.clip(final - filled(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
+        final = fill_gaps(vectors, good)[0]
+        resolution = np.maximum(_modelled_resolution(course, sizes, final, taken, pieces), missed_px)
+        beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # blocks tell nothing there
-            finer = _finer(course, good, one, added)
+            finer = _missed_short_waves(course, good, one, added)
             resolution = np.where(large, resolution, np.hypot(resolution, finer))
-        measured = agreed(blocks, grid, beyond, good * large * found.refined.gain, settings.windows_px[-1])
+        measured = measure_agreement(
+            blocks, grid, beyond, good * large * found.refined.gain, settings.windows_px[-1]
+        )
         resolution = resolution_of(measured, resolution, sigma, one)
         # Blocks tell displacements of less than a pixel; what moves farther from the vector matches nothing.
-        resolution = np.maximum(resolution, unmatched_px(vectors, found.seen_px, found.correlation, good, sigma))
+        resolution = np.maximum(resolution, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
         seen, told = course.frames.valid, course.frames.told
         # A clean rim shows that particles end there, and its windows hold some of them: part of the cut counts.
         around = seen if told is None else seen + np.float32(RIM_CUT) * (told - seen)
         cut = (cut_px(final, around, grid, side, settings.window_sigma) for side in sizes.sides_px)
-        resolution = np.hypot(resolution, sizes.picked(list(cut)))
-    fill, near = filled(vectors, good)
+        resolution = np.hypot(resolution, sizes.pick(list(cut)))
+    fill, near = fill_gaps(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED
     flags[good] = VectorFlag.VALID
     share = found.valid_fraction
     if (told := course.frames.told) is not None:
-        share = np.minimum(share, sizes.picked([_told_share(course, told, side) for side in sizes.sides_px]))
+        share = np.minimum(
+            share, sizes.pick([_share_of_given_mask(course, told, side) for side in sizes.sides_px])
+        )
     flags[share < settings.min_valid] = VectorFlag.MASKED
     nothing = (flags == VectorFlag.MASKED) | (flags == VectorFlag.REJECTED)
     fill = np.where(nothing[..., None], np.nan, fill)
@@ -412,7 +416,7 @@ def _result(course: Course, spread_px2: float, added: int, missed_px: Floats) ->
     )
 
 
-def _told_share(course: Course, told: NDArray[np.float32], side_px: int) -> Floats:
+def _share_of_given_mask(course: MultipassState, told: NDArray[np.float32], side_px: int) -> Floats:
     """Share (ny, nx) of windows that the mask which was given leaves, by their weights."""
     import cv2
 
@@ -423,7 +427,7 @@ def _told_share(course: Course, told: NDArray[np.float32], side_px: int) -> Floa
     return np.asarray(share[np.ix_(rows, columns)], np.float64)
 
 
-def _empty(course: Course, sigma: Floats, pieces_a_px2: Floats) -> NDArray[np.bool_]:
+def _is_unmeasured(course: MultipassState, sigma: Floats, pieces_a_px2: Floats) -> NDArray[np.bool_]:
     """Windows (ny, nx) in which nothing was measured: no uncertainty worth the name, and a weak peak or match."""
     found, settings = course.found, course.settings
     # Windows larger than their spacing see the same light, and support each other even where there is nothing.
@@ -433,29 +437,31 @@ def _empty(course: Course, sigma: Floats, pieces_a_px2: Floats) -> NDArray[np.bo
     if not doubtful.any():
         return doubtful
     ratio = peak_ratios(course.deformed, course.grid, doubtful, settings.min_valid, course.threads)
-    empty = unproven(ratio, sigma)
+    empty = is_low_confidence(ratio, sigma)
     if found.sizes is not None:
         around_px = AROUND * settings.windows_px[-1]
-        match = matched(found.own, course.grid, round(around_px), settings.window_sigma)
-        empty |= doubtful & by_chance(match, pieces_a_px2 * around_px**2)
+        match = match_around(found.own, course.grid, round(around_px), settings.window_sigma)
+        empty |= doubtful & is_chance_match(match, pieces_a_px2 * around_px**2)
     if not (found.good & ~empty).any():
         raise PairError("no window gave a vector that its own correlation supports; check exposure and pairing")
     return empty
 
 
-def _beside_the_point(found: Measured, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _is_mostly_unmatched(found: Measured, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Windows (ny, nx) most of whose light moves otherwise than their vector says, and by much."""
-    little = matched_share(found.correlation, good) < LEAST_MATCHED
-    apart_px = unmatched_px(found.vectors_px, found.seen_px, found.correlation, good)
+    little = match_share(found.correlation, good) < LEAST_MATCHED
+    apart_px = mismatch_px(found.vectors_px, found.seen_px, found.correlation, good)
     return np.asarray(little & (apart_px > OTHERWISE_PX))
 
 
-def _denoised(course: Course, sizes: Sizes, good: NDArray[np.bool_], sigma: Floats, added: int) -> Denoised:
+def _remove_noise(
+    course: MultipassState, sizes: Sizes, good: NDArray[np.bool_], sigma: Floats, added: int
+) -> Denoised:
     """Vectors without the detail that is noise; `sigma` (ny, nx, 2) is that of one correlation."""
     settings, step, vectors = course.settings, course.grid.step_px, course.found.vectors_px
     levels = levels_of(settings, step) if settings.denoise > 0.0 and min(course.grid.shape) >= 2 else []
     growths = []
-    for part in parts_of(levels) if levels else [everything]:
+    for part in parts_of(levels) if levels else [total_response]:
         of_side = [
             noise_growth(
                 window_weights(side, settings.window_sigma), step, smoothings_of(settings, side, step, added), part
@@ -465,18 +471,20 @@ def _denoised(course: Course, sizes: Sizes, good: NDArray[np.bool_], sigma: Floa
         growths.append(np.array(of_side)[sizes.which])
     if not levels:
         return Denoised(vectors, sigma * growths[0][..., None], np.zeros(good.shape))
-    return denoised(vectors, good, sigma, growths, levels, settings.denoise)
+    return remove_noise(vectors, good, sigma, growths, levels, settings.denoise)
 
 
-def _finer(course: Course, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:
+def _missed_short_waves(course: MultipassState, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:
     """What waves make of vectors (ny, nx) that the smallest windows there are do not show."""
     settings, grid = course.settings, course.grid
-    vectors, noise = (filled(part, good)[0] for part in (course.found.vectors_px, sigma))
+    vectors, noise = (fill_gaps(part, good)[0] for part in (course.found.vectors_px, sigma))
     between = smoothings_of(settings, grid.size_px, grid.step_px, added)
     return finer_px(vectors, noise, Evaluated(grid.size_px, grid.step_px, settings.window_sigma, between))
 
 
-def _unresolved(course: Course, sizes: Sizes, vectors: Floats, taken: Floats, pieces: Floats) -> Floats:
+def _modelled_resolution(
+    course: MultipassState, sizes: Sizes, vectors: Floats, taken: Floats, pieces: Floats
+) -> Floats:
     """What windows do not resolve (ny, nx), each of its size."""
     settings, step = course.settings, course.grid.step_px
     parts = []
@@ -484,6 +492,8 @@ def _unresolved(course: Course, sizes: Sizes, vectors: Floats, taken: Floats, pi
         weights = window_weights(side, settings.window_sigma)
         shown = gain(weights, step, smoothings_of(settings, side, step), np.array([np.pi / side, 0.0]))
         parts.append(
-            unresolved_px(vectors, taken, pieces, Window(side, step, weights, float(shown), settings.finds))
+            resolution_model_px(
+                vectors, taken, pieces, Window(side, step, weights, float(shown), settings.finds_windows)
+            )
         )
-    return sizes.picked(parts)
+    return sizes.pick(parts)

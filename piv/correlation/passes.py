@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from piv.correlation.correlate import correlate_some, correlate_windows, peak_ratios
 from piv.correlation.deform import DeformedPair, Frames, deform_pair
-from piv.correlation.evidence import WEAK, proven
+from piv.correlation.evidence import WEAK, is_supported_by_peak
 from piv.correlation.outliers import outliers
-from piv.correlation.planes import smoothed
+from piv.correlation.planes import smooth_field
 from piv.correlation.prepare import Pair
 from piv.correlation.refine import Refined, refine
 from piv.correlation.response import COARSE, smoothing_after
 from piv.correlation.settings import PivSettings
-from piv.correlation.sizes import Sizes, chosen
-from piv.correlation.windows import WindowGrid, interpolated
+from piv.correlation.sizes import Sizes, choose_sizes
+from piv.correlation.windows import WindowGrid, interpolate
 from piv.errors import PairError
 
 HALVED_PX = 64  # first windows of this side are looked at in frames of half the resolution
@@ -49,7 +49,7 @@ class Measured(NamedTuple):
 
 
 @dataclass
-class Course:
+class MultipassState:
     """Passes of one pair, one after another.
 
     Parameters
@@ -86,10 +86,10 @@ class Course:
             return smoothing_after(self.number, side_px, grid.step_px, self.settings)
 
         if sizes is not None:
-            return sizes.smoothed(vectors, good, smoothing)
-        return smoothed(vectors, good, *smoothing(grid.size_px))
+            return sizes.smooth_field(vectors, good, smoothing)
+        return smooth_field(vectors, good, *smoothing(grid.size_px))
 
-    def look(self, grid: WindowGrid, predictor: Floats | None = None, sizes: Sizes | None = None) -> None:
+    def run_pass(self, grid: WindowGrid, predictor: Floats | None = None, sizes: Sizes | None = None) -> None:
         """Make one more pass with the windows of `grid`, or with the sizes that its nodes have.
 
         `predictor` (ny, nx, 2) is on the last pass's grid; default what that one says.
@@ -102,10 +102,10 @@ class Course:
         self.deformed = deform_pair(
             frames.coefficients, frames.valid, predictor, before, frames.floor, self.threads, doubt
         )._replace(inclination=frames.inclination)
-        predictor, self.grid = moved(predictor, before, grid), grid
+        predictor, self.grid = interpolate_nodes(predictor, before, grid), grid
         self.found = refine_pass(self.deformed, grid, predictor, self.number == 1, settings, self.threads, sizes)
 
-    def read_again(self, predictor: Floats, sizes: Sizes) -> None:
+    def read_sizes_again(self, predictor: Floats, sizes: Sizes) -> None:
         """Read the last pass with the sizes that its nodes have: of the frames that `predictor` has deformed."""
         found = self.found.own
         self.found = refine_pass(
@@ -117,10 +117,10 @@ def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | N
     """Look at whole windows; large ones at half the resolution, since only whole pixels count yet."""
     halves = grid.size_px >= HALVED_PX and len(settings.windows_px) > 1
     half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2) if halves else grid
-    seen = pair.halved() if halves else pair
+    seen = pair.half_resolution() if halves else pair
     frames = DeformedPair(seen.a, seen.b, seen.valid, seen.floor)
     raw = correlate_windows(frames, half, settings.min_valid, threads)
-    good, ratio = _accepted(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
+    good, ratio = _accept_vectors(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
     shift = raw.shift_px * (2.0 if halves else 1.0)
     return Measured(shift, shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)
 
@@ -145,7 +145,7 @@ def refine_pass(
     own = refine(pair, grid, settings.window_sigma, threads) if own is None else own
     raw = own
     if sizes is not None:
-        raw = chosen(own, sizes, grid, settings.window_sigma, pair.floor)
+        raw = choose_sizes(own, sizes, grid, settings.window_sigma, pair.floor)
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
     if pair.inclination is not None:
         shift = pair.inclination.solve(shift, grid)
@@ -165,11 +165,11 @@ def refine_pass(
     if dense.any() and not np.isfinite(shift).any():
         raise PairError("no window shows a peak that stands out; check exposure, seeding and pairing")
     vectors = predictor + shift
-    good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads, sizes)
+    good, ratio = _accept_vectors(vectors, ratio, pair, grid, settings, threads, sizes)
     return Measured(vectors, seen, raw.correlation, ratio, raw.valid_fraction, good, shift, raw, own, sizes)
 
 
-def _accepted(
+def _accept_vectors(
     vectors: Floats,
     ratio: Floats,
     pair: DeformedPair,
@@ -186,7 +186,7 @@ def _accepted(
     if unknown.any():
         ratio = np.where(unknown, peak_ratios(pair, grid, unknown, settings.min_valid, threads), ratio)
     if suspects.any():
-        good |= proven(vectors, candidates, suspects, ratio, grid.size_px)
+        good |= is_supported_by_peak(vectors, candidates, suspects, ratio, grid.size_px)
     if not good.any():
         if candidates.any():
             raise PairError(
@@ -219,9 +219,9 @@ def _suspects(
     return found
 
 
-def moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -> NDArray[np.float64]:
+def interpolate_nodes(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -> NDArray[np.float64]:
     """Field on the nodes of one grid, interpolated at the nodes of another."""
     if source is target or (np.array_equal(source.row, target.row) and source.size_px == target.size_px):
         return field
-    along_u = interpolated(field, 1, source.x_px, target.x_px, source.step_px)
-    return interpolated(along_u, 0, source.y_px, target.y_px, source.step_px)
+    along_u = interpolate(field, 1, source.x_px, target.x_px, source.step_px)
+    return interpolate(along_u, 0, source.y_px, target.y_px, source.step_px)

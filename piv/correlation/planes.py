@@ -75,7 +75,7 @@ def _of_both(values: Floats) -> NDArray[np.float32]:
     return np.repeat(values.astype(np.float32)[..., None], 2, axis=-1)
 
 
-def filled(field: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+def fill_gaps(field: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
     """Put the plane through valid neighbours wherever a vector is not valid.
 
     Parameters
@@ -105,7 +105,7 @@ def filled(field: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.
     return fill, near
 
 
-def smoothed(
+def smooth_field(
     field: Floats, valid: NDArray[np.bool_], sigma_steps: float, order: int = 1, trust: Floats | None = None
 ) -> Floats:
     """Field of the valid vectors, smoothed over `sigma_steps` nodes and continued where there are none.
@@ -131,7 +131,7 @@ def smoothed(
     ndarray of float64, shape (ny, nx, 2)
         Finite everywhere.
     """
-    fill, _ = filled(field, valid)
+    fill, _ = fill_gaps(field, valid)
     if sigma_steps <= 0.0 or min(valid.shape) < 2:
         return fill
     fit = PlaneFit(valid.astype(float) if trust is None else np.where(valid, trust, 0.0), sigma_steps)

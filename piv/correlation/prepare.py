@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piv.correlation.fill import Doubt, Texture, blurred, without_gaps
+from piv.correlation.fill import Doubt, Texture, blur_frame, without_gaps
 from piv.errors import FrameError, PairError
 from piv.resampling.sample import MIN_SIDE_PX, prefilter
 
@@ -70,7 +70,7 @@ class Pair:
     told: Floats | None = None
 
     @property
-    def sampled_px2(self) -> float:
+    def spread_as_sampled_px2(self) -> float:
         """Variance of a particle image in frames that are sampled through these coefficients.
 
         Those that are the pixels themselves widen it by the variance of the quintic B-spline.
@@ -91,14 +91,14 @@ class Pair:
         share = np.float32(smoothing)
         if share == 1.0:
             pair = self.a, self.b
-            return (blurred(self.a, blur**0.5), blurred(self.b, blur**0.5)) if blur > 0.02 else pair
+            return (blur_frame(self.a, blur**0.5), blur_frame(self.b, blur**0.5)) if blur > 0.02 else pair
         spline = prefilter(self.a, threads=threads), prefilter(self.b, threads=threads)
         if share > 0.0:
             for coefficients, frame in zip(spline, (self.a, self.b), strict=True):
                 cv2.addWeighted(coefficients, float(1.0 - share), frame, float(share), 0.0, dst=coefficients)
         return spline
 
-    def halved(self) -> "Pair":
+    def half_resolution(self) -> "Pair":
         """The same at half the resolution, for whoever looks for pixels and not for their fractions."""
         import cv2
 
@@ -113,7 +113,7 @@ class Pair:
         return Pair(a, b, valid, self.floor, self.spread_px2 / 4.0, self.nan_pixels)
 
 
-def prepared(
+def prepare_pair(
     frame_a: NDArray[Any], frame_b: NDArray[Any], valid: NDArray[np.bool_] | None, window_px: int
 ) -> Pair:
     """Check both frames and their mask, and make them ready.
@@ -134,12 +134,12 @@ def prepared(
     PairError
         Two frames that are no pair, or a mask that is none of theirs.
     """
-    frames, mask, seen = checked(frame_a, frame_b, valid)
+    frames, mask, seen = check_frames(frame_a, frame_b, valid)
     whole = bool(seen.all())
     weight = seen.astype(np.float32)
     side_px = window_px | 1
-    a = _levelled(frames[0], weight, whole, side_px, "A")
-    b = _levelled(frames[1], weight, whole, side_px, "B")
+    a = _remove_level(frames[0], weight, whole, side_px, "A")
+    b = _remove_level(frames[1], weight, whole, side_px, "B")
     texture, doubt = texture_of(a, weight, whole), None
     if not whole:
         doubt = without_gaps(a, b, seen, texture)
@@ -149,10 +149,10 @@ def prepared(
     return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, doubt, texture.noise)
 
 
-def checked(
+def check_frames(
     frame_a: NDArray[Any], frame_b: NDArray[Any], valid: NDArray[np.bool_] | None
 ) -> tuple[tuple[NDArray[Any], ...], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two frames of plain numbers, where their mask is True, and where both count; raises as `prepared`."""
+    """Two frames of plain numbers, where their mask is True, and where both count; raises as `prepare_pair`."""
     frames, usable = zip(*(_numbers(frame) for frame in (frame_a, frame_b)), strict=True)
     shape = frames[0].shape
     if shape != frames[1].shape:
@@ -179,7 +179,7 @@ def _numbers(frame: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     return values, usable
 
 
-def _levelled(frame: NDArray[Any], weight: Floats, whole: bool, side_px: int, name: str) -> Floats:
+def _remove_level(frame: NDArray[Any], weight: Floats, whole: bool, side_px: int, name: str) -> Floats:
     """Frame without the mean of its surroundings, of unit deviation, 0 where it is masked; see the top."""
     inside = frame if whole else frame[weight > 0]
     low, high = inside.min(), inside.max()

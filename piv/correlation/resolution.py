@@ -58,7 +58,7 @@ class Window(NamedTuple):
     found: bool = False
 
 
-def unresolved_px(vectors: Floats, taken_px: Floats, pieces: Floats, window: Window) -> Floats:
+def resolution_model_px(vectors: Floats, taken_px: Floats, pieces: Floats, window: Window) -> Floats:
     """Standard deviation (ny, nx) of a component by what windows of one size do not resolve.
 
     Parameters
@@ -100,7 +100,7 @@ def second_differences(vectors: Floats, apart: int) -> Floats:
     return np.sqrt(np.maximum(around, 0.0))  # running sums may leave less than nothing
 
 
-def matched_share(correlation: Floats, good: NDArray[np.bool_]) -> Floats:
+def match_share(correlation: Floats, good: NDArray[np.bool_]) -> Floats:
     """Share (ny, nx) of the light of windows that moves as their vector says; 1 where nothing is known.
 
     From their correlation (ny, nx), which is that of windows in which all matches for a quarter of the good ones.
@@ -111,7 +111,7 @@ def matched_share(correlation: Floats, good: NDArray[np.bool_]) -> Floats:
     return share
 
 
-def unmatched_px(
+def mismatch_px(
     vectors: Floats,
     seen_px: Floats,
     correlation: Floats,
@@ -133,7 +133,7 @@ def unmatched_px(
     sigma_px : ndarray of float64, shape (ny, nx, 2), optional
         Random sigma of the vectors, whose noise has a range of its own; default none.
     """
-    share = 1.0 - matched_share(correlation, good)
+    share = 1.0 - match_share(correlation, good)
     gap = ~good & np.isfinite(seen_px).all(axis=-1)
     gap &= scipy.ndimage.convolve(gap.astype(int), np.ones((3, 3), int), mode="constant") >= GAP
     known, values = (good | gap)[..., None], np.where(good[..., None], vectors, seen_px)

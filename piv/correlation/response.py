@@ -60,12 +60,12 @@ def smoothings_of(settings: PivSettings, side_px: int, step_px: int, added_passe
 
     `added_passes` are those of the very field (`VectorField.added_passes`).
     """
-    if not settings.finds:
+    if not settings.finds_windows:
         return transfers_between((*settings.windows_px, *(side_px,) * added_passes), step_px, settings)
     return [smoothing_transfer(*smoothing_after(COARSE, side_px, step_px, settings))] * (FOUND + added_passes)
 
 
-def everything(wave: Floats) -> Floats:
+def total_response(wave: Floats) -> Floats:
     """Transfer of no filter at all."""
     return np.ones(wave.shape[:-1])
 
@@ -76,13 +76,13 @@ def parts_of(levels_steps: Sequence[float]) -> list[Transfer]:
     The last one is what is left where there is nothing but noise.
     """
     smooth = [smoothing_transfer(level, ORDER) for level in levels_steps]
-    between = [_difference(upper, lower) for upper, lower in pairwise([everything, *smooth])]
+    between = [_difference(upper, lower) for upper, lower in pairwise([total_response, *smooth])]
     return [*between, smooth[-1]]
 
 
 def levels_of(settings: PivSettings, step_px: int) -> list[float]:
     """Smoothings of the last filter [grid steps]: large windows at near nodes leave noise over more than one."""
-    levels = LEVELS if settings.finds else LEVELS[:1]
+    levels = LEVELS if settings.finds_windows else LEVELS[:1]
     return [level * settings.windows_px[-1] / step_px for level in levels]
 
 
@@ -105,12 +105,14 @@ def response_at(settings: PivSettings, wave_rad_px: Floats, added_passes: int = 
     usual, finest = settings.windows_px[-1], settings.finest
     step = max(1, round(finest * (1.0 - settings.overlap)))
 
-    def shown(side: int, last: Transfer | None = None) -> Floats:
+    def response_at(side: int, last: Transfer | None = None) -> Floats:
         between = smoothings_of(settings, side, step, added_passes)
         return gain(window_weights(side, settings.window_sigma), step, between, wave_rad_px, last)
 
-    strong = shown(finest)
-    return strong, shown(usual, parts_of(levels_of(settings, step))[-1]) if settings.denoise else shown(usual)
+    strong = response_at(finest)
+    return strong, response_at(
+        usual, parts_of(levels_of(settings, step))[-1]
+    ) if settings.denoise else response_at(usual)
 
 
 def smoothing_transfer(sigma_steps: float, order: int) -> Transfer:

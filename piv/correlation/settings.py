@@ -16,7 +16,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 from annotated_types import Interval
 
-from piv.correlation.windows import WindowGrid, spaced
+from piv.correlation.windows import WindowGrid, grid_with_step
 from piv.errors import PairError
 
 SMALLEST_WINDOW_PX = 8
@@ -107,7 +107,7 @@ class PivSettings:
             raise PairError(f"extra_passes is a whole number, got {self.extra_passes}")
 
     @property
-    def finds(self) -> bool:
+    def finds_windows(self) -> bool:
         """Whether places find their windows."""
         return self.finest_px is not None
 
@@ -120,7 +120,7 @@ class PivSettings:
     def windows_said(self) -> str:
         """Sides of the last windows in words."""
         usual = f"{self.windows_px[-1]} px"
-        return f"{usual}, or {self.finest} px where they show more" if self.finds else usual
+        return f"{usual}, or {self.finest} px where they show more" if self.finds_windows else usual
 
     def own_grid(self, shape: tuple[int, int]) -> tuple[WindowGrid, int]:
         """Finest windows of a frame (H, W), close enough to add up to larger ones; and every how many'th is kept.
@@ -131,8 +131,8 @@ class PivSettings:
         usual = self.windows_px[-1]
         size = self.finest + (usual - self.finest) % 2
         step = max(1, round(size * (1.0 - self.overlap)))
-        every = 1 if not self.finds or self.overlap >= ADD_UP else 2
-        return spaced(shape, size, -(-step // every)), every
+        every = 1 if not self.finds_windows or self.overlap >= ADD_UP else 2
+        return grid_with_step(shape, size, -(-step // every)), every
 
     def result_grid(self, shape: tuple[int, int]) -> WindowGrid:
         """Windows of usual size where the vectors of a frame (H, W) stand; those at its edge reach beyond it."""

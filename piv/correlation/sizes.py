@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piv.correlation.planes import REACH, smoothed
+from piv.correlation.planes import REACH, smooth_field
 from piv.correlation.refine import Refined, read_windows, window_weights
-from piv.correlation.uncertainty import Leaning
+from piv.correlation.uncertainty import CorrelationAsymmetry
 from piv.correlation.windows import WindowGrid
 
 Floats = NDArray[np.float64]
@@ -43,14 +43,14 @@ class Sizes:
         """Side (ny, nx) of each node's window."""
         return np.asarray(self.sides_px)[self.which]
 
-    def picked(self, parts: list[NDArray[Any]]) -> NDArray[Any]:
+    def pick(self, parts: list[NDArray[Any]]) -> NDArray[Any]:
         """From arrays (ny, nx, ...) of every size what belongs to each node's own."""
         found = parts[0].copy()
         for number, part in enumerate(parts[1:], 1):
             found[self.which == number] = part[self.which == number]
         return found
 
-    def smoothed(
+    def smooth_field(
         self, field: Floats, good: NDArray[np.bool_], smoothing: Callable[[int], tuple[float, int]]
     ) -> Floats:
         """Field smoothed as the side of each place asks for, in steps and order; sides change over two nodes."""
@@ -58,67 +58,69 @@ class Sizes:
         for number, side in enumerate(self.sides_px):
             here = self.which == number
             if here.any():
-                weight = blurred(here.astype(np.float64), 1.0)
-                total += weight[..., None] * smoothed(field, good, *smoothing(side))
+                weight = blur_nodes(here.astype(np.float64), 1.0)
+                total += weight[..., None] * smooth_field(field, good, *smoothing(side))
                 weights += weight
         return np.asarray(total / weights[..., None])
 
 
-def chosen(raw: Refined, sizes: Sizes, grid: WindowGrid, window_sigma: float, floor: float) -> Refined:
+def choose_sizes(raw: Refined, sizes: Sizes, grid: WindowGrid, window_sigma: float, floor: float) -> Refined:
     """What windows of each node's own size show, from that of the smallest."""
-    wide = [raw, *(widened(raw, grid, side, window_sigma, floor) for side in sizes.sides_px[1:])]
-    return Refined(*(sizes.picked(list(parts)) for parts in zip(*wide, strict=True)))
+    wide = [raw, *(widen(raw, grid, side, window_sigma, floor) for side in sizes.sides_px[1:])]
+    return Refined(*(sizes.pick(list(parts)) for parts in zip(*wide, strict=True)))
 
 
-def widened(raw: Refined, grid: WindowGrid, side_px: int, window_sigma: float, floor: float) -> Refined:
+def widen(raw: Refined, grid: WindowGrid, side_px: int, window_sigma: float, floor: float) -> Refined:
     """What windows of `side_px` show at the nodes of `grid`."""
     sums, gain, squares = (
-        widened_sums(part, grid, side_px, window_sigma) for part in (raw.sums, raw.gain, raw.gain_squares)
+        widen_sums(part, grid, side_px, window_sigma) for part in (raw.sums, raw.gain, raw.gain_squares)
     )
     total = float(window_weights(grid.size_px, window_sigma).sum()) ** 2
     return read_windows(sums, total, floor, gain, squares)
 
 
-def leaning_of(lean: Leaning, grid: WindowGrid, sizes: Sizes, window_sigma: float) -> Leaning:
+def asymmetry_of_sizes(
+    lean: CorrelationAsymmetry, grid: WindowGrid, sizes: Sizes, window_sigma: float
+) -> CorrelationAsymmetry:
     """How windows of each node's own size lean."""
     parts = [lean]
     for side in sizes.sides_px[1:]:
-        light = widened_sums(lean.light, grid, side, window_sigma)
+        light = widen_sums(lean.light, grid, side, window_sigma)
         variance, squares = (
-            widened_squares(part, grid, side, window_sigma) for part in (lean.variance, lean.squares)
+            widen_squares(part, grid, side, window_sigma) for part in (lean.variance, lean.squares)
         )
-        parts.append(Leaning(variance, light, squares))
-    return Leaning(*(sizes.picked(list(part)) for part in zip(*parts, strict=True)))
+        parts.append(CorrelationAsymmetry(variance, light, squares))
+    return CorrelationAsymmetry(*(sizes.pick(list(part)) for part in zip(*parts, strict=True)))
 
 
-def widened_sums(values: Floats, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
+def widen_sums(values: Floats, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
     """Sums (ny, nx[, n]) over windows of `side_px`, as means of those over the windows of `grid`."""
     more = _more_steps(grid, side_px, window_sigma)
-    found = blurred(values, more)
+    found = blur_nodes(values, more)
     return found / _there(values, more)
 
 
-def matched(raw: Refined | None, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
+def match_around(raw: Refined | None, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
     """Correlation (ny, nx) in windows of `side_px` of frames as they are deformed, from what those of `grid` show.
 
     0 after a pass that has searched.
     """
     if raw is None:
         return np.zeros(grid.shape)
-    sums = widened_sums(raw.sums[..., [0, 8, 9]].copy(), grid, side_px, window_sigma)
+    sums = widen_sums(raw.sums[..., [0, 8, 9]].copy(), grid, side_px, window_sigma)
     power = np.sqrt(sums[..., 1] * sums[..., 2])
     return np.divide(sums[..., 0], power, out=np.zeros_like(power), where=power > 0.0)
 
 
-def widened_squares(values: Floats, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
+def widen_squares(values: Floats, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
     """The same for sums (ny, nx[, n]) over the squares of weights."""
     more = _more_steps(grid, side_px, window_sigma)
     own, wide = (variance_px2(side, window_sigma) for side in (grid.size_px, side_px))
-    found = blurred(values, more / np.sqrt(2.0)) * (own / wide)
+    found = blur_nodes(values, more / np.sqrt(2.0)) * (own / wide)
     return found / np.square(_there(values, more))
 
 
-def blurred(values: Floats, sigma_steps: float) -> Floats:
+def blur_nodes(values: Floats, sigma_steps: float) -> Floats:
     """Values (ny, nx[, n]) under a Gaussian over nodes; nothing is beyond the grid."""
     import cv2
 
@@ -139,7 +141,7 @@ def variance_px2(side_px: int, window_sigma: float) -> float:
 
 def _there(values: Floats, sigma_steps: float) -> Floats:
     """Share of a Gaussian that lies on the grid, in the shape of `values` but for its last axes."""
-    share = blurred(np.ones(values.shape[:2]), sigma_steps)
+    share = blur_nodes(np.ones(values.shape[:2]), sigma_steps)
     return share.reshape(*share.shape, *(1,) * (values.ndim - 2))
 
 

@@ -62,7 +62,7 @@ class Blocks(NamedTuple):
     side_px: int
 
 
-class Leaning(NamedTuple):
+class CorrelationAsymmetry(NamedTuple):
     """What makes the correlation of windows lean, all (ny, nx, 2) for u and v.
 
     `variance` is that of the asymmetry summed over a window; `light` and `squares` are sums of what a displacement
@@ -112,7 +112,9 @@ def blocks_of(pair: DeformedPair, spread_px2: float, threads: int | None = None)
     return Blocks(sums[:2], sums[2:], (down, along), side)
 
 
-def leaning(blocks: Blocks, grid: WindowGrid, window_sigma: float, left_px: Floats) -> Leaning:
+def correlation_asymmetry(
+    blocks: Blocks, grid: WindowGrid, window_sigma: float, left_px: Floats
+) -> CorrelationAsymmetry:
     """How unevenly windows lean, apart from what a displacement makes of them.
 
     Parameters
@@ -135,14 +137,14 @@ def leaning(blocks: Blocks, grid: WindowGrid, window_sigma: float, left_px: Floa
     between = [
         interpolation_matrix(node, place, grid.step_px) for place, node in zip(blocks.centres, nodes, strict=True)
     ]
-    found = Leaning(*(np.empty(left_px.shape) for _ in range(3)))
+    found = CorrelationAsymmetry(*(np.empty(left_px.shape) for _ in range(3)))
     for axis in range(2):
         lean, by_shift = blocks.lean[axis], blocks.by_shift[axis]
         left = between[0] @ (left_px[..., axis].astype(np.float32) @ between[1].T)
         left *= by_shift
         power = float(np.vdot(left, left))
         share = np.float32(np.clip(float(np.vdot(lean, left)) / power, 0.0, 1.5) if power > 0.0 else 0.0)
-        found.variance[..., axis] = _whole(lean - share * left, along)
+        found.variance[..., axis] = _window_variance(lean - share * left, along)
         light = by_shift + np.roll(by_shift, -1, 0)
         light = np.maximum(light + np.roll(light, -1, 1), 0.0)
         found.light[..., axis] = sides[0] @ light @ sides[1].T
@@ -150,7 +152,7 @@ def leaning(blocks: Blocks, grid: WindowGrid, window_sigma: float, left_px: Floa
     return found
 
 
-def correlation_statistics(lean: Leaning, refined: Refined) -> Statistics:
+def correlation_statistics(lean: CorrelationAsymmetry, refined: Refined) -> Statistics:
     """Standard uncertainty of u and v for every window, of one correlation.
 
     Parameters
@@ -175,7 +177,7 @@ def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigm
     return np.where(np.abs(off) <= size_px / 2, weights, 0.0).astype(np.float32)
 
 
-def _whole(noise: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:
+def _window_variance(noise: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:
     """Variance (ny, nx) of the sum over a window, from blocks and from blocks of twice their side; see 1. above.
 
     How much larger the whole is than its blocks is found for windows of about the same noise together.

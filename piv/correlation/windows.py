@@ -69,10 +69,10 @@ def window_grid(shape: tuple[int, int], size_px: int, overlap: float) -> WindowG
     PairError
         A window does not fit into the frame.
     """
-    return spaced(shape, size_px, max(1, round(size_px * (1.0 - overlap))))
+    return grid_with_step(shape, size_px, max(1, round(size_px * (1.0 - overlap))))
 
 
-def spaced(shape: tuple[int, int], size_px: int, step_px: int) -> WindowGrid:
+def grid_with_step(shape: tuple[int, int], size_px: int, step_px: int) -> WindowGrid:
     """The same with their spacing told."""
     if size_px > min(shape):
         raise PairError(
@@ -118,7 +118,7 @@ def spline_coefficients(field: NDArray[np.float64], axis: int) -> NDArray[np.flo
     return np.moveaxis(found.reshape(nodes.shape), 0, axis)
 
 
-def continued(field: NDArray[Any], axis: int, before: int, after: int) -> NDArray[Any]:
+def extend_linearly(field: NDArray[Any], axis: int, before: int, after: int) -> NDArray[Any]:
     """`field` lengthened along an axis by linear continuation of its first and last two elements."""
     field = np.moveaxis(field, axis, 0)
     slopes = field[0] - field[min(1, len(field) - 1)], field[-1] - field[max(-2, -len(field))]
@@ -128,7 +128,7 @@ def continued(field: NDArray[Any], axis: int, before: int, after: int) -> NDArra
     return np.moveaxis(np.concatenate(parts), 0, axis)
 
 
-def interpolated(
+def interpolate(
     field: NDArray[np.float64],
     axis: int,
     nodes_px: NDArray[np.float64],
@@ -146,12 +146,12 @@ def interpolated(
 def interpolation_matrix(
     nodes_px: NDArray[np.float64], target_px: NDArray[np.float64], step_px: int
 ) -> NDArray[np.float32]:
-    """What `interpolated` multiplies with (targets, nodes), for many targets of several fields.
+    """What `interpolate` multiplies with (targets, nodes), for many targets of several fields.
 
     Shares fall by 0.27 a node; those that no float32 sum can see are left out, as numbers too small for the usual
     format (denormal) make products ten times slower.
     """
-    matrix = interpolated(np.eye(len(nodes_px)), 0, nodes_px, target_px, step_px)
+    matrix = interpolate(np.eye(len(nodes_px)), 0, nodes_px, target_px, step_px)
     return np.where(np.abs(matrix) < LEAST_SHARE, 0.0, matrix).astype(np.float32)
 
 
@@ -166,4 +166,4 @@ def around(
     cell, weights = spline_weights((target_px - nodes_px[0]) / step_px)
     before = max(0, -int(cell.min()))
     after = max(0, int(cell.max()) + 4 - len(nodes_px))
-    return continued(spline_coefficients(field, axis), axis, before, after), cell + before, weights
+    return extend_linearly(spline_coefficients(field, axis), axis, before, after), cell + before, weights

@@ -60,7 +60,7 @@ def grey_bitmap(content: bytes, shape: tuple[int, int] | None) -> NDArray[Any]:
     else:
         width, height = _bmp_size(content)
     _require(shape, (height, width))
-    return _decoded(content, (height, width))
+    return _decode(content, (height, width))
 
 
 def other_size(found: tuple[int, int], wanted: tuple[int, int]) -> str:
@@ -73,7 +73,7 @@ def _require(shape: tuple[int, int] | None, found: tuple[int, int]) -> None:
         raise FrameError(other_size(found, shape))
 
 
-def _decoded(content: bytes, size: tuple[int, int]) -> NDArray[Any]:
+def _decode(content: bytes, size: tuple[int, int]) -> NDArray[Any]:
     """Grey of what OpenCV finds in a file of a known size."""
     import cv2
 

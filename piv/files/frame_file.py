@@ -29,7 +29,7 @@ from ground.plain_file import open_plain, read_plain
 from ground.whole_file import whole_file
 from piv.errors import FrameDamaged, FrameError
 from piv.files.bitmap import BITMAP_ENDINGS, grey_bitmap, other_size
-from piv.files.tiff_page import grey_page, stored_size
+from piv.files.tiff_page import grey_page, size_in_file
 
 TIFF_ENDINGS = (".tif", ".tiff")
 FRAME_ENDINGS = (*TIFF_ENDINGS, *BITMAP_ENDINGS)
@@ -136,7 +136,7 @@ def read_tiff(
         with open_plain(file) as stream, tifffile.TiffFile(stream) as tiff:
             place, page = _page(tiff, number, file.name)
             described = str(getattr(page, "description", ""))
-            if shape is not None and crc32 is None and (found := stored_size(page)) != shape:
+            if shape is not None and crc32 is None and (found := size_in_file(page)) != shape:
                 raise FrameError(other_size(found, shape))
             pixels = grey_page(page, stream, place)
     except FrameError as error:

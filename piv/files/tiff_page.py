@@ -64,7 +64,7 @@ def check_size(width: int, height: int, bytes_per_px: float, room_bytes: float) 
     require_memory(3.0 * width * height * bytes_per_px, f"a frame of {width} x {height} px")
 
 
-def stored_size(page: Any) -> tuple[int, int]:  # noqa: ANN401 - tifffile has no types
+def size_in_file(page: Any) -> tuple[int, int]:  # noqa: ANN401 - tifffile has no types
     """Rows and columns of a page as it is seen, from its tags alone."""
     rows, columns = int(page.imagelength), int(page.imagewidth)
     return (columns, rows) if _orientation(page) > 4 else (rows, columns)
@@ -124,7 +124,7 @@ def grey_page(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN4
         pixels = np.bitwise_not(pixels)
     elif photometric == PHOTOMETRIC.RGB:
         pixels = grey_of(pixels)
-    return np.ascontiguousarray(_turned(as_grey_levels(pixels), _orientation(page)))
+    return np.ascontiguousarray(_turn(as_grey_levels(pixels), _orientation(page)))
 
 
 def _needs_opencv(page: Any) -> bool:  # noqa: ANN401
@@ -179,7 +179,7 @@ def _from_palette(pixels: Pixels, palette: Any) -> Pixels:  # noqa: ANN401
     return np.asarray(grey_of(colours[None])[0][pixels])
 
 
-def _turned(pixels: Pixels, orientation: int) -> Pixels:
+def _turn(pixels: Pixels, orientation: int) -> Pixels:
     """Rows from the top, columns from the left: the tag says where the first row and column are seen."""
     if orientation > 4:
         pixels = pixels.T

@@ -121,7 +121,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     count, counts = 0, 0.0
     for a, b in frames:
         numbers = _numbers((a, b), valid)
-        (one, of_a), (other, of_b) = (_levelled(frame, valid) for frame in numbers)
+        (one, of_a), (other, of_b) = (_remove_level(frame, valid) for frame in numbers)
         of_one, of_other = (np.maximum(_products(part, part), 0.0) for part in (one, other))
         both = np.float32(0.5) * (_products(one, other) + _products(other, one))
         if not (of_one.any() and of_other.any()):
@@ -184,10 +184,10 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
             for side, count in zip(valid.shape, found.shape, strict=True)
         )
     )
-    still = np.asarray(found[at]) | _ruled(darkest, valid)
+    still = np.asarray(found[at]) | _ruled_lines(darkest, valid)
     if quick:
         ground = float(np.median(cells.floor[moves])) * counts / count
-        still |= _written(plateaus, valid, ground, moves[at])
+        still |= _writing(plateaus, valid, ground, moves[at])
     return still if still.any() else None
 
 
@@ -278,7 +278,7 @@ def _still(
     return np.asarray(still | (between & rest) | beside)
 
 
-def _written(
+def _writing(
     plateaus: tuple[NDArray[Any], ...], valid: NDArray[np.bool_], ground: float, moves: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach; see `_plateaus`."""
@@ -309,7 +309,7 @@ def _written(
     return np.asarray(cv2.dilate(bright * kept[parts], reach) > 0)
 
 
-def _ruled(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _ruled_lines(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) in and beside bright lines along rows or columns, such as those of a graticule or a sensor.
 
     No row of particles is so long and nowhere dark in all frames.
@@ -364,7 +364,7 @@ def _numbers(frames: Two, valid: NDArray[np.bool_]) -> list[Floats]:
     return [np.where(np.isfinite(part), part, np.float32(part[valid].mean())) for part in near_one]
 
 
-def _levelled(frame: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _remove_level(frame: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Every second row of a frame without the mean of its surroundings, 0 where masked; and the mean in cells."""
     import cv2
 

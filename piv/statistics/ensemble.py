@@ -87,7 +87,7 @@ from numpy.typing import NDArray
 
 from ground.rows import run_rows
 from piv.correlation.deform import deform_pair
-from piv.correlation.prepare import SHARPEST, SMOOTHEST, prepared
+from piv.correlation.prepare import SHARPEST, SMOOTHEST, prepare_pair
 from piv.errors import SeriesError
 from piv.statistics.cells import CELL_PX, WINDOWS_PX, cells_of, lags_of, windows_of
 from piv.statistics.kernels.cell_planes import CUBIC, TEMPLATES, cell_products, template_sums
@@ -119,10 +119,10 @@ Singles = NDArray[np.float32]
 
 def noise_correlation(field_px: Floats, lags: NDArray[np.int64], spread_px2: float) -> Floats:
     """K (L, ny, nx) at displacements (L, 2), v and u, for frames deformed by a field (ny, nx, 2)."""
-    return _mixed(_noise_parts(field_px, lags), spread_px2)
+    return _mix(_noise_parts(field_px, lags), spread_px2)
 
 
-def _mixed(parts: Floats, spread_px2: float) -> Floats:
+def _mix(parts: Floats, spread_px2: float) -> Floats:
     """K (L, ny, nx) from its parts, for frames whose particle images have a variance."""
     mix = float(np.clip((SMOOTHEST - spread_px2) / (SMOOTHEST - SHARPEST), 0.0, 1.0))
     return np.asarray(np.tensordot([(1 - mix) ** 2, mix * (1 - mix), mix**2], parts, axes=1))
@@ -240,7 +240,7 @@ class EnsembleSums:
         fluid = self._fluid_px
         if fluid is not None:
             valid = fluid if valid is None else valid & fluid
-        pair = prepared(frame_a, frame_b, valid, LEVEL_PX)
+        pair = prepare_pair(frame_a, frame_b, valid, LEVEL_PX)
         cells = self.sweep.cells
         field = self.sweep.field_px if field_px is None else field_px
         # What is left of the displacement is small, so products are needed up to a few pixels only.
@@ -286,7 +286,7 @@ class EnsembleSums:
             parts = self._usual_noise
         else:
             parts = _noise_parts(field_px, self.own_lags)
-        return np.ascontiguousarray(np.moveaxis(_mixed(parts, spread_px2), 0, 1), np.float32)
+        return np.ascontiguousarray(np.moveaxis(_mix(parts, spread_px2), 0, 1), np.float32)
 
     def _count(self, told: Singles, off: Floats) -> None:
         """Add up for cells, and for windows of each side, what one pair has to say.
@@ -388,9 +388,9 @@ class EnsembleSums:
             "noise": self.noise,
             "frames": self.frames,
         }
-        return arrays | self._named_sums()
+        return arrays | self._sums_by_name()
 
-    def _named_sums(self) -> dict[str, Floats]:
+    def _sums_by_name(self) -> dict[str, Floats]:
         of_windows = {f"{name}_{side}": x for side, total in self.windows.items() for name, x in total.items()}
         return of_windows | {f"{name}_of_cells": values for name, values in self.cells.items()}
 
@@ -433,7 +433,7 @@ class EnsembleSums:
             "noise": sums.noise,
             "frames": sums.frames,
         }
-        targets |= sums._named_sums()
+        targets |= sums._sums_by_name()
         for name, target in targets.items():
             given = np.asarray(arrays.get(name, ()))
             if given.shape != target.shape or given.dtype != target.dtype or not np.isfinite(given).all():

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ground.rows import run_rows
 from piv.correlation.cut_windows import cut_px
 from piv.correlation.outliers import outliers
-from piv.correlation.planes import filled
+from piv.correlation.planes import fill_gaps
 from piv.correlation.resolution import second_differences
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
@@ -151,7 +151,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         kept(covariance - own_covariance + _of_fields(sums, window_px, back, covariance, fluid)),
         kept(sigma),
         kept(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
-        kept(_resolution(mean, valid, grid, _seen(sums, fluid))),
+        kept(_resolution(mean, valid, grid, _visible(sums, fluid))),
         kept(volume),
         valid,
         sums.pairs,
@@ -159,7 +159,7 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     )
 
 
-def _seen(sums: EnsembleSums, fluid: NDArray[np.bool_]) -> Singles:
+def _visible(sums: EnsembleSums, fluid: NDArray[np.bool_]) -> Singles:
     """Return the share (H, W) of all pairs in which a pixel is seen, outside solid cells."""
     seen = np.minimum(sums.frames[4] / np.float32(sums.pairs), np.float32(1.0))
     fluid_px = replace(sums.sweep, solid=sums.sweep.solid | ~fluid).fluid_px
@@ -175,7 +175,7 @@ def _resolution(mean: Floats, valid: NDArray[np.bool_], grid: WindowGrid, seen: 
     if not valid.any():
         return np.zeros(grid.shape)
     apart = max(1, round(0.5 * grid.size_px / grid.step_px))
-    whole = filled(np.where(valid[..., None], mean, 0.0), valid)[0]
+    whole = fill_gaps(np.where(valid[..., None], mean, 0.0), valid)[0]
     bent = second_differences(whole, apart)
     share = MISSED * grid.size_px**2 / (24.0 * (apart * grid.step_px) ** 2)
     cut = cut_px(whole, seen, grid, grid.size_px, 0.0)

@@ -13,8 +13,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.passes import moved
-from piv.correlation.planes import filled, smoothed
+from piv.correlation.passes import interpolate_nodes
+from piv.correlation.planes import fill_gaps, smooth_field
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.statistics.cells import CELL_PX, cells_of
@@ -99,18 +99,16 @@ class Sweep:
         grid : WindowGrid
             Where they belong.
         """
-        energy = np.clip(moved(self.energy_px2[..., None], self.cells, grid)[..., 0], 0.0, None)
+        energy = np.clip(interpolate_nodes(self.energy_px2[..., None], self.cells, grid)[..., 0], 0.0, None)
         noise = 0.5 * np.square(sigma_px).sum(axis=-1)
-        off = vectors_px - moved(self.field_px, self.cells, grid)
+        off = vectors_px - interpolate_nodes(self.field_px, self.cells, grid)
         with np.errstate(invalid="ignore"):
             good = good & (np.square(off).sum(axis=-1) < LIKELY**2 * 2.0 * (energy + noise + OWN_NOISE_PX**2))
             flow = energy / (energy + noise + OWN_NOISE_PX**2)
         off = np.where(good[..., None], off * flow[..., None], 0.0)
-        around = _blurred(off, GAP_STEPS) / (
-            _blurred(good[..., None].astype(np.float64), GAP_STEPS) + LEAST_AROUND
-        )
-        off = _blurred(np.where(good[..., None], off, around), SMOOTH_PX / grid.step_px)
-        return self.field_px + moved(off, grid, self.cells)
+        around = _blur(off, GAP_STEPS) / (_blur(good[..., None].astype(np.float64), GAP_STEPS) + LEAST_AROUND)
+        off = _blur(np.where(good[..., None], off, around), SMOOTH_PX / grid.step_px)
+        return self.field_px + interpolate_nodes(off, grid, self.cells)
 
     def same(self, other: "Sweep") -> bool:
         """Whether parts of both may be added."""
@@ -160,15 +158,15 @@ def sweep_with(
     energy = np.clip(0.5 * (stress_px2[..., 0] + stress_px2[..., 1]), 0.0, None)
     told = np.isfinite(energy) & known
     energy = np.where(told, energy, float(np.median(energy[told])) if told.any() else 0.25)
-    spread = filled(np.repeat(energy[..., None], 2, axis=-1), np.ones_like(known))[0]
-    energy = np.clip(moved(spread, grid, cells)[..., 0], 0.0, None)
+    spread = fill_gaps(np.repeat(energy[..., None], 2, axis=-1), np.ones_like(known))[0]
+    energy = np.clip(interpolate_nodes(spread, grid, cells)[..., 0], 0.0, None)
     largest = 2.0 * spread_px2 + float(np.percentile(energy, 98))
     reach = int(np.clip(np.ceil(3.0 * np.sqrt(largest)), LEAST_REACH_PX, MOST_REACH_PX))
-    smooth = smoothed(np.where(known[..., None], mean_px, 0.0), known, SMOOTH_PX / grid.step_px)
+    smooth_px = smooth_field(np.where(known[..., None], mean_px, 0.0), known, SMOOTH_PX / grid.step_px)
     solid = np.zeros(cells.shape, np.bool_) if solid is None else solid
-    return Sweep(shape, moved(smooth, grid, cells), energy, spread_px2, reach, solid)
+    return Sweep(shape, interpolate_nodes(smooth_px, grid, cells), energy, spread_px2, reach, solid)
 
 
-def _blurred(values: Floats, sigma_steps: float) -> Floats:
+def _blur(values: Floats, sigma_steps: float) -> Floats:
     blurred: Floats = scipy.ndimage.gaussian_filter(values, (sigma_steps, sigma_steps, 0.0), mode="nearest")
     return blurred

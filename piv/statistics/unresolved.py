@@ -32,7 +32,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.planes import filled
+from piv.correlation.planes import fill_gaps
 from piv.correlation.resolution import second_differences
 from piv.errors import SeriesError
 from piv.statistics.moments import Moments, shaped
@@ -41,7 +41,7 @@ LEAST_SHARE = 0.5
 Floats = NDArray[np.float64]
 
 
-def measured_often(moments: Moments, looked: NDArray[np.int64]) -> NDArray[np.bool_]:
+def is_measured_often(moments: Moments, looked: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Where (ny, nx) enough of the pairs that looked, `looked` (ny, nx) in number, have a vector; none alone."""
     often = (moments.count > 0) & (moments.count >= LEAST_SHARE * np.maximum(looked, 1))
     here_and_around = scipy.ndimage.convolve(often.astype(np.int64), np.ones((3, 3), np.int64), mode="constant")
@@ -124,7 +124,7 @@ class Unresolved:
         good: NDArray[np.bool_] = np.asarray(valid & np.isfinite(vectors).all(axis=-1) & np.isfinite(resolution))
         if not good.any():
             return cls.nothing((len(valid), len(valid[0])), apart)
-        bent = _bent(vectors, good, apart)
+        bent = _curvature(vectors, good, apart)
         squares = np.square(np.where(good, resolution, 0.0))
         return cls(apart, good.astype(np.int64), squares, np.where(good, np.square(bent), 0.0))
 
@@ -146,7 +146,7 @@ class Unresolved:
         known: NDArray[np.bool_] = np.asarray(np.isfinite(mean).all(axis=-1))
         if not known.any():
             return np.full(self.count.shape, np.nan)
-        bent = np.square(_bent(mean, known, self.apart)) * self.count
+        bent = np.square(_curvature(mean, known, self.apart)) * self.count
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(self.bent_squares > 0.0, np.minimum(bent / self.bent_squares, 1.0), 1.0)
             return np.where(self.count > 0, np.sqrt(self.squares / self.count * share), np.nan)
@@ -162,7 +162,7 @@ class Unresolved:
         return result
 
 
-def _bent(vectors: Floats, good: NDArray[np.bool_], apart: int) -> Floats:
+def _curvature(vectors: Floats, good: NDArray[np.bool_], apart: int) -> Floats:
     """Second differences (ny, nx) of the good vectors, and of a plane through them where they lack."""
-    field, _ = filled(np.where(good[..., None], vectors, 0.0), good)
+    field, _ = fill_gaps(np.where(good[..., None], vectors, 0.0), good)
     return second_differences(field, apart)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from piv.correlation.planes import filled
+from piv.correlation.planes import fill_gaps
 from piv.correlation.vector_field import VectorField
 from piv.errors import PairError
 from piv.tracking.particles import Particles
@@ -120,7 +120,7 @@ def local_plane(tracks: Tracks, at_px: Floats) -> Floats:
 
 def _of_field(field: VectorField, at_px: Floats) -> Floats:
     """Displacements (N, 2) of a field at places (N, 2), continued beyond its nodes."""
-    vectors, _ = filled(np.nan_to_num(np.stack([field.u_px, field.v_px], axis=-1)), field.valid)
+    vectors, _ = fill_gaps(np.nan_to_num(np.stack([field.u_px, field.v_px], axis=-1)), field.valid)
     across = scipy.interpolate.RegularGridInterpolator(
         (field.y_px, field.x_px), vectors, bounds_error=False, fill_value=None
     )

@@ -14,7 +14,7 @@ from fnmatch import fnmatch
 import numpy as np
 
 from piv.correlation.pair import evaluate_pair
-from piv.correlation.prepare import prepared
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.windows import WindowGrid
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field, next_sweep
@@ -119,7 +119,11 @@ def of_ensembles(flow, seed, diameter_px, image, window_px=16):
     grid = WindowGrid(*(np.rint(at - (field.window_px - 1) / 2).astype(int) for at in (field.y_px, field.x_px)),
                       field.window_px, field.step_px)  # fmt: skip
     sweep = sweep_with(
-        (SIDE, SIDE), moments.mean_uv, moments.reynolds_stresses, grid, prepared(*pairs[0], None, 32).spread_px2
+        (SIDE, SIDE),
+        moments.mean_uv,
+        moments.reynolds_stresses,
+        grid,
+        prepare_pair(*pairs[0], None, 32).spread_px2,
     )
     for number in range(3):
         sums = EnsembleSums(sweep)

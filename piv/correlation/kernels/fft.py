@@ -25,7 +25,7 @@ STRIP = 16  # pixels of a window moved at a time
 
 
 @kernel
-def apart(a: Array, b: Array, cosine: np.float32, sine: np.float32) -> None:
+def butterfly_forward(a: Array, b: Array, cosine: np.float32, sine: np.float32) -> None:
     """Butterfly of the forward transform: a, b <- a + b, (a - b) w with w = cosine + i sine."""
     for n in range(a.size // BLOCK):
         at = n * BLOCK
@@ -39,7 +39,7 @@ def apart(a: Array, b: Array, cosine: np.float32, sine: np.float32) -> None:
 
 
 @kernel
-def together(a: Array, b: Array, cosine: np.float32, sine: np.float32) -> None:
+def butterfly_inverse(a: Array, b: Array, cosine: np.float32, sine: np.float32) -> None:
     """Butterfly of the inverse transform: a, b <- a + b conj(w), a - b conj(w)."""
     for n in range(a.size // BLOCK):
         at = n * BLOCK
@@ -67,7 +67,7 @@ def forward(size: int, turn: Array, z: Array) -> None:
                 a = (block + p) * row
                 b = a + half * row
                 k = p * (size // span)
-                apart(z[a : a + row], z[b : b + row], turn[0, k], turn[1, k])
+                butterfly_forward(z[a : a + row], z[b : b + row], turn[0, k], turn[1, k])
         span = half
 
 
@@ -83,7 +83,7 @@ def backward(size: int, turn: Array, z: Array) -> None:
                 a = (block + p) * row
                 b = a + half * row
                 k = p * (size // span)
-                together(z[a : a + row], z[b : b + row], turn[0, k], turn[1, k])
+                butterfly_inverse(z[a : a + row], z[b : b + row], turn[0, k], turn[1, k])
         span *= 2
 
 

@@ -55,7 +55,7 @@ def farthest(field: Array, usable: Array, radius: int, j: int, i: int) -> float:
 
 
 @kernel
-def normalised_residual(
+def median_residual(
     field: Array,
     usable: Array,
     judged: Array,

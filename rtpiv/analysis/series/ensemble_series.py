@@ -23,7 +23,7 @@ from daq.errors import DiskError
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from ground.terminal import progress
-from piv.correlation.prepare import prepared as prepared_pair
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError, SeriesError
 from piv.statistics.ensemble import EnsembleSums
@@ -291,7 +291,7 @@ def _spread_px2(given: SeriesInput, mean: MeanFlow) -> float:
         for frame in frames
         if not isinstance(frame, str)
     )
-    return prepared_pair(one, two, corrector.recovered, LEVEL_PX).spread_px2
+    return prepare_pair(one, two, corrector.recovered, LEVEL_PX).spread_px2
 
 
 def _on_plane(found: EnsembleField, grid: PlaneGrid, dt_s: float) -> EnsembleFlow:

@@ -33,7 +33,7 @@ from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_se
 from piv.statistics.merge_tree import MergeTree
 from piv.statistics.moments import Moments
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
-from piv.statistics.unresolved import Unresolved, measured_often, selection_sigma
+from piv.statistics.unresolved import Unresolved, is_measured_often, selection_sigma
 from rtpiv.analysis.pairs.pair_vectors import ChunkContent, SeriesField
 
 BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
@@ -317,7 +317,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
     assert first is not None  # `_usual` has refused a series without chunks
     total, missing = moments.result(), unresolved.result()
     looked = np.zeros(total.count.shape, np.int64) if looked is None else looked
-    often = measured_often(total, looked)
+    often = is_measured_often(total, looked)
     too_few, total = (total.count > 0) & ~often, total.only(often)
     shared = missing.shared(total.mean_uv)
     lost = selection_sigma(total, looked)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piv.correlation.agreement import Agreed, agreed, resolution_of
+from piv.correlation.agreement import Agreed, measure_agreement, resolution_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.uncertainty import Blocks
 from piv.correlation.windows import window_grid
@@ -30,7 +30,7 @@ def test_blocks_say_what_is_missed_through_as_much_noise(told_px):
     moved = blocks_that_move_by(lambda u, v: (told_px + 0.1 * np.sin(2 * np.pi * v / 120), 0 * u), 0.1)
     beyond = np.zeros((*grid.shape, 2))
     beyond[..., 0] = told_px
-    found = agreed(moved, grid, beyond, np.ones(grid.shape), 32)[-1]
+    found = measure_agreement(moved, grid, beyond, np.ones(grid.shape), 32)[-1]
     assert np.mean(found.square_px2) == pytest.approx(0.25 * 0.1**2, rel=0.2)  # of both components one is missed
 
 
@@ -38,7 +38,7 @@ def test_noise_agrees_on_nothing_and_says_by_how_much_chance_may():
     grid = window_grid(SHAPE, 32, 0.5)
     nothing = np.zeros((*grid.shape, 2))
     chance = [
-        agreed(
+        measure_agreement(
             blocks_that_move_by(lambda u, v: (0 * u, 0 * v), 0.3, seed), grid, nothing, np.ones(grid.shape), 32
         )[-1]
         for seed in range(12)
@@ -53,10 +53,10 @@ def test_vectors_that_do_not_count_and_frames_that_show_half():
     grid = window_grid(SHAPE, 32, 0.5)
     moved = blocks_that_move_by(lambda u, v: (np.where(u < 192, 0.1, 5.0), 0.1 + 0 * v), 0.0)
     good = np.broadcast_to(grid.x_px < 170, grid.shape)
-    found = agreed(moved, grid, np.zeros((*grid.shape, 2)), good.astype(float), 32)[-1]
+    found = measure_agreement(moved, grid, np.zeros((*grid.shape, 2)), good.astype(float), 32)[-1]
     assert found.square_px2[good] == pytest.approx(0.1**2, rel=0.02)
     halved = moved._replace(lean=0.5 * moved.lean)
-    found = agreed(halved, grid, np.zeros((*grid.shape, 2)), 0.5 * good, 32)[-1]
+    found = measure_agreement(halved, grid, np.zeros((*grid.shape, 2)), 0.5 * good, 32)[-1]
     assert found.square_px2[good] == pytest.approx(0.1**2, rel=0.02)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piv.correlation.evidence import PROVEN, WEAK, by_chance, proven, unproven
+from piv.correlation.evidence import PROVEN, WEAK, is_chance_match, is_low_confidence, is_supported_by_peak
 from piv.correlation.settings import PivSettings
 from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
@@ -55,10 +55,10 @@ def test_what_is_acquitted_has_a_clear_peak_and_a_neighbourhood():
     everywhere, suspects = np.ones((5, 5), bool), np.zeros((5, 5), bool)
     suspects[2, 2] = True
     ratio = np.full((5, 5), PROVEN + 0.1)
-    assert proven(vectors, everywhere, suspects, ratio, 32)[2, 2]
-    assert not proven(vectors, everywhere, suspects, ratio, 28)[2, 2]
-    assert not proven(vectors, everywhere, suspects, ratio - 0.2, 32).any()
-    assert not proven(vectors, everywhere, ~everywhere, ratio, 32).any()
+    assert is_supported_by_peak(vectors, everywhere, suspects, ratio, 32)[2, 2]
+    assert not is_supported_by_peak(vectors, everywhere, suspects, ratio, 28)[2, 2]
+    assert not is_supported_by_peak(vectors, everywhere, suspects, ratio - 0.2, 32).any()
+    assert not is_supported_by_peak(vectors, everywhere, ~everywhere, ratio, 32).any()
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 1), (1, 0), (1, 1), (1, -1)])
@@ -70,21 +70,21 @@ def test_three_in_a_row_acquit_each_other_and_two_do_not(row, column):
     for place, speed in zip(places, (12.0, 11.0, 9.0), strict=True):
         vectors[place], suspects[place] = (speed, 0.0), True
     ratio = np.where(suspects, WEAK + 0.1, np.nan)
-    assert (proven(vectors, everywhere, suspects, ratio, 32) == suspects).all()
+    assert (is_supported_by_peak(vectors, everywhere, suspects, ratio, 32) == suspects).all()
     weak = ratio.copy()
     weak[places[0]] = WEAK - 0.1
-    assert not proven(vectors, everywhere, suspects, weak, 32).any()
+    assert not is_supported_by_peak(vectors, everywhere, suspects, weak, 32).any()
     apart = vectors.copy()
     apart[places[2]] = 4.0, 0.0
-    assert not proven(apart, everywhere, suspects, ratio, 32).any()
+    assert not is_supported_by_peak(apart, everywhere, suspects, ratio, 32).any()
 
 
 def test_nothing_is_measured_without_a_peak_and_without_a_sigma():
     ratio = np.array([WEAK - 0.1, WEAK - 0.1, WEAK + 0.1])
     sigma = np.array([[np.nan, 0.1], [0.1, 0.1], [np.nan, np.nan]])
-    assert unproven(ratio, sigma).tolist() == [True, False, False]
+    assert is_low_confidence(ratio, sigma).tolist() == [True, False, False]
 
 
 def test_a_match_is_chance_until_it_exceeds_what_so_many_pieces_reach():
     match = np.array([[0.2, 0.4, 0.4, -0.9]])
-    assert by_chance(match, np.array([[50.0, 50.0, 16.0, 400.0]])).tolist() == [[True, False, True, True]]
+    assert is_chance_match(match, np.array([[50.0, 50.0, 16.0, 400.0]])).tolist() == [[True, False, True, True]]

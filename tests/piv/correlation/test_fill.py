@@ -8,7 +8,7 @@ from piv.correlation.deform import deform_pair
 from piv.correlation.fill import NEAR, Texture, without_gaps
 from piv.correlation.kernels import deform as deform_kernels
 from piv.correlation.kernels import kriging
-from piv.correlation.prepare import prepared
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.windows import window_grid
 from tests.piv.correlation.flows import mix, uniform, vortex
 from tests.piv.fixed_windows import evaluate_pair
@@ -122,7 +122,7 @@ def test_what_shines_in_dead_pixels_counts_nothing():
         smooth_noise((64, 64), 10) + 5,
         scattered(0.2, shape=(64, 64)),
     )
-    pairs = [prepared(np.where(seen, frame, light), other, seen, 16) for light in (0.0, 1e6)]
+    pairs = [prepare_pair(np.where(seen, frame, light), other, seen, 16) for light in (0.0, 1e6)]
     assert np.array_equal(pairs[0].a, pairs[1].a)
     inner = np.s_[4:-4, 4:-4]
     assert np.array_equal((pairs[0].doubt.variance > 0.0)[inner], ~seen[inner])
@@ -156,7 +156,7 @@ def test_kriging_as_plain_python():
 def test_frames_agree_where_they_are_unsure_and_their_difference_weighs_by_its_variance():
     a, b = smooth_noise((32, 32), 4), smooth_noise((32, 32), 5)
     seen = scattered(0.2, shape=(32, 32))
-    doubt = prepared(a, b, seen, 16).doubt
+    doubt = prepare_pair(a, b, seen, 16).doubt
     grid, nothing = window_grid((32, 32), 16, 0.5), np.zeros((3, 3, 2))
     whole = np.ones((32, 32), np.float32)
     apart = deform_pair((a, b), whole, nothing, grid, 0.0)

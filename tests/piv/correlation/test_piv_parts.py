@@ -11,8 +11,8 @@ from piv.correlation.kernels import fft as piv_fft
 from piv.correlation.kernels import median as piv_median
 from piv.correlation.kernels import windows as piv_windows
 from piv.correlation.outliers import outliers
-from piv.correlation.planes import RIDGE, filled, smoothed
-from piv.correlation.windows import around, interpolated, interpolation_matrix, window_grid
+from piv.correlation.planes import RIDGE, fill_gaps, smooth_field
+from piv.correlation.windows import around, interpolate, interpolation_matrix, window_grid
 from piv.resampling.kernels.bspline import quintic_at
 from piv.resampling.sample import prefilter, sample
 
@@ -135,7 +135,7 @@ def test_a_matrix_interpolates_as_the_spline(size):
     grid = window_grid((size, size), 32, 0.5)
     nodes, places = grid.x_px[: 1 if size == 40 else None], np.arange(0.5, size, 2.0)
     field = np.random.default_rng(3).normal(size=(len(nodes), 5))
-    expected = interpolated(field, 0, nodes, places, grid.step_px)
+    expected = interpolate(field, 0, nodes, places, grid.step_px)
     matrix = interpolation_matrix(nodes, places, grid.step_px)
     assert np.abs(matrix @ field.astype(np.float32) - expected).max() < 1e-5 * np.abs(expected).max()
     assert not ((matrix != 0.0) & (np.abs(matrix) < np.finfo(np.float32).tiny)).any()
@@ -247,7 +247,7 @@ def test_grid_lines_refined_along_u_equal_the_interpolation():
     nodes, target = np.arange(6) * 16.0 + 15.5, np.arange(112.0)
     field = rng.normal(size=(4, 6, 2))
     lines, cell, weight = around(field, 1, nodes, target, 16)
-    expected = np.moveaxis(interpolated(field, 1, nodes, target, 16), -1, 0)
+    expected = np.moveaxis(interpolate(field, 1, nodes, target, 16), -1, 0)
     for kernel in (piv_deform.refine_lines, piv_deform.refine_lines.py_func):
         out = np.empty((2, 4, 112), np.float32)
         kernel(np.ascontiguousarray(lines), cell, weight, out)
@@ -270,7 +270,7 @@ def test_gaps_are_filled_along_the_gradient():
     y, x = np.mgrid[:16, :16]
     field = np.stack([1.5 * y + 0.2 * x, 0.3 * x - 0.9 * y], -1).astype(float)
     valid = np.hypot(x - 6, y - 8) < 5
-    fill, near = filled(np.where(valid[..., None], field, np.nan), valid)
+    fill, near = fill_gaps(np.where(valid[..., None], field, np.nan), valid)
     assert np.array_equal(fill[valid], field[valid])
     ring = near & ~valid
     assert ring.any()
@@ -284,24 +284,24 @@ def test_smoothing_keeps_planes_and_damps_noise():
     plane = np.stack([0.4 * y - 0.2 * x, 0.1 * x], -1)
     valid = np.ones((30, 30), bool)
     valid[10:14, 10:14] = False
-    assert np.abs(smoothed(plane, valid, 1.0) - plane).max() < 0.03
+    assert np.abs(smooth_field(plane, valid, 1.0) - plane).max() < 0.03
     noise = np.random.default_rng(2).normal(size=(30, 30, 2))
-    assert smoothed(noise, valid, 1.0)[4:-4, 4:-4].std() < 0.45
+    assert smooth_field(noise, valid, 1.0)[4:-4, 4:-4].std() < 0.45
 
 
 def test_interpolation_between_nodes_is_exact_for_quadratics_and_continues_linearly():
     nodes = np.arange(24) * 16.0 + 15.5
     inside = np.linspace(nodes[8], nodes[-9], 50)  # what straight ends do has decayed by 0.27 a node
     values = 0.01 * nodes**2 - nodes
-    assert interpolated(values, 0, nodes, inside, 16) == pytest.approx(0.01 * inside**2 - inside, abs=1e-4)
+    assert interpolate(values, 0, nodes, inside, 16) == pytest.approx(0.01 * inside**2 - inside, abs=1e-4)
     nodes = nodes[:8]
     outside = np.array([0.0, 7.0, 140.0])
-    assert interpolated(3 * nodes + 1, 0, nodes, outside, 16) == pytest.approx(3 * outside + 1)
-    two = interpolated(np.array([4.0, 6.0]), 0, np.array([15.5, 31.5]), np.array([7.5, 15.5, 23.5, 39.5]), 16)
+    assert interpolate(3 * nodes + 1, 0, nodes, outside, 16) == pytest.approx(3 * outside + 1)
+    two = interpolate(np.array([4.0, 6.0]), 0, np.array([15.5, 31.5]), np.array([7.5, 15.5, 23.5, 39.5]), 16)
     assert two == pytest.approx([3.0, 4.0, 5.0, 7.0])
     values = np.random.default_rng(3).normal(size=8)
-    assert interpolated(values, 0, nodes, nodes, 16) == pytest.approx(values)
-    one = interpolated(np.array([4.0]), 0, np.array([15.5]), np.arange(32.0), 16)
+    assert interpolate(values, 0, nodes, nodes, 16) == pytest.approx(values)
+    one = interpolate(np.array([4.0]), 0, np.array([15.5]), np.arange(32.0), 16)
     assert one == pytest.approx(np.full(32, 4.0))
 
 
@@ -318,7 +318,7 @@ def test_planes_through_gaps_and_past_edges_are_those_of_least_squares():
     field = np.stack([3.0 * x - y + rng.normal(size=x.shape), 40.0 + 0.2 * y + rng.normal(size=x.shape)], -1)
     valid = rng.uniform(size=x.shape) > 0.3
     trust = rng.uniform(0.5, 1.5, x.shape)
-    found = smoothed(field, valid, 2.0, 1, trust)
+    found = smooth_field(field, valid, 2.0, 1, trust)
     for j, i in ((0, 0), (8, 10), (16, 3), (5, 20)):
         weight = np.where(valid, trust, 0.0) * np.exp(-((x - i) ** 2 + (y - j) ** 2) / 8.0)
         weight[np.maximum(abs(x - i), abs(y - j)) > 8] = 0.0

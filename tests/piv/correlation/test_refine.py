@@ -5,13 +5,13 @@ import pytest
 from scipy import ndimage
 
 from piv.correlation.deform import DeformedPair
-from piv.correlation.denoise import LEVELS, denoised
+from piv.correlation.denoise import LEVELS, remove_noise
 from piv.correlation.kernels import lags, statistics
-from piv.correlation.prepare import prepared
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.refine import Refined, refine, window_weights
 from piv.correlation.response import gain, noise_growth, parts_of, smoothing_transfer
 from piv.correlation.settings import PivSettings
-from piv.correlation.uncertainty import blocks_of, correlation_statistics, leaning
+from piv.correlation.uncertainty import blocks_of, correlation_asymmetry, correlation_statistics
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
 
@@ -139,7 +139,7 @@ def denoised_at_32_16(vectors, sigma):
     levels = [2.0 * level for level in LEVELS]
     growths = [np.full(sigma.shape[:2], noise_growth(one, 16, [], part)) for part in parts_of(levels)]
     good = np.ones(sigma.shape[:2], bool)
-    return denoised(vectors, good, sigma, growths, levels, 2.0)
+    return remove_noise(vectors, good, sigma, growths, levels, 2.0)
 
 
 def test_noise_goes_and_a_wave_stays():
@@ -171,18 +171,18 @@ def test_a_noisy_vector_counts_less():
 def test_frames_of_any_scale_and_kind_become_the_same():
     frame = (1000 + 300 * smooth_noise((64, 80), 7)).astype(np.uint16)
     other = (1000 + 300 * smooth_noise((64, 80), 8)).astype(np.uint16)
-    plain = prepared(frame, other, None, 32)
+    plain = prepare_pair(frame, other, None, 32)
     for change in (
         lambda f: f.astype(np.float32) * np.float32(1e20),
         lambda f: f.astype(np.int32) + 10**7,
         lambda f: f.astype(">u2"),
         lambda f: f.astype(np.float64) * 1e-30,
     ):
-        pair = prepared(change(frame), change(other), None, 32)
+        pair = prepare_pair(change(frame), change(other), None, 32)
         assert np.abs(pair.a - plain.a).max() < 1e-3
         assert np.abs(pair.b - plain.b).max() < 1e-3
     masked = np.ma.masked_greater(frame, 1500)
-    pair = prepared(masked, other, None, 32)
+    pair = prepare_pair(masked, other, None, 32)
     assert np.array_equal((pair.valid == 0) | (pair.doubt.variance > 0), frame > 1500)
 
 
@@ -192,7 +192,7 @@ def test_what_is_masked_counts_nothing_and_leaves_no_step():
     valid[20:40, 20:40] = False
     dark, bright = frame.copy(), frame.copy()
     dark[~valid], bright[~valid] = 0.0, 1e6
-    pairs = [prepared(f, other, valid, 16) for f in (dark, bright)]
+    pairs = [prepare_pair(f, other, valid, 16) for f in (dark, bright)]
     assert np.array_equal(pairs[0].a, pairs[1].a)
     assert np.abs(pairs[0].a).max() < 6.0
 
@@ -221,7 +221,7 @@ def test_no_sigma_is_larger_than_what_was_searched():
     pair = DeformedPair(*frames, np.ones((64, 64), np.float32), 0.0)
     grid = window_grid((64, 64), 32, 0.5)
     one = np.ones(grid.shape)
-    lean = leaning(blocks_of(pair, 1.0), grid, 0.3, np.zeros((*grid.shape, 2)))
+    lean = correlation_asymmetry(blocks_of(pair, 1.0), grid, 0.3, np.zeros((*grid.shape, 2)))
     told = []
     for lower in np.geomspace(1e-8, 1e-2, 20):
         sums = np.full((*grid.shape, 5), 1e3 * (1.0 - lower))

@@ -5,13 +5,13 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from piv.correlation.deform import DeformedPair, deform_pair
-from piv.correlation.halving import pieces_of
-from piv.correlation.passes import Course
-from piv.correlation.prepare import prepared
+from piv.correlation.halving import effective_particles
+from piv.correlation.passes import MultipassState
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.refine import refine
 from piv.correlation.settings import PivSettings, settings_of
-from piv.correlation.sizes import widened
-from piv.correlation.windows import WindowGrid, spaced, window_grid
+from piv.correlation.sizes import widen
+from piv.correlation.windows import WindowGrid, grid_with_step, window_grid
 from piv.errors import PairError
 from tests.loops import loop_over
 from tests.piv.correlation import flows
@@ -35,13 +35,13 @@ def rms(values):
 
 
 def test_large_windows_are_sums_of_small_ones(particle_pair):
-    pair = prepared(*particle_pair(flows.uniform(0.3, -0.2), (128, 128)), None, 32)
+    pair = prepare_pair(*particle_pair(flows.uniform(0.3, -0.2), (128, 128)), None, 32)
     frames = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
-    small = spaced((128, 128), 16, 4)
+    small = grid_with_step((128, 128), 16, 4)
     large = WindowGrid(small.row - 8, small.column - 8, 32, 4)
     inside = slice(6, -6)
     large = WindowGrid(large.row[inside], large.column[inside], 32, 4)
-    summed = widened(refine(frames, small, 0.3, 1), small, 32, 0.3, pair.floor)
+    summed = widen(refine(frames, small, 0.3, 1), small, 32, 0.3, pair.floor)
     told = refine(frames, large, 0.3, 1)
     apart = summed.shift_px[inside, inside] - told.shift_px
     assert rms(apart) < 0.25 * rms(told.shift_px - [0.3, -0.2])  # a small part of what is random in it
@@ -73,11 +73,11 @@ def test_where_nothing_is_finer_no_noise_of_small_windows_comes_in(particle_pair
 def passes_of(pair, monkeypatch, never_ends_early=False):
     """Vectors, and passes with frames deformed anew."""
     looks = []
-    look = Course.look
+    look = MultipassState.run_pass
     with monkeypatch.context() as patch:
-        patch.setattr(Course, "look", lambda course, *told: (looks.append(1), look(course, *told))[1])
+        patch.setattr(MultipassState, "look", lambda course, *told: (looks.append(1), look(course, *told))[1])
         if never_ends_early:
-            patch.setattr("piv.correlation.halving._promises", lambda *told: True)
+            patch.setattr("piv.correlation.halving._expected_gain", lambda *told: True)
         return evaluate_pair(*pair, settings=FOUND, threads=1), len(looks)
 
 
@@ -146,10 +146,10 @@ def test_particle_images_in_a_window_are_counted_by_their_light():
     """A point every 8 px, each the whole light of its cell: as many as lie under the weights."""
     frame = np.zeros((400, 400), np.float32)
     frame[2::8, 2::8] = 5.0
-    grid = spaced(frame.shape, 32, 16)
+    grid = grid_with_step(frame.shape, 32, 16)
     weights = np.exp(-np.square((np.arange(32) - 15.5) / (0.3 * 32)))
     expected = weights.sum() ** 4 / np.square(weights).sum() ** 2 / 8**2
-    assert np.median(pieces_of(frame, grid, 0.3)) == pytest.approx(expected, rel=0.1)
+    assert np.median(effective_particles(frame, grid, 0.3)) == pytest.approx(expected, rel=0.1)
 
 
 def test_vectors_stand_where_the_settings_say(particle_pair):
@@ -180,7 +180,7 @@ def test_what_a_damaged_file_says_of_settings_is_refused_in_a_way_that_its_reade
     kept = {"windows_px": [64, 32], "finest_px": 16, "extra_passes": 2}
     told = kept | {name: [64, value] if name == "windows_px" else value}
     if (name, value) == ("finest_px", None):
-        assert not settings_of(told).finds
+        assert not settings_of(told).finds_windows
         return
     with pytest.raises((PairError, TypeError)):
         settings_of(told)
@@ -190,12 +190,12 @@ def test_what_a_damaged_file_says_of_settings_is_refused_in_a_way_that_its_reade
 def test_particle_images_are_as_wide_as_frames_are_sampled(particle_pair, diameter_px):
     """What does not match is told by their variance there, not by that of the recorded ones."""
     shape, truth = (256, 256), flows.uniform(0.8, -1.4)
-    pair = prepared(*particle_pair(truth, shape, seed=4, diameter_px=diameter_px, noise=0.0), None, 32)
+    pair = prepare_pair(*particle_pair(truth, shape, seed=4, diameter_px=diameter_px, noise=0.0), None, 32)
     grid = window_grid(shape, 32, 0.5)
     field = np.broadcast_to(np.array([0.8, -1.4]), (*grid.shape, 2)).copy()
     seen = deform_pair(pair.coefficients(), pair.valid, field, grid, pair.floor).a[8:-8, 8:-8]
     one, two = ((seen[:, lag:] * seen[:, :-lag]).mean(dtype=float) for lag in (1, 2))
-    assert pair.sampled_px2 == pytest.approx(0.75 / np.log(one / two), rel=0.12)
+    assert pair.spread_as_sampled_px2 == pytest.approx(0.75 / np.log(one / two), rel=0.12)
 
 
 @pytest.mark.parametrize("overlap", [0.5, 0.75])
@@ -226,5 +226,7 @@ def test_chance_is_not_taken_for_detail_in_clear_frames():
 def test_large_particle_images_are_not_counted_several_times():
     frame, _ = pair_of(flows_of(3)["uniform"], 3, 12.0, "clear")
     grid = window_grid(frame.shape, 16, 0.5)
-    small, true = (np.median(pieces_of(frame - np.float32(frame.mean()), grid, 0.3, s2)) for s2 in (0.0, 9.0))
+    small, true = (
+        np.median(effective_particles(frame - np.float32(frame.mean()), grid, 0.3, s2)) for s2 in (0.0, 9.0)
+    )
     assert true < 0.6 * small

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piv.correlation.pair import evaluate_pair
-from piv.correlation.prepare import prepared
+from piv.correlation.prepare import prepare_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
 from piv.errors import SeriesError
@@ -49,7 +49,7 @@ def swept(pairs, mean_px, energy_px2, valid=None, sweeps=2, window_px=16):
     grid = window_grid(shape, 32, 0.5)
     mean = np.broadcast_to(np.asarray(mean_px, float), (*grid.shape, 2))
     stress = np.broadcast_to([energy_px2, energy_px2, 0.0], (*grid.shape, 3))
-    sweep = sweep_with(shape, mean, stress, grid, prepared(*pairs[0], valid, 32).spread_px2)
+    sweep = sweep_with(shape, mean, stress, grid, prepare_pair(*pairs[0], valid, 32).spread_px2)
     for number in range(sweeps):
         sums = EnsembleSums(sweep)
         for a, b in pairs:
@@ -235,7 +235,7 @@ def test_a_rim_with_few_particles_is_seen_better_than_by_vectors(per_px, count, 
         sigma = np.stack((found.sigma_u_px, found.sigma_v_px), axis=-1)
         moments = moments.add(np.stack((found.u_px, found.v_px), axis=-1), found.valid, sigma)
     mean = np.where(moments.count[..., None] > count / 4, moments.mean_uv, np.nan)
-    sweep = sweep_with(shape, mean, moments.reynolds_stresses, grid, prepared(*pairs[0], valid, 32).spread_px2)
+    sweep = sweep_with(shape, mean, moments.reynolds_stresses, grid, prepare_pair(*pairs[0], valid, 32).spread_px2)
     sums = EnsembleSums(sweep)
     for a, b in pairs:
         sums.add(a, b, valid)
@@ -273,7 +273,9 @@ def test_a_wall_is_resolved_to_8_px():
     grid = window_grid(shape, 32, 0.5)
     x, y = np.meshgrid(grid.x_px, grid.y_px)
     coarse = np.stack((profile(np.maximum(y, wall + 8)), 0 * x), axis=-1) * 0.97
-    sweep = sweep_with(shape, coarse, np.zeros((*grid.shape, 3)), grid, prepared(*pairs[0], valid, 32).spread_px2)
+    sweep = sweep_with(
+        shape, coarse, np.zeros((*grid.shape, 3)), grid, prepare_pair(*pairs[0], valid, 32).spread_px2
+    )
     for number in range(2):
         sums = EnsembleSums(sweep)
         for a, b in pairs:
@@ -307,7 +309,7 @@ def test_fields_of_pairs_lead_to_the_same_stresses_with_less_noise():
     grid = window_grid((128, 128), 32, 0.5)
     stress = np.broadcast_to([1.4, 1.4, 0.0], (*grid.shape, 3))
     mean = np.broadcast_to([3.0, 0.0], (*grid.shape, 2))
-    sweep = sweep_with((128, 128), mean, stress, grid, prepared(*pairs[0], None, 32).spread_px2)
+    sweep = sweep_with((128, 128), mean, stress, grid, prepare_pair(*pairs[0], None, 32).spread_px2)
     steady, driven = EnsembleSums(sweep), EnsembleSums(sweep)
     sigma, good = np.full((*grid.shape, 2), 0.1), np.ones(grid.shape, bool)
     good[:2, :2] = False
@@ -349,7 +351,7 @@ def test_fields_that_follow_the_noise_of_their_pairs_add_nothing_to_stresses():
         np.broadcast_to([1.5, 0.0], (*grid.shape, 2)),
         np.broadcast_to([1.0, 1.0, 0.0], (*grid.shape, 3)),
     )
-    sweep = sweep_with(shape, mean, stress, grid, prepared(*pairs[0], None, 32).spread_px2)
+    sweep = sweep_with(shape, mean, stress, grid, prepare_pair(*pairs[0], None, 32).spread_px2)
     steady, driven, noise = EnsembleSums(sweep), EnsembleSums(sweep), []
     for k, (a, b) in enumerate(pairs):
         found = evaluate_pair(a, b, None, PivSettings(denoise=0.0), threads=1)
@@ -378,7 +380,9 @@ def test_what_a_field_takes_from_its_pair_within_a_window_is_put_back():
     grid = window_grid(shape, 32, 0.5)
     stress = np.broadcast_to([high**2 / 2, 0.05, 0.0], (*grid.shape, 3))
     made = [frames(lambda u, v, p=p: (wave(u, p), 0 * u), k, shape, ppp=0.03) for k, p in enumerate(phases)]
-    sweep = sweep_with(shape, np.zeros((*grid.shape, 2)), stress, grid, prepared(*made[0], None, 32).spread_px2)
+    sweep = sweep_with(
+        shape, np.zeros((*grid.shape, 2)), stress, grid, prepare_pair(*made[0], None, 32).spread_px2
+    )
     sums, x = EnsembleSums(sweep), np.meshgrid(sweep.cells.x_px, sweep.cells.y_px)[0]
     for pair, phase in zip(made, phases, strict=True):
         sums.add(*pair, field_px=np.stack((0.5 * wave(x, phase), 0 * x), axis=-1))

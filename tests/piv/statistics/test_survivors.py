@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piv.statistics.moments import Moments
-from piv.statistics.unresolved import LEAST_SHARE, Unresolved, measured_often, selection_sigma
+from piv.statistics.unresolved import LEAST_SHARE, Unresolved, is_measured_often, selection_sigma
 from tests.piv.correlation.flows import shaken_jet
 from tests.piv.fixed_windows import evaluate_pair
 
@@ -26,12 +26,12 @@ def test_below_half_of_the_pairs_that_looked_there_is_no_mean():
     moments = moments_of(np.ones((10, *SHAPE, 2)), valid)
     looked = np.full(SHAPE, 10)
     looked[1, 1] = 3
-    often = measured_often(moments, looked)
+    often = is_measured_often(moments, looked)
     assert not often[2, 3]
     assert often.sum() == often.size - 1
     alone = np.zeros((10, *SHAPE), bool)
     alone[:, 2, 3] = True  # in all pairs, and nothing is around it
-    assert not measured_often(moments_of(np.ones((10, *SHAPE, 2)), alone), np.full(SHAPE, 10)).any()
+    assert not is_measured_often(moments_of(np.ones((10, *SHAPE, 2)), alone), np.full(SHAPE, 10)).any()
     kept = moments.only(often)
     assert np.isnan(kept.mean_uv[2, 3]).all()
     assert kept.count[2, 3] == kept.sigma_count[2, 3] == 0
@@ -75,7 +75,7 @@ def test_the_mean_of_a_steep_jet_is_that_of_the_flow(particle_pair):
         looked = 0 * field.flags.astype(np.int64) + 24
         true = true + np.stack(flow(*np.moveaxis(field.grid_px, -1, 0)), axis=-1) / 24
     assert LEAST_SHARE == 0.5
-    often = measured_often(moments, looked)
+    often = is_measured_often(moments, looked)
     moments = moments.only(often)
     systematic = np.hypot(unresolved.shared(moments.mean_uv), selection_sigma(moments, looked))
     random = np.sqrt(moments.covariance[..., :2] / moments.count[..., None])
