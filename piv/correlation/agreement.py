@@ -1,4 +1,4 @@
-"""What vectors miss, measured: what neighbouring pieces of the frames still agree on.
+"""Measured resolution error of vectors: the displacement on which neighbouring blocks of the frames still agree.
 
 No model of a spectrum says what windows leave out: the part that matters is the one that they do not show. The
 frames do. Block by block they lean to one side (`piv.correlation.uncertainty`); with p, what a displacement of a
@@ -68,7 +68,7 @@ class Agreed(NamedTuple):
 def measure_agreement(
     blocks: Blocks, grid: WindowGrid, beyond_px: Floats, weight: Floats, window_px: int
 ) -> list[Agreed]:
-    """What pairs of blocks around each node agree on beyond the vectors.
+    """Measure the displacement beyond the vectors on which pairs of blocks around each node agree.
 
     Parameters
     ----------

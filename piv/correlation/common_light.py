@@ -81,7 +81,7 @@ class CommonLight(NamedTuple):
         return FAR * self.image_px
 
     def lengthening_px(self, length_px: Floats) -> Floats:
-        """How much of the length of vectors comes of images that overlap."""
+        """Return the part of the length of vectors that comes of images that overlap."""
         return self.image_px * np.interp(length_px / self.image_px, *APART)
 
 
@@ -109,7 +109,7 @@ class Known(NamedTuple):
 
 
 def is_suspect(still: Floats) -> bool:
-    """Whether the match of windows at no displacement asks for an explanation."""
+    """Return whether the match of windows at no displacement asks for an explanation."""
     return bool(np.isfinite(still).any() and np.nanmedian(still) > SUSPECT)
 
 
@@ -228,7 +228,7 @@ def without_common_light(
 
 
 def _is_behind_texture(whole: Searched, spread_px2: float, left_px2: float, without_noise: float) -> bool:
-    """Whether what is left of images is so small because a coarse texture is off; not that they hardly move."""
+    """Return whether the rest of images is so small because a coarse texture is off, not as they hardly move."""
     # Correlation is read at whole pixels, beside the peak.
     beside_px2 = np.square(whole.shift_px - np.rint(whole.shift_px)).sum(axis=-1)
     match = float(np.nanmedian(whole.correlation * np.exp(beside_px2 / (4.0 * spread_px2))))

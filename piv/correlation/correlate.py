@@ -22,7 +22,7 @@ Floats = NDArray[np.float32]
 
 
 class Searched(NamedTuple):
-    """What correlation says about each window; all (ny, nx), shift_px with a last axis of u, v."""
+    """Result of the correlation of each window; all (ny, nx), shift_px with a last axis of u, v."""
 
     shift_px: NDArray[np.float64]
     correlation: NDArray[np.float64]

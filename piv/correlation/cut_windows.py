@@ -1,4 +1,4 @@
-"""What a vector is unsure of because a mask cuts its window: its light lies beside the middle where it stands.
+"""Uncertainty of a vector whose window a mask cuts: its light lies beside the middle of the window.
 
 Passes continue the flow beyond what windows see, so that a window whose light has its middle at x_c says what the
 flow does at its own middle x_0 where that is nearly straight. Over the way from x_c to x_0 a vector is off by
@@ -54,7 +54,7 @@ def cut_px(
 
 
 def beside_px(valid: NDArray[np.float32], grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
-    """How far (ny, nx) the middle of a window's valid weight lies from its own; 0 where nothing is valid."""
+    """Distance (ny, nx) of the middle of a window's valid weight from its own; 0 where nothing is valid."""
     import cv2
 
     height, width = (-(-side // CELL_PX) for side in valid.shape)

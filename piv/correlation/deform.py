@@ -44,7 +44,7 @@ class DeformedPair(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """What passes sample: spline coefficients of both frames, their mask (H, W) float32, and how sure pixels are.
+    """Input of all passes: spline coefficients of both frames, mask (H, W) float32, variance of filled pixels.
 
     `floor` is the mean square up to which a window counts as constant; `told` as in `Pair`; `inclination` of
     particle images, None of round ones.

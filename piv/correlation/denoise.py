@@ -138,7 +138,7 @@ def wiener_share(
 
 
 class _Around:
-    """What the vectors around each node, as a smoothing weighs them, have in common."""
+    """Means over the vectors around each node, as a smoothing weighs them."""
 
     def __init__(self, trust: Floats, known: NDArray[np.bool_], level_steps: float) -> None:
         self._reach, self._known = level_steps / np.sqrt(2.0), known

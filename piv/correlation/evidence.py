@@ -1,4 +1,4 @@
-"""What the correlation of a window says for or against its vector, whatever the neighbours say.
+"""Evidence of a window's correlation for or against its vector, whatever the neighbours show.
 
 **For.** At 50 % overlap a wave of two windows has four nodes. The median of 5 x 5 neighbours on a crest is zero
 and they hardly deviate from it, so the test of `outliers` rejects every crest, however clear its peak; the gap is
@@ -39,7 +39,7 @@ def is_supported_by_peak(
     peak_ratio: NDArray[np.float64],
     window_px: int,
 ) -> NDArray[np.bool_]:
-    """Which suspects their own peak acquits.
+    """Return the suspects (ny, nx) whose own peak supports them.
 
     Parameters
     ----------
@@ -88,5 +88,5 @@ def is_low_confidence(peak_ratio: NDArray[np.float64], sigma_px: NDArray[np.floa
 
 
 def is_chance_match(match: NDArray[np.float64], pieces: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Where (ny, nx) frames that have nothing in common may match as well, with so many pieces looked at."""
+    """Return where (ny, nx) unrelated frames match as well by chance, with this number of pieces compared."""
     return np.asarray(match * np.sqrt(pieces) < BY_CHANCE)

@@ -1,4 +1,4 @@
-"""What masked pixels are filled with, and how sure that is.
+"""Filling of masked pixels, and its uncertainty.
 
 **Regions** take a blur of what is valid around them, so that the spline through the frame makes no step
 there; they weigh nothing afterwards.
@@ -32,7 +32,7 @@ NEAR = np.array(
 
 
 class Texture(NamedTuple):
-    """What a frame looks like: variance of a particle image [px^2], and of a pixel's noise over the picture's."""
+    """Texture of a frame: variance of a particle image [px^2], and of a pixel's noise over the picture's."""
 
     spread_px2: float
     noise: float

@@ -1,4 +1,4 @@
-"""What no window of a size shows: waves shorter than two of it, as long as the flow has them.
+"""Uncertainty by waves shorter than two windows, which no window shows.
 
 Passes restore a wave of two windows whole, and of one of half a window nothing is left. A flow whose spectrum goes
 on there has an error that its vectors do not show, that its frames hardly show (blocks of the frames that share no
@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 
 
 class Evaluated(NamedTuple):
-    """How windows of one size were evaluated.
+    """Evaluation by windows of one size.
 
     `side_px`, `step_px` and `window_sigma` of the windows, `between` the smoothings between their passes.
     """
@@ -57,7 +57,7 @@ class Evaluated(NamedTuple):
 
 
 class Tail(NamedTuple):
-    """What a spectrum that goes on makes of vectors, over its exponents (`EXPONENTS`).
+    """Effect on vectors of a spectrum that goes on, over its exponents (`EXPONENTS`).
 
     `steepness` is D6(h)/D4(2 h), `missed` M/D6(h); `noise` is D6(h) and D4(2 h) of the noise of vectors, as
     factors of that of one correlation.
@@ -131,7 +131,7 @@ def differences(vectors: Floats, order: int, apart: int) -> Floats:
 
 
 def tail_of(how: Evaluated) -> Tail:
-    """What a spectrum without an end makes of differences of vectors."""
+    """Tabulate the effect of a spectrum without an end on differences of vectors."""
     longest, shortest = (np.log(2.0 * np.pi / (share * how.side_px)) for share in (LONGEST, SHORTEST))
     number = np.exp(np.linspace(longest, shortest, WAVES))
     angle = (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS * np.pi

@@ -124,7 +124,7 @@ def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, 
 
 
 def _expected_gain(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
-    """Whether a second trial may explain enough somewhere: by what the first has seen apart (ny, nx, 2)."""
+    """Return whether a second trial may gain enough, by the difference (ny, nx, 2) that the first found."""
     most = match * np.square(apart_px).sum(axis=-1) / (4.0 * spread_px2 * np.maximum(1.0 - match, 1e-3))
     around = blur_nodes(most, JUDGED * grid.size_px * WIDE / grid.step_px)
     side = round(1.5 * usual_px / grid.step_px)
@@ -134,7 +134,7 @@ def _expected_gain(apart_px: Floats, match: Floats, spread_px2: float, grid: Win
 def effective_particles(
     frame: NDArray[np.float32], grid: WindowGrid, window_sigma: float, spread_px2: float = 0.0
 ) -> Floats:
-    """How many particle images (ny, nx) of about the same light would make that of each window of `grid`.
+    """Return the number (ny, nx) of particle images of equal light that would make that of each window of `grid`.
 
     Of N equal ones the light W has a sum whose square is N times the sum of squares.
     """
@@ -156,7 +156,7 @@ def effective_particles(
 
 
 def _needs_another_pass(found: Measured) -> bool:
-    """Whether the last pass has still moved more than a few vectors of the finest windows."""
+    """Return whether the last pass has still moved more than a few vectors of the finest windows."""
     if found.sizes is None:
         return False
     fine = (found.sizes.which == 0) & np.isfinite(found.left_px).all(axis=-1)

@@ -1,4 +1,4 @@
-"""Which vectors do not belong to their neighbourhood.
+"""Outlier detection: vectors that contradict their neighbours.
 
 Universal outlier detection (Westerweel, Scarano, Exp. Fluids 39, 1096 (2005)): a vector is compared with the
 median of its 5 x 5 neighbourhood, in units of the median deviation of those neighbours plus the usual noise

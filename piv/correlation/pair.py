@@ -204,7 +204,7 @@ def _without_strangers(field: VectorField) -> VectorField:
 
 
 def _is_one_picture(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
-    """Whether two frames of one size are the same, pixel by pixel."""
+    """Return whether two frames of one size are the same, pixel by pixel."""
     return bool(np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True))
 
 
@@ -335,7 +335,7 @@ def _decimate(field: VectorField, every: int) -> VectorField:
 
 
 def _needs_another_pass(course: MultipassState) -> bool:
-    """Whether a pass has still moved more than a few vectors."""
+    """Return whether a pass has still moved more than a few vectors."""
     dense = course.found.valid_fraction >= course.settings.min_valid
     far = ~(np.linalg.norm(course.found.left_px, axis=-1) < CHANGE_PX)
     return bool((far & dense).sum() > CHANGED_SHARE * dense.sum())
@@ -475,7 +475,7 @@ def _remove_noise(
 
 
 def _missed_short_waves(course: MultipassState, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:
-    """What waves make of vectors (ny, nx) that the smallest windows there are do not show."""
+    """Uncertainty (ny, nx) by waves that not even the smallest windows show."""
     settings, grid = course.settings, course.grid
     vectors, noise = (fill_gaps(part, good)[0] for part in (course.found.vectors_px, sigma))
     between = smoothings_of(settings, grid.size_px, grid.step_px, added)
@@ -485,7 +485,7 @@ def _missed_short_waves(course: MultipassState, good: NDArray[np.bool_], sigma: 
 def _modelled_resolution(
     course: MultipassState, sizes: Sizes, vectors: Floats, taken: Floats, pieces: Floats
 ) -> Floats:
-    """What windows do not resolve (ny, nx), each of its size."""
+    """Modelled resolution error (ny, nx) of windows, each of its size."""
     settings, step = course.settings, course.grid.step_px
     parts = []
     for side in sizes.sides_px:

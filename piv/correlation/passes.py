@@ -29,7 +29,7 @@ NOTHING = np.empty((0, 0), np.float32)
 
 
 class Measured(NamedTuple):
-    """What a pass has found: vectors_px, seen_px, left_px (ny, nx, 2), the others (ny, nx).
+    """Result of a pass: vectors_px, seen_px, left_px (ny, nx, 2), the others (ny, nx).
 
     seen_px is what whole windows showed where they were asked, even if their peak was one of many, and elsewhere
     the vectors. `refined` is what windows of the nodes' sizes showed, `own` what those of the grid did; None of
@@ -79,7 +79,7 @@ class MultipassState:
     number: int = 0
 
     def predictor(self, sizes: Sizes | None = None) -> Floats:
-        """What the last pass says about the frames (ny, nx, 2), smoothed for its windows, or for `sizes`."""
+        """Return the vectors (ny, nx, 2) of the last pass, smoothed for its windows, or for `sizes`."""
         vectors, good, grid = self.found.vectors_px, self.found.good, self.grid
 
         def smoothing(side_px: int) -> tuple[float, int]:

@@ -1,4 +1,4 @@
-"""What happens to both frames of a pair before they are correlated.
+"""Preprocessing of both frames of a pair, before they are correlated.
 
 1. **Level.** The mean of the surroundings (the last window's side wide) is taken off, once: uneven light and a
    bright background then stand in no window, and a window needs no mean of its own. Frames are divided by the
@@ -222,7 +222,7 @@ def _mean_around(values: Floats, side_px: int) -> Floats:
 
 
 def texture_of(frame: Floats, weight: Floats, whole: bool) -> Texture:
-    """What a frame looks like, from its correlation with itself at 0, 1 and 2 px along rows."""
+    """Measure the texture of a frame from its correlation with itself at 0, 1 and 2 px along rows."""
     every = slice(None, None, max(1, frame.shape[0] // 256))
     rows, seen = frame[every], weight[every]
 

@@ -1,4 +1,4 @@
-"""What is left of the displacement where it is known to a pixel: weighted windows, no transform.
+"""Residual displacement within a pixel, by weighted windows without a transform.
 
 See `piv.correlation.kernels.lags`. A window whose correlation is not highest in the middle gives NaN: it has
 to be searched as a whole.
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 class Refined(NamedTuple):
-    """What the middle of the correlation says: shift_px (ny, nx, 2), the others (ny, nx), sums (ny, nx, SUMS).
+    """Peaks in the middle of the correlation: shift_px (ny, nx, 2), the others (ny, nx), sums (ny, nx, SUMS).
 
     `gain` is what differences between the frames are worth, see `DeformedPair`: as much of a displacement is seen,
     and shift_px is already corrected for it; `gain_squares` the mean of its square. valid_fraction counts filled
@@ -94,7 +94,7 @@ def refine(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: i
 
 
 def read_windows(sums: Floats, total: float, floor: float, gain: Floats, gain_squares: Floats) -> Refined:
-    """What sums over windows say.
+    """Find the peaks from sums over windows.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a vector is unsure of because its window is large, apart from noise: a model, by what vectors show.
+"""Uncertainty of a vector by the size of its window, beside noise: a model from the vectors themselves.
 
 Where the frames tell what vectors miss (`piv.correlation.agreement`), that replaces 1. to 3.
 

@@ -1,4 +1,4 @@
-"""What an evaluation makes of waves and of noise: the linear theory of its passes.
+"""Response of an evaluation to waves and to noise: the linear theory of its passes.
 
 Where places find their windows, strong waves are seen by the finest and weak ones by the usual.
 
@@ -87,7 +87,7 @@ def levels_of(settings: PivSettings, step_px: int) -> list[float]:
 
 
 def _difference(upper: Transfer, lower: Transfer) -> Transfer:
-    """What passes the one and not the other."""
+    """Transfer of one filter without that of another."""
     return lambda wave: upper(wave) - lower(wave)
 
 
@@ -179,7 +179,7 @@ def _waves() -> Floats:
 
 
 def _node_response(weights: Floats, step_px: int) -> Floats:
-    """What windows see of a field given at their nodes, for each wave of `_waves`."""
+    """Response of windows to a field given at their nodes, for each wave of `_waves`."""
     line = _node_line(weights, step_px, _waves()[0, :, 0])
     return np.outer(line, line)
 

@@ -1,4 +1,4 @@
-"""How a pair is evaluated, and what cannot be meant.
+"""Settings of the evaluation of a pair, and their ranges.
 
 Passes go down to the usual windows, the last of `windows_px`. Where a finest window is told, each place finds its
 own from there (`piv.correlation.halving`): `finest_px` where halving shows more, and the usual ones elsewhere.
@@ -31,7 +31,7 @@ ExtraPasses = Annotated[int, Interval(ge=0, le=20)]
 
 @dataclass(frozen=True)
 class PivSettings:
-    """How to evaluate a pair.
+    """Settings of the evaluation of a pair.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class PivSettings:
 
     @property
     def finds_windows(self) -> bool:
-        """Whether places find their windows."""
+        """True if each place finds its window."""
         return self.finest_px is not None
 
     @property

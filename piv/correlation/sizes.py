@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sizes:
-    """Which window each node has.
+    """Window of each node.
 
     Parameters
     ----------
@@ -65,13 +65,13 @@ class Sizes:
 
 
 def choose_sizes(raw: Refined, sizes: Sizes, grid: WindowGrid, window_sigma: float, floor: float) -> Refined:
-    """What windows of each node's own size show, from that of the smallest."""
+    """Read the windows of each node's own size from the sums of the smallest."""
     wide = [raw, *(widen(raw, grid, side, window_sigma, floor) for side in sizes.sides_px[1:])]
     return Refined(*(sizes.pick(list(parts)) for parts in zip(*wide, strict=True)))
 
 
 def widen(raw: Refined, grid: WindowGrid, side_px: int, window_sigma: float, floor: float) -> Refined:
-    """What windows of `side_px` show at the nodes of `grid`."""
+    """Read windows of `side_px` at the nodes of `grid` from the sums of smaller ones."""
     sums, gain, squares = (
         widen_sums(part, grid, side_px, window_sigma) for part in (raw.sums, raw.gain, raw.gain_squares)
     )
@@ -82,7 +82,7 @@ def widen(raw: Refined, grid: WindowGrid, side_px: int, window_sigma: float, flo
 def asymmetry_of_sizes(
     lean: CorrelationAsymmetry, grid: WindowGrid, sizes: Sizes, window_sigma: float
 ) -> CorrelationAsymmetry:
-    """How windows of each node's own size lean."""
+    """Asymmetry of the correlation of windows of each node's own size."""
     parts = [lean]
     for side in sizes.sides_px[1:]:
         light = widen_sums(lean.light, grid, side, window_sigma)

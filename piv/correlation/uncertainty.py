@@ -63,7 +63,7 @@ class Blocks(NamedTuple):
 
 
 class CorrelationAsymmetry(NamedTuple):
-    """What makes the correlation of windows lean, all (ny, nx, 2) for u and v.
+    """Asymmetry of the correlation of windows, all (ny, nx, 2) for u and v.
 
     `variance` is that of the asymmetry summed over a window; `light` and `squares` are sums of what a displacement
     makes of each block, with the window's weights, and of its square, with their squares.
@@ -88,7 +88,7 @@ def sampling_error_px(spread_px2: float) -> float:
 
 
 def blocks_of(pair: DeformedPair, spread_px2: float, threads: int | None = None) -> Blocks:
-    """How blocks of about a particle's size lean.
+    """Asymmetry of the correlation of blocks of about a particle's size.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def blocks_of(pair: DeformedPair, spread_px2: float, threads: int | None = None)
 def correlation_asymmetry(
     blocks: Blocks, grid: WindowGrid, window_sigma: float, left_px: Floats
 ) -> CorrelationAsymmetry:
-    """How unevenly windows lean, apart from what a displacement makes of them.
+    """Sum the asymmetry over windows, without that of the displacement that is left.
 
     Parameters
     ----------

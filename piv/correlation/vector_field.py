@@ -27,7 +27,7 @@ TRUSTED_SHARE = 0.7  # of the vectors outside the mask; real pairs have 0.95 and
 
 
 class VectorFlag(IntEnum):
-    """What a vector is worth.  Image mask (pixels) and these flags (vectors) are kept apart."""
+    """Validity of a vector.  Image mask (pixels) and these flags (vectors) are kept apart."""
 
     VALID = 0  # measured
     MASKED = 1  # too few valid pixels in the window: not a vector, NaN
@@ -125,12 +125,12 @@ class VectorField:
 
     @property
     def asked(self) -> NDArray[np.bool_]:
-        """Where (ny, nx) a vector could be measured: neither masked nor in light that stands still."""
+        """True (ny, nx) where a vector could be measured: neither masked nor in light that stands still."""
         return could_be_measured(self.flags)
 
     @property
     def doubt(self) -> str:
-        """Why the field as a whole is not to be trusted, in a sentence; empty if nothing speaks against it."""
+        """Warning about the field as a whole, a sentence; empty if nothing speaks against it."""
         asked = int(np.count_nonzero(self.asked))
         share = self.counts["valid"] / max(asked, 1)
         if self.is_one_picture:

@@ -1,4 +1,4 @@
-"""Where interrogation windows lie, and how a field on their grid becomes a displacement of every pixel.
+"""Grid of interrogation windows, and interpolation of a field on it to every pixel.
 
 Between grid nodes the field follows the cubic spline through them, so that what windows see of it is what they see
 of the flow: a wave of four nodes keeps 0.985 of its height between them, with the cubic convolution of Keys (which
@@ -146,7 +146,7 @@ def interpolate(
 def interpolation_matrix(
     nodes_px: NDArray[np.float64], target_px: NDArray[np.float64], step_px: int
 ) -> NDArray[np.float32]:
-    """What `interpolate` multiplies with (targets, nodes), for many targets of several fields.
+    """Matrix (targets, nodes) of `interpolate`, for many targets of several fields.
 
     Shares fall by 0.27 a node; those that no float32 sum can see are left out, as numbers too small for the usual
     format (denormal) make products ten times slower.

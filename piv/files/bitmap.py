@@ -64,7 +64,7 @@ def grey_bitmap(content: bytes, shape: tuple[int, int] | None) -> NDArray[Any]:
 
 
 def other_size(found: tuple[int, int], wanted: tuple[int, int]) -> str:
-    """What is said of a frame (rows, columns) that does not fit the camera, or the frames beside it."""
+    """Message about a frame (rows, columns) that does not fit the camera, or the frames beside it."""
     return f"is {found[1]} x {found[0]} px, and {wanted[1]} x {wanted[0]} px are expected"
 
 

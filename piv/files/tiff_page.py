@@ -128,7 +128,7 @@ def grey_page(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN4
 
 
 def _needs_opencv(page: Any) -> bool:  # noqa: ANN401
-    """Whether tifffile lacks the codec, and OpenCV has it; FrameError if both lack it."""
+    """Return whether tifffile lacks the codec, and OpenCV has it; FrameError if both lack it."""
     if page.compression in PLAIN and page.predictor in (1, 2):
         return False
     if page.compression in PLAIN or page.compression == COMPRESSION.LZW:

@@ -97,12 +97,12 @@ class Vectors:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Where there is a vector (T, ny, nx)."""
+        """True where there is a vector (T, ny, nx)."""
         return np.asarray(np.isfinite(self.fields["u"]) & np.isfinite(self.fields["v"]))
 
     @property
     def kind(self) -> str:
-        """What u and v are: "velocity", or "displacement" where they are lengths."""
+        """Quantity of u and v: "velocity", or "displacement" where they are lengths."""
         return "displacement" if self.units.get("u") in (LENGTH, PIXELS) else "velocity"
 
     @property

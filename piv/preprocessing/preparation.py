@@ -1,4 +1,4 @@
-"""What is done to the frames of a flow, by name: at most one step to raw frames, then steps to corrected ones.
+"""Preprocessing steps by name: at most one for raw frames, then steps for corrected ones.
 
 Raw frames lose their background, whose pixels stand still there; the correction follows; then particles are
 brought to one height.  Every step is the same at every place of a frame, or takes off what does not move: none
@@ -190,7 +190,7 @@ class Preparation:
 
     @property
     def said(self) -> list[str]:
-        """What each step does, in a sentence."""
+        """Description of each step, a sentence."""
         return [(RAW | CORRECTED)[name] for name in self.steps]
 
     def finished(self, corrected: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:

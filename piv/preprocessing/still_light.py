@@ -222,7 +222,7 @@ def with_clean_rim(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.boo
 
 
 def _floors(cells: Cells, moves: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
-    """How far the floors of cells (ny, nx) are above the usual one where light moves; and where that is much."""
+    """Return the height (ny, nx) of floors above the usual one where light moves; and where it is large."""
     low, ground, high = (float(part) for part in np.quantile(cells.floor[moves], (EXTREME, 0.5, 1.0 - EXTREME)))
     apart = cells.floor - np.float32(ground)
     unit = float(np.sqrt(np.median(cells.square[moves])))

@@ -13,7 +13,7 @@ from piv.resampling.sample import TILE, tile_grid
 
 @dataclass(frozen=True)
 class Views:
-    """Where the nodes lie on the frame.
+    """Places of the nodes on the frame.
 
     Parameters
     ----------

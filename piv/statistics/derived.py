@@ -1,4 +1,4 @@
-"""What follows from a mean field: derivatives with their sigma, profiles along lines, steps across a rim.
+"""Quantities derived from a mean field: derivatives with their sigma, profiles along lines, steps across a rim.
 
 Fields lie on a regular raster on the plane: x and y rising, u to the right, v UP, (ny, nx, 2), NaN where there
 is no vector. Units are those of the caller: velocities per length come out as derivatives.

@@ -1,4 +1,4 @@
-"""How sure a mean is: as sure as one of independent pairs, but of fewer than there are.
+"""Uncertainty of a mean of correlated pairs: that of fewer independent ones.
 
 Successive pairs see nearly the same flow where it changes slowly. With the autocorrelation rho_k between pairs k
 apart, the mean of n of them is as sure as that of N = n/T independent ones,
@@ -62,7 +62,7 @@ class EffectiveSamples:
     converged: bool
 
     def doubt(self, pairs: int) -> str:
-        """What is not known of the samples in a mean of so many pairs; "" where nothing is in doubt."""
+        """Warning about the samples in a mean of this number of pairs; "" if there is none."""
         if self.converged:
             return ""
         if pairs < ENOUGH_PAIRS:

@@ -279,7 +279,7 @@ class EnsembleSums:
         self.pairs += 1
 
     def _noise(self, field_px: Floats | None, spread_px2: float) -> Singles:
-        """What noise correlates with itself (ny, L', nx) in frames deformed by a field, by default the sweep's."""
+        """Correlation (ny, L', nx) of noise with itself in frames deformed by a field, by default the sweep's."""
         if field_px is None:
             if self._usual_noise is None:
                 self._usual_noise = _noise_parts(self.sweep.field_px, self.own_lags)

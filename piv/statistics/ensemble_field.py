@@ -189,7 +189,7 @@ def next_sweep(field: EnsembleField, sweep: Sweep) -> Sweep:
 
 
 def _places(lags: NDArray[np.int64], reach_px: int) -> NDArray[np.int64]:
-    """Where displacements stand in `lags_of(reach_px)`."""
+    """Indices of displacements in `lags_of(reach_px)`."""
     places: NDArray[np.int64] = (lags[:, 0] + reach_px) * (2 * reach_px + 1) + lags[:, 1] + reach_px
     return places
 
@@ -270,7 +270,7 @@ def _area(covariance: Floats) -> Floats:
 
 
 def _by_templates(slopes: Floats, pixels: Floats) -> Floats:
-    """How fitted parameters change with the templates' sums over all pairs (ny, nx, 7, 7); NaN without a peak.
+    """Derivatives of fitted parameters by the templates' sums over all pairs (ny, nx, 7, 7); NaN without a peak.
 
     The fit was to a plane of one pair and one pixel, the sums are over `pixels` (ny, nx) of all pairs.
     """

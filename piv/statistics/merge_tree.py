@@ -16,7 +16,7 @@ from piv.errors import SeriesError
 
 
 class Mergeable(Protocol):
-    """What can be merged with more of its kind, itself first."""
+    """Statistics that can be merged with more of their kind, itself first."""
 
     def merged(self: "T", other: "T", /) -> "T":
         """Both together."""

@@ -1,4 +1,4 @@
-"""What a velocity through the sheet does to velocities within it, where the camera looks at the sheet aslant.
+"""Perspective error: out-of-plane motion seen as in-plane displacement under oblique viewing.
 
 With the slope a = dX/dz, b = dY/dz of the ray at the plane and w the velocity through it, towards the camera, what
 is measured is
@@ -72,7 +72,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OutOfPlane:
-    """What is known of the velocity w through the sheet; None: it is assumed.
+    """Velocity w through the sheet as far as it is known; None: it is assumed.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class OutOfPlane:
 
     @property
     def sentence(self) -> str:
-        """What is told, and what is assumed where nothing is."""
+        """Description of the given and the assumed velocities."""
         assumed = "as much as u and v vary around each place (assumed, isotropic)"
         w = assumed if self.sigma_w_m_s is None else f"{self.sigma_w_m_s:g} m/s (told)"
         steady = assumed if self.w_over_u is None else f"{self.w_over_u:g} of the speed in the plane (told)"
@@ -124,7 +124,7 @@ class OutOfPlane:
         return field.varied() if self.w_over_u is None else self.w_over_u * field.speed
 
     def of_stresses(self, stresses: Floats, slope: Floats) -> "SlantedStresses":
-        """What w' adds to Reynolds stresses R_uu, R_vv, R_uv (ny, nx, 3) [m2/s2] as they were measured."""
+        """Return the share of w' in measured Reynolds stresses R_uu, R_vv, R_uv (ny, nx, 3) [m2/s2]."""
         a, b = np.moveaxis(slope, -1, 0)
         normal = np.maximum(stresses[..., :2], 0.0)
         if self.sigma_w_m_s is None:
@@ -142,7 +142,7 @@ NOTHING_TOLD = OutOfPlane()
 
 
 class SlantedStresses(NamedTuple):
-    """What is too much in stresses R_uu, R_vv, R_uv (ny, nx, 3), and its standard uncertainty, in their unit."""
+    """Excess of the stresses R_uu, R_vv, R_uv (ny, nx, 3), and its standard uncertainty, in their unit."""
 
     bias: Floats
     sigma: Floats
@@ -186,7 +186,7 @@ class SlantedField:
         return np.where(there, np.abs(self.slope) * sigma_w[..., None], np.nan)
 
     def through_sheet(self, sigma_w: Floats) -> "ThroughSheet":
-        """What w of this size (ny, nx) is unsure by, and what its derivatives are: for those of the field."""
+        """Return the uncertainty by w of this size (ny, nx), and that of derivatives of the field."""
         varied = self.varied()
         with np.errstate(invalid="ignore", divide="ignore"):
             told = np.where(varied > 0.0, sigma_w / varied, 0.0)
@@ -238,7 +238,7 @@ class SlantedField:
 
 @dataclass(frozen=True, eq=False)
 class ThroughSheet:
-    """What is not known of w behind a field, rows in its order.
+    """Unknown part of w behind a field, rows in its order.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ class ThroughSheet:
 
 
 class Rate(NamedTuple):
-    """How much of du/dx, du/dy, dv/dx and dv/dy a rate holds: numbers, or arrays (ny, nx)."""
+    """Weights of du/dx, du/dy, dv/dx and dv/dy in a rate: numbers, or arrays (ny, nx)."""
 
     ux: Floats | float
     uy: Floats | float

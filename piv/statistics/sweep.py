@@ -1,4 +1,4 @@
-"""What must be known before the first pair of a sweep of the ensemble correlation: how frames are deformed.
+"""Input of a sweep of the ensemble correlation: how frames are deformed.
 
 The first sweep is deformed by the mean of vectors (`sweep_with`), the next by what a sweep has found (`next_sweep`
 of `piv.statistics.ensemble_field`). In a turbulent flow each pair may be deformed by a field of its own
@@ -31,7 +31,7 @@ Cells = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Sweep:
-    """What must be known before the first pair of a sweep, and be the same for all its parts.
+    """Input of a sweep, the same for all its parts.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Sweep:
 
     @property
     def cells(self) -> WindowGrid:
-        """Where the cells lie."""
+        """Places of the cells."""
         return cells_of(self.shape)
 
     def of_pair(self, vectors_px: Floats, sigma_px: Floats, good: NDArray[np.bool_], grid: WindowGrid) -> Floats:
@@ -111,7 +111,7 @@ class Sweep:
         return self.field_px + interpolate_nodes(off, grid, self.cells)
 
     def same(self, other: "Sweep") -> bool:
-        """Whether parts of both may be added."""
+        """Return whether parts of both may be added."""
         arrays = (
             (self.field_px, other.field_px),
             (self.energy_px2, other.energy_px2),

@@ -1,4 +1,4 @@
-"""What a mean of many pairs misses: detail that no pair resolves, and vectors that were lost.
+"""Systematic error of a mean of many pairs: detail that no pair resolves, and vectors that were lost.
 
 **What all pairs miss.** A vector is unsure by what its window does not resolve, beside noise
 (`piv.correlation.resolution`): r, in proportion to how much its field bends. What bends in the same way in every
@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 
 
 def is_measured_often(moments: Moments, looked: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Where (ny, nx) enough of the pairs that looked, `looked` (ny, nx) in number, have a vector; none alone."""
+    """Return where (ny, nx) enough of the pairs that looked, `looked` in number, have a vector; none alone."""
     often = (moments.count > 0) & (moments.count >= LEAST_SHARE * np.maximum(looked, 1))
     here_and_around = scipy.ndimage.convolve(often.astype(np.int64), np.ones((3, 3), np.int64), mode="constant")
     return np.asarray(often & ((here_and_around > 1) | (often.size == 1)))

@@ -1,4 +1,4 @@
-"""What single missing pixels would have shown, from the valid ones around them; see `piv.correlation.fill`."""
+"""Kriging of single missing pixels from the valid ones around them; see `piv.correlation.fill`."""
 
 import numpy as np
 

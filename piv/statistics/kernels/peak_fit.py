@@ -112,7 +112,7 @@ def start_values(plane: Array, lags: Array, variance: float, p: Array) -> bool:
 
 @kernel
 def template_slopes(p: Array, lags: Array, variance: float, slope: Array, out: Array) -> None:
-    """How the sums over `templates` change with the parameters: out (7, 7) float64."""
+    """Derivatives of the sums over `templates` by the parameters: out (7, 7) float64."""
     for k in range(PARAMETERS):
         for m in range(PARAMETERS):
             out[k, m] = 0.0
