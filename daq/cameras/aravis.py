@@ -275,9 +275,8 @@ class AravisCamera:
         while True:
             left_s = max(0.0, deadline - time.monotonic())
             if self._free:
-                buffer = call(
-                    "arv_stream_timeout_pop_buffer", self._stream, round(1e6 * min(left_s, STREAM_POLL_S))
-                )
+                wait_us = round(1e6 * min(left_s, STREAM_POLL_S))
+                buffer = call("arv_stream_timeout_pop_buffer", self._stream, wait_us)
                 if buffer:
                     return self._take(buffer)
             elif left_s:

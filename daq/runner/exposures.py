@@ -62,7 +62,7 @@ def _one(taken_by: "CameraSession") -> Frame:
     failed = 0
     while failed < tries:
         failed += 1
-        taken_by.make_ready()
+        taken_by.make_ready()  # empties the queue: what lies there answers an earlier trigger
         try:
             with _waiting(taken_by):
                 if match.has_restarted:

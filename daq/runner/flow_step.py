@@ -162,6 +162,7 @@ class FlowStep:
         assert light is not None
         sources = [side.source for side in self._sides]
         try:
+            # Cameras before the laser, which is armed only while all of them wait for triggers.
             for source in sources:
                 source.arm()
                 if len(sources) > 1:

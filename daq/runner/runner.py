@@ -147,6 +147,7 @@ class Runner:
     def _session(self, used: Sequence[RunCamera], left: Sequence[Step]) -> None:
         why, error_text = "finished", ""
         try:
+            # What a camera cannot do has to be found before anything moves.
             for camera in used:
                 camera.set_up(left)
             first = self._first
@@ -173,6 +174,7 @@ class Runner:
             why, error_text = type(error).__name__, str(error)
             raise
         finally:
+            # Light first: no frame may come behind the account of its camera.
             try:
                 self._laser_session.off()
                 self._first.session.end()
@@ -203,6 +205,7 @@ class Runner:
         try:
             record = self._arrive(step)
             place = "at"
+            # Gauges at rest, before the first frame: a slow one must not part the frames from their positions.
             readings = self._gauges.read(self.progress)
             self._tell("exposing")
             if flow is not None and step.pulses is not None:
@@ -212,6 +215,7 @@ class Runner:
                 gaps = frames.take(step, record)
             self._require_still_there(frames, step, record)
         except StageError as error:
+            # A stop by the person ends the run on request; a device that is gone is reported as such all the same.
             if self.interrupts.is_end_wanted and not isinstance(error, DeviceLost):
                 raise RunInterrupted(f"stopped {place} step {step.index + 1} ({step.tag}): {error}") from error
             raise
@@ -243,7 +247,9 @@ class Runner:
     def _arrive(self, step: Step) -> dict[str, Any]:
         """Bring everything to a step's place; return what its frames and its line will say about positions."""
         self._tell("moving")
+        # The token before the motion: a stop that comes while it moves ends the rest behind it too.
         planned, token = step.targets_mm, self._hardware.stage.latch.begin()
+        # Emptied first: after a move that fails, nothing is assumed about where the axes rest.
         before, found, self._rests_at_mm, self._found_mm = self._rests_at_mm, self._found_mm, {}, None
         go_to(self._hardware, planned, before, found)
         self._rests_at_mm = planned

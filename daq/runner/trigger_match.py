@@ -267,6 +267,7 @@ class TriggerMatch:
     # ---- by what -------------------------------------------------------------------------------
 
     def _by_time(self, meta: FrameMeta, shot: Shot) -> Place:
+        # The latch of this very trigger says most; the offset of earlier frames only where there is no latch.
         if shot.clock_ns is not None and self._latch_is_the_stamps is not False:
             if shot.could_have_made(meta.timestamp_ns, meta.received_ns):
                 self._latch_is_the_stamps = True

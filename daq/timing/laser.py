@@ -174,7 +174,7 @@ class Laser:
             lamps = {role: Pulse(0.0, TRIGGER_US) for role in LAMPS if role in self.box.wiring}
             self.box.load(Schedule(1e6 / rate_hz, lamps))
             self._states.heated_s, self._rate_hz = math.inf, rate_hz
-            self._states.enter(Event.WARM_UP)
+            self._states.enter(Event.WARM_UP)  # before the lamps run: a stop in between finds them to end
             self.box.start_lamps()
             self._states.heated_s = self._clock.now_s() + self.rules.warmup_s
 
@@ -294,7 +294,7 @@ class Laser:
             self.box.token = self._states.token()
             self.pairs = pairs
             self._ends_s = math.inf
-            self._states.enter(Event.FIRE)
+            self._states.enter(Event.FIRE)  # before the box: a stop in between finds light to end
             begun_s = self._clock.now_s()
             self.box.begin(pairs)
             if self.box.counts:  # it counts from when the last output was switched on

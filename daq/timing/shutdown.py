@@ -100,7 +100,7 @@ class LaserShutdown:
         with self._lock:
             latch = self._box.latch
             latch.clear()
-            count = latch.count
+            count = latch.count  # a stop that comes while outputs are read back changes it
             try:
                 self._reach()
                 self.read_back()
