@@ -77,18 +77,18 @@ def test_opposite_sign_and_offset_turn_the_coordinate(bench, kind):
     assert turned.world.true_mm("a") - turned.world.true_mm("b") != 0.0
 
 
-@pytest.mark.parametrize("target_mm", [math.nan, math.inf, -math.inf, 4.999, 120.001, 5.1, -1e300])
-def test_targets_out_of_range_raise_before_motion(bench, kind, target_mm):
+def test_targets_out_of_range_raise_before_motion(bench, kind):
     made = bench(kind)
     made.stage.home()
     made.stage.move({"a": 50.0})
     before_mm, before = made.world.true_mm("a"), made.sent
-    with pytest.raises(OutOfRange):
-        made.stage.move({"b": 60.0, "a": target_mm})
-    with pytest.raises(OutOfRange):
-        made.stage.axis("a").move_to(target_mm)
-    assert made.sent == before
-    assert made.world.true_mm("a") == before_mm
+    for target_mm in (math.nan, math.inf, -math.inf, 4.999, 120.001, 5.1, -1e300):
+        with pytest.raises(OutOfRange):
+            made.stage.move({"b": 60.0, "a": target_mm})
+        with pytest.raises(OutOfRange):
+            made.stage.axis("a").move_to(target_mm)
+        assert made.sent == before, target_mm
+        assert made.world.true_mm("a") == before_mm, target_mm
 
 
 def test_stop_at_rest_is_harmless(bench, kind):

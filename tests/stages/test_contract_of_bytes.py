@@ -13,6 +13,7 @@ from stages.errors import (
 )
 from stages.stage import Stage
 from stages.states import AxisState
+from tests.loops import loop_over
 from tests.stages.benches import brisk, true_errors_um
 
 
@@ -62,7 +63,7 @@ def test_impossible_speed_is_refused_on_opening(bench, driver):
         bench(driver, speed_mm_s=9e6)
 
 
-@pytest.mark.parametrize("channel", ["", "9/9/9", "Q Q", "-1"])
+@loop_over("channel", ["", "9/9/9", "Q Q", "-1"])
 def test_impossible_channel_is_refused(driver, channel):
     scale = 400.0 if driver_class(driver).counts_steps else None
     with pytest.raises(StageUsageError, match="channel"):

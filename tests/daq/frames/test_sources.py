@@ -14,6 +14,7 @@ from piv.errors import FrameDamaged, FrameError, PairError
 from piv.files.frame_file import checksum
 from tests.daq.frames.davis_files import StandIn
 from tests.daq.frames.videos import write_video
+from tests.loops import loop_over
 
 h5py = pytest.importorskip("h5py")
 PAIRS, SHAPE = 3, (6, 8)
@@ -106,11 +107,12 @@ def _own(tmp_path, make):
     return tmp_path / make.__name__
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("make", ALL)
+@loop_over("kind", [np.uint8, np.uint16, np.float32])
 def test_pairs_come_in_order_with_names_that_are_read_one_by_one(tmp_path, make, kind):
     stack = frames(kind)
-    path = make(tmp_path, stack)
+    (tmp_path / kind.__name__).mkdir()
+    path = make(tmp_path / kind.__name__, stack)
     assert is_source(path)
     source = source_of(path)
     assert (len(source.pairs()), source.count_unpaired()) == (PAIRS, 0)
