@@ -247,7 +247,7 @@ class Worker:
         self._exposure_us = exposure_us(nodes)
         self._incomplete.count = self._incomplete_told = self._grabbed = 0
         self._triggers = self._unanswered = 0
-        warm_up()
+        warm_up(is_read_only=True)  # raw_buffer is bytes
         try:
             # As many raw frames again: they bridge the time in which the system lets this process wait.
             self._acquirer.num_buffers = max(MIN_PRODUCER_BUFFERS, slots)

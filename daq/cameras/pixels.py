@@ -13,10 +13,18 @@ from daq.errors import BadFrame
 MAX_SIDE_PX = 1 << 16
 
 
-def warm_up() -> None:
-    """Compile or load all kernels now, so that the first frame of a run is not late."""
+def warm_up(is_read_only: bool = False) -> None:
+    """Compile or load all kernels now, so that the first frame of a run is not late.
+
+    Parameters
+    ----------
+    is_read_only : bool
+        Whether payloads will be read-only, as those of a GenTL producer are: kernels are compiled for either.
+    """
+    raw = np.zeros(8, np.uint8)
+    raw.flags.writeable = not is_read_only
     for form in FORMATS.values():
-        unpack(np.zeros(8, np.uint8), form, 2, 1, 0, np.zeros(2, np.uint16))
+        unpack(raw, form, 2, 1, 0, np.zeros(2, np.uint16))
 
 
 def row_pitch_bits(form: PixelFormat, width: int, height: int, padding_bytes: int, size_bytes: int) -> int:

@@ -142,7 +142,7 @@ def test_nothing_moves_while_light_may_leave_and_nothing_is_armed_while_somethin
         stage.home()
         laser.warm(10.0)
         laser.set(PulseTiming(20.0, 10.0), PairExposures(100.0, 20_000.0, 2.0))
-        with stage._turn.taken(), pytest.raises(TimingUsageError, match="not armed: an axis of the stage"):
+        with stage._turn.take(), pytest.raises(TimingUsageError, match="not armed: an axis of the stage"):
             laser.arm(GOOD, laser.challenge)
         assert laser.state is LaserState.READY
         before_mm = stage.where_mm()

@@ -21,6 +21,7 @@ from daq.errors import (
 )
 from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
+from tests.loops import loop_over
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 FORMATS = ["Mono8", "Mono10", "Mono10p", "Mono10Packed", "Mono12", "Mono12p", "Mono12Packed", "Mono14", "Mono14p",
@@ -96,7 +97,7 @@ def test_satisfies_the_protocol_and_says_who_it_is(camera):
     assert camera.info.model
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@loop_over("name", FORMATS)
 def test_every_pixel_of_every_format(camera, name):
     camera.configure({"PixelFormat": name, "Width": 33, "Height": 21, "OffsetX": 7, "OffsetY": 3, **SOFTWARE})
     camera.arm()
@@ -111,6 +112,7 @@ def test_every_pixel_of_every_format(camera, name):
     for frame in (first, second):
         assert frame.meta.pixel_format == name
         assert frame.meta.significant_bits == bits
+    camera.disarm()
 
 
 WHOLE = {"BinningHorizontal": 1, "BinningVertical": 1, "DecimationHorizontal": 1, "DecimationVertical": 1,
@@ -184,7 +186,7 @@ def test_a_few_features_are_read_also_while_it_is_armed(camera):
     assert found == {"DeviceTemperature": pytest.approx(41.5), "ExposureTime": pytest.approx(250.0)}
 
 
-@pytest.mark.parametrize(
+@loop_over(
     "bad",
     [{"Width": 100_000}, {"Width": -1}, {"PixelFormat": "BayerRG8"}, {"Exposure": 1.0}, {"ExposureTime": 0.0},
      {"ExposureTime": float("nan")}, {"Gain": float("inf")}, {"TriggerSource": "Line77"}, {"PayloadSize": 3}],

@@ -5,7 +5,7 @@ import pytest
 
 from daq.cameras.formats import BY_CODE, FORMATS, pixel_format
 from daq.cameras.kernels import unpack as kernels
-from daq.cameras.pixels import unpack
+from daq.cameras.pixels import unpack, warm_up
 from daq.errors import BadFrame
 from tests.loops import loop_over
 
@@ -118,3 +118,21 @@ def test_unknown_format_names_the_cure():
     with pytest.raises(BadFrame, match="0x1080009"):
         pixel_format(0x01080009)
     assert BY_CODE[0x010C0047].name == "Mono12p"
+
+
+@loop_over("is_read_only", [True, False])
+def test_a_frame_finds_its_kernel_compiled(is_read_only):
+    """A payload of a GenTL producer is bytes, that of Aravis an array: numba compiles for either."""
+
+    def compiled():
+        found = [getattr(kernels, name) for name in dir(kernels) if name.startswith("unpack_")]
+        return [len(kernel.signatures) for kernel in found]
+
+    warm_up(is_read_only)
+    before = compiled()
+    payload = bytes(2 * 33 * 21) if is_read_only else bytearray(2 * 33 * 21)
+    for form in FORMATS.values():
+        raw = np.frombuffer(payload, np.uint8)[: -(-33 * 21 * form.wire_bits // 8)]
+        unpack(raw, form, 33, 21, 0, np.zeros(33 * 21, np.uint16))
+    assert compiled() == before
+    assert all(before)
