@@ -68,7 +68,7 @@ def check_refused(folder):
     with pytest.raises(ResumeRefused, match="begin a new run"):
         reopen(folder.path)
     findings = {finding.part: finding.sound for finding in check_run(folder.path).findings}
-    assert not findings["books"]
+    assert not findings["account"]
 
 
 def test_a_frame_that_nothing_assigns_ends_the_run_for_good(run):
