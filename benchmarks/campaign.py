@@ -32,7 +32,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.series import written_run
 from correction.fitted.prepared import prepare
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
-from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, plan_runs
 from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import piv_choice
@@ -79,7 +79,7 @@ def _prepare(out: Path, run: Path) -> None:
     """Trace the map and compile, so that no line has to."""
     folder = CampaignFolder(out)
     ask_for(folder, [run], piv_choice(), CampaignSettings(chunk=2))
-    planned = next(planned_runs(folder))
+    planned = next(plan_runs(folder))
     prepare(planned.given.method.scene, maps=planned.jobs[0].maps)
     planned.given.still()
     evaluate_chunk(planned.jobs[0])
@@ -95,7 +95,7 @@ def _once(folder: Path, words: str, chunk: int) -> None:
     maps.mkdir(parents=True)
     for file in (folder / "warm" / "runs" / run.name / "maps").iterdir():
         (maps / file.name).hardlink_to(file)
-    for _ in planned_runs(campaign):
+    for _ in plan_runs(campaign):
         pass
     wall_s = time.perf_counter()
     with _executor(kind, int(count), out) as executor:

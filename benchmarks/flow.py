@@ -50,7 +50,7 @@ from piv.correlation.vector_field import VectorField
 from piv.statistics.moments import Moments
 from piv.statistics.out_of_plane import OutOfPlane
 from piv.statistics.unresolved import Unresolved
-from rtpiv.analysis.pairs.slanted import slanted
+from rtpiv.analysis.pairs.slanted import perspective_error
 from rtpiv.analysis.series.workers import worker_processes
 from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow
@@ -178,7 +178,7 @@ def moments(case: Case, numbers: range) -> Sums:
         sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
         seen = _judge(case).at(number / RATE_HZ, field.added_passes)
         prepared, plain = _correction(case), field.total_sigma_px
-        slant = slanted(field, prepared.corrector.map, prepared.scene, case.settings, case.known, DT_S)
+        slant = perspective_error(field, prepared.corrector.map, prepared.scene, case.settings, case.known, DT_S)
         inside = [
             np.where(np.isnan(part), np.nan, np.abs(uv - seen.itself) < part)
             for part in (np.hypot(plain, slant.sigma_px), plain)

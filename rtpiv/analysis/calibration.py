@@ -99,7 +99,7 @@ class Calibration:
         found["behind glass"]["visible"] = fit.corners_expected
         return found
 
-    def said_of(self, weakness: Weakness) -> str:
+    def weakness_sentence(self, weakness: Weakness) -> str:
         """Describe a weakness of the fit, and whether it matters for the map."""
         worth_px = max((values["median"] for values in self.percentiles.values()), default=float("inf"))
         if weakness.together and worth_px < HARMLESS_PX:

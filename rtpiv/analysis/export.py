@@ -53,7 +53,7 @@ def write_tecplot(path: Path, vectors: Vectors) -> list[Path]:
         text.write(f" STRANDID=1, SOLUTIONTIME={time_s:.9g}\n")
         columns = [x, y, *(np.nan_to_num(one[number]) for one in fields.values()), vectors.measured[number]]
         np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g")
-    return _written(path.with_suffix(".dat"), utf8(text.getvalue()))
+    return _write_bytes(path.with_suffix(".dat"), utf8(text.getvalue()))
 
 
 def write_csv(path: Path, vectors: Vectors) -> list[Path]:
@@ -73,7 +73,7 @@ def write_csv(path: Path, vectors: Vectors) -> list[Path]:
         ]
         np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g", delimiter=",")
     table = text.getvalue().replace("nan", "")
-    return _written(path.with_suffix(".csv"), utf8(f"{','.join(names)}\n{table}"))
+    return _write_bytes(path.with_suffix(".csv"), utf8(f"{','.join(names)}\n{table}"))
 
 
 def write_matlab(path: Path, vectors: Vectors) -> list[Path]:
@@ -85,7 +85,7 @@ def write_matlab(path: Path, vectors: Vectors) -> list[Path]:
     scipy.io.savemat(
         stream, {**arrays, "units": units, "title": _title(vectors, path)}, do_compression=True, oned_as="column"
     )
-    return _written(path.with_suffix(".mat"), stream.getvalue())
+    return _write_bytes(path.with_suffix(".mat"), stream.getvalue())
 
 
 def _title(vectors: Vectors, path: Path) -> str:
@@ -94,7 +94,7 @@ def _title(vectors: Vectors, path: Path) -> str:
     return utf8(" ".join(title.split())).decode()
 
 
-def _written(path: Path, content: bytes) -> list[Path]:
+def _write_bytes(path: Path, content: bytes) -> list[Path]:
     with whole_file(path) as stream:
         stream.write(content)
     return [path]

@@ -52,13 +52,13 @@ from tracer.scene.scene_file import load_scene
 Float64 = NDArray[np.float64]
 
 LAG_PX = 2
-LEVEL_PX = 65  # light that varies slower than this is not detail
+FOCUS_LEVEL_PX = 65  # light that varies slower than this is not detail
 FEWEST_PX = 400  # below, a part says nothing
 WIDEST = 2.5  # of the smallest s^2: farther off blur grows more slowly than the parabola says
 SUREST = 0.02  # of s^2: few places may lie on a parabola by chance
 FAINT = 0.15  # of the highest contrast: twice as wide spots have a quarter of it
 FLAT = 0.12  # of the smallest s^2: a smaller change along a scan is chance, or that of the scale
-FEWEST = 4  # places that a parabola and its uncertainty are taken from
+MIN_FOCUS_PLACES = 4  # places that a parabola and its uncertainty are taken from
 
 
 class Spots(NamedTuple):
@@ -90,8 +90,8 @@ def _detail(frame: NDArray[np.generic], part: NDArray[np.bool_]) -> Float64:
     """Difference from the mean light around, which is taken within the part alone."""
     inside = part.astype(np.float64)
     values = np.where(part, frame.astype(np.float64), 0.0)
-    share = scipy.ndimage.uniform_filter(inside, LEVEL_PX, mode="constant")
-    level = scipy.ndimage.uniform_filter(values, LEVEL_PX, mode="constant") / np.maximum(share, 1e-9)
+    share = scipy.ndimage.uniform_filter(inside, FOCUS_LEVEL_PX, mode="constant")
+    level = scipy.ndimage.uniform_filter(values, FOCUS_LEVEL_PX, mode="constant") / np.maximum(share, 1e-9)
     return np.asarray(np.where(part, values - level, 0.0))
 
 
@@ -213,7 +213,7 @@ class FocusScan:
         return f_number_for_depth(self.needed_mm, self.magnification, self.wavelength_nm)
 
 
-def trusted_px2(places: Sequence[Spots]) -> Float64:
+def spot_variances_px2(places: Sequence[Spots]) -> Float64:
     """s^2 (N,) where spots have some contrast; NaN where they are so faint that fine grain outweighs them."""
     least = FAINT * max((spots.contrast for spots in places), default=0.0)
     return np.array([spots.variance_px2 if spots.contrast > least else np.nan for spots in places])
@@ -223,7 +223,7 @@ def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
     """Vertex of the parabola through the places around the sharpest one."""
     nan = float("nan")
     known = np.isfinite(variance_px2)
-    if np.count_nonzero(known) < FEWEST:
+    if np.count_nonzero(known) < MIN_FOCUS_PLACES:
         return BestFocus(part, nan, nan, nan, "too few places show spots")
     z, s2 = z_mm[known], variance_px2[known]
     if np.ptp(s2) < FLAT * s2.min():
@@ -246,7 +246,7 @@ def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
         first -= 1
     while last < len(z) - 1 and near[last + 1]:
         last += 1
-    if last - first + 1 < FEWEST:
+    if last - first + 1 < MIN_FOCUS_PLACES:
         text = f"only {last - first + 1} places around {z[least]:+.1f} mm are nearly as sharp; add some around"
         return BestFocus(part, nan, nan, nan, text)
     z, s2 = z[first : last + 1], s2[first : last + 1]
@@ -314,9 +314,9 @@ def focus_scan(run: Path) -> FocusScan:
                 for spots in [spots_in(shown[0], shown[-1], part)]
             }
         )
-    if len(places) < FEWEST:
+    if len(places) < MIN_FOCUS_PLACES:
         raise RunUnsuitable(
-            f"has {len(places)} places, {FEWEST} are needed",
+            f"has {len(places)} places, {MIN_FOCUS_PLACES} are needed",
             place=run,
             cure="rtpiv acquire --resume takes the rest",
         )
@@ -324,7 +324,7 @@ def focus_scan(run: Path) -> FocusScan:
     z_mm = np.array(places)[order]
     # Beside the glass first, then ball by ball.
     names = sorted({name for each in found for name in each}, key=lambda name: (name != "beside", name))
-    variance = {name: trusted_px2([found[k].get(name, NO_SPOTS) for k in order]) for name in names}
+    variance = {name: spot_variances_px2([found[k].get(name, NO_SPOTS) for k in order]) for name in names}
     best = tuple(best_focus(name, z_mm, variance[name]) for name in names)
     scale = scene.camera.focal_px / abs(scene.camera.position_mm[2] / scene.camera.rotation_matrix[2][2])
     magnification = scale * plan.pixel_pitch_um * 1e-3

@@ -118,7 +118,7 @@ class CorrectionRecipe:
         write_text(out / SCENE_FILE, PLAIN_SCENE.format(**numbers, width=width, height=height))
         return out / SCENE_FILE
 
-    def masked(self, scene: Scene) -> Scene:
+    def apply_mask(self, scene: Scene) -> Scene:
         """Return the scene without what the mask leaves out; SceneError if it is none of this camera's frame."""
         if self.mask is None:
             return scene

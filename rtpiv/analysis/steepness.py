@@ -9,7 +9,7 @@ from correction.maps.correction_map import CorrectionMap
 from correction.maps.slant import SLOPE_NODE_STEP, node_slopes
 from tracer.scene.scene import Scene
 
-MOST = 0.9  # of the places are no steeper than the second figure
+STEEP_QUANTILE = 0.9  # of the places are no steeper than the second figure
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Steepness:
 
         def figures(where: NDArray[np.bool_]) -> tuple[float, float] | None:
             known = size[where & np.isfinite(size)]
-            return (float(np.median(known)), float(np.quantile(known, MOST))) if known.size else None
+            return (float(np.median(known)), float(np.quantile(known, STEEP_QUANTILE))) if known.size else None
 
         return cls(figures(is_behind), figures(is_beside))
 
@@ -42,7 +42,7 @@ class Steepness:
     def sentence(self) -> str:
         """Sentence about the perspective error of out-of-plane motion; empty where nothing is seen."""
         parts = [
-            f"{median:.2f} {name} ({most:.2f} at {100 * MOST:.0f} % of the places)"
+            f"{median:.2f} {name} ({most:.2f} at {100 * STEEP_QUANTILE:.0f} % of the places)"
             for figures, name in ((self.behind, "behind glass"), (self.beside, "seen directly"))
             if figures is not None
             for median, most in (figures,)

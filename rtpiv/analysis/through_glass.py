@@ -28,7 +28,7 @@ from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 
-WIDEST_PX = 200  # of a map that only compares arrangements: areas to a few tenths of a per cent
+COMPARED_WIDTH_PX = 200  # of a map that only compares arrangements: areas to a few tenths of a per cent
 SAID_PX = 2500  # of one whose areas are said: to some hundredths
 
 Window = tuple[tuple[int, int], tuple[int, int]]  # rows and columns of nodes: the first, and behind the last
@@ -112,9 +112,9 @@ def through_glass(scene: Scene, grid: PlaneGrid, recovered: NDArray[np.bool_]) -
     return ThroughGlass(count * grid.pitch_mm**2, seen * grid.pitch_mm**2, what)
 
 
-def coarse_map(scene: Scene, widest_px: int = WIDEST_PX) -> CorrectionMap:
+def coarse_map(scene: Scene, widest_px: int = COMPARED_WIDTH_PX) -> CorrectionMap:
     """Map of a scene for a camera of the same view and few pixels: what is recovered, and where."""
-    small = shown_small(scene, widest_px)
+    small = coarsen_scene(scene, widest_px)
     return build_correction_map(small, build_ray_map(small), layers=1)
 
 
@@ -170,7 +170,7 @@ def behind(bodies: Iterable[Body], scene: Scene, grid: PlaneGrid, window: Window
     frame = np.array([*grid.origin_mm, grid.pitch_mm])
     pinhole = np.array(scene.camera.position_mm)
     for body in bodies:
-        (first, last), (west, east) = clipped(reach(body, scene, grid), window)
+        (first, last), (west, east) = clip_window(reach(body, scene, grid), window)
         start, end, radius_mm = body.capsule
         part = np.ascontiguousarray(marks[first - top : last - top, west - left : east - left])
         mark_behind(np.array([first, west]), frame, pinhole, np.array([*start, *end, radius_mm]), part)
@@ -193,7 +193,7 @@ def reach(body: Body, scene: Scene, grid: PlaneGrid) -> Window | None:
     return (int(v0), int(v1)), (int(u0), int(u1))
 
 
-def clipped(found: Window | None, window: Window) -> Window:
+def clip_window(found: Window | None, window: Window) -> Window:
     """The part of a window of nodes that lies within another."""
     if found is None:
         return window
@@ -203,7 +203,7 @@ def clipped(found: Window | None, window: Window) -> Window:
     return rows, columns
 
 
-def shown_small(scene: Scene, widest_px: int) -> Scene:
+def coarsen_scene(scene: Scene, widest_px: int) -> Scene:
     """Return the scene before a camera of the same view, a whole number of times coarser where it is wider."""
     return scene.coarser(max(1, round(scene.camera.sensor_px[0] / widest_px)))
 
@@ -241,7 +241,7 @@ class BodyShare:
         return self.within_mm2.get(NodeStatus.RECOVERED, 0.0)
 
     @property
-    def lost_to(self) -> NodeStatus | None:
+    def main_loss(self) -> NodeStatus | None:
         """Status of most of the lost nodes of the outline; None if nothing is lost."""
         lost = [status for status, area in self.within_mm2.items() if status != NodeStatus.RECOVERED and area]
         return max(lost, key=lambda status: self.within_mm2[status]) if lost else None
@@ -317,7 +317,7 @@ def plane_share(scene: Scene, correction_map: CorrectionMap) -> PlaneShare:
 
 def _body_share(body: Body, scene: Scene, correction_map: CorrectionMap, shown_mm2: float) -> BodyShare:
     grid, (height, width) = correction_map.grid, correction_map.grid.shape
-    window = clipped(reach(body, scene, grid), ((0, height), (0, width)))
+    window = clip_window(reach(body, scene, grid), ((0, height), (0, width)))
     status = correction_map.status[slice(*window[0]), slice(*window[1])]
     counts = np.bincount(status[behind((body,), scene, grid, window)], minlength=len(NodeStatus))
     areas = _areas(counts, grid.pitch_mm**2)

@@ -108,9 +108,9 @@ def _drawing_process(modules: Sequence[str]) -> AbstractContextManager[None]:
         return nullcontext()
     if KERNELS in modules:
         importlib.import_module(KERNELS)
-    from rtpiv.analysis.pictures.drawing_process import started
+    from rtpiv.analysis.pictures.drawing_process import drawing_apart
 
-    return started(modules)
+    return drawing_apart(modules)
 
 
 def _first_use(verb: str) -> compile_news.Helper:

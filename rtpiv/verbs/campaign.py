@@ -16,7 +16,7 @@ from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunSta
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, ask_for
 from rtpiv.analysis.campaign.campaign_trial import adopt, trial
 from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
-from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, said_missing
+from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, missing_chunks_text
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.chunk import evaluate_chunk
@@ -147,7 +147,7 @@ def campaign(
                 show_forecasts(screen, found)
                 if action == "plan":
                     return found
-                with SeriesFolder(folder.path).alone():
+                with SeriesFolder(folder.path).lock():
                     adopt(tried, folder)
         if action == "merge":
             merged = merge_campaign(folder)
@@ -164,7 +164,9 @@ def campaign(
         missing = sum(state.chunks - state.done for state in states)
         if missing:
             raise Unfinished(
-                said_missing(missing), place=folder.path, cure=f"resume with rtpiv campaign run -o {folder.path}"
+                missing_chunks_text(missing),
+                place=folder.path,
+                cure=f"resume with rtpiv campaign run -o {folder.path}",
             )
         if action == "run":
             screen.print(f"average with: rtpiv campaign merge -o {folder.path}")

@@ -163,7 +163,7 @@ def correct(
         raise MapUsageError("the scene gives the scale; omit --mm-per-px")
     if recipe.second is not None or recipe.both is not None:
         raise MapUsageError("frames are corrected one by one; leave --second and --both to rtpiv evaluate")
-    fitted = recipe.masked(scene if isinstance(scene, Scene) else load_scene(scene))
+    fitted = recipe.apply_mask(scene if isinstance(scene, Scene) else load_scene(scene))
     particles = not check_target and shows_light_sheet(frames)
     loaded = fitted.in_light_sheet() if particles else fitted
     shape = loaded.camera.shape
@@ -258,14 +258,14 @@ def _draw(
     corrector: Corrector,
 ) -> None:
     """Draw a frame as acquired, computer-generated (no larger than it is drawn), corrected."""
-    from rtpiv.analysis.pictures.patterns import Particles, Target, seen, shows_particles
+    from rtpiv.analysis.pictures.patterns import Particles, Target, pattern_view, shows_particles
     from rtpiv.analysis.pictures.rasters import WIDEST_PX
-    from rtpiv.analysis.through_glass import shown_small
+    from rtpiv.analysis.through_glass import coarsen_scene
 
     px_mm = scene.camera.position_mm[2] / scene.camera.focal_px
     particles = Particles(CELL_PX * px_mm, PARTICLE_PX * px_mm)
     pattern = particles if shows_particles(frame) else Target(board)
-    computed = seen(shown_small(scene, WIDEST_PX), pattern, samples=2)
+    computed = pattern_view(coarsen_scene(scene, WIDEST_PX), pattern, samples=2)
     with drawing() as draw:
         draw("rtpiv.analysis.pictures.results:draw_overview", path, frame, computed, corrected, corrector.status)
 

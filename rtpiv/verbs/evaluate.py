@@ -25,7 +25,7 @@ from rtpiv.analysis.pairs.evaluation import Evaluation, PairDetails, PairMethod,
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pictures.drawing_process import Draw, drawing
 from rtpiv.analysis.recipe import CorrectionRecipe
-from rtpiv.analysis.report.pair_folder import named_frames, write_pair
+from rtpiv.analysis.report.pair_folder import frame_names, write_pair
 from rtpiv.analysis.series.chunk import Detailed
 from rtpiv.analysis.series.run_series import Evaluated, run_series
 from rtpiv.analysis.series.series_folder import SeriesFolder
@@ -235,6 +235,6 @@ def holds_pair_of(folder: Path, frames: Sequence[Path]) -> bool:
     """Return True if a folder holds vectors of these two frames; pairs of a run have their own folders."""
     try:
         known = json.loads(read_plain(folder / "evaluation.json", MAX_SUMMARY_BYTES))
-        return [known["frames"], known["frames_from"]] == list(named_frames(frames).values())
+        return [known["frames"], known["frames_from"]] == list(frame_names(frames).values())
     except (OSError, ValueError, KeyError, TypeError):
         return False

@@ -7,7 +7,7 @@ from daq.atomic_write import write_text
 from ground.printable import readable_name
 from ground.terminal import console
 from rtpiv.analysis.focus import FocusScan, focus_scan
-from rtpiv.analysis.report.focus import focus_table, said_of, write_focus_page
+from rtpiv.analysis.report.focus import focus_sentence, focus_table, write_focus_page
 from rtpiv.verbs.paths import Named, one_of
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_focus
@@ -54,5 +54,5 @@ def focus(run: Sequence[Named] | Named, /, out: Named | None = None) -> FocusSca
             "depth_mm": scan.depth_mm,
         }
         write_text(folder / "focus.json", json.dumps(tree, indent=1) + "\n")
-        show_focus(console(), focus_table(scan), said_of(scan), folder / "focus.html")
+        show_focus(console(), focus_table(scan), focus_sentence(scan), folder / "focus.html")
         return scan

@@ -16,7 +16,7 @@ from ground.terminal import console
 from piv.errors import PairError
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
-from rtpiv.analysis.pairs.slanted import known_slopes
+from rtpiv.analysis.pairs.slanted import viewing_slopes
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
 from rtpiv.analysis.series.mean_flow import MeanFlow
@@ -148,7 +148,7 @@ def mean(
             said = {"run": readable_name(path), "scene_hash": given.method.scene.content_hash()}
             said |= view.readings
             seen = view.correction.corrector.map
-            slope = known_slopes(seen, view.scene, by_ensemble.windows, SUMMED)
+            slope = viewing_slopes(seen, view.scene, by_ensemble.windows, SUMMED)
             slope = None if slope is None else slope[::-1]
             vectors = ensemble_vectors(by_ensemble, said, slope, view.out_of_plane)
             found = replace(found, by_ensemble=vectors)

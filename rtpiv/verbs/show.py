@@ -137,7 +137,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
         ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
         (f"not resolved of it [{mean.unit}]", np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)),
         (f"total sigma [{mean.unit}]", mean.total_sigma_m_s),
-        (f"fluctuation, without noise [{mean.squared_unit}]", mean.stresses_m2_s2[..., :2]),
+        (f"fluctuation, without noise [{mean.unit_squared}]", mean.stresses_m2_s2[..., :2]),
         ("effective samples", mean.effective.samples),
     ]
     if mean.slant_sigma_m_s is not None:
@@ -186,7 +186,7 @@ def show_calibration(screen: Console, found: "Calibration", page: bool = True) -
         screen.print(f"model: {sentence}", style="" if fit.verdict.is_right else "bold red")
     for weakness in found.weak:
         if not found.costs_nothing(weakness):
-            screen.print(found.said_of(weakness))
+            screen.print(found.weakness_sentence(weakness))
     if said := found.harmless_said:
         screen.print(f"{said}; {'calibration.html' if page else 'calibration.json'} names them")
 

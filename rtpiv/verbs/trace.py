@@ -169,13 +169,13 @@ def _draw_on_plane(
 
 def _draw_views(draw: Draw, out: Path, name: str, scene: Scene, width_mm: float, view: FieldOfView | None) -> None:
     """Draw what the camera sees of a plane of some width; what takes longest to compute comes last."""
-    from rtpiv.analysis.pictures.patterns import WIDEST_PX, MarkerBoard, seen, square_for
-    from rtpiv.analysis.through_glass import shown_small
+    from rtpiv.analysis.pictures.patterns import WIDEST_PX, MarkerBoard, pattern_view, square_for
+    from rtpiv.analysis.through_glass import coarsen_scene
 
     if view is not None:
         draw(f"{PICTURES}.traced:draw_curve", out / "radial_curve.png", scene, view, name)
     square_mm = square_for(width_mm)
-    image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
+    image = pattern_view(coarsen_scene(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
     view_of = image, scene.camera.sensor_px, square_mm, name
     draw(f"{PICTURES}.traced:draw_camera_view", out / "camera_view.png", *view_of)
 
@@ -221,7 +221,7 @@ def _body_row(body: BodyShare) -> tuple[str, ...]:
     if not body.outline_mm2:
         return name, "0", "-", "-", "out of view", f"{body.shown_mm2:.1f}"
     share = f"{100.0 * body.recovered_mm2 / body.outline_mm2:.1f} %"
-    why = MEANING[body.lost_to] if body.lost_to is not None else "-"
+    why = MEANING[body.main_loss] if body.main_loss is not None else "-"
     shows = f"{body.shown_mm2:.1f}" if body.is_glass else "opaque"
     return name, f"{body.outline_mm2:.1f}", share, f"{body.outline_mm2 - body.recovered_mm2:.1f}", why, shows
 

@@ -35,7 +35,7 @@ from rtpiv.options.numbers import DewarpOrder
 
 FILE = "campaign.json"
 LAYOUT: Literal[1] = 1
-CHUNK_PAIRS = 128  # a minute or more of one core, 40 MB; a power of two, see series_plan
+CAMPAIGN_CHUNK_PAIRS = 128  # a minute or more of one core, 40 MB; a power of two, see series_plan
 Positive = Annotated[float, Field(gt=0.0)]
 
 

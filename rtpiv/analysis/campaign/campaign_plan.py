@@ -24,7 +24,7 @@ from ground.plain_words import quantity
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.campaign.campaign_folder import (
-    CHUNK_PAIRS,
+    CAMPAIGN_CHUNK_PAIRS,
     FILE,
     LAYOUT,
     CampaignFile,
@@ -203,14 +203,14 @@ def ask_for(
     }
     asked: CampaignFile = {
         "layout": LAYOUT,
-        "chunk_pairs": settings.chunk or CHUNK_PAIRS,
+        "chunk_pairs": settings.chunk or CAMPAIGN_CHUNK_PAIRS,
         "runs": [{"name": name, "path": os.path.realpath(run)} for name, run in zip(names, runs, strict=True)],
         "how": how,
     }
     write_json(folder.path / FILE, asked)
 
 
-def planned_runs(folder: CampaignFolder) -> Iterator[PlannedRun]:
+def plan_runs(folder: CampaignFolder) -> Iterator[PlannedRun]:
     """Plan one run after the other, and write down what each consists of, unless that would lose finished chunks.
 
     All are evaluated on the grid of the first one: cameras of two fits differ a little, and means of vectors need
@@ -226,11 +226,11 @@ def planned_runs(folder: CampaignFolder) -> Iterator[PlannedRun]:
         The folder cannot be written to.
     """
     for place in range(len(folder.about["runs"])):
-        yield _planned(folder, place)
+        yield _plan_run(folder, place)
 
 
 def forecasts(folder: CampaignFolder, processes: int, used: CampaignFolder | None = None) -> list[Forecast]:
-    """Plan all runs as `planned_runs` does, long journals on several cores, and say what each asks for.
+    """Plan all runs as `plan_runs` does, long journals on several cores, and say what each asks for.
 
     What is finished is looked for in `used`, or in `folder` itself.
     """
@@ -242,7 +242,7 @@ def forecasts(folder: CampaignFolder, processes: int, used: CampaignFolder | Non
             found = dict(
                 zip(places, pool.map(_forecast_of, [folder] * len(runs), places, [used] * len(runs)), strict=True)
             )
-    return [found.get(place) or forecast(used, _planned(folder, place)) for place in places]
+    return [found.get(place) or forecast(used, _plan_run(folder, place)) for place in places]
 
 
 def _journal_bytes(run: Path) -> int:
@@ -255,12 +255,12 @@ def _journal_bytes(run: Path) -> int:
 def _forecast_of(folder: CampaignFolder, place: int, used: CampaignFolder) -> Forecast | None:
     """Forecast of one run, in a process of its own; what is wrong with it is said by the one who asked."""
     try:
-        return forecast(used, _planned(folder, place))
+        return forecast(used, _plan_run(folder, place))
     except Exception:  # it is planned there again, and fails there with its own error
         return None
 
 
-def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
+def _plan_run(folder: CampaignFolder, place: int) -> PlannedRun:
     """Plan one run."""
     about = folder.about
     asked, how = about["runs"][place], about["how"]
@@ -302,7 +302,7 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
     map_bytes = 0.0 if has_map else STORED_BYTES * float(np.prod(shape))
     pixels = float(np.prod(scene.camera.shape))
     series = folder.series(planned.name).path  # not that of the jobs, if the plan is a trial
-    finished = SeriesFolder(series).finished()
+    finished = SeriesFolder(series).chunk_keys()
     left = [job for job in planned.jobs if finished.get(job.number) != job.key]
     pairs = sum(len(job.pairs) for job in left)
     reads = sum(len(job.pairs) + len(job.before) + len(job.after) for job in left)

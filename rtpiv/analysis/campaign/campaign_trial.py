@@ -47,7 +47,7 @@ def trial(
     SeriesError
         Chunks are finished that this campaign would lose; the message says what differs.
     PairError, ConfigError, ...
-        As `ask_for` and `planned_runs`.
+        As `ask_for` and `plan_runs`.
     """
     with TemporaryDirectory(prefix="rtpiv-plan-") as scratch:
         tried = CampaignFolder(Path(scratch))
@@ -82,7 +82,7 @@ def _require_same(tried: CampaignFolder, used: CampaignFolder) -> None:
     for folder in sorted((used.path / "runs").glob("*/")):
         name, series = folder.name, SeriesFolder(folder)
         if name not in asked:
-            said, count = ["left out"], len(series.finished())
+            said, count = ["left out"], len(series.chunk_keys())
         else:
             unlike = series.unlike(tried.series(name).about)
             said, count = list(unlike.differences), unlike.lost

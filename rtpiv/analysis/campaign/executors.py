@@ -53,7 +53,7 @@ def dask_workers(address: str) -> Iterator[Executor]:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise RunUsageError(f"{address}: no Dask scheduler answers there ({text})") from None
     try:
-        with client.get_executor(pure=False, retries=DASK_RETRIES) as executor, _lost_workers():
+        with client.get_executor(pure=False, retries=DASK_RETRIES) as executor, _raise_interrupted():
             yield executor
     finally:
         client.close(timeout=CONNECT_TIMEOUT_S)
@@ -90,12 +90,12 @@ def slurm_jobs(
         jobs.update_parameters(**SLURM_DEFAULTS | dict(options))
     except (RuntimeError, NameError, ValueError, TypeError) as error:
         raise RunUsageError(f"Slurm does not take this: {str(error).splitlines()[0]}") from None
-    with JobThreads(jobs, slots) as executor, _lost_workers():
+    with JobThreads(jobs, slots) as executor, _raise_interrupted():
         yield executor
 
 
 @contextmanager
-def _lost_workers() -> Iterator[None]:
+def _raise_interrupted() -> Iterator[None]:
     """Raise RunInterrupted for the errors that an executor has of its own."""
     try:
         yield

@@ -75,7 +75,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     missing = sum(state.chunks - state.done for state in states)
     if missing:
         raise Unfinished(
-            said_missing(missing), place=folder.path, cure=f"give: rtpiv campaign run -o {folder.path}"
+            missing_chunks_text(missing), place=folder.path, cure=f"give: rtpiv campaign run -o {folder.path}"
         )
     names = [state.name for state in states]
     views = [SeriesView(folder.series(name).path) for name in names]
@@ -83,7 +83,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     for view, mean in zip(views, means, strict=True):
         write_mean(view, mean)
     write_index(folder)
-    merged = merged_means(names, means)
+    merged = merge_means(names, means)
     scenes = [view.about["content"]["correction"] for view in views]
     about = {"runs": " ".join(names), "corrections": " ".join(scenes), "rtpiv_version": version("rtpiv")}
     about["runs_apart_in_sigma"] = " ".join(f"{merged.apart[name]:.3f}" for name in names)
@@ -97,7 +97,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     return merged
 
 
-def said_missing(chunks: int) -> str:
+def missing_chunks_text(chunks: int) -> str:
     """Return the number of missing chunks as the begin of a sentence."""
     return f"{quantity(chunks, 'chunk')} {'is' if chunks == 1 else 'are'} missing"
 
@@ -120,7 +120,7 @@ def write_index(folder: CampaignFolder) -> None:
     write_text(folder.path / INDEX, text.getvalue())
 
 
-def merged_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMean:
+def merge_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMean:
     """Statistics of several runs as those of one.
 
     Raises
@@ -169,7 +169,7 @@ def merged_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMea
         slope=_slope([mean.slope for mean in means], weights),
     )
     return CampaignMean(
-        merged, {name: _apart(mean, merged.moments) for name, mean in zip(names, means, strict=True)}
+        merged, {name: _rms_in_sigma(mean, merged.moments) for name, mean in zip(names, means, strict=True)}
     )
 
 
@@ -196,7 +196,7 @@ def _slope(parts: Sequence[Floats | None], weights: Floats) -> Floats | None:
     return found
 
 
-def _apart(run: MeanFlow, everything: Moments) -> float:
+def _rms_in_sigma(run: MeanFlow, everything: Moments) -> float:
     """Rms of the difference of a run's mean from that of all, over its sigma, which shares the run's own part."""
     others = 1.0 - run.count / np.maximum(everything.count, 1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
-from rtpiv.analysis.campaign.campaign_plan import planned_runs
+from rtpiv.analysis.campaign.campaign_plan import plan_runs
 from rtpiv.analysis.series.chunk import correction_of, evaluate_chunk
 from rtpiv.analysis.series.series_folder import SeriesFolder, sound_content
 from rtpiv.analysis.series.series_plan import ChunkJob
@@ -54,11 +54,11 @@ def run_campaign(
     DiskError
         A file cannot be written.
     PairError, RunDamaged, ConfigError, ...
-        As `planned_runs`.
+        As `plan_runs`.
     """
-    with SeriesFolder(folder.path).alone():
+    with SeriesFolder(folder.path).lock():
         kept, missing = 0, list[ChunkJob]()
-        for planned in planned_runs(folder):
+        for planned in plan_runs(folder):
             jobs = [job for job in planned.jobs if sound_content(job.path, job.key) is None]
             kept += len(planned.jobs) - len(jobs)
             missing += jobs

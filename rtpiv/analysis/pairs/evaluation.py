@@ -32,7 +32,7 @@ from piv.preprocessing.still_light import still_light
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.pair_vectors import PairResult, lengths_said, per_px, quality_of, vectors_of_pairs
 from rtpiv.analysis.pairs.plausible import scale_warnings
-from rtpiv.analysis.pairs.slanted import Slanted, slanted
+from rtpiv.analysis.pairs.slanted import Slanted, perspective_error
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from rtpiv.options.numbers import Positive
 from tracer.scene.scene import Scene
@@ -277,7 +277,7 @@ class Correlated:
     field: VectorField
 
 
-def correlated(
+def correlate_pair(
     raw: tuple[NDArray[Any], NDArray[Any]],
     corrected: tuple[NDArray[np.float32], NDArray[np.float32]],
     corrector: Corrector,
@@ -328,12 +328,12 @@ def evaluate_task(task: Task, prepared: PreparedCorrection, how: PairMethod) -> 
     corrector = prepared.corrector
     frame_a, frame_b = (read_acquired(path, task.scene.camera.shape) for path in task.frames)
     path_a, path_b = task.frames
-    corrected = _corrected(corrector, path_a, frame_a), _corrected(corrector, path_b, frame_b)
-    pair = correlated((frame_a, frame_b), corrected, corrector, how.settings, how.preparation)
-    return evaluated(task, prepared, how, pair)
+    corrected = _correct_frame(corrector, path_a, frame_a), _correct_frame(corrector, path_b, frame_b)
+    pair = correlate_pair((frame_a, frame_b), corrected, corrector, how.settings, how.preparation)
+    return evaluate_correlated(task, prepared, how, pair)
 
 
-def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: Correlated) -> Evaluation:
+def evaluate_correlated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: Correlated) -> Evaluation:
     """Say all that is asked of a pair which is correlated: errors, sigma of the map, tracks.
 
     Parameters
@@ -343,7 +343,7 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
     prepared : PreparedCorrection
         Of the task's scene.
     how : PairMethod
-        How it was correlated, and what is asked.
+        How it was correlate_pair, and what is asked.
     pair : Correlated
         Its frames and vectors.
     """
@@ -368,7 +368,7 @@ def evaluated(task: Task, prepared: PreparedCorrection, how: PairMethod, pair: C
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
     slant = None
     if truth is None:
-        slant = slanted(field, corrector.map, scene, settings, how.out_of_plane, task.dt_s)
+        slant = perspective_error(field, corrector.map, scene, settings, how.out_of_plane, task.dt_s)
     seen = None
     if how.pictures:
         seen = before_after(frame_a, pair.first, corrector, scene, full_scale(task.frames[0], frame_a))
@@ -382,7 +382,7 @@ def _stage_px(task: Task, motor_um: float, px_per_mm: float) -> tuple[float, flo
     return along_x * px_per_mm, along_y * px_per_mm
 
 
-def _corrected(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:
+def _correct_frame(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:
     """Correct a frame; what is wrong with it is said with its name."""
     try:
         return corrector(frame)

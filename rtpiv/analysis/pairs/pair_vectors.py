@@ -274,7 +274,7 @@ def columns_of(tracks: PlaneVectors, dt_s: float | None) -> tuple[dict[str, NDAr
     return columns, UNITS | dict.fromkeys(PER_TIME, LENGTH if dt_s is None else SPEED)
 
 
-def joined_vectors(parts: Sequence[Vectors]) -> Vectors:
+def join_vectors(parts: Sequence[Vectors]) -> Vectors:
     """Vectors of pairs one after the other, with the fields that all of them have.
 
     Raises

@@ -38,14 +38,14 @@ class Slanted:
     said: str
 
 
-def known_slopes(
+def viewing_slopes(
     found: CorrectionMap, scene: Scene, windows: WindowGrid, window_sigma: float
 ) -> NDArray[np.float64] | None:
     """`correction.maps.slant.vector_slopes`, or None where a scale is told and nothing of the camera."""
     return None if tells_a_scale_alone(scene) else vector_slopes(found, scene, windows, window_sigma)
 
 
-def slanted(
+def perspective_error(
     field: VectorField,
     found: CorrectionMap,
     scene: Scene,
@@ -76,7 +76,7 @@ def slanted(
         The map belongs to another scene.
     """
     windows = settings.result_grid(found.grid.shape)
-    slope = known_slopes(found, scene, windows, settings.window_sigma)
+    slope = viewing_slopes(found, scene, windows, settings.window_sigma)
     if slope is None:
         return None
     measured = field.valid[..., None]

@@ -10,7 +10,7 @@ from correction.maps.corrector import Corrector
 from correction.node_status import NodeStatus
 from daq.runs.run_views import tells_a_scale_alone
 from piv.preprocessing.image_figures import ImageFigures, image_figures
-from rtpiv.analysis.pictures.rasters import covered, embedded, grey, mask_picture, tinted
+from rtpiv.analysis.pictures.rasters import data_address, grey, mask_overlay, mask_picture, tint
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 from tracer.scene.scene import Scene
 
@@ -53,13 +53,13 @@ def before_after(
 ) -> BeforeAfter:
     """Look at a frame (H, W) as acquired, with its full scale, and (h, w) as corrected, NaN where nothing is."""
     limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
-    shown = tinted(grey(corrected, limits), covered(corrector.status))
+    shown = tint(grey(corrected, limits), mask_overlay(corrector.status))
     name = PLAIN if tells_a_scale_alone(scene) else CORRECTED
-    layers = [(name, embedded(shown))]
+    layers = [(name, data_address(shown))]
     if name == CORRECTED or (corrector.status != NodeStatus.RECOVERED).any():
-        layers.append(("mask", embedded(mask_picture(corrector.status))))
+        layers.append(("mask", data_address(mask_picture(corrector.status))))
     if frame.shape == corrected.shape:
-        layers.insert(0, ("acquired", embedded(grey(frame, limits))))
+        layers.insert(0, ("acquired", data_address(grey(frame, limits))))
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
     named = {"acquired": (frame, None), name: (corrected, corrector.recovered)}

@@ -33,7 +33,7 @@ from rtpiv.analysis.pictures.saved import save_picture, short
 from tracer.scene.scene import Scene
 
 SIGMAS = colormaps["viridis"].with_extremes(bad=NOTHING)
-REACH = 2.0  # an arrow's length over that of the 95th percentile, at most: an outlier must not cross the picture
+MAX_RESIDUAL_ARROW = 2.0  # length over that of the 95th percentile: an outlier must not cross the picture
 
 
 def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> None:
@@ -54,7 +54,7 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
     for axes, (title, pixel, error) in zip(drawn_in, panels, strict=True):
         length = np.hypot(error[:, 0], error[:, 1])
         typical = max(float(np.percentile(length, 95)), 1e-6)
-        longest = REACH * typical
+        longest = MAX_RESIDUAL_ARROW * typical
         drawn = error * np.minimum(1.0, longest / np.maximum(length, 1e-300))[:, None]
         shown = axes.quiver(
             *pixel.T,
@@ -124,7 +124,7 @@ Floats = NDArray[np.float64]
 
 SIZES = ListedColormap(colormaps["viridis_r"](np.linspace(0.15, 1.0, 64)))  # the palest is paper
 MOST_WAYS = 6  # with the most corners
-FEWEST = 12  # corners of a way that is drawn
+MIN_CORNERS_DRAWN = 12  # corners of a way that is drawn
 LEAST_PX = 1e-4  # that is drawn at its own scale: nothing smaller matters
 ACROSS = 18  # arrows along a side of a panel, at most: each is the mean of its cell
 ARROW = 1.5 / ACROSS  # length of an arrow of typical size, of the panel
@@ -150,7 +150,7 @@ def smooth_figure(found: StoredVerdict, which: Literal["all", "first", "others"]
     """
     count = np.bincount(found.way, minlength=len(found.ways))
     order = np.argsort(-count, kind="stable")
-    drawn = [int(way) for way in order[:MOST_WAYS] if count[way] >= FEWEST]
+    drawn = [int(way) for way in order[:MOST_WAYS] if count[way] >= MIN_CORNERS_DRAWN]
     first = next((way for way in drawn if found.ways[way]), drawn[0] if drawn else -1)
     if which != "all":
         drawn = [way for way in drawn if (way == first) == (which == "first")]
@@ -162,7 +162,7 @@ def smooth_figure(found: StoredVerdict, which: Literal["all", "first", "others"]
     for axes, way in zip(panels, drawn, strict=True):
         here = found.way == way
         rms = float(np.sqrt(np.mean(found.smooth_px[here] ** 2)))
-        pixel, smooth = _thinned(found.pixel[here], found.smooth_px[here])
+        pixel, smooth = _cell_means(found.pixel[here], found.smooth_px[here])
         length = np.hypot(*smooth.T)
         typical = max(float(np.percentile(length, 95)), LEAST_PX)
         low, high = pixel.min(axis=0), pixel.max(axis=0)
@@ -188,7 +188,7 @@ def smooth_figure(found: StoredVerdict, which: Literal["all", "first", "others"]
     return figure
 
 
-def _thinned(pixel: Floats, values: Floats) -> tuple[Floats, Floats]:
+def _cell_means(pixel: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Means of places (N, 2) and values (N, 2) over cells, `ACROSS` of them along the longer side."""
     low = pixel.min(axis=0)
     cell = max(float((pixel.max(axis=0) - low).max()), 1.0) / ACROSS

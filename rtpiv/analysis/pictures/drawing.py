@@ -113,7 +113,7 @@ def _from_the_camera(axes: Axes, scene: Scene, cuts: Sequence[Section], corners:
 
 def _cut(axes: Axes, scene: Scene, cut: Section, frame: tuple[float, float, float]) -> None:
     """One cut: bodies where it meets them, and rays as far as they stay in it."""
-    (low, high, top), view, balls = frame, reach_mm(scene, cut), _met(scene, cut)
+    (low, high, top), view, balls = frame, reach_mm(scene, cut), _balls_cut(scene, cut)
     _draw_rays(axes, fan(scene, cut, max(low, view[0]), min(high, view[1])))
     patches, colours = [], []
     for ball in balls:
@@ -137,14 +137,14 @@ def _cut(axes: Axes, scene: Scene, cut: Section, frame: tuple[float, float, floa
     _label(axes, "z [mm], camera to the right", _along(cut), f"cut {cut.letter}")
 
 
-def _met(scene: Scene, cut: Section) -> list[Sphere]:
+def _balls_cut(scene: Scene, cut: Section) -> list[Sphere]:
     """Balls that a cut meets."""
     return [ball for ball in scene.spheres if abs(cut.beside(np.array(ball.centre_mm))) < ball.radius_mm]
 
 
 def _frame(scene: Scene, cut: Section) -> tuple[float, float, float]:
     """From where to where in s, and how high, a cut is drawn [mm]: the balls that it goes through, with room."""
-    view, balls = reach_mm(scene, cut), _met(scene, cut)
+    view, balls = reach_mm(scene, cut), _balls_cut(scene, cut)
     if not balls:
         return view[0], view[1], 1.3 * max((body.highest_mm for body in scene.seen), default=view[1] - view[0])
     middles = [(float(cut.within(np.array(ball.centre_mm))[0]), ball.radius_mm) for ball in balls]

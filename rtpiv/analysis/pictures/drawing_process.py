@@ -1,9 +1,9 @@
 """Pictures drawn by a process of their own, which gets ready while the verb computes.
 
 Importing matplotlib takes longer than tracing ten maps, on one core, while a verb that loads its kernels leaves
-the other idle.  So the command forks once it has imported the verb, which both need (`started`), the child imports
-what the verb draws with, and waits.  What is then to be drawn is sent to it: the name of a function, as
-"module:name", and arguments, which are data.  Errors come back and are raised where the verb waits.
+the other idle.  So the command forks once it has imported the verb, which both need (`drawing_apart`); the
+child imports what the verb draws with, and waits.  What is then to be drawn is sent to it: the name of a function,
+as "module:name", and arguments, which are data.  Errors come back and are raised where the verb waits.
 
 Nothing depends on the child: where there is none (one core, no fork, another thread already, a verb called from
 Python), or where it was killed, pictures are drawn by whoever asks.  It ends when the other end is closed.
@@ -91,7 +91,7 @@ _process: DrawingProcess | None = None
 
 
 @contextmanager
-def started(modules: Sequence[str]) -> Iterator[None]:
+def drawing_apart(modules: Sequence[str]) -> Iterator[None]:
     """Within the block pictures are drawn apart, where that can be."""
     global _process
     if not modules or _process is not None or not _worth_it():
@@ -149,7 +149,7 @@ def _carry_out(job: Job) -> None:
     getattr(import_module(module), name)(*arguments)
 
 
-def _undescribed(artist: object) -> str:
+def _no_description(artist: object) -> str:
     """Properties of one of Matplotlib's classes, as nobody reads them here."""
     return ""
 
@@ -163,7 +163,7 @@ def _draw_what_comes(jobs: Connection, others: Connection, modules: Sequence[str
     compile_news.watch = compile_news.complain = compile_news.make_helper = compile_news.helper = None
     with suppress(ImportError, AttributeError):  # said by what needs it
         artist: Any = import_module("matplotlib.artist")
-        artist.kwdoc = _undescribed  # else a third of the time goes into docstrings of ``set``, of every class
+        artist.kwdoc = _no_description  # else a third of the time goes into docstrings of ``set``, of every class
         for module in modules:
             import_module(module)
     while True:

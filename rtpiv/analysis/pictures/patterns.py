@@ -110,7 +110,7 @@ WIDEST_PX = 1008  # of a picture: as large as it is drawn
 Watched = Callable[[Iterable[tuple[float, float]], int, str], Iterable[tuple[float, float]]]
 
 
-def seen(
+def pattern_view(
     scene: Scene, pattern: Pattern, samples: int = 3, watched: Watched = lambda items, total, what: items
 ) -> NDArray[np.float32]:
     """Image of a pattern on the plane through the scene's glass, refracted light only.

@@ -1,6 +1,6 @@
 """Pixels of pictures and pages, without matplotlib: small pictures, the colours of a mask, a plane reduced.
 
-A picture in a page is grey or tinted and encoded as an address that is the picture itself.  The colours of a mask
+A picture in a page is grey or tint and encoded as an address that is the picture itself.  The colours of a mask
 are the same in every picture, table and page.  Of a correction map a picture of the plane needs a few megabytes of
 two hundred (`ShownPlane`).
 """
@@ -43,7 +43,7 @@ def mask_picture(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(_PALETTE[status], dtype=np.uint8)
 
 
-def covered(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def mask_overlay(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """RGB picture (H, W, 3) of what is not recovered; black where a corrected frame shows."""
     return np.where((status == NodeStatus.RECOVERED)[..., None], 0, mask_picture(status)).astype(np.uint8)
 
@@ -71,7 +71,7 @@ def grey(frame: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
     return np.asarray(255.0 * np.clip(scaled, 0.0, 1.0) ** GAMMA, dtype=np.uint8)
 
 
-def tinted(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def tint(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """RGB picture of a grey one (H, W): where `colours` (H, W, 3) is not black, that."""
     covered = colours.any(axis=-1)
     rgb = np.repeat(picture[..., None], 3, axis=-1)
@@ -79,7 +79,7 @@ def tinted(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np
     return rgb
 
 
-def reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a picture that is at most WIDEST_PX wide; what is left out is averaged."""
     import cv2
 
@@ -90,11 +90,11 @@ def reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def embedded(image: NDArray[np.uint8]) -> str:
+def data_address(image: NDArray[np.uint8]) -> str:
     """Data address of a picture, grey (H, W) or RGB (H, W, 3), reduced to WIDEST_PX."""
     import cv2
 
-    image = reduced(image)
+    image = shrink(image)
     if image.ndim == 3:
         image = np.ascontiguousarray(image[..., ::-1])
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
 from rtpiv.analysis.pictures.plane_axes import Figure, colour_bar, plane_panels
-from rtpiv.analysis.pictures.rasters import covered, grey, reduced, swatch, tinted
+from rtpiv.analysis.pictures.rasters import grey, mask_overlay, shrink, swatch, tint
 from rtpiv.analysis.pictures.saved import save_picture
 
 if TYPE_CHECKING:  # names alone: who draws one of them does not wait for what makes the others
@@ -49,10 +49,10 @@ def draw_overview(
     images = (
         (grey(raw, limits), "acquired"),
         (grey(computed, (0.0, max(float(computed.max()), 1e-6))), "computer-generated from the scene"),
-        (tinted(grey(corrected, limits), covered(status)), "corrected"),
+        (tint(grey(corrected, limits), mask_overlay(status)), "corrected"),
     )
     for axes, (image, title) in zip(figure.subplots(1, 3), images, strict=True):
-        axes.imshow(reduced(image), cmap="gray", interpolation="antialiased", vmin=0, vmax=255)
+        axes.imshow(shrink(image), cmap="gray", interpolation="antialiased", vmin=0, vmax=255)
         axes.set_title(title)
         axes.set_axis_off()
     lost = [each for each in NodeStatus if each != NodeStatus.RECOVERED and (status == each).any()]
@@ -104,7 +104,7 @@ def draw_light_sheet(path: Path, found: "SheetFound", size_mm: tuple[float, floa
     save_picture(figure, path, 100)
 
 
-NAMED = 12  # of the unbeaten ones, by their number in the table
+MAX_VIEWS_LABELLED = 12  # of the unbeaten ones, by their number in the table
 
 
 def draw_views(path: Path, views: "Sequence[ViewFigures]", best: "Sequence[ViewFigures]", error_px: float) -> None:
@@ -135,7 +135,7 @@ def draw_views(path: Path, views: "Sequence[ViewFigures]", best: "Sequence[ViewF
             cmap="viridis",
             edgecolors=edge,
         )
-    for number, view in enumerate(best[:NAMED], start=1):
+    for number, view in enumerate(best[:MAX_VIEWS_LABELLED], start=1):
         place = (view.noise_px, 100.0 * view.usable)
         axes.annotate(str(number), place, textcoords="offset points", xytext=(7, 4), fontsize=9)
     axes.axvline(error_px, linestyle="--", color="0.5", linewidth=1)

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ground.whole_file import whole_file
 
-LONGEST_NAME = 18
+MAX_LABEL_LETTERS = 18
 
 
-def short(name: str, longest: int = LONGEST_NAME) -> str:
+def short(name: str, longest: int = MAX_LABEL_LETTERS) -> str:
     """Return a name that fits a picture; the middle of a long one is left out."""
     half = (longest - 1) // 2
     return name if len(name) <= longest else f"{name[:half]}\N{HORIZONTAL ELLIPSIS}{name[-half:]}"

@@ -74,9 +74,9 @@ def sections_of(scene: Scene) -> tuple[Section, ...]:
         offsets = np.array([body.centre_mm[:2] for body in left]).reshape(-1, 2) - foot
         radii = np.array([body.radius_mm for body in left])
         ways = [np.array([1.0, 0.0]), *(_way(offset) for offset in offsets)]
-        ways = sorted(ways, key=lambda way: -_held(way, offsets, radii).sum())
+        ways = sorted(ways, key=lambda way: -_is_central(way, offsets, radii).sum())
         found.append(Section("ABC"[len(found)], foot, ways[0]))
-        left = [body for body, held in zip(left, _held(ways[0], offsets, radii), strict=True) if not held]
+        left = [body for body, held in zip(left, _is_central(ways[0], offsets, radii), strict=True) if not held]
     return tuple(found)
 
 
@@ -89,7 +89,7 @@ def _way(offset: Floats) -> Floats:
     return np.asarray(-way if way[0] < -1e-9 or (abs(way[0]) <= 1e-9 and way[1] < 0.0) else way)
 
 
-def _held(way: Floats, offsets: Floats, radii: Floats) -> NDArray[np.bool_]:
+def _is_central(way: Floats, offsets: Floats, radii: Floats) -> NDArray[np.bool_]:
     """Return the balls that a cut along a direction meets in their centres."""
     return np.asarray(np.abs(offsets @ np.array([-way[1], way[0]])) <= CENTRAL * radii)
 
@@ -123,7 +123,7 @@ def fan(scene: Scene, section: Section, low_mm: float, high_mm: float, count: in
 def _ray(scene: Scene, section: Section, pixel: Floats) -> Ray:
     corners = ray_path(scene, pixel)
     if len(corners) == 1:
-        corners = np.vstack((corners, _stopped_at(scene, corners[0], scene.camera.directions(pixel))))
+        corners = np.vstack((corners, _stop_point(scene, corners[0], scene.camera.directions(pixel))))
     on_plane = abs(corners[-1, 2]) < NEAR_MM
     fate = (GLASS if len(corners) > 2 else BESIDE) if on_plane else STOPPED
     smallest = min((ball.radius_mm for ball in scene.spheres), default=np.inf)
@@ -132,7 +132,7 @@ def _ray(scene: Scene, section: Section, pixel: Floats) -> Ray:
     return Ray(section.within(kept), fate, bool(len(away)))
 
 
-def _stopped_at(scene: Scene, start: Floats, way: Floats) -> Floats:
+def _stop_point(scene: Scene, start: Floats, way: Floats) -> Floats:
     """Point at which a straight ray first comes to an opaque body, else where it is at the plane."""
     opaque: list[Body] = [body for body in scene.seen if not body.media]
     whole = start[2] / max(-way[2], 1e-9)

@@ -3,7 +3,7 @@
 Glass shrinks the board in its middle and squeezes it at the rim.  Small squares run into each other there and are
 not measured; of large ones few corners are left.  A corner is found along its edges, so what it tells of a ball
 grows with the width w of its square in the picture (its sigma falls with the root of w, see
-`rtpiv.analysis.views.expected_sigma`), and a board with N corners behind a ball says
+`rtpiv.analysis.views.sigma_forecast`), and a board with N corners behind a ball says
 
     N mean(w)
 

@@ -55,11 +55,11 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
             said = "Smooth part of the residuals of the largest view; the other views stand below."
             page.figure("smooth_first", figure, said, dense=True)
     verdict_chapter(page, StoredVerdict.of(fit), "others")
-    masked_table(page, fit.measured_scene)
+    mask_table(page, fit.measured_scene)
     if found.weak:
         page.heading("What these frames leave open")
         for weakness in found.weak:
-            page.text(f"{sentence_case(found.said_of(weakness))}.")
+            page.text(f"{sentence_case(found.weakness_sentence(weakness))}.")
     page.heading("What was found")
     page.table(parameter_table(found))
     page.write(path)
@@ -102,7 +102,7 @@ def verdict_chapter(page: Page, found: StoredVerdict, views: Literal["all", "oth
         page.figure("smooth_residuals", figure, CAPTION, dense=True)
 
 
-def masked_table(page: Page, scene: Scene) -> None:
+def mask_table(page: Page, scene: Scene) -> None:
     """Say what parts of the view every map leaves out, and why; nothing where there are none."""
     if not scene.masked:
         return

@@ -31,10 +31,10 @@ from rtpiv.analysis.pictures.plane_axes import (
 from tracer.scene.scene import Scene
 
 ARROWS = 30  # drawn along the longer side, at most
-REACH = 1.6  # an arrow's length over that of the 98th percentile, at most: an outlier must not cross the picture
+MAX_ARROW = 1.6  # length over that of the 98th percentile: an outlier must not cross the picture
 MOST_TRACKS = 4000  # drawn, evenly chosen
 SERIES = ("#2b6a99", "#b4472f", "#6a8f3c", "#8a5a9e")
-CUT = "#c2185b"  # arrows that are longer than drawn
+CUT = "#c2185b"  # clipped vectors
 HEAT = LinearSegmentedColormap.from_list(
     "heat", ("#fbf7ea", "#f4cf6b", "#dd7a3a", "#a8323e", "#451a3f")
 ).with_extremes(bad=NOTHING)
@@ -88,24 +88,24 @@ def vector_figure(
 
 
 def draw_arrows(axes: Axes, place: Floats, shift: Floats, cell_mm: float, colours: NDArray[np.str_]) -> None:
-    """Draw arrows (N, 2) at places (N, 2) [mm] such that a usual one is `cell_mm` long and none much longer.
+    """Draw arrows (N, 2) at places (N, 2) [mm]; one of the 98th percentile is `cell_mm` long.
 
-    What is longer than REACH times the 98th percentile is drawn in a colour of its own, so long and no longer, and
-    counted above the picture.
+    Vectors longer than MAX_ARROW times that percentile are clipped, drawn in another colour, and counted above the
+    picture.
     """
     length = np.hypot(shift[:, 0], shift[:, 1])
     longest = max(float(np.percentile(length, 98)), 1e-9) if len(length) else 1.0
-    cut = length > REACH * longest
-    drawn = np.where(cut[:, None], shift * (REACH * longest / np.maximum(length, 1e-300))[:, None], shift)
+    cut = length > MAX_ARROW * longest
+    drawn = np.where(cut[:, None], shift * (MAX_ARROW * longest / np.maximum(length, 1e-300))[:, None], shift)
     axes.quiver(
         *place.T, *drawn.T, color=np.where(cut, CUT, colours), pivot="mid", angles="xy", scale_units="xy",
         scale=longest / cell_mm, width=0.0034, headwidth=3.6, headlength=4.2, headaxislength=3.6,
         edgecolor="white", linewidth=0.3,
     )  # fmt: skip
     if cut.any():
-        many = quantity(int(cut.sum()), "arrow")
-        said = f"{many} longer than drawn, up to {length.max() / longest:.3g} times the usual"
-        axes.set_title(said, fontsize=8, color=CUT, loc="right")
+        many = quantity(int(cut.sum()), "vector")
+        title = f"{many} clipped (longest {length.max() / longest:.2g} x reference)"
+        axes.set_title(title, fontsize=8, color=CUT, loc="right")
 
 
 def track_figure(tracks: PlaneVectors, scene: Scene) -> Figure:

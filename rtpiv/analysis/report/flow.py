@@ -231,7 +231,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     page.figure("streamlines", streamlines_figure(mean, scene, speed), "Streamlines of the mean.", dense=True)
     stresses = mean.stresses_m2_s2
     turning = mean.rate(rates(field)["vorticity"][0])
-    maps = [(f"{name} [{mean.squared_unit}]", stresses[..., k]) for k, name in enumerate(("u'u'", "v'v'", "u'v'"))]
+    maps = [(f"{name} [{mean.unit_squared}]", stresses[..., k]) for k, name in enumerate(("u'u'", "v'v'", "u'v'"))]
     maps.append((f"vorticity of the mean [{mean.rate_unit}]", turning))
     said = "Reynolds stresses without the noise of the correlation, and the vorticity of the mean."
     page.figure("stresses", maps_figure(mean, scene, maps), said, dense=True)

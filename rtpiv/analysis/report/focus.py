@@ -26,7 +26,7 @@ def focus_table(scan: FocusScan) -> Table:
     return Table(f"Best place of the {scan.moves}, from its place in the scene", columns, rows)
 
 
-def said_of(scan: FocusScan) -> str:
+def focus_sentence(scan: FocusScan) -> str:
     """Return the conclusion in one or two sentences."""
     has = f"at f/{scan.f_number:g} the depth of field by eq. 1 is {scan.depth_mm:.1f} mm"
     if not np.isfinite(scan.needed_mm):
@@ -51,7 +51,7 @@ def write_focus_page(path: Path, name: str, scan: FocusScan) -> None:
         (f"{scan.depth_mm:.1f} mm", f"depth at f/{scan.f_number:g}", f"M = {scan.magnification:.3f}, eq. 1"),
         (f"f/{scan.needed_f_number:.1f}" if known else "-", "asked for by eq. 1", f"{scan.wavelength_nm:g} nm"),
     ])  # fmt: skip
-    page.text(said_of(scan))
+    page.text(focus_sentence(scan))
     page.table(focus_table(scan))
     page.figure(
         "focus", _figure(scan), "Width of spots (e^-2) in each part; points are measured, lines mark the best."

@@ -23,7 +23,7 @@ from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import NO_SCALE_SIGMA, light_sheet_line, scene_chapter, slant_figure, slant_lines
 from rtpiv.analysis.report.readings import readings_chapter
 from rtpiv.analysis.report.run import books_chapter, notes_chapter
-from rtpiv.analysis.report.series import frames_chapter, left_out_table, pair_chapter, shown_pair
+from rtpiv.analysis.report.series import choose_pair, exclusion_table, frames_chapter, pair_chapter
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
@@ -86,13 +86,13 @@ def write_mean_page(
             field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
             sigma = np.linalg.norm(mean.slant_sigma_m_s, axis=-1)[::-1]
             slant_figure(page, field, view.grid, scene, sigma, mean.unit)
-    if series is not None and (shown := shown_pair(*series)) is not None:
+    if series is not None and (shown := choose_pair(*series)) is not None:
         frames_chapter(page, shown)
         pair_chapter(page, series[0], shown)
     flow_chapters(page, view, mean, regions)
     if ensemble is not None:
         ensemble_chapter(page, view, ensemble)
-    left_out_chapter(page, mean)
+    exclusion_chapter(page, mean)
     if check is not None:
         show_self_check(page, check)
     if series is not None and is_run(series[0].run):  # frames of others have no books
@@ -243,14 +243,14 @@ def ensemble_chapter(page: Page, view: SeriesView, flow: EnsembleFlow) -> None:
     page.figure("mean_ensemble", figure, "Mean velocity by ensemble correlation.", dense=True)
 
 
-def left_out_chapter(page: Page, mean: MeanFlow) -> None:
+def exclusion_chapter(page: Page, mean: MeanFlow) -> None:
     """Every pair that is not in the mean, and why."""
     page.heading("Every pair accounted for")
     page.text(f"{mean.used} pairs are in the mean, {len(mean.left_out)} are not.")
     if mean.gaps:
         page.text(mean.gaps.capitalize() + ".")
     if mean.left_out:
-        page.table(left_out_table(mean.left_out, "mean.nc"))
+        page.table(exclusion_table(mean.left_out, "mean.nc"))
 
 
 def show_self_check(page: Page, found: SelfCheck) -> None:

@@ -117,7 +117,7 @@ class Page:
         inner = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in rows)
         self._parts.append(f"<dl>{inner}</dl>")
 
-    def folded(self, name: str, text: str) -> None:
+    def details(self, name: str, text: str) -> None:
         """Add a long text, such as a file, that opens on a click."""
         self._parts.append(
             f"<details><summary>{html.escape(name)}</summary><pre>{html.escape(text)}</pre></details>"
@@ -138,10 +138,12 @@ class Page:
             Embed pixels: thousands of arrows as lines would make the page slow.
         """
         kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
-        for each, drawn in _drawn(figure, ("svg", "png") if self._twice else (kind,)).items():
+        for each, drawn in _render_figure(figure, ("svg", "png") if self._twice else (kind,)).items():
             self._files[f"{name}.{each}"] = drawn
         data = base64.b64encode(self._files[f"{name}.{kind}"]).decode()
-        self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption))
+        self._parts.append(
+            _figure_html(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption)
+        )
 
     def slider(self, layers: Sequence[tuple[str, str]], caption: str) -> None:
         """Lay pictures of one shape over each other: a line to drag uncovers one beside the next.
@@ -211,11 +213,11 @@ def _cell(cell: str | Link) -> str:
     return cell.html if isinstance(cell, Link) else html.escape(cell)
 
 
-def _framed(inner: str, caption: str) -> str:
+def _figure_html(inner: str, caption: str) -> str:
     return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
-def _drawn(figure: "Figure", kinds: Sequence[str]) -> dict[str, bytes]:
+def _render_figure(figure: "Figure", kinds: Sequence[str]) -> dict[str, bytes]:
     """Bytes of a figure as SVG, as PNG or as both; `savefig` draws an SVG twice as well."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG

@@ -47,7 +47,7 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
 
     All figures are of the vectors behind glass; of those seen directly where there are none behind it.
     """
-    seen, field = _seen(evaluation), evaluation.field
+    seen, field = _frame_of(evaluation), evaluation.field
     through_lead(page, seen.through, evaluation.task.scene, seen.recovered)
     if field.doubt:
         page.warning(field.doubt + ".")
@@ -93,7 +93,7 @@ def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, 
     return tiles
 
 
-def _seen(evaluation: Evaluation) -> BeforeAfter:
+def _frame_of(evaluation: Evaluation) -> BeforeAfter:
     """Frame A; whoever writes a page has asked for it."""
     assert evaluation.seen is not None
     return evaluation.seen
@@ -294,7 +294,7 @@ def _tracks(page: Page, evaluation: Evaluation) -> None:
 
 
 def _images(page: Page, evaluation: Evaluation) -> None:
-    seen = _seen(evaluation)
+    seen = _frame_of(evaluation)
     page.heading("Images")
     page.table(tables.image_table(seen.figures, seen.full_scale))
     counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in seen.figures.items()}

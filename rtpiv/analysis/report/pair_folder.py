@@ -16,7 +16,7 @@ from rtpiv.analysis.report.tables import claim_table, sigma_table, track_summary
 from rtpiv.analysis.report.verdict import claim_said, worst_claim
 
 
-def named_frames(frames: Sequence[Path]) -> dict[str, str]:
+def frame_names(frames: Sequence[Path]) -> dict[str, str]:
     """Return what the frames of a pair are called, and the folder that they are from."""
     names = ", ".join(frame.name for frame in frames)
     return {"frames": utf8(names).decode(), "frames_from": utf8(str(frames[0].parent.resolve())).decode()}
@@ -35,7 +35,7 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
         write_vtk(out / "vectors.vtk", vectors)
     summary: dict[str, Any] = {
         **about,
-        **named_frames(task.frames),
+        **frame_names(task.frames),
         "note": task.note,
         "dt_s": task.dt_s,
         "no_map_sigma": evaluation.no_map_sigma,

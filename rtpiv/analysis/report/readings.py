@@ -11,9 +11,8 @@ from daq.runs.run_views import readings_of
 from rtpiv.analysis.pictures.plane_axes import SOFT, Figure
 from rtpiv.analysis.report.figures import SERIES
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.report.table import Table
+from rtpiv.analysis.report.table import MAX_ROWS, Table
 
-SHOWN_STEPS = 60
 SHOWN_GAUGES = 8  # drawn; the tables have all
 LONG_S = 7200.0  # a longer run is drawn over hours
 CAPTION = (
@@ -49,8 +48,8 @@ def readings_chapter(page: Page, folder: RunFolder) -> None:
             steps.setdefault(tag, {})[name] = (
                 f"{reading['value']:.6g}" if "value" in reading else f"missing: {reading['missing']}"
             )
-    title = f"The first {SHOWN_STEPS} of {len(steps)} steps" if len(steps) > SHOWN_STEPS else ""
-    rows = [(tag, *(each.get(name, "-") for name in found)) for tag, each in list(steps.items())[:SHOWN_STEPS]]
+    title = f"The first {MAX_ROWS} of {len(steps)} steps" if len(steps) > MAX_ROWS else ""
+    rows = [(tag, *(each.get(name, "-") for name in found)) for tag, each in list(steps.items())[:MAX_ROWS]]
     page.table(Table(title, ("step", *found), rows))
 
 

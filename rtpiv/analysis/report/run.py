@@ -11,7 +11,7 @@ from daq.runs.run_views import notes_of
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.page import Link, Page
 from rtpiv.analysis.report.readings import readings_chapter
-from rtpiv.analysis.report.table import Table
+from rtpiv.analysis.report.table import MAX_ROWS, Table
 from rtpiv.analysis.report.tables import DIRECT, GLASS, totals_of
 
 PAIR_COLUMNS = (
@@ -22,15 +22,13 @@ PAIR_COLUMNS = (
     "total error beside glass u, v [px]",
     "total error behind glass u, v [px]",
 )
-SHOWN_PAIRS = 60
-SHOWN_STEPS = 60
 
 
 def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
     """Every pair of a run in one line; the pages of the single pairs lie in folders of their names."""
     page.heading("Pairs of this run")
     rows: list[tuple[str | Link, ...]] = []
-    for evaluation in found[:SHOWN_PAIRS]:
+    for evaluation in found[:MAX_ROWS]:
         result, task = evaluation.shift, evaluation.task
         totals = {total.region: total for total in totals_of(evaluation)}
         cells = ["-", "-", "-"]
@@ -41,7 +39,7 @@ def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
         behind = str(totals[GLASS].count) if GLASS in totals else "0"
         name = Link(task.name, f"{task.out.name}/report.html")
         rows.append((name, str(evaluation.field.counts["valid"]), behind, *cells))
-    more = f"; {len(found) - SHOWN_PAIRS} more are in their folders" if len(found) > SHOWN_PAIRS else ""
+    more = f"; {len(found) - MAX_ROWS} more are in their folders" if len(found) > MAX_ROWS else ""
     page.table(Table(f"Total error: bias and scatter, rms{more}", PAIR_COLUMNS, rows))
     for note in dict.fromkeys(evaluation.task.note for evaluation in found if evaluation.task.note):
         about = ", ".join(evaluation.task.name for evaluation in found if evaluation.task.note == note)
@@ -76,7 +74,7 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
         page.table(Table("", columns, rows))
 
 
-def moved_chapter(page: Page, folder: RunFolder) -> None:
+def displacement_chapter(page: Page, folder: RunFolder) -> None:
     """Add commanded, measured and (simulated bench only) true displacements."""
     if not (folder.path / MOVED).is_file():
         return
@@ -87,7 +85,7 @@ def moved_chapter(page: Page, folder: RunFolder) -> None:
         (entry["tag"], *("-" if moved_mm is None else ", ".join(f"{c:+.4f}" for c in moved_mm)
                          for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])),
          *((", ".join("-" if c is None else f"{c:.4f}" for c in entry.get("sigma_mm", ())),) if by_hand else ()))
-        for entry in moved[:SHOWN_PAIRS]
+        for entry in moved[:MAX_ROWS]
     ]  # fmt: skip
     head: tuple[str, ...] = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
     head += ("sigma of measured, as read by hand",) if by_hand else ()
@@ -113,11 +111,11 @@ def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: lis
     facts += [(name, str(version)) for name, version in about["versions"].items()]
     page.facts(facts)
     steps = about["steps"]
-    more = f", the first {SHOWN_STEPS} of {len(steps)}" if len(steps) > SHOWN_STEPS else ""
+    more = f", the first {MAX_ROWS} of {len(steps)}" if len(steps) > MAX_ROWS else ""
     rows_of_steps = [
         (str(s["index"]), str(s["tag"]), str(s["view"]), str(s["first_frame"]), str(s["frames"]))
-        for s in steps[:SHOWN_STEPS]
+        for s in steps[:MAX_ROWS]
     ]
     page.table(Table(f"Steps of the plan{more}", ("step", "tag", "view", "first frame", "frames"), rows_of_steps))
     for name in ("plan", "bench", "scene"):
-        page.folded(f"{name}.yaml as it was when the run began", str(about[name]))
+        page.details(f"{name}.yaml as it was when the run began", str(about[name]))

@@ -17,14 +17,14 @@ from piv.correlation.vector_field import VectorField
 from piv.preprocessing import preparation
 from piv.preprocessing.preparation import RAW, Preparation
 from rtpiv.analysis.fit_beside import SCENE_FILE
-from rtpiv.analysis.pairs.evaluation import correlated
+from rtpiv.analysis.pairs.evaluation import correlate_pair
 from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.pictures.before_after import CORRECTED, PLAIN, BeforeAfter, before_after
-from rtpiv.analysis.pictures.rasters import embedded, grey
+from rtpiv.analysis.pictures.rasters import data_address, grey
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
-from rtpiv.analysis.report.table import Table
+from rtpiv.analysis.report.table import MAX_ROWS, Table
 from rtpiv.analysis.report.tables import count_table, image_table, mask_swatches
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.clean_frames import clean_frames
@@ -34,7 +34,6 @@ from rtpiv.analysis.series.series_plan import ChunkJob
 from rtpiv.analysis.series.still_frames import still_in
 from tracer.scene.scene_file import load_scene
 
-SHOWN_PAIRS = 60
 DARKEST, BRIGHTEST = 1.0, 99.7  # percentiles of a frame that are shown black and white
 
 
@@ -74,7 +73,7 @@ def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures:
         f"{books.pairs} pairs",
         twice=figures,
     )
-    shown = shown_pair(given, books)
+    shown = choose_pair(given, books)
     if shown is not None:
         through_lead(page, shown.seen.through, given.method.scene, shown.seen.recovered)
         page.lead(*series_lead(shown))
@@ -85,7 +84,7 @@ def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures:
     page.write(path)
 
 
-def shown_pair(given: SeriesInput, books: Evaluated) -> Preview | None:
+def choose_pair(given: SeriesInput, books: Evaluated) -> Preview | None:
     """The pair nearest to the middle of the series that has vectors."""
     jobs = given.jobs(1)
     middle = len(jobs) // 2
@@ -107,7 +106,9 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
     if isinstance(raw, str) or isinstance(a, str) or isinstance(b, str):
         return None
     both = corrector(a), corrector(b)
-    field = field or correlated((a, b), both, corrector, method.settings, method.preparation, still_in(job)).field
+    field = (
+        field or correlate_pair((a, b), both, corrector, method.settings, method.preparation, still_in(job)).field
+    )
     corrected = both[0]
     seen = before_after(raw, corrected, corrector, method.scene, full_scale(pair.frames[0], raw))
     pictures: list[tuple[str, NDArray[Any]]] = [("as acquired", raw)]
@@ -121,7 +122,7 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
         if name in preparation.CORRECTED:
             corrected = Preparation((name,)).finished(corrected, corrector.recovered)
             pictures.append((name, corrected))
-    layers = [(name, embedded(grey(picture, _limits(picture)))) for name, picture in pictures]
+    layers = [(name, data_address(grey(picture, _limits(picture)))) for name, picture in pictures]
     named = {**RAW, **preparation.CORRECTED}
     steps = tuple((name, named[name]) for name in method.preparation.steps)
     mask = [layer for layer in seen.layers if layer[0] == "mask"]
@@ -154,7 +155,7 @@ def series_lead(shown: Preview) -> tuple[str, Table]:
 def series_tiles(given: SeriesInput, books: Evaluated, shown: Preview | None) -> list[tuple[str, str, str]]:
     """The figures that matter most: value, name, what it is measured against."""
     tiles = [(f"{books.pairs - len(books.failed)}", "pairs with vectors", f"of {books.pairs} pairs")]
-    if given.given.timed:
+    if given.given.is_timed:
         times_us = 1e6 * np.array([pair.dt_s for pair in given.given.pairs], np.float64)
         spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
         tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
@@ -170,7 +171,7 @@ def series_chapters(page: Page, given: SeriesInput, books: Evaluated, shown: Pre
     if shown is not None:
         frames_chapter(page, shown)
         pair_chapter(page, given, shown)
-    _left_out(page, given, books)
+    _exclusions(page, given, books)
     scene_chapter(page, given.method.scene)
     light_sheet_line(page, replace(given.method.scene, sheet=load_scene(given.out / SCENE_FILE).sheet))
     _provenance(page, given)
@@ -212,18 +213,18 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     page.table(count_table(field))
 
 
-def _left_out(page: Page, given: SeriesInput, books: Evaluated) -> None:
+def _exclusions(page: Page, given: SeriesInput, books: Evaluated) -> None:
     page.heading("Every pair accounted for")
     said = f"{books.pairs} pairs, {len(books.failed)} without vectors"
     page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")
     if books.failed:
-        page.table(left_out_table(list(books.failed.items()), "the markers of the chunks"))
+        page.table(exclusion_table(list(books.failed.items()), "the markers of the chunks"))
 
 
-def left_out_table(pairs: Sequence[tuple[str, str]], rest: str) -> Table:
+def exclusion_table(pairs: Sequence[tuple[str, str]], rest: str) -> Table:
     """Pairs that are left out, with their reasons; `rest` names the file of those that do not fit."""
-    more = f"; {len(pairs) - SHOWN_PAIRS} more are in {rest}" if len(pairs) > SHOWN_PAIRS else ""
-    return Table(f"Pairs that are left out{more}", ("pair", "reason"), pairs[:SHOWN_PAIRS])
+    more = f"; {len(pairs) - MAX_ROWS} more are in {rest}" if len(pairs) > MAX_ROWS else ""
+    return Table(f"Pairs that are left out{more}", ("pair", "reason"), pairs[:MAX_ROWS])
 
 
 def _provenance(page: Page, given: SeriesInput) -> None:

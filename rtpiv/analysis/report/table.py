@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from rtpiv.analysis.report.page import Link
 
 ALL_COLUMNS = range(100)
+MAX_ROWS = 60  # of a table in a page; files have all
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ class Total:
         return dict(self.parts)["scatter"] if self.is_error else self.total_px
 
     @property
-    def said(self) -> str:
+    def label(self) -> str:
         """Name of `head_px`."""
         what = "scatter of the errors" if self.is_error else "total standard uncertainty"
         return f"{what} u, v of the {self.count} vectors{self.where_said}"
@@ -105,7 +105,7 @@ def is_plain(evaluation: Evaluation) -> bool:
     return not evaluation.task.scene.bodies
 
 
-def shown_region(name: str, evaluation: Evaluation) -> str:
+def region_label(name: str, evaluation: Evaluation) -> str:
     """Return the name of a region: "all" where nothing stands before the camera."""
     return ALL if is_plain(evaluation) else name
 
@@ -203,7 +203,7 @@ def _by_region(
 ) -> Table:
     """Table with a row for each region whose cells are known."""
     rows = [
-        (shown_region(name, evaluation), str(int(where.sum())), *found)
+        (region_label(name, evaluation), str(int(where.sum())), *found)
         for name, where in masks.items()
         if (found := cells(where)) is not None
     ]
@@ -235,9 +235,9 @@ def shift_table(evaluation: Evaluation) -> Table:
     assert result is not None
     rows = [
         (
-            shown_region(name, evaluation),
+            region_label(name, evaluation),
             str(found.count),
-            *(_pair(found.total_px), _signed(found.bias_px), _pair(found.std_px), _pair(found.sigma_px)),
+            *(_pair(found.total_px), _pair_with_sign(found.bias_px), _pair(found.std_px), _pair(found.sigma_px)),
         )
         for name, found in result.regions.items()
     ]
@@ -381,7 +381,7 @@ def lead_of(total: Total) -> tuple[str, Table]:
         known, form = ("common offset", "+z.4f") if name == "bias" else (name, ".4f")
         rows.append((known, *(format(part, form) for part in pair)))
     rows.append(("total (root sum of squares)", *(f"{part:.4f}" for part in total.total_px)))
-    return "{:.4f}, {:.4f} px".format(*total.head_px), Table(total.said, ("[px]", "u", "v"), rows)
+    return "{:.4f}, {:.4f} px".format(*total.head_px), Table(total.label, ("[px]", "u", "v"), rows)
 
 
 def offset_said(evaluation: Evaluation) -> str:
@@ -439,7 +439,7 @@ def _pair(values: tuple[float, float]) -> str:
     return f"{values[0]:.4f}, {values[1]:.4f}"
 
 
-def _signed(values: tuple[float, float]) -> str:
+def _pair_with_sign(values: tuple[float, float]) -> str:
     return f"{values[0]:+z.4f}, {values[1]:+z.4f}"
 
 

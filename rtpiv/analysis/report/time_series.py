@@ -9,7 +9,7 @@ from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.time_series import TimeSeries
 
-SHOWN = 8  # places drawn; the file has all
+MAX_PLACES_DRAWN = 8  # places drawn; the file has all
 COMPONENTS = ("u", "v")
 FIGURES = ("mean", "standard deviation", "random sigma")
 
@@ -18,7 +18,7 @@ def time_series_page(found: TimeSeries, title: str) -> Page:
     """Return the page."""
     page = Page(title, "velocity over time")
     unit = found.unit.replace("m s-1", "m/s")
-    points = np.nonzero(~found.on_line)[0][:SHOWN]
+    points = np.nonzero(~found.on_line)[0][:MAX_PLACES_DRAWN]
     if points.size:
         page.figure(
             "points", _points(found, points, unit), "At each place; grey: one standard uncertainty, random."

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rtpiv.analysis.pairs.evaluation import Evaluation
-from rtpiv.analysis.report.tables import Coverage, coverage_of, region_masks, shown_region
+from rtpiv.analysis.report.tables import Coverage, coverage_of, region_label, region_masks
 
 HALF_LOG_2 = 0.5 * np.log(2.0)  # of two components that are right
 
@@ -23,7 +23,7 @@ def worst_claim(evaluation: Evaluation) -> tuple[str, Coverage] | None:
         judged,
         key=lambda name: (order[judged[name].claim], abs(np.log(np.hypot(*judged[name].ratio)) - HALF_LOG_2)),
     )
-    return shown_region(name, evaluation), judged[name]
+    return region_label(name, evaluation), judged[name]
 
 
 def claim_said(region: str, found: Coverage) -> str:

@@ -18,9 +18,16 @@ from piv.correlation.vector_field import ONE_PICTURE
 from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError, SeriesError
 from piv.files.vector_file import vectors_netcdf
-from rtpiv.analysis.pairs.evaluation import Correlated, Evaluation, PairMethod, Task, correlated, evaluated
+from rtpiv.analysis.pairs.evaluation import (
+    Correlated,
+    Evaluation,
+    PairMethod,
+    Task,
+    correlate_pair,
+    evaluate_correlated,
+)
 from rtpiv.analysis.pairs.pair_vectors import PairResult, lengths_said, vectors_of_pairs
-from rtpiv.analysis.pairs.slanted import known_slopes
+from rtpiv.analysis.pairs.slanted import viewing_slopes
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.series_folder import Marker, sound_content, write_marker
 from rtpiv.analysis.series.series_plan import ChunkJob, Method, SeriesPair, versions_here
@@ -46,7 +53,7 @@ def evaluate_chunk(job: ChunkJob) -> Marker:
     SeriesError
         This process has other code than the one that planned the chunk.
     """
-    return _kept(job, [_result(pair, seen) for pair, seen in _correlated(job)])
+    return _write_chunk(job, [_result(pair, seen) for pair, seen in _correlate_pairs(job)])
 
 
 Detailed = Evaluation | PairError  # all that was asked of a pair, or why it cannot be had
@@ -75,23 +82,23 @@ def evaluate_chunk_closely(job: ChunkJob, how: PairMethod) -> list[tuple[str, De
     prepared, method = correction_of(job.maps, job.method), job.method
     how = replace(how, settings=method.settings, preparation=method.preparation)
     results, found = [], list[tuple[str, Detailed]]()
-    for pair, seen in _correlated(job):
+    for pair, seen in _correlate_pairs(job):
         results.append(_result(pair, seen))
         if isinstance(seen, str):
             continue
         out, shift_mm = job.folder / pair.tag, how.details.shift_mm
         task = Task(pair.tag, pair.frames, method.scene, out, shift_mm, dt_s=pair.dt_s)
         try:
-            found.append((pair.tag, evaluated(task, prepared, how, seen)))
+            found.append((pair.tag, evaluate_correlated(task, prepared, how, seen)))
         except PairError as error:
             found.append((pair.tag, error))
     if sound_content(job.path, job.key) is None:
-        _kept(job, results)
+        _write_chunk(job, results)
     return found
 
 
-def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
-    """Each pair of a chunk correlated, or why it is not; SeriesError if this process has other code."""
+def _correlate_pairs(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
+    """Each pair of a chunk correlate_pair, or why it is not; SeriesError if this process has other code."""
     _require_the_planned_code(job.method)
     corrector, method, still = correction_of(job.maps, job.method).corrector, job.method, still_in(job)
     for pair, a, b in zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True):
@@ -100,7 +107,7 @@ def _correlated(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
             continue
         try:
             both = corrector(a), corrector(b)
-            seen = correlated((a, b), both, corrector, method.settings, method.preparation, still)
+            seen = correlate_pair((a, b), both, corrector, method.settings, method.preparation, still)
         except (PairError, FrameError) as error:  # dark frames are alike too, and that they are dark says more
             yield pair, str(error)
             continue
@@ -128,13 +135,13 @@ def _result(pair: SeriesPair, seen: Correlated | str) -> PairResult:
     return PairResult(pair.tag, found, pair.dt_s, pair.dt_sigma_s, pair.time_s)
 
 
-def _kept(job: ChunkJob, results: list[PairResult]) -> Marker:
+def _write_chunk(job: ChunkJob, results: list[PairResult]) -> Marker:
     """Write the file of a chunk from what became of its pairs, then its marker."""
     prepared = correction_of(job.maps, job.method)
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()} | readings_attribute(job.readings)
     about |= lengths_said(job.method.scene)
     windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
-    slope = known_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
+    slope = viewing_slopes(prepared.corrector.map, prepared.scene, windows, job.method.settings.window_sigma)
     content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about, slope=slope))
     _keep(job.path, content)
     failed = {each.tag: each.found for each in results if isinstance(each.found, str)}

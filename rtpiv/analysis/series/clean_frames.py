@@ -56,7 +56,7 @@ def light_of(
     PairError
         There is nothing that it could be made from.
     """
-    used = _used(background, pairs, unseeded)
+    used = _background_pairs(background, pairs, unseeded)
     if used is None:
         return None
     told = [versions_here(), background, [p.crc32 for p in used]]
@@ -95,15 +95,15 @@ def make_light(
     DiskError
         The file cannot be written.
     """
-    light, used = light_of(folder, background, pairs, unseeded), _used(background, pairs, unseeded)
+    light, used = light_of(folder, background, pairs, unseeded), _background_pairs(background, pairs, unseeded)
     if light is None or used is None or background is None:
         return None
-    return light.made(
-        KIND, lambda: {name: _made(background, used, pulse, shape) for pulse, name in enumerate("ab")}
+    return light.ensure(
+        KIND, lambda: {name: _make_background(background, used, pulse, shape) for pulse, name in enumerate("ab")}
     )
 
 
-def _used(
+def _background_pairs(
     background: str | None, pairs: Sequence[SeriesPair], unseeded: Sequence[SeriesPair]
 ) -> list[SeriesPair] | None:
     """Pairs whose frames a background is made from; None where none of the whole series is taken off."""
@@ -132,7 +132,7 @@ def load_light(light: SharedFile) -> tuple[NDArray[Any], NDArray[Any]]:
     return arrays["a"], arrays["b"]
 
 
-def _made(background: str, pairs: list[SeriesPair], pulse: int, shape: tuple[int, int]) -> NDArray[Any]:
+def _make_background(background: str, pairs: list[SeriesPair], pulse: int, shape: tuple[int, int]) -> NDArray[Any]:
     def frame_of(pair: SeriesPair) -> NDArray[Any]:
         return read_promised(pair.frames[pulse], pair.crc32[pulse], shape)
 
@@ -163,11 +163,11 @@ def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
     shape, background = job.method.scene.camera.shape, job.method.preparation.background
     if background != SLIDING_MINIMUM:
         light = None if job.light is None else load_light(job.light)[pulse]
-        for pair in _announced(job.pairs, pulse):
+        for pair in _read_ahead(job.pairs, pulse):
             frame = _read(pair, pulse, shape)
             if light is not None and not isinstance(frame, str):
                 frame = without_patterns(frame, light) if background == POD else without_light(frame, light)
-                frame = _left(frame, pulse, background)
+                frame = _frame_or_reason(frame, pulse, background)
             yield frame
         return
     near = (*job.before, *job.pairs, *job.after)
@@ -176,12 +176,12 @@ def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
     first, last = len(job.before), len(job.before) + len(job.pairs)
     for place, found in enumerate(clean):
         if first <= place < last:
-            yield why.get(place, ALONE) if found is None else _left(found, pulse, background)
+            yield why.get(place, ALONE) if found is None else _frame_or_reason(found, pulse, background)
         elif place >= last:
             return
 
 
-def _left(clean: Frame, pulse: int, background: str | None) -> Frame | str:
+def _frame_or_reason(clean: Frame, pulse: int, background: str | None) -> Frame | str:
     """A frame without its background, or why that is no frame any more."""
     return clean if clean.any() else NOTHING_LEFT.format("AB"[pulse], background)
 
@@ -190,7 +190,7 @@ def _present(
     pairs: Sequence[SeriesPair], pulse: int, shape: tuple[int, int], why: dict[int, str]
 ) -> Iterator[Frame | None]:
     """Frames that can be read; of the others the reason is put into `why`."""
-    for place, pair in enumerate(_announced(pairs, pulse)):
+    for place, pair in enumerate(_read_ahead(pairs, pulse)):
         frame = _read(pair, pulse, shape)
         if isinstance(frame, str):
             why[place] = frame
@@ -199,7 +199,7 @@ def _present(
             yield frame
 
 
-def _announced(pairs: Sequence[SeriesPair], pulse: int) -> Iterator[SeriesPair]:
+def _read_ahead(pairs: Sequence[SeriesPair], pulse: int) -> Iterator[SeriesPair]:
     """Pairs in order; of each the system has heard AHEAD pairs before that its frame will be wanted."""
     for place, pair in enumerate(pairs):
         for later in pairs[place + 1 if place == 0 else place + AHEAD : place + 1 + AHEAD]:

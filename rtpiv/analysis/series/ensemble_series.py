@@ -32,12 +32,12 @@ from piv.statistics.sweep import Sweep, sweep_with
 from rtpiv.analysis.pairs.pair_vectors import SeriesField
 from rtpiv.analysis.series.chunk import correction_of, windows_of
 from rtpiv.analysis.series.clean_frames import clean_frames
-from rtpiv.analysis.series.mean_flow import UNTIMED_DT_S, MeanFlow, image_field, left_out_because
+from rtpiv.analysis.series.mean_flow import UNTIMED_DT_S, MeanFlow, exclusion_reason, image_field
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, digest
 from rtpiv.analysis.series.still_frames import still_in
-from rtpiv.analysis.series.workers import carried_out, workers_for
+from rtpiv.analysis.series.workers import run_jobs, workers_for
 
 Floats = NDArray[np.float64]
 KIND = "sums of an ensemble correlation"
@@ -107,7 +107,7 @@ def sum_part(job: PartJob) -> None:
     fields = (field for number, key in job.chunks for field in folder.chunk(number, key).fields)
     frames = zip(fields, clean_frames(job.frames, 0), clean_frames(job.frames, 1), strict=True)
     for field, a, b in frames:
-        if left_out_because(field, job.usual_share) or isinstance(a, str) or isinstance(b, str):
+        if exclusion_reason(field, job.usual_share) or isinstance(a, str) or isinstance(b, str):
             continue
         try:
             one, two = (method.preparation.finished(corrector(frame), corrector.recovered) for frame in (a, b))
@@ -228,7 +228,7 @@ def ensemble_flow(
     sweep = sweep_with(shape, vectors, stresses, windows, _spread_px2(given, mean))
     found: EnsembleField | None = None
     for number in range(1, SWEEPS + 1):
-        sums = _swept(given, mean, sweep, number, workers, executor)
+        sums = _run_sweep(given, mean, sweep, number, workers, executor)
         found = ensemble_field(sums, window_px)
         if number < SWEEPS:
             sweep = next_sweep(found, sweep)
@@ -237,13 +237,13 @@ def ensemble_flow(
     return replace(on_plane, dt_sigma_share=mean.dt_sigma_share, is_timed=mean.is_timed, length=mean.length)
 
 
-def _swept(
+def _run_sweep(
     given: SeriesInput, mean: MeanFlow, sweep: Sweep, number: int, workers: int | None, executor: Executor | None
 ) -> EnsembleSums:
     """Sums of one sweep over all pairs; its parts' files are removed."""
     jobs = _parts(given, mean, sweep, number)
     with workers_for(len(jobs), workers, executor) as pool:
-        done = carried_out(sum_part, jobs, pool)
+        done = run_jobs(sum_part, jobs, pool)
         for _ in progress(done, len(jobs), f"ensemble correlation, sweep {number}"):
             pass
     total: EnsembleSums | None = None

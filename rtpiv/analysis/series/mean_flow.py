@@ -139,7 +139,7 @@ class MeanFlow:
                 (f"mean [{self.unit}]", self.mean_m_s),
                 (f"its random sigma [{self.unit}]", self.sigma_m_s),
                 (f"all that is known of its sigma [{self.unit}]", self.total_sigma_m_s),
-                (f"fluctuation, without noise [{self.squared_unit}]", self.stresses_m2_s2),
+                (f"fluctuation, without noise [{self.unit_squared}]", self.stresses_m2_s2),
             )
         ]
         cells = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
@@ -164,7 +164,7 @@ class MeanFlow:
         return "m/s" if self.is_timed else self.length
 
     @property
-    def squared_unit(self) -> str:
+    def unit_squared(self) -> str:
         """Unit of the stresses."""
         return "m\u00b2/s\u00b2" if self.is_timed else f"{self.length}\u00b2"
 
@@ -227,7 +227,7 @@ class MeanFlow:
     def field(self) -> PlaneField:
         """The mean as a field whose derivatives can be taken: neighbouring windows see in part the same."""
         alike_mm = 0.5 * self.window_px / self.px_per_mm
-        slanted = self._slanted
+        slanted = self._oblique_field
         through = None if slanted is None else slanted.through_sheet(self.out_of_plane.of_mean(slanted))
         return PlaneField(self.x_mm, self.y_mm, self.mean_m_s, self.local_sigma_m_s, alike_mm, through)
 
@@ -243,17 +243,17 @@ class MeanFlow:
     @property
     def slant_sigma_m_s(self) -> Floats | None:
         """Sigma of the mean (ny, nx, 2) by a steady flow through the sheet; None where slopes are not known."""
-        slanted = self._slanted
+        slanted = self._oblique_field
         return None if slanted is None else slanted.sigma(self.out_of_plane.of_mean(slanted))
 
     @property
-    def _slanted(self) -> SlantedField | None:
+    def _oblique_field(self) -> SlantedField | None:
         if self.slope is None:
             return None
         return SlantedField(self.mean_m_s, self.sigma_m_s, self.slope, self.window_px / self.step_px)
 
     @property
-    def slanted_stresses(self) -> SlantedStresses | None:
+    def perspective_stresses(self) -> SlantedStresses | None:
         """Perspective error of out-of-plane fluctuations in the stresses; None where slopes are not known."""
         return None if self.slope is None else self.out_of_plane.of_stresses(self.stresses_m2_s2, self.slope)
 
@@ -297,7 +297,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
         apart = max(1, round(0.5 * chunk.window_px / chunk.step_px))
         keeps = 8 * pairs * len(chunk.x_mm) * len(chunk.y_mm) <= KEPT_BYTES
         for field in chunk.fields:
-            why = left_out_because(field, usual)
+            why = exclusion_reason(field, usual)
             if why:
                 left_out.append((field.tag, why))
                 moments.add(number, Moments.nothing(field.flags.shape))
@@ -368,7 +368,7 @@ def too_few_of(means: Iterable[MeanFlow], without_mean: NDArray[np.bool_]) -> ND
     return np.logical_or.reduce(known) & without_mean if known else None
 
 
-def left_out_because(field: SeriesField, usual_share: float) -> str:
+def exclusion_reason(field: SeriesField, usual_share: float) -> str:
     """Return the reason why a pair is left out of the statistics of its series; "" if it is not."""
     if field.failure:
         return field.failure

@@ -16,7 +16,7 @@ from piv.errors import PairError, SeriesError
 from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.pairs.evaluation import Evaluation, PairMethod
-from rtpiv.analysis.pairs.pair_vectors import joined_vectors
+from rtpiv.analysis.pairs.pair_vectors import join_vectors
 from rtpiv.analysis.pairs.piv_file import LEAST_VALID
 from rtpiv.analysis.series.chunk import Detailed, correction_of, evaluate_chunk, evaluate_chunk_closely
 from rtpiv.analysis.series.series_checks import check_series
@@ -65,9 +65,9 @@ class Evaluated:
     def vectors(self) -> Vectors:
         """Vectors of all pairs as one dataset (t, y, x); of a long series read its chunks one by one instead."""
         if self.series is None:
-            return joined_vectors([detail.vectors for detail in self.details])
+            return join_vectors([detail.vectors for detail in self.details])
         keys = self.series.about["keys"]
-        return joined_vectors([self.series.vectors(number, key) for number, key in enumerate(keys)])
+        return join_vectors([self.series.vectors(number, key) for number, key in enumerate(keys)])
 
     @property
     def has_few_valid(self) -> bool:
@@ -133,7 +133,7 @@ def run_series(
             "a sliding minimum compares frames of several pairs, and the run has one; use --prepare none"
         )
     folder = SeriesFolder(series.out)
-    with folder.alone():
+    with folder.lock():
         jobs = series.jobs(chunk)
         about = about_series(name, given, method, jobs, chunk)
         _announce(folder, about)

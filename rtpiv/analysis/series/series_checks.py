@@ -23,7 +23,7 @@ STEADY = 0.3  # by how much the neighbours of a doubled pair may differ from eac
 LEAST_MOVED_PX = 0.5  # below it noise decides how many times as far a pair moved
 FEW_VALID = 0.15  # share of windows; of unlike frames 0.02 to 0.1 are valid
 LEAST_UNLIKE = 0.1  # of the pairs: single ones may be blank
-NAMED = 3
+MAX_PAIRS_NAMED = 3
 
 Floats = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def _jump_warnings(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> tupl
             found.append(f"{pair.frames[0].name} + {pair.frames[1].name}")
     if not found:
         return ()
-    which = ", ".join(found[:NAMED]) + (", ..." if len(found) > NAMED else "")
+    which = ", ".join(found[:MAX_PAIRS_NAMED]) + (", ..." if len(found) > MAX_PAIRS_NAMED else "")
     return (
         f"{quantity(len(found), 'pair')} moved twice as far as those before and after ({which}): was a frame lost"
         " before the files were numbered? Leave these frames out",

@@ -206,7 +206,7 @@ class SeriesFolder:
             problem = error.errors(include_url=False)[0]["msg"]
             raise SeriesError(f"{file}: is damaged ({problem}); evaluate the run again") from None
 
-    def finished(self) -> dict[int, str]:
+    def chunk_keys(self) -> dict[int, str]:
         """Keys of the finished chunks in the folder by their number, whatever series they belong to."""
         found = {}
         for file in sorted((self.path / "chunks").glob("*.nc")):
@@ -217,7 +217,7 @@ class SeriesFolder:
 
     def agrees_with_dt(self, dt_s: float | None) -> bool:
         """Return whether the vectors there are of frames this time apart; True where there are none yet."""
-        for number, key in self.finished().items():
+        for number, key in self.chunk_keys().items():
             try:
                 fields = self.chunk(number, key).fields
             except SeriesError:
@@ -228,7 +228,7 @@ class SeriesFolder:
 
     def unlike(self, about: SeriesFile) -> "Unlike":
         """Compare the finished chunks of the folder with a series that is to be evaluated into it."""
-        wanted, finished = about["keys"], self.finished()
+        wanted, finished = about["keys"], self.chunk_keys()
         lost = {n for n, key in finished.items() if n >= len(wanted) or wanted[n] != key}
         if not lost:
             return Unlike(0, len(finished))
@@ -279,7 +279,7 @@ class SeriesFolder:
         return found
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Keep other processes from evaluating into this folder.
 
         Raises

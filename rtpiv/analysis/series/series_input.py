@@ -106,11 +106,11 @@ def tasks_of(
     if run is not None and recipe.mm_per_px is not None:
         raise PairError(SCALE_KNOWN, place=run)
     given = pairs_of(run) if run is not None else RunPairs((), ())
-    kept = tuple(_timed(run, pair, dt_us) for pair in given.pairs if not pair.is_background)
+    kept = tuple(_with_time(run, pair, dt_us) for pair in given.pairs if not pair.is_background)
     given = replace(given, pairs=kept)
     if scene is None:
         scene = scene_file(paths[0], out)
-    fitted = recipe.masked(load_scene(scene))
+    fitted = recipe.apply_mask(load_scene(scene))
     dewarp = recipe.dewarp(fitted.camera, recipe.board(paths))
     frames = [path for pair in given.pairs for path in pair.frames] or paths
     lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
@@ -135,7 +135,7 @@ def _two_frames(
     return Task(f"{stem_of(first)}, {stem_of(second)}", (first, second), scene, out, shift_mm, dt_s=dt_s)
 
 
-def _timed(run: Path | None, pair: FramePair, dt_us: float | None) -> FramePair:
+def _with_time(run: Path | None, pair: FramePair, dt_us: float | None) -> FramePair:
     """The pair of a run with the time between its frames, as known or as given."""
     if dt_us is None or run is None:
         return pair
@@ -248,7 +248,7 @@ def series_input(
     except OSError as error:
         raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
     scene = scene or scene_file(run, out)
-    fitted = recipe.masked(load_scene(scene))
+    fitted = recipe.apply_mask(load_scene(scene))
     in_mm = length_unit(fitted) == "mm"  # a time makes no velocities of pixels
     given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us if in_mm else None)
     dewarp = recipe.dewarp(fitted.camera, recipe.board([run]))

@@ -50,7 +50,7 @@ from piv.files.vector_file import LENGTH, PIXELS, SPEED, Vectors, write_vectors
 from piv.statistics.derived import rates
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
 from rtpiv.analysis.pairs.pair_vectors import RATE, SLOPES
-from rtpiv.analysis.pairs.slanted import known_slopes
+from rtpiv.analysis.pairs.slanted import viewing_slopes
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks
@@ -81,7 +81,7 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
         A map cannot be kept.
     """
     mean, sigma, found_map = mean_flow(Chunks.of(view.folder)), view.sigma, view.correction.corrector.map
-    slope = known_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)
+    slope = viewing_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)
     mean = replace(mean, length=length_unit(view.scene))
     if slope is not None:
         mean = replace(mean, slope=slope[::-1], out_of_plane=view.out_of_plane)
@@ -253,7 +253,7 @@ def _variables(mean: MeanFlow) -> Named:
     if mean.map_sigma_m_s is not None and mean.map_sigma_position_mm is not None:
         apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, SPEED))
         apart.append(("map_sigma_", "xy", mean.map_sigma_position_mm, "mm"))
-    slant_sigma, slanted = mean.slant_sigma_m_s, mean.slanted_stresses
+    slant_sigma, slanted = mean.slant_sigma_m_s, mean.perspective_stresses
     if slant_sigma is not None and slanted is not None:
         found |= _slant_variables(slant_sigma, slanted)
     for before, names, values, unit in apart:

@@ -27,7 +27,7 @@ from piv.errors import PairError
 from rtpiv.analysis.series.series_plan import SeriesPair
 
 CHECKSUMS = "checksums.jsonl"
-MOST_BYTES = 1_000_000_000  # of the list of checksums
+MAX_CHECKSUM_BYTES = 1_000_000_000  # of the list of checksums
 Known = dict[str, tuple[int, int, str]]  # by name of the frame: bytes and time of its file, checksum
 FEW_PAIRS = 10  # of a stream: a background found in so few holds light of particles, so none is taken off unasked
 READ_BACK = 1e-6  # relative; of an exposure that has not been changed
@@ -67,7 +67,7 @@ class PairsOfSeries:
     readings_of: Mapping[str, Mapping[str, Shown]] = field(default_factory=dict)
 
     @property
-    def timed(self) -> bool:
+    def is_timed(self) -> bool:
         """Return whether the time between the frames is known, so that vectors are velocities."""
         return all(pair.dt_s is not None for pair in self.pairs)
 
@@ -202,7 +202,7 @@ def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float 
         The list of checksums cannot be written.
     """
     source = source_of(path)
-    known, now = _known(out / CHECKSUMS), Known()
+    known, now = _read_checksums(out / CHECKSUMS), Known()
     pairs = []
     places = source.pairs()
     for number, *frames in progress_if_long(places, len(places), "checksums of pairs"):
@@ -230,10 +230,10 @@ def _fresh(source: FrameSource, frame: Path, known: Known, shape: tuple[int, int
     return file.st_size, file.st_mtime_ns, checksum_of(frame, shape)
 
 
-def _known(path: Path) -> Known:
+def _read_checksums(path: Path) -> Known:
     """The list of an earlier call; empty if there is none, or if it is damaged."""
     try:
-        lines = [json.loads(line) for line in read_plain(path, MOST_BYTES).splitlines()]
+        lines = [json.loads(line) for line in read_plain(path, MAX_CHECKSUM_BYTES).splitlines()]
         return {str(name): (int(size), int(time_ns), str(crc32)) for name, size, time_ns, crc32 in lines}
     except (OSError, ValueError, TypeError):
         return {}

@@ -55,7 +55,7 @@ class SeriesView:
         return readings_attribute(self.about.get("readings", {}))
 
     @cached_property
-    def fitted(self) -> Scene:
+    def file_scene(self) -> Scene:
         """The scene as its file says it."""
         return load_scene(self.folder / SCENE_FILE)
 
@@ -63,8 +63,8 @@ class SeriesView:
     def standing(self) -> Scene:
         """The scene with the glass where it stood, and the light sheet where it is."""
         if not self.about["glass"]:
-            return self.fitted.bare()
-        return with_glass_at(self.fitted, self.about["glass_place_mm"])
+            return self.file_scene.bare()
+        return with_glass_at(self.file_scene, self.about["glass_place_mm"])
 
     @cached_property
     def scene(self) -> Scene:
@@ -75,7 +75,7 @@ class SeriesView:
     def sigma(self) -> SceneSigma | str:
         """Uncertainty of the fit of its scene, for particles in its light sheet; or why that is not known."""
         file, dewarped = self.folder / SCENE_FILE, self.about["dewarped"]
-        sigma = scene_sigma_beside(file, self.fitted, dewarped, in_light_sheet=False)
+        sigma = scene_sigma_beside(file, self.file_scene, dewarped, in_light_sheet=False)
         return sigma if isinstance(sigma, str) else sigma.in_light_sheet(self.standing)
 
     @cached_property

@@ -22,7 +22,7 @@ class SharedFile:
     path: Path
     key: str
 
-    def made(self, kind: str, make: Callable[[], Arrays]) -> "SharedFile":
+    def ensure(self, kind: str, make: Callable[[], Arrays]) -> "SharedFile":
         """Make the file unless it is there; DiskError if it cannot be written."""
         try:
             self.arrays(kind)

@@ -83,7 +83,7 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     first, second = mean_of_series(first_view), mean_of_series(view)
     known = image_field(second.mean_m_s, second.sigma_m_s, second.px_per_m_s, view.windows)
     region = regions_of(known, view.correction.corrector.map, view.scene).region[::-1]
-    joined = joined_mean(first, second, region)
+    joined = join_means(first, second, region)
     about: dict[str, Any] = {
         "run": " and ".join(each.about["run"] for each in views.values()),
         "scene_hash": view.scene.content_hash(),
@@ -98,7 +98,7 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     return joined
 
 
-def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) -> JoinedMean:
+def join_means(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) -> JoinedMean:
     """Join two means on one grid by the region (ny, nx) of their vectors, rows from the lowest y.
 
     Raises
@@ -147,7 +147,7 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
         if first.slope is None or second.slope is None
         else _by_source(source, first.slope, second.slope),
     )
-    return JoinedMean(mean, source, _apart(first, second))
+    return JoinedMean(mean, source, _rms_in_sigma(first, second))
 
 
 def _fit(mask: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[np.bool_]:
@@ -161,7 +161,7 @@ def _by_source(source: NDArray[np.uint8], beside: Floats, behind: Floats) -> Flo
     return np.where(_fit(source == 0, chosen), np.nan, chosen)
 
 
-def _apart(first: MeanFlow, second: MeanFlow) -> float:
+def _rms_in_sigma(first: MeanFlow, second: MeanFlow) -> float:
     """Root mean square of the difference over its sigma; NaN where no vector has both."""
     with np.errstate(invalid="ignore", divide="ignore"):
         off = (first.mean_m_s - second.mean_m_s) / np.hypot(first.sigma_m_s, second.sigma_m_s)

@@ -41,7 +41,7 @@ def make_still(folder: Path, pairs: Sequence[SeriesPair], method: Method, correc
         found = still_light(across_pairs(sound), corrector.recovered)
         return {"still": np.packbits(np.zeros(nodes, bool) if found is None else found), "shape": np.array(nodes)}
 
-    return still_of(folder, pairs, method).made(KIND, make)
+    return still_of(folder, pairs, method).ensure(KIND, make)
 
 
 def still_in(job: ChunkJob) -> NDArray[np.bool_] | None:

@@ -35,7 +35,7 @@ from rtpiv.analysis.series.series_folder import SeriesFolder
 
 FILE = "time_series.nc"
 SEGMENTS = 7  # half over each other: a quarter of the series each
-FEWEST = 64  # pairs for a spectrum
+MIN_SPECTRUM_PAIRS = 64  # pairs for a spectrum
 MOST_FILLED = 0.1  # of a series
 EVEN = 0.1  # of the time from pair to pair that one may be off
 BAND = (0.025, 0.975)
@@ -208,8 +208,8 @@ def _uneven(time: Floats, unit: str) -> str:
     """Return the reason why pairs at these times have no spectrum; "" if they have one."""
     if unit != "s":
         return "the frames bear no times"
-    if len(time) < FEWEST:
-        return f"{len(time)} pairs are too few; {FEWEST} do"
+    if len(time) < MIN_SPECTRUM_PAIRS:
+        return f"{len(time)} pairs are too few; {MIN_SPECTRUM_PAIRS} do"
     even = np.linspace(time[0], time[-1], len(time))
     step = even[1] - even[0]
     if step <= 0.0 or np.abs(time - even).max() > EVEN * step:

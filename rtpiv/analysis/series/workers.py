@@ -40,7 +40,7 @@ def workers_for(jobs: int, workers: int | None, executor: Executor | None) -> It
         yield pool
 
 
-def carried_out(
+def run_jobs(
     function: Callable[[Job], R], jobs: Sequence[Job], executor: Executor | None
 ) -> Iterator[tuple[Job, R]]:
     """Call ``function(job)`` for all jobs; yield each one that is done, and what it gave.
@@ -82,13 +82,13 @@ def carried_out(
 def carry_out_with_progress(
     work: Callable[[ChunkJob], R], jobs: Sequence[ChunkJob], executor: Executor | None
 ) -> Iterator[R]:
-    """Yield the result of each chunk as `carried_out`, with a bar over pairs."""
-    results = _padded_to_pairs(carried_out(work, jobs, executor))
+    """Yield the result of each chunk as `run_jobs`, with a bar over pairs."""
+    results = _pad_to_pairs(run_jobs(work, jobs, executor))
     for result in progress(results, sum(len(job.pairs) for job in jobs), "pairs"):
         yield from result
 
 
-def _padded_to_pairs(done: Iterator[tuple[ChunkJob, R]]) -> Iterator[tuple[R, ...]]:
+def _pad_to_pairs(done: Iterator[tuple[ChunkJob, R]]) -> Iterator[tuple[R, ...]]:
     """Yield (result,) of each chunk, and () for each further pair of it."""
     for job, result in done:
         yield (result,)

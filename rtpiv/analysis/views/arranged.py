@@ -68,13 +68,13 @@ def best_gap(lab: Lab, lens: bool) -> Arranged | None:
 
     def at(part: float) -> Arranged | None:
         moved = replace(lab, gap_mm=round(part * lab.ball_mm, 1))
-        return arranged(moved.with_usual_lens() if lens else moved)
+        return evaluate_lab(moved.with_usual_lens() if lens else moved)
 
     return _nearest(filter(None, map(at, PARTS)), lambda found: found.share)
 
 
 @cache  # `init` asks for the same labs to place the balls and to say what else would show more
-def arranged(lab: Lab) -> Arranged | None:
+def evaluate_lab(lab: Lab) -> Arranged | None:
     """The lab with the share that it shows; None if it cannot be."""
     from rtpiv.templates.room import room_of  # of a bench: who has a scene does not wait
 
@@ -112,10 +112,10 @@ def offers(scene: Scene) -> list[Offer]:
     now, found = coarse_share(scene), list[Offer]()
     for what, changed in (
         ("", scene),
-        ("a second such ball before each", _doubled(scene)),
+        ("a second such ball before each", _add_second_balls(scene)),
         _without_nearest(scene),
     ):
-        tried = [] if changed is None else _raised(changed)
+        tried = [] if changed is None else _raise_glass(changed)
         best = _nearest(tried, lambda one: one[1])
         if best is not None and best[1] > max(
             WORTH * now, NEARLY + max((one.share for one in found), default=0.0)
@@ -134,21 +134,21 @@ def little(scene: Scene, share: float) -> str:
     return f"Little of what the glass hides is seen in this plane.{more}"
 
 
-def _raised(scene: Scene) -> list[tuple[float, float]]:
+def _raise_glass(scene: Scene) -> list[tuple[float, float]]:
     """Millimetres by which what goes with the glass is moved off the plane, and the share that is shown then."""
     diameter = 2.0 * max(ball.radius_mm for ball in scene.spheres)
     gap = min(ball.lowest_mm for ball in scene.spheres)
     found = []
     for by_mm in sorted({0.0, *(round(part * diameter - gap, 1) for part in (0.0, *PARTS))}):
         try:
-            moved = scene.with_bodies([_moved(body, by_mm) for body in scene.bodies])
+            moved = scene.with_bodies([_move_with_glass(body, by_mm) for body in scene.bodies])
             found.append((by_mm, coarse_share(moved)))
         except SceneError:  # into the plane, the camera or another body
             continue
     return found
 
 
-def _moved(body: Body, by_mm: float) -> Body:
+def _move_with_glass(body: Body, by_mm: float) -> Body:
     return body.moved(lambda at: (at[0], at[1], at[2] + by_mm)) if body.carried == "glass" else body
 
 
@@ -159,7 +159,7 @@ def _without_nearest(scene: Scene) -> tuple[str, Scene | None]:
     return f"without {nearest.name}", scene.with_bodies(rest) if len(scene.spheres) > 1 else None
 
 
-def _doubled(scene: Scene) -> Scene | None:
+def _add_second_balls(scene: Scene) -> Scene | None:
     """The scene with another ball in contact before each, on the camera's side; None if there is no room."""
     if len(scene.spheres) > MOST_BALLS:
         return None

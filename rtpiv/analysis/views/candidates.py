@@ -26,7 +26,7 @@ from rtpiv.templates.arrangement import most_balls
 from rtpiv.templates.lab import Lab
 from tracer.errors import SceneError
 
-MOST = 5000  # combinations: half a minute
+MAX_COMBINATIONS = 5000  # combinations: half a minute
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class ViewQuestion:
     Raises
     ------
     RunUsageError
-        More than `MOST` combinations.
+        More than `MAX_COMBINATIONS` combinations.
     """
 
     lenses_mm: Sequence[Positive]
@@ -74,8 +74,10 @@ class ViewQuestion:
     wavelength_nm: Positive = 532.0
 
     def __post_init__(self) -> None:
-        if self.combinations > MOST:
-            raise RunUsageError(f"{self.combinations} combinations are more than {MOST}; ask for fewer at a time")
+        if self.combinations > MAX_COMBINATIONS:
+            raise RunUsageError(
+                f"{self.combinations} combinations are more than {MAX_COMBINATIONS}; ask for fewer at a time"
+            )
 
     @property
     def combinations(self) -> int:
@@ -156,13 +158,13 @@ def candidates_of(labs: Sequence[Lab], f_number: float, error_px: float, sure: i
     with worker_processes(thread_count()) if len(labs) > WORTH_A_PROCESS else nullcontext() as pool:
         found: list[ViewFigures] = []
         refused: dict[str, None] = {}
-        for figures, reasons in progress_if_long(_made(work, blocks, pool), len(blocks), "arrangements"):
+        for figures, reasons in progress_if_long(_run_work(work, blocks, pool), len(blocks), "arrangements"):
             found += figures
             refused |= dict.fromkeys(reasons)
         views = sorted(found, key=_merit, reverse=True)
         best = unbeaten(views)
         first = min(sure, len(best))
-        sigmas = list(progress_if_long(_made(with_sigma, best[:first], pool), first, "sigma of their maps"))
+        sigmas = list(progress_if_long(_run_work(with_sigma, best[:first], pool), first, "sigma of their maps"))
         known = {view.lab: view for view in sigmas}
     return Candidates(
         [known.get(view.lab, view) for view in views], [known.get(view.lab, view) for view in best], list(refused)
@@ -188,7 +190,7 @@ def _of_block(labs: Sequence[Lab], f_number: float, error_px: float) -> Block:
     return found, refused
 
 
-def _made(work: Callable[[Given], Made], given: Sequence[Given], pool: Executor | None) -> Iterator[Made]:
+def _run_work(work: Callable[[Given], Made], given: Sequence[Given], pool: Executor | None) -> Iterator[Made]:
     """Yield the result of each job, as it comes."""
     if pool is None:
         return map(work, given)

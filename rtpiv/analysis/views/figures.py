@@ -8,7 +8,7 @@ dP/dX, one corrected pixel is seen s pixels wide there, so the noise of a displa
 
 NOISE_PX is that of windows of 32 px with sharp particles seen directly; it grows with the diameter d of their
 pictures (Raffel et al., Particle Image Velocimetry, 5.5.2).  What the map itself is off by comes on top
-(`expected_sigma`).  A pupil of radius r = f / 2 f# moves the rays through a point of the focal plane by
+(`sigma_forecast`).  A pupil of radius r = f / 2 f# moves the rays through a point of the focal plane by
 B a = (dX/da - dX/dP) a on the plane, a the place in the pupil; the standard deviation of a disc is r / 2 along
 each axis, so to first order
 
@@ -31,8 +31,8 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.correction_map import CorrectionMap
 from daq.errors import RunUsageError
 from rtpiv.analysis.through_glass import behind, coarse_map, hiding, reach
-from rtpiv.analysis.views.expected_sigma import expected_sigma
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
+from rtpiv.analysis.views.sigma_forecast import sigma_forecast
 from rtpiv.templates.files import scene_of
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.room import GLASS_HEIGHTS_MM, bare_heights_mm, room_of
@@ -121,7 +121,7 @@ def view_figures(lab: Lab, f_number: float, error_px: float) -> ViewFigures:
     found = coarse_map(scene)
     seen = _Seen.of(scene, found, lab, f_number)
     noise = NOISE_PX * np.hypot(1.0, 4.0 * seen.blur_px / PARTICLE_PX) / seen.least
-    hidden, everywhere = _hidden(scene, found)
+    hidden, everywhere = _nodes_behind(scene, found)
     if everywhere == 0:
         raise RunUsageError(
             f"a lens of {lab.lens_mm:g} mm at {lab.distance_mm:g} mm sees balls of {lab.ball_mm:g} mm with no more"
@@ -154,7 +154,7 @@ def with_sigma(view: ViewFigures) -> ViewFigures:
     found = coarse_map(scene)
     pixel = _Seen.of(scene, found, lab, 1.0).pixel
     times = scene.camera.sensor_px[0] // found.sensor_px[0]
-    known = expected_sigma(scene, lab.board_mm, bare_heights_mm(room), GLASS_HEIGHTS_MM, times)
+    known = sigma_forecast(scene, lab.board_mm, bare_heights_mm(room), GLASS_HEIGHTS_MM, times)
     step = light_uncertainty(scene, None).step  # none of glass that is a number
     unsaid = known.with_draw(step) if step.size else known
 
@@ -213,7 +213,7 @@ def _radial(lab: Lab) -> FieldOfView | None:
         return None
 
 
-def _hidden(scene: Scene, found: CorrectionMap) -> tuple[NDArray[np.bool_], int]:
+def _nodes_behind(scene: Scene, found: CorrectionMap) -> tuple[NDArray[np.bool_], int]:
     """Nodes of the map before which a ball stands, and how many there are of them, those beyond the frame too."""
     height, width = found.grid.shape
     reaches = [window for body in hiding(scene) if (window := reach(body, scene, found.grid)) is not None]

@@ -53,7 +53,7 @@ def test_a_ball_on_the_axis_shows_what_the_radial_curve_says():
     assert share.glass_mm2 == pytest.approx(ball.shown_mm2)
     assert sum(share.areas_mm2.values()) == pytest.approx(share.whole_mm2)
     assert share.recovered_mm2 == pytest.approx(share.areas_mm2[NodeStatus.RECOVERED])
-    assert ball.lost_to in (NodeStatus.RIM, NodeStatus.FOLD)
+    assert ball.main_loss in (NodeStatus.RIM, NodeStatus.FOLD)
 
 
 def test_a_triangle_beside_the_axis_is_answered_ball_by_ball_by_a_tilted_camera_too():
@@ -78,7 +78,7 @@ def test_a_ball_behind_another_is_counted_for_both_and_opaque_bodies_show_nothin
     assert share.glass_mm2 == pytest.approx(one.shown_mm2)
     assert not support.is_glass
     assert (support.shown_mm2, support.recovered_mm2) == (0.0, 0.0)
-    assert support.lost_to == NodeStatus.BLOCKED
+    assert support.main_loss == NodeStatus.BLOCKED
     wide = 500.0 / 480.0  # thrown from the pinhole on the plane
     middle, half = np.arctan2(50.0, 480.0), np.arcsin(3.0 / np.hypot(50.0, 480.0))
     height = 500.0 * (np.tan(middle + half) - np.tan(middle - half))
@@ -91,7 +91,7 @@ def test_a_body_beside_the_view_or_behind_the_plane_has_no_outline():
     behind = Sphere("behind", (0.0, 0.0, -50.0), 20.0, GLASS)
     share = share_of(scene_of(beside, behind))
     assert [body.name for body in share.bodies] == ["beside"]
-    assert (share.bodies[0].outline_mm2, share.bodies[0].lost_to) == (0.0, None)
+    assert (share.bodies[0].outline_mm2, share.bodies[0].main_loss) == (0.0, None)
     assert share.recovered_mm2 == pytest.approx(share.whole_mm2)
 
 

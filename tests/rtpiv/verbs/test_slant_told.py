@@ -51,9 +51,9 @@ def test_a_mean_is_told_afterwards_what_flows_through_its_sheet(run):
     assert np.nanmedian(slanted) > 1.1 * np.nanmedian(flat)
     blind = rates(replace(told.field, through=None))["shear"][1]
     np.testing.assert_array_equal(flat, blind)
-    assert both.slanted_stresses.bias[..., 0] == pytest.approx((0.02 * both.slope[..., 0]) ** 2, nan_ok=True)
+    assert both.perspective_stresses.bias[..., 0] == pytest.approx((0.02 * both.slope[..., 0]) ** 2, nan_ok=True)
     again = mean(series, output=FIGURES)  # as it was told when it was evaluated
-    np.testing.assert_array_equal(again.slanted_stresses.bias, both.slanted_stresses.bias)
+    np.testing.assert_array_equal(again.perspective_stresses.bias, both.perspective_stresses.bias)
     with pytest.raises(PairError, match="its vectors are made"):
         mean(series, output=FIGURES, w_over_u=0.0, final_window_px=32)
     assert main(["mean", str(series), "--w-over-u", "-1"]) == USAGE

@@ -70,7 +70,7 @@ def add_target(plane: Array, sides: Array, discs: Array, lines: Array, odd_brigh
 
 
 @kernel_inlined
-def mixed(i: int, j: int, turn: int) -> float:
+def cell_hash(i: int, j: int, turn: int) -> float:
     """Return a number in [0, 1) that belongs to cell (i, j) (splitmix64)."""
     word = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
     word += np.uint64(turn) * np.uint64(0x165667B19E3779F9)
@@ -95,8 +95,8 @@ def add_particles(plane: Array, cell: float, diameter: float, near: Array, pictu
             column, row = int(np.floor(x / cell)), int(np.floor(y / cell))
             for number in range(9):
                 i, j = row - 1 + number // 3, column - 1 + number % 3
-                near[number, 0], near[number, 1] = (j + mixed(i, j, 1)) * cell, (i + mixed(i, j, 2)) * cell
-                near[number, 2] = 0.3 + 0.7 * mixed(i, j, 3)
+                near[number, 0], near[number, 1] = (j + cell_hash(i, j, 1)) * cell, (i + cell_hash(i, j, 2)) * cell
+                near[number, 2] = 0.3 + 0.7 * cell_hash(i, j, 3)
         light = 0.0
         for number in range(9):
             across, up = (x - near[number, 0]) / diameter, (y - near[number, 1]) / diameter

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
-from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, plan_runs
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from tests.rtpiv.analysis.series.small_series import SETTINGS, flow_run
@@ -30,7 +30,7 @@ def planned(out, runs, *steps, chunk=2, settings=SETTINGS, scenes=()):
     folder = CampaignFolder(out)
     preparation = Preparation(steps) if steps else None
     ask_for(folder, runs, PivChoice(settings, preparation), CampaignSettings(scenes, chunk))
-    for _ in planned_runs(folder):
+    for _ in plan_runs(folder):
         pass
     return folder
 

@@ -17,8 +17,8 @@ from piv.errors import SeriesError
 from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.campaign import campaign_plan
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, choice_of
-from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, forecast, forecasts, planned_runs
-from rtpiv.analysis.campaign.merge import merge_campaign, merged_means
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, forecast, forecasts, plan_runs
+from rtpiv.analysis.campaign.merge import merge_campaign, merge_means
 from rtpiv.analysis.campaign.run_campaign import CampaignProgress, run_campaign
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.chunk import evaluate_chunk
@@ -172,7 +172,7 @@ def test_a_scene_for_each_run(runs, tmp_path):
         scenes.append(tmp_path / f"{number}.yaml")
         scenes[-1].write_text(SCENE.replace("500.0]", f"{500 + number}.0]"))
     folder = planned(tmp_path / "out", runs, scenes=scenes)
-    camera = [each.given.method.scene.camera.position_mm[2] for each in planned_runs(folder)]
+    camera = [each.given.method.scene.camera.position_mm[2] for each in plan_runs(folder)]
     assert camera == [500.0, 501.0]
     with pytest.raises(SeriesError, match="2 scenes for 1 runs"):
         planned(tmp_path / "other", runs[:1], scenes=scenes)
@@ -215,7 +215,7 @@ def test_runs_focused_apart_are_joined_out_of_their_campaign(runs, tmp_path):
 def test_the_forecast_counts_what_is_left(copy):
     folder, _ = copy
     marker_path(chunk_path(folder.series("one").path, 0)).unlink()
-    one, two = (forecast(folder, each) for each in planned_runs(folder))
+    one, two = (forecast(folder, each) for each in plan_runs(folder))
     assert (one.pairs, one.chunks, one.done, two.done, two.left_s) == (6, 3, 2, 3, 0.0)
     assert one.left_s == pytest.approx(2 * 96 * 96 * 0.5e-6)
     assert one.read_bytes == 2 * 2 * 96 * 96 * (2 + 4)  # two pairs, and the four behind them
@@ -223,10 +223,10 @@ def test_the_forecast_counts_what_is_left(copy):
     maps = folder.series("one").path / "maps"
     for stored in maps.glob("*.map"):
         stored.unlink()
-    with_map = forecast(folder, next(iter(planned_runs(folder)))).write_bytes
+    with_map = forecast(folder, next(iter(plan_runs(folder)))).write_bytes
     maps.mkdir(exist_ok=True)
     (maps / "made.map").touch()
-    without = forecast(folder, next(iter(planned_runs(folder)))).write_bytes
+    without = forecast(folder, next(iter(plan_runs(folder)))).write_bytes
     assert with_map - without == STORED_BYTES * 96 * 96  # it is made once
     assert 0.7 * size < without < size
 
@@ -283,7 +283,7 @@ def test_a_chunk_that_cannot_be_written_ends_the_call_and_costs_no_other(copy):
 
 def test_two_clients_do_not_work_on_one_campaign(copy):
     folder, _ = copy
-    with SeriesFolder(folder.path).alone(), pytest.raises(RunUnsuitable, match="another process"):
+    with SeriesFolder(folder.path).lock(), pytest.raises(RunUnsuitable, match="another process"):
         carried_out(folder)
 
 
@@ -302,14 +302,14 @@ def test_runs_that_saw_another_flow_are_told_apart(tmp_path):
     folder = planned(tmp_path / "out", [one, two, three], chunk=8)
     carried_out(folder)
     means = [mean_of_series(SeriesView(folder.series(name).path)) for name in ("one", "two", "three")]
-    apart = merged_means(("one", "three"), [means[0], means[2]]).apart
+    apart = merge_means(("one", "three"), [means[0], means[2]]).apart
     assert min(apart.values()) > 3.0
-    same = merged_means(("one", "two"), [means[0], means[1]])
+    same = merge_means(("one", "two"), [means[0], means[1]])
     assert max(same.apart.values()) < 1e-6  # the very same frames
     assert same.mean.used == 12
-    assert merged_means(("one",), means[:1]).mean is means[0]
+    assert merge_means(("one",), means[:1]).mean is means[0]
     with pytest.raises(SeriesError, match="the vectors of two lie on another grid than those of one"):
-        merged_means(("one", "two"), [means[0], replace(means[1], x_mm=means[1].x_mm + 0.1)])
+        merge_means(("one", "two"), [means[0], replace(means[1], x_mm=means[1].x_mm + 0.1)])
 
 
 def test_what_is_told_of_the_flow_through_the_sheet_reaches_every_run(tmp_path):

@@ -133,9 +133,9 @@ def test_running_jobs_are_cancelled_and_queued_ones_never_submitted(jobs, monkey
 
 def test_an_error_of_the_executor_itself_is_an_interrupted_campaign():
     """The command can be given again; errors of the program keep their own classes."""
-    with pytest.raises(RunInterrupted, match="CancelledError"), executors._lost_workers():
+    with pytest.raises(RunInterrupted, match="CancelledError"), executors._raise_interrupted():
         raise CancelledError
-    with pytest.raises(RunUsageError), executors._lost_workers():
+    with pytest.raises(RunUsageError), executors._raise_interrupted():
         raise RunUsageError("given twice")
 
 

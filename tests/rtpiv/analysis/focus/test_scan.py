@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from rtpiv.analysis.focus import BestFocus, FocusScan, Spots, best_focus, parts_of, spots_in, trusted_px2
+from rtpiv.analysis.focus import BestFocus, FocusScan, Spots, best_focus, parts_of, spot_variances_px2, spots_in
 from sim.demo.scenes import at_size, demo_scene
 
 
@@ -49,7 +49,7 @@ def test_the_vertex_is_found_with_an_honest_sigma():
 
 def test_grain_far_from_focus_is_not_taken_for_sharpness():
     places = [Spots(0.8, 1.0), Spots(9.0, 8.0), Spots(2.0, 50.0), Spots(1.5, 90.0), Spots(2.1, 40.0)]
-    np.testing.assert_array_equal(np.isfinite(trusted_px2(places)), [False, False, True, True, True])
+    np.testing.assert_array_equal(np.isfinite(spot_variances_px2(places)), [False, False, True, True, True])
 
 
 def test_a_scan_that_ends_too_early_says_so():

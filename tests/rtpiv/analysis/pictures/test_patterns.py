@@ -10,8 +10,15 @@ import pytest
 from correction.target import Chessboard
 from correction.target.codes import with_codes
 from rtpiv.analysis.pictures.kernels.patterns import add_markers, add_particles, add_target
-from rtpiv.analysis.pictures.patterns import MarkerBoard, Particles, Target, seen, shows_particles, square_for
-from rtpiv.analysis.through_glass import shown_small
+from rtpiv.analysis.pictures.patterns import (
+    MarkerBoard,
+    Particles,
+    Target,
+    pattern_view,
+    shows_particles,
+    square_for,
+)
+from rtpiv.analysis.through_glass import coarsen_scene
 from tests.rtpiv.analysis.test_plane_share import GLASS, scene_of
 from tracer.board import Codes
 from tracer.bodies import Sphere
@@ -110,11 +117,15 @@ def test_particles_are_the_sum_of_all_nine_near_a_point(diameter):
 
 def test_the_camera_sees_the_board_through_a_ball_and_nothing_behind_a_black_one():
     ball = Sphere("ball", (0.0, 0.0, 20.0), 20.0, GLASS)
-    bare, glass = (seen(scene_of(*bodies, px_per_mm=1.0), MarkerBoard(2.5), samples=2) for bodies in ((), (ball,)))
+    bare, glass = (
+        pattern_view(scene_of(*bodies, px_per_mm=1.0), MarkerBoard(2.5), samples=2) for bodies in ((), (ball,))
+    )
     assert (bare[0] == glass[0]).all()
     assert np.mean(bare[190:210, 190:210] != glass[190:210, 190:210]) > 0.5
     black = Sphere("ball", (0.0, 0.0, 20.0), 20.0, None)
-    assert (seen(scene_of(black, px_per_mm=1.0), Target(Chessboard(2.5, 1.0)), 1)[195:205, 195:205] == 0.0).all()
+    assert (
+        pattern_view(scene_of(black, px_per_mm=1.0), Target(Chessboard(2.5, 1.0)), 1)[195:205, 195:205] == 0.0
+    ).all()
 
 
 def test_progress_hears_of_every_ray_map():
@@ -125,15 +136,15 @@ def test_progress_hears_of_every_ray_map():
             heard.append((total, what))
             yield item
 
-    seen(scene_of(px_per_mm=1.0), MarkerBoard(2.5), 2, watched)
+    pattern_view(scene_of(px_per_mm=1.0), MarkerBoard(2.5), 2, watched)
     assert heard == [(4, "what the camera sees")] * 4
 
 
 def test_a_frame_is_taken_for_what_it_shows():
     scene = scene_of(Sphere("ball", (0.0, 0.0, 40.0), 40.0, GLASS))
     noise = np.random.default_rng(1).normal(0.0, 0.02, scene.camera.shape)
-    assert shows_particles(seen(scene, Particles(2.5, 1.2), 2) + noise)
-    assert not shows_particles(seen(scene, Target(Chessboard(2.5, 1.0)), 2) + noise)
+    assert shows_particles(pattern_view(scene, Particles(2.5, 1.2), 2) + noise)
+    assert not shows_particles(pattern_view(scene, Target(Chessboard(2.5, 1.0)), 2) + noise)
     assert shows_particles(np.zeros((20, 20), np.uint16))
 
 
@@ -147,8 +158,8 @@ def test_squares_are_round_numbers(width, square):
 def test_a_coarser_camera_sees_the_same_view():
     scene = scene_of(px_per_mm=1.0)
     width, height = scene.camera.sensor_px
-    assert shown_small(scene, width).camera == scene.camera
-    coarse = shown_small(scene, width // 4).camera
+    assert coarsen_scene(scene, width).camera == scene.camera
+    coarse = coarsen_scene(scene, width // 4).camera
     assert coarse.sensor_px == (width // 4, height // 4)
     of_fours = np.array([[1.5, 1.5], [401.5 - 4.0, 201.5]])  # middles of blocks of four pixels a side
     fine = scene.camera.directions(of_fours)

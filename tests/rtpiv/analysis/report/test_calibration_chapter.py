@@ -13,7 +13,7 @@ from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from rtpiv.analysis.calibration import Calibration
 from rtpiv.analysis.pictures.calibration import smooth_figure
-from rtpiv.analysis.report.calibration import _numbers, calibration_chapter, masked_table
+from rtpiv.analysis.report.calibration import _numbers, calibration_chapter, mask_table
 from rtpiv.analysis.report.page import Page
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.small_scenes import small_scene
@@ -113,9 +113,9 @@ def test_what_is_masked_is_listed_with_its_reason_and_place():
     square = ((10.0, 20.0), (43.6, 20.0), (43.6, 53.6), (10.0, 53.6))
     parts = (MaskedPart(UNLISTED, square), MaskedPart(UNCONFIRMED, through=("sphere2", "sphere1")))
     scene, page = small_scene("two_spheres_500"), Page("a page")
-    masked_table(page, scene)
+    mask_table(page, scene)
     assert "leaves out" not in page.html()
-    masked_table(page, replace(scene, masked=parts))
+    mask_table(page, replace(scene, masked=parts))
     said = page.html()
     assert "behind an unlisted body</td><td>around pixel (27, 37)</td><td>34 x 34 px, 1 % of the frame" in said
     assert "not confirmed by the target</td><td>all that is seen through sphere2 &gt; sphere1" in said
@@ -131,6 +131,6 @@ def test_numbers_known_only_together_are_no_fault_where_the_map_is_known():
         return Calibration(None, SimpleNamespace(sigma_px=plane, behind_glass=np.eye(2) > 0), {}, {}, [], [], 1.0)
 
     said = "known only together (worth at most 0.0027 px in the map): near.z and far.z are nearly one unknown"
-    assert found(0.0027).said_of(together) == said
-    assert found(0.3).said_of(together) == f"not determined: {together.sentence}"
-    assert found(0.0027).said_of(alone) == f"not determined: {alone.sentence}"
+    assert found(0.0027).weakness_sentence(together) == said
+    assert found(0.3).weakness_sentence(together) == f"not determined: {together.sentence}"
+    assert found(0.0027).weakness_sentence(alone) == f"not determined: {alone.sentence}"

@@ -6,7 +6,7 @@ import pytest
 
 from correction.evaluate.regions import Scatter
 from correction.grid import PlaneGrid
-from rtpiv.analysis.report.figures import GROUND, INK, REACH, error_histogram, radius_figure, vector_figure
+from rtpiv.analysis.report.figures import GROUND, INK, MAX_ARROW, error_histogram, radius_figure, vector_figure
 from tests.correction.evaluate.vectors import uniform_field
 from tests.rtpiv.analysis.test_plane_share import scene_of
 
@@ -60,17 +60,17 @@ def test_an_outlier_of_50_px_does_not_cross_the_picture():
     figure = drawn(some)
     _, lengths = arrows(figure)
     assert lengths.shape == shape
-    assert lengths.max() <= 1.001 * REACH * np.median(lengths)
+    assert lengths.max() <= 1.001 * MAX_ARROW * np.median(lengths)
     assert np.median(lengths) == pytest.approx(np.median(usual), rel=0.01)
     if (lengths > 1.5 * np.median(lengths)).any():
-        assert "longer than drawn" in figure.axes[0].get_title(loc="right")
+        assert "clipped" in figure.axes[0].get_title(loc="right")
 
 
 def test_an_outlier_among_the_drawn_arrows_is_named():
     figure = drawn([(1, 1)])
     _, lengths = arrows(figure)
-    assert lengths.max() == pytest.approx(REACH * np.median(lengths), rel=1e-6)
-    assert figure.axes[0].get_title(loc="right").startswith("1 arrow longer than drawn")
+    assert lengths.max() == pytest.approx(MAX_ARROW * np.median(lengths), rel=1e-6)
+    assert figure.axes[0].get_title(loc="right").startswith("1 vector clipped")
 
 
 def test_arrows_are_dark_on_a_ground_that_never_is():

@@ -9,9 +9,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from rtpiv.analysis.pictures.rasters import embedded, grey, tinted
+from rtpiv.analysis.pictures.rasters import data_address, grey, tint
 from rtpiv.analysis.pictures.saved import lay_out
-from rtpiv.analysis.report.page import PNG_DPI, Link, Page, _drawn
+from rtpiv.analysis.report.page import PNG_DPI, Link, Page, _render_figure
 from rtpiv.analysis.report.table import Table
 from tests.rtpiv.analysis.report.browser import browse, measured
 
@@ -25,8 +25,8 @@ def page(twice=True):
     made.heading("Pictures")
     colours = np.zeros((60, 80, 3), np.uint8)
     colours[picture > 40] = (56, 66, 92)
-    layers = {"raw": picture, "corrected": tinted(picture, colours), "mask": colours}
-    made.slider([(name, embedded(image)) for name, image in layers.items()], "drag <me>")
+    layers = {"raw": picture, "corrected": tint(picture, colours), "mask": colours}
+    made.slider([(name, data_address(image)) for name, image in layers.items()], "drag <me>")
     figure = Figure(figsize=(2.0, 1.0))
     figure.add_subplot().plot([0, 1])
     made.figure("line", figure, "a line")
@@ -44,7 +44,7 @@ def page(twice=True):
     made.table(Table("", ("pair", "n"), [(Link("pair <a", "pair <a/report.html"), "1")]))
     made.links([Link("vectors.nc", "vectors.nc")])
     made.facts([("key <", "value >" + 200 * "x")])
-    made.folded("file", "a: <1>\n" + 300 * "y")
+    made.details("file", "a: <1>\n" + 300 * "y")
     made.text("plain & simple")
     return made
 
@@ -126,6 +126,6 @@ def test_a_figure_of_lines_is_drawn_once_each_kind_and_as_matplotlib_saves_it(ki
         plain.savefig(stream, format="svg", dpi=PNG_DPI, metadata={"Date": None})
         drawn, draw = [], Figure.draw
         monkeypatch.setattr(Figure, "draw", lambda *arguments: (drawn.append(1), draw(*arguments))[1])
-        ours = _drawn(made(), kinds)["svg"]
+        ours = _render_figure(made(), kinds)["svg"]
     assert ours == stream.getvalue()
     assert len(drawn) == len(kinds)

@@ -89,7 +89,7 @@ def test_without_a_known_shift_it_is_an_uncertainty():
     glass, _ = totals_of(evaluation(known=False, moved=0.015))
     assert not glass.is_error
     assert glass.total_px == pytest.approx((0.025, 0.025))
-    assert "uncertainty" in glass.said
+    assert "uncertainty" in glass.label
     assert coverage_of(evaluation(known=False), np.ones((39, 39), bool)) is None
 
 

@@ -11,7 +11,7 @@ from daq.runs.journal import Journal
 from daq.runs.lab_readings import merge_readings, reading_statistics
 from daq.runs.run_folder import RunFolder
 from piv.files.vector_file import read_vectors
-from rtpiv.analysis.campaign.campaign_plan import planned_runs
+from rtpiv.analysis.campaign.campaign_plan import plan_runs
 from rtpiv.analysis.campaign.merge import merge_campaign
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.readings import readings_chapter, readings_figure
@@ -151,7 +151,7 @@ def test_a_campaign_says_it_of_all_steps_and_of_each_run(tmp_path):
     for run, value in zip(runs, (4.0, 6.0), strict=True):
         gauged(run, (0, {"flow": showed(value)}))
     folder = planned_campaign(tmp_path / "week", runs)
-    for run in planned_runs(folder):
+    for run in plan_runs(folder):
         run.given.still()
         for job in run.jobs:
             evaluate_chunk(job)

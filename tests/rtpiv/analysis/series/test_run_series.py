@@ -327,7 +327,7 @@ def test_other_frames_or_times_are_another_series(run, folder):
 
 
 def test_two_at_once_do_not_write_into_one_folder(made, folder, run):
-    with made.series.alone(), pytest.raises(RunUnsuitable, match="another process evaluates into it"):
+    with made.series.lock(), pytest.raises(RunUnsuitable, match="another process evaluates into it"):
         again(made.series.path, folder, run)
 
 
@@ -391,7 +391,7 @@ def test_a_stream_whose_camera_has_no_clock_needs_to_be_told_the_time(tmp_path):
     run = flow_run(tmp_path, 11, stream=True, timestamp_ns=lambda _: 0)
     assert is_one_series(pairs_of(run))
     assert not is_flow(pairs_of(run))
-    assert not given_of(run, timed=False).timed
+    assert not given_of(run, timed=False).is_timed
     with pytest.raises(PairError, match="say it with --dt-us"):
         given_of(run)
     given = given_of(run, DT_US)
@@ -417,7 +417,7 @@ def test_pairs_of_an_unknown_time_have_displacements_and_a_mean_of_these(tmp_pat
     assert (vectors.kind, vectors.units["u"]) == ("displacement", "mm")
     assert np.nanmedian(vectors.fields["u"]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
     mean = mean_flow(Chunks.of(tmp_path / "out"))
-    assert (mean.is_timed, mean.unit, mean.squared_unit, mean.rate_unit) == (False, "mm", "mm\u00b2", "1")
+    assert (mean.is_timed, mean.unit, mean.unit_squared, mean.rate_unit) == (False, "mm", "mm\u00b2", "1")
     assert np.nanmedian(mean.mean_m_s[..., 0]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
     assert np.nanmedian(mean.mean_px[..., 0]) == pytest.approx(2.0, rel=0.02)
 

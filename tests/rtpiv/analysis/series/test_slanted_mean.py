@@ -7,9 +7,9 @@ import pytest
 
 from correction.evaluate.regions import Region
 from piv.statistics.out_of_plane import OutOfPlane
-from rtpiv.analysis.campaign.merge import merged_means
+from rtpiv.analysis.campaign.merge import merge_means
 from rtpiv.analysis.series.series_mean import mean_vectors
-from rtpiv.analysis.series.split_focus import BEHIND, joined_mean
+from rtpiv.analysis.series.split_focus import BEHIND, join_means
 from tests.rtpiv.analysis.series.small_series import flow_run
 from tests.rtpiv.analysis.series.test_light_sheet_series import EXACT, mean_in
 from tests.rtpiv.analysis.series.test_split_focus import REGION, SHAPE, mean_of
@@ -26,7 +26,7 @@ def test_it_is_a_part_of_its_own():
     assert told.total_sigma_m_s == pytest.approx(np.hypot(plain.total_sigma_m_s, told.slant_sigma_m_s))
     for name in ("mean_m_s", "sigma_m_s", "local_sigma_m_s", "stresses_m2_s2"):
         np.testing.assert_array_equal(getattr(told, name), getattr(plain, name))
-    assert told.slanted_stresses.bias[..., 2] == pytest.approx(-0.06 * 0.16)
+    assert told.perspective_stresses.bias[..., 2] == pytest.approx(-0.06 * 0.16)
 
     before, after = (mean_vectors(mean, {}) for mean in (plain, told))
     assert not [name for name in before.fields if name.startswith("slant_")]
@@ -35,8 +35,8 @@ def test_it_is_a_part_of_its_own():
     assert "out_of_plane" not in before.attributes
     for name, wanted, unit in (
         ("slant_sigma_v", told.slant_sigma_m_s[..., 1], "m s-1"),
-        ("slant_R_uu", told.slanted_stresses.bias[..., 0], "m2 s-2"),
-        ("slant_sigma_R_uv", told.slanted_stresses.sigma[..., 2], "m2 s-2"),
+        ("slant_R_uu", told.perspective_stresses.bias[..., 0], "m2 s-2"),
+        ("slant_sigma_R_uv", told.perspective_stresses.sigma[..., 2], "m2 s-2"),
     ):  # fmt: skip
         np.testing.assert_array_equal(after.fields[name][0], wanted)
         assert after.units[name] == unit
@@ -47,16 +47,16 @@ def test_it_is_a_part_of_its_own():
 
 def test_means_of_several_runs_keep_the_slopes_of_their_vectors():
     first, second = (replace(mean_of(1.0, 0.1, k), slope=SLOPE * (k + 1.0)) for k in (0, 1))
-    joined = joined_mean(first, second, REGION)
+    joined = join_means(first, second, REGION)
     np.testing.assert_array_equal(joined.mean.slope[joined.source == BEHIND], 2.0 * SLOPE[joined.source == BEHIND])
     assert (
         np.isnan(joined.mean.slope[REGION == Region.NONE]).all()
         == (joined.source[REGION == Region.NONE] == 0).all()
     )
-    merged = merged_means(("one", "two"), (first, second)).mean
+    merged = merge_means(("one", "two"), (first, second)).mean
     assert merged.slope == pytest.approx(1.5 * SLOPE)  # as many pairs each
-    assert merged_means(("one", "two"), (first, replace(second, slope=None))).mean.slope is None
-    assert joined_mean(first, replace(second, slope=None), REGION).mean.slope is None
+    assert merge_means(("one", "two"), (first, replace(second, slope=None))).mean.slope is None
+    assert join_means(first, replace(second, slope=None), REGION).mean.slope is None
 
 
 def test_the_mean_of_a_series_has_the_perspective_of_its_camera(tmp_path):

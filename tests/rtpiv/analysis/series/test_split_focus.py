@@ -13,7 +13,7 @@ from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.moments import Moments
 from rtpiv.analysis.series.mean_flow import MeanFlow
-from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, joined_mean
+from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, join_means
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.rtpiv.analysis.series.gauged_run import gauged, showed
 from tests.rtpiv.analysis.series.small_series import flow_run
@@ -42,7 +42,7 @@ REGION = np.array(
 
 def test_vectors_come_from_the_run_that_was_focused_on_them():
     first, second = mean_of(1.0, 0.1, 0), mean_of(1.0, 0.01, 1)
-    joined = joined_mean(first, second, REGION)
+    joined = join_means(first, second, REGION)
     assert (joined.source[0] == BESIDE).all()
     assert (joined.source[1] == BEHIND).all()
     assert (joined.source[2, :2] == BEHIND).all()  # the surer one at a rim
@@ -59,12 +59,12 @@ def test_vectors_come_from_the_run_that_was_focused_on_them():
 
 
 def test_another_flow_is_seen_as_another():
-    assert joined_mean(mean_of(1.0, 0.1, 0), mean_of(1.2, 0.1, 1), REGION).apart_in_sigma > 5.0
+    assert join_means(mean_of(1.0, 0.1, 0), mean_of(1.2, 0.1, 1), REGION).apart_in_sigma > 5.0
 
 
 def test_a_vector_that_its_run_has_not_is_none():
     first, second = mean_of(1.0, 0.1, 0), mean_of(1.0, 0.1, 1)
-    joined = joined_mean(first, replace(second, moments=Moments.nothing(SHAPE)), REGION)
+    joined = join_means(first, replace(second, moments=Moments.nothing(SHAPE)), REGION)
     assert (joined.source[1] == 0).all()
     assert np.isnan(joined.mean.mean_m_s[1]).all()
     assert (joined.mean.count[0] == 40).all()
@@ -73,7 +73,7 @@ def test_a_vector_that_its_run_has_not_is_none():
 def test_other_grids_are_refused():
     first = mean_of(1.0, 0.1, 0)
     with pytest.raises(SeriesError, match="different grids"):
-        joined_mean(first, replace(first, x_mm=first.x_mm + 0.1), REGION)
+        join_means(first, replace(first, x_mm=first.x_mm + 0.1), REGION)
 
 
 @pytest.mark.usefixtures("no_mean_page")

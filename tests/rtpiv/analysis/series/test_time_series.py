@@ -7,7 +7,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from piv.files.vector_file import Vectors
-from rtpiv.analysis.series.time_series import FEWEST, _between, _uneven, spectrum_of
+from rtpiv.analysis.series.time_series import MIN_SPECTRUM_PAIRS, _between, _uneven, spectrum_of
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.rtpiv.analysis.series.small_series import SCENE, flow_run
 
@@ -73,7 +73,7 @@ def test_few_gaps_are_filled_and_many_leave_no_spectrum():
         (np.arange(20.0), "s", "too few"),
         (np.arange(100.0) + 5.0 * (np.arange(100) >= 50), "s", "not always the same"),
         (np.zeros(100), "s", "not always the same"),
-        (np.arange(float(FEWEST)) + 0.01 * np.sin(np.arange(FEWEST)), "s", ""),
+        (np.arange(float(MIN_SPECTRUM_PAIRS)) + 0.01 * np.sin(np.arange(MIN_SPECTRUM_PAIRS)), "s", ""),
     ],
 )
 def test_pairs_that_are_no_even_sampling_have_no_spectrum(time, unit, why):

@@ -31,7 +31,7 @@ EDGE_PX, BEHIND = 0.036, 2.2  # sigma of a corner is EDGE_PX / sqrt(width of its
 ENOUGH_BARE = 3  # heights without glass at which the focal length is fitted as well
 
 
-def expected_sigma(
+def sigma_forecast(
     scene: Scene, square_mm: float, bare_mm: Sequence[float], glass_mm: Sequence[float], times: int = 1
 ) -> SceneSigma:
     """Uncertainty of the scene after a fit to a target run whose light is known.
