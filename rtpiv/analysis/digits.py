@@ -2,7 +2,7 @@
 
 import math
 
-MOST_PLACES = 9  # of a number that is known to more than anybody can make
+MOST_PLACES = 9  # of a number, however small its sigma
 
 
 def places(sigma: float) -> int:

@@ -4,7 +4,7 @@ A camera's lens is taken from its scene, or from a dewarp that is fitted to one 
 unsure of the scene lies in the fit beside its file; the map's sigma follows from that, and nodes of which it is
 larger than a limit may be left out.  A fit knows the scene's lens terms and nothing of a dewarp in their place.
 
-Frames that were taken without glass need no scene file where it is told what a pixel shows.  Their scene is a
+Frames that were taken without glass need no scene file where the scale of a pixel is given.  Their scene is a
 camera alone, FAR_MM away and straight on: pixel (i, j) is node (i, j), s = mm_per_px apart, so the principal
 distance is FAR_MM / s pixels.  How far away the true camera stands is not known, so nothing of its perspective is.
 """

@@ -42,17 +42,14 @@ class Steepness:
     def sentence(self) -> str:
         """Sentence about the perspective error of out-of-plane motion; empty where nothing is seen."""
         parts = [
-            f"{median:.2f} {name} ({most:.2f} at {100 * STEEP_QUANTILE:.0f} % of the places)"
+            f"{median:.2f} m/s {name} ({most:.2f} at {100 * STEEP_QUANTILE:.0f} % of the places)"
             for figures, name in ((self.behind, "behind glass"), (self.beside, "seen directly"))
             if figures is not None
             for median, most in (figures,)
         ]
         if not parts:
             return ""
-        return (
-            "rays meet the sheet aslant: 1 m/s through it is seen as so many m/s within it, in the median "
-            f"{', '.join(parts)}"
-        )
+        return f"oblique view: 1 m/s out of plane appears in plane as {', '.join(parts)}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -183,8 +183,8 @@ def _option(text: str) -> tuple[str, str | int]:
 def _show_merged(folder: CampaignFolder, merged: CampaignMean) -> None:
     screen = console()
     screen.print(f"{quantity(merged.mean.used, 'pair')} in the mean, {len(merged.mean.left_out)} left out")
-    for doubt in merged.mean.doubts:
-        screen.print(doubt, style="bold red")
+    for warning in merged.mean.warnings:
+        screen.print(warning, style="bold red")
     for name, apart in merged.apart.items():
         if apart > STRANGERS:
             text = f"{name} differs from the mean of all by {apart:.1f} sigma (rms): another flow, or another view"

@@ -84,7 +84,7 @@ def report(
         return out / "mean.html"
     from rtpiv.analysis.report.calibration import calibration_chapter
     from rtpiv.analysis.report.pair import pair_chapters, pair_summary
-    from rtpiv.analysis.report.run import books_chapter, displacement_chapter, pairs_chapter, provenance_chapter
+    from rtpiv.analysis.report.run import account_chapter, displacement_chapter, pairs_chapter, provenance_chapter
 
     with results_in(out, copies=COPIES):
         scene = scene or scene_file(run, out)
@@ -105,7 +105,7 @@ def report(
             _single_frame(page, folder, loaded, recipe)
         calibration_chapter(page, scene.with_name(FIT_FILE), loaded)
         displacement_chapter(page, folder)
-        books_chapter(page, folder)
+        account_chapter(page, folder)
         provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])
         path = out / "report.html"
         page.write(path)

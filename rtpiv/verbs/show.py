@@ -119,7 +119,7 @@ def show_focus(screen: Console, table: Table, sentence: str, page: Path) -> None
 def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collection[str] = ()) -> None:
     """Print a mean flow with its uncertainties, and why pairs are left out, except those already reported."""
     seen = mean.count > 0
-    for each in mean.doubts:
+    for each in mean.warnings:
         screen.print(each, style="bold red")
     screen.print(f"mean of {quantity(mean.used, 'pair')}; {len(mean.left_out)} are left out")
     lost = [(tag, why) for tag, why in mean.left_out if tag not in said]

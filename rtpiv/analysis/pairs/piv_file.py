@@ -10,8 +10,8 @@ until it is the last one's, which then repeats.  Where no last side is named, ea
 (`piv.correlation.halving`).  `prepare` names what is done to frames, in order (see
 `piv.preprocessing.preparation`); left out, each kind of run has its own.
 
-`sigma_w_m_s` and `w_over_u` change no vector: they tell what flows through the sheet, which rays that meet it
-aslant show as a flow within it, and so how unsure vectors and their mean are (`piv.statistics.out_of_plane`).
+`sigma_w_m_s` and `w_over_u` change no vector: they describe the out-of-plane motion, which oblique viewing shows
+as in-plane displacement, and with it the uncertainty of vectors and mean (`piv.statistics.out_of_plane`).
 """
 
 from dataclasses import dataclass
@@ -84,7 +84,7 @@ class PivOptions(TypedDict, total=False):
     smoothing_px : float
         Of the predictor between passes (default a quarter of the last window).
     denoise : float
-        Detail below the resolution stays where it is stronger than so many times the noise; 0 keeps all (default
+        Detail below the resolution stays where it is stronger than this many times the noise; 0 keeps all (default
         2).
     extra_passes : int
         Most passes that are added while vectors still move (default 3).

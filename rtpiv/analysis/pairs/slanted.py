@@ -1,6 +1,6 @@
 """The slant of a pair: slopes of the rays that show its vectors, and what a flow through the sheet makes of them.
 
-What is measured is u - w dX/dz (`correction.maps.slant`); w is told, or assumed (`piv.statistics.out_of_plane`).
+What is measured is u - w dX/dz (`correction.maps.slant`); w is given, or assumed (`piv.statistics.out_of_plane`).
 What a stage has moved within the plane, by a known way, has no w, and is asked for none.
 """
 
@@ -41,7 +41,7 @@ class Slanted:
 def viewing_slopes(
     found: CorrectionMap, scene: Scene, windows: WindowGrid, window_sigma: float
 ) -> NDArray[np.float64] | None:
-    """`correction.maps.slant.vector_slopes`, or None where a scale is told and nothing of the camera."""
+    """`correction.maps.slant.vector_slopes`, or None where only a scale is given."""
     return None if tells_a_scale_alone(scene) else vector_slopes(found, scene, windows, window_sigma)
 
 
@@ -68,7 +68,7 @@ def perspective_error(
     known : OutOfPlane
         What is known of the velocity through the sheet.
     dt_s : float, optional
-        Time between its frames; without it a speed that is told says nothing.
+        Time between its frames; without it a given speed is of no use.
 
     Raises
     ------

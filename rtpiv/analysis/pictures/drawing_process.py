@@ -6,7 +6,7 @@ child imports what the verb draws with, and waits.  What is then to be drawn is 
 as "module:name", and arguments, which are data.  Errors come back and are raised where the verb waits.
 
 Nothing depends on the child: where there is none (one core, no fork, another thread already, a verb called from
-Python), or where it was killed, pictures are drawn by whoever asks.  It ends when the other end is closed.
+Python), or where it was killed, pictures are drawn by the caller.  It ends when the other end is closed.
 """
 
 import multiprocessing
@@ -118,7 +118,7 @@ def drawing(patient: bool = False) -> Iterator[Draw]:
     Parameters
     ----------
     patient : bool
-        Where nobody else draws, do it at the end of the block: what is computed and said there comes first.
+        Without a drawing process, draw at the end of the block: computing and printing come first.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def _carry_out(job: Job) -> None:
 
 
 def _no_description(artist: object) -> str:
-    """Properties of one of Matplotlib's classes, as nobody reads them here."""
+    """Return no description of a class of Matplotlib, as it is not shown here."""
     return ""
 
 

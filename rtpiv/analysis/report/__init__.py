@@ -10,5 +10,5 @@ time_series.py      what velocity does at a place over time, and its spectrum
 readings.py         what gauges of the lab showed meanwhile
 calibration.py, focus.py   the pages of a scene fit and of a focus scan
 pair_folder.py      the folder that one evaluated pair is written to
-run.py              the chapters of a run: target, books, what moved, provenance
+run.py              the chapters of a run: target, frame account, displacements, provenance
 """

@@ -22,7 +22,7 @@ from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import NO_SCALE_SIGMA, light_sheet_line, scene_chapter, slant_figure, slant_lines
 from rtpiv.analysis.report.readings import readings_chapter
-from rtpiv.analysis.report.run import books_chapter, notes_chapter
+from rtpiv.analysis.report.run import account_chapter, notes_chapter
 from rtpiv.analysis.report.series import choose_pair, exclusion_table, frames_chapter, pair_chapter
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
@@ -33,7 +33,7 @@ from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.steepness import Steepness
 from rtpiv.analysis.through_glass import through_glass
 
-NOT_KNOWN = {"timing error of dt": "not stated"}  # by whoever wrote the plan
+NOT_KNOWN = {"timing error of dt": "not stated"}  # in the plan
 
 HIGH = 0.99  # of all speeds
 LEAST_AROUND = 5  # of eight neighbours that are valid
@@ -63,14 +63,14 @@ def write_mean_page(
     ensemble : EnsembleFlow, optional
         The same by ensemble correlation.
     series : (SeriesInput, Evaluated), optional
-        What it was evaluated from, if that is at hand: frames and one pair are shown, and the run's books.
+        What it was evaluated from, if that is at hand: frames and one pair are shown, and the run's frame account.
     check : SelfCheck, optional
         Whether the spheres stand where they were calibrated.
     """
     about, folder, scene = view.about, view.folder, view.scene
     page = Page(f"{about['run']}: mean flow{behind_glass(scene)}", f"{mean.used} pairs", twice=figures)
-    for doubt in mean.doubts:
-        page.warning(doubt + ".")
+    for warning in mean.warnings:
+        page.warning(warning + ".")
     corrector, regions = view.correction.corrector, regions_of_mean(view, mean)
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
     through_lead(page, through, scene, float(corrector.recovered.mean()))
@@ -95,8 +95,8 @@ def write_mean_page(
     exclusion_chapter(page, mean)
     if check is not None:
         show_self_check(page, check)
-    if series is not None and is_run(series[0].run):  # frames of others have no books
-        books_chapter(page, RunFolder.open(series[0].run))
+    if series is not None and is_run(series[0].run):  # external frames have no account
+        account_chapter(page, RunFolder.open(series[0].run))
         notes_chapter(page, RunFolder.open(series[0].run))
         readings_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene)

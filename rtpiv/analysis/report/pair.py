@@ -38,7 +38,7 @@ from rtpiv.analysis.report.verdict import claim_said, worst_claim
 from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
 
-NO_SCALE_SIGMA = "What the scale of the picture is off by is in no sigma"
+NO_SCALE_SIGMA = "The uncertainty of the image scale is not included"
 PLAIN_CAPTION = "To scale; thick line: the plane."
 
 
@@ -94,7 +94,7 @@ def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, 
 
 
 def _frame_of(evaluation: Evaluation) -> BeforeAfter:
-    """Frame A; whoever writes a page has asked for it."""
+    """Return frame A, which every page needs."""
     assert evaluation.seen is not None
     return evaluation.seen
 
@@ -147,9 +147,9 @@ def light_sheet_line(page: Page, scene: Scene) -> None:
 
 
 def slant_lines(page: Page, steepness: Steepness, said: str) -> None:
-    """Say how steeply the sheet is seen, and what flows through it as far as anybody knows."""
+    """Add the viewing slope of the sheet, and what is known of the out-of-plane velocity."""
     if steepness.sentence:
-        page.text(f"{steepness.sentence[0].upper()}{steepness.sentence[1:]}. Taken: {said}.")
+        page.text(f"{steepness.sentence[0].upper()}{steepness.sentence[1:]}. Assumed: {said}.")
 
 
 def slant_figure(
@@ -157,7 +157,7 @@ def slant_figure(
 ) -> None:
     """Add the uncertainty by out-of-plane motion, (ny, nx) in the order of the field, behind its vectors."""
     figure = vector_figure(field, grid, scene, sigma, f"sigma by the flow through the sheet [{unit}]")
-    page.figure("slant", figure, "What is unsure because the sheet is seen aslant.", dense=True)
+    page.figure("slant", figure, "Uncertainty from oblique viewing.", dense=True)
 
 
 def _vector_figure(page: Page, evaluation: Evaluation) -> None:

@@ -46,7 +46,7 @@ def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
         page.text(f"{about}: {note}")
 
 
-def books_chapter(page: Page, folder: RunFolder) -> None:
+def account_chapter(page: Page, folder: RunFolder) -> None:
     """Add the account of every frame."""
     page.heading("Every frame accounted for")
     chunks = chunk_sentences(folder.entries())
@@ -56,13 +56,13 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
     if done is None:
         page.text("The run is not finished: resume it, or what follows is a part of the plan.")
         return
-    books = FrameAccounting.from_dict(done["conservation"])
-    said = books.sentence()
+    account = FrameAccounting.from_dict(done["conservation"])
+    said = account.sentence()
     said = said.replace("rejected", "dark or surplus") if chunks else said
-    page.text(said + ("." if books.imbalance == 0 else f", out by {books.imbalance}."))
+    page.text(said + ("." if account.imbalance == 0 else f", out by {account.imbalance}."))
     if said := rejection_sentence(folder.entries()):
         page.text(f"{said[:1].upper()}{said[1:]}.")
-    counts = [(name, str(count)) for name, count in books.to_dict().items()]
+    counts = [(name, str(count)) for name, count in account.to_dict().items()]
     page.table(Table("", ("frames", "count"), counts))
     rows: list[tuple[str, ...]] = []
     for flow in done["flow"]:

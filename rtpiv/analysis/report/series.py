@@ -66,31 +66,31 @@ class Preview:
     length: str = "mm"
 
 
-def write_series_page(path: Path, given: SeriesInput, books: Evaluated, figures: bool = False) -> None:
+def write_series_page(path: Path, given: SeriesInput, result: Evaluated, figures: bool = False) -> None:
     """Write the page of a series that was evaluated."""
     page = Page(
         f"{readable_name(given.run)}: a flow{behind_glass(given.method.scene)}",
-        f"{books.pairs} pairs",
+        f"{result.pairs} pairs",
         twice=figures,
     )
-    shown = choose_pair(given, books)
+    shown = choose_pair(given, result)
     if shown is not None:
         through_lead(page, shown.seen.through, given.method.scene, shown.seen.recovered)
         page.lead(*series_lead(shown))
-    for warning in books.warnings:
+    for warning in result.warnings:
         page.warning(warning)
-    page.tiles(series_tiles(given, books, shown))
-    series_chapters(page, given, books, shown)
+    page.tiles(series_tiles(given, result, shown))
+    series_chapters(page, given, result, shown)
     page.write(path)
 
 
-def choose_pair(given: SeriesInput, books: Evaluated) -> Preview | None:
+def choose_pair(given: SeriesInput, result: Evaluated) -> Preview | None:
     """The pair nearest to the middle of the series that has vectors."""
     jobs = given.jobs(1)
     middle = len(jobs) // 2
-    known = {one.task.name: one.field for one in books.details}
+    known = {one.task.name: one.field for one in result.details}
     for job in sorted(jobs, key=lambda job: abs(job.number - middle)):
-        if (tag := job.pairs[0].tag) not in books.failed:
+        if (tag := job.pairs[0].tag) not in result.failed:
             return preview(job, known.get(tag))
     return None
 
@@ -152,9 +152,9 @@ def series_lead(shown: Preview) -> tuple[str, Table]:
     return "{:.4f}, {:.4f} px".format(*both), Table(said, ("", "u", "v"), rows)
 
 
-def series_tiles(given: SeriesInput, books: Evaluated, shown: Preview | None) -> list[tuple[str, str, str]]:
+def series_tiles(given: SeriesInput, result: Evaluated, shown: Preview | None) -> list[tuple[str, str, str]]:
     """The figures that matter most: value, name, what it is measured against."""
-    tiles = [(f"{books.pairs - len(books.failed)}", "pairs with vectors", f"of {books.pairs} pairs")]
+    tiles = [(f"{result.pairs - len(result.failed)}", "pairs with vectors", f"of {result.pairs} pairs")]
     if given.given.is_timed:
         times_us = 1e6 * np.array([pair.dt_s for pair in given.given.pairs], np.float64)
         spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
@@ -166,12 +166,12 @@ def series_tiles(given: SeriesInput, books: Evaluated, shown: Preview | None) ->
     return tiles
 
 
-def series_chapters(page: Page, given: SeriesInput, books: Evaluated, shown: Preview | None) -> None:
+def series_chapters(page: Page, given: SeriesInput, result: Evaluated, shown: Preview | None) -> None:
     """Add what was done to the frames, one pair, the pairs left out, the scene and where all this comes from."""
     if shown is not None:
         frames_chapter(page, shown)
         pair_chapter(page, given, shown)
-    _exclusions(page, given, books)
+    _exclusions(page, given, result)
     scene_chapter(page, given.method.scene)
     light_sheet_line(page, replace(given.method.scene, sheet=load_scene(given.out / SCENE_FILE).sheet))
     _provenance(page, given)
@@ -213,12 +213,12 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     page.table(count_table(field))
 
 
-def _exclusions(page: Page, given: SeriesInput, books: Evaluated) -> None:
+def _exclusions(page: Page, given: SeriesInput, result: Evaluated) -> None:
     page.heading("Every pair accounted for")
-    said = f"{books.pairs} pairs, {len(books.failed)} without vectors"
+    said = f"{result.pairs} pairs, {len(result.failed)} without vectors"
     page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")
-    if books.failed:
-        page.table(exclusion_table(list(books.failed.items()), "the markers of the chunks"))
+    if result.failed:
+        page.table(exclusion_table(list(result.failed.items()), "the markers of the chunks"))
 
 
 def exclusion_table(pairs: Sequence[tuple[str, str]], rest: str) -> Table:

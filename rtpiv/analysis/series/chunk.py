@@ -1,6 +1,6 @@
 """One chunk of a series: raw frames in, a file of vectors out.
 
-`evaluate_chunk` is what a worker runs: a pure function of its job, whoever calls it and however often.  Where more
+`evaluate_chunk` is what a worker runs: a pure function of its job.  Where more
 is asked of each pair than its vectors, `evaluate_chunk_closely` says that too, from the same correlation.
 """
 

@@ -59,8 +59,8 @@ def light_of(
     used = _background_pairs(background, pairs, unseeded)
     if used is None:
         return None
-    told = [versions_here(), background, [p.crc32 for p in used]]
-    return SharedFile(folder / "background.npz", digest(told))
+    made_from = [versions_here(), background, [p.crc32 for p in used]]
+    return SharedFile(folder / "background.npz", digest(made_from))
 
 
 def make_light(

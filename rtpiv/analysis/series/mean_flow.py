@@ -13,8 +13,8 @@ from blocking beyond that.
 not resolve of the mean (`piv.statistics.unresolved`), together with what dropped vectors take from it where some
 pairs have none (`piv.statistics.unresolved`; where most have none there is no mean); the time between the
 pulses, which is measured once for a run, so that its relative error is one factor for all vectors (and two for
-stresses); the fitted map (`rtpiv.analysis.series.series_mean`); and a steady flow through the sheet, which rays
-that meet it aslant show as one within it (`piv.statistics.out_of_plane`).
+stresses); the fitted map (`rtpiv.analysis.series.series_mean`); and the perspective error of
+a steady out-of-plane velocity (`piv.statistics.out_of_plane`).
 """
 
 from collections.abc import Iterable, Mapping
@@ -86,7 +86,7 @@ class MeanFlow:
     too_few : (ny, nx) bool or None
         Places without a mean: fewer than half of the pairs that looked there have a vector, or none is beside it.
     slope : (ny, nx, 2) float64 or None
-        dX/dz, dY/dz of the rays that show the vectors, y up; None where nobody has asked.
+        dX/dz, dY/dz of the rays that show the vectors, y up; None where they are not known.
     out_of_plane : OutOfPlane
         What is known of the velocity through the sheet.
     by_ensemble : Vectors, optional
@@ -146,7 +146,7 @@ class MeanFlow:
         return f"<p>{self}</p><table><tr><th>median</th><th>u</th><th>v</th></tr>{cells}</table>"
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Warnings about the mean as a whole, a sentence each."""
         found = []
         if self.usual_share < BELIEVED_SHARE:

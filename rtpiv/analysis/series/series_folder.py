@@ -285,7 +285,7 @@ class SeriesFolder:
         Raises
         ------
         RunUnsuitable
-            Somebody does.
+            Another process does.
         DiskError
             The folder cannot be written to.
         """

@@ -11,7 +11,7 @@ mean.nc, where rows begin at the lowest y:
                                   if that was not measured
     map_sigma_u, _v, _x, _y       by the fitted map: of the mean [m s-1] and of the place [mm]; no number of pairs
                                   makes it smaller, so it is kept apart; missing where there was no fit
-    slant_sigma_u, _v             by a steady velocity w through the sheet, which rays that meet it aslant show as
+    slant_sigma_u, _v             by a steady out-of-plane velocity w, which oblique viewing shows as
                                   one within it (`piv.statistics.out_of_plane`; `out_of_plane` says what w is
                                   taken to be); the same in all pairs, too
     dxdz, dydz (by place)         slopes of the rays: measured are u - w dxdz, v - w dydz; w is towards the camera

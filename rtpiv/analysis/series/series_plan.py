@@ -60,7 +60,7 @@ class SeriesPair:
     dt_s : float or None
         Time between them; None if it is not known.
     dt_sigma_s : float or None
-        Its standard deviation, if somebody measured it.
+        Its standard deviation, if it was measured.
     time_s : float or None
         Since the first pair of the run; None if the camera has no clock.
     gauges : mapping of int to mapping
@@ -120,9 +120,9 @@ class Method:
 
     @property
     def content(self) -> dict[str, Any]:
-        """The same, and what is told of the flow through the sheet, on which sigma alone depends."""
-        told = {name: value for name, value in asdict(self.out_of_plane).items() if value is not None}
-        return {**self.recipe, **({"out_of_plane": told} if told else {})}
+        """The same with the knowledge of out-of-plane motion, on which sigma alone depends."""
+        known = {name: value for name, value in asdict(self.out_of_plane).items() if value is not None}
+        return {**self.recipe, **({"out_of_plane": known} if known else {})}
 
 
 @dataclass(frozen=True)

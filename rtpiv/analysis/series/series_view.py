@@ -28,8 +28,8 @@ class SeriesView:
     ----------
     folder : Path
         Of the series.
-    told : OutOfPlane, optional
-        What is known of the velocity through the sheet, in place of what was told when its pairs were evaluated.
+    given_out_of_plane : OutOfPlane, optional
+        Knowledge of the out-of-plane velocity, in place of that of the evaluation of its pairs.
 
     Raises
     ------
@@ -42,7 +42,7 @@ class SeriesView:
     """
 
     folder: Path
-    told: OutOfPlane | None = None
+    given_out_of_plane: OutOfPlane | None = None
 
     @cached_property
     def about(self) -> SeriesFile:
@@ -102,8 +102,8 @@ class SeriesView:
     @cached_property
     def out_of_plane(self) -> OutOfPlane:
         """Knowledge of the out-of-plane velocity: as given now, or when its pairs were evaluated."""
-        if self.told is not None:
-            return self.told
+        if self.given_out_of_plane is not None:
+            return self.given_out_of_plane
         try:
             return OutOfPlane(**self.about["content"].get("out_of_plane", {}))
         except (TypeError, PairError):

@@ -28,8 +28,8 @@ LAYOUT = 2
 def still_of(folder: Path, pairs: Sequence[SeriesPair], method: Method) -> SharedFile:
     """File of the mask of a series, which may not be there yet."""
     by = [method.recipe[name] for name in ("versions", "correction")]
-    told = [LAYOUT, *by, method.recipe.get("grid"), [pair.crc32 for pair in _some(pairs)]]
-    return SharedFile(folder / "still.npz", digest(told))
+    made_from = [LAYOUT, *by, method.recipe.get("grid"), [pair.crc32 for pair in _some(pairs)]]
+    return SharedFile(folder / "still.npz", digest(made_from))
 
 
 def make_still(folder: Path, pairs: Sequence[SeriesPair], method: Method, corrector: Corrector) -> SharedFile:

@@ -14,7 +14,7 @@ common, so S has about
 degrees of freedom and lies within nu / chi2(nu) of the truth.
 
 **Noise.** Errors of vectors know nothing of those of another pair, so their spectrum is flat: 2 sigma^2 dt, dt the
-time from pair to pair. What is below that line is noise; whoever wants the variance of the flow takes it off.
+time from pair to pair. What is below that line is noise; subtract it for the variance of the flow.
 
 **Pairs that are no even sampling** have no spectrum: of no clock, taken in bursts, or with more than `MOST_FILLED`
 of their vectors missing. Fewer are filled by straight lines, which takes a little from the fast part.

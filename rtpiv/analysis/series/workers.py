@@ -1,4 +1,4 @@
-"""Chunks on all cores: processes of one thread each, that end with whoever started them.
+"""Chunks on all cores: processes of one thread each, that end with their parent.
 
 One thread a process costs least: a pair has parts that no second thread can share.  Any `concurrent.futures`
 executor will do; what it runs are plain functions of plain data.

@@ -21,7 +21,7 @@ from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder
 from ground.errors import ConfigError
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.report.run import books_chapter
+from rtpiv.analysis.report.run import account_chapter
 from rtpiv.command_line.cli import DONE, main
 from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import world
@@ -76,7 +76,7 @@ def test_pairs_of_another_programs_pulses_are_whole(tmp_path, capsys, shape, fau
     assert "triggered from outside in 2 chunks: 14 are kept" in said
     assert "Ctrl-C switches the laser off" not in said
     page = Page("a flow")
-    books_chapter(page, RunFolder.open(path))
+    account_chapter(page, RunFolder.open(path))
     assert html.escape(UNCHECKED[1:]) in page.html()
 
 

@@ -22,7 +22,7 @@ from daq.runs.run_views import bench_scene, first_view, scene_file, target_views
 from ground.errors import GroundError
 from piv.errors import PivError
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.report.run import books_chapter, displacement_chapter, provenance_chapter
+from rtpiv.analysis.report.run import account_chapter, displacement_chapter, provenance_chapter
 from rtpiv.command_line.cli import DEVICE
 from rtpiv.command_line.exit_codes import exit_code
 from rtpiv.verbs.calibrate import nominal_scene
@@ -38,7 +38,7 @@ RECORDS = ("run.json", "steps.jsonl", "done.json", "displacements.json")
 def report_of(folder):
     """What `rtpiv report` reads of a run."""
     page = Page("a", "b")
-    books_chapter(page, folder)
+    account_chapter(page, folder)
     displacement_chapter(page, folder)
     provenance_chapter(page, folder, "h", [])
     return RunFolder.open(folder.path).about, folder.entries(), read_done(folder), first_view(folder)

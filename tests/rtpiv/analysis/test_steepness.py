@@ -44,7 +44,7 @@ def test_two_balls_are_as_steep_as_by_another_tracer(tmp_path, capsys):
     traced = trace(scene, pictures=False)
     assert traced.steepness.behind == pytest.approx((median, most))
     assert 0.03 < traced.steepness.beside[0] < 0.2
-    assert "rays meet the sheet aslant" in capsys.readouterr().out
+    assert "oblique view" in capsys.readouterr().out
     picture = cv2.imread(str(tmp_path / "slant.png"))
     assert picture is not None
     assert picture.std() > 10.0
@@ -60,4 +60,4 @@ def test_a_page_says_it_and_shows_what_it_makes_unsure(tmp_path):
     text = (tmp_path / "page.html").read_text()
     assert "0.31 behind glass (0.35 at 90 % of the places)" in text
     assert "0.2 m/s (told)" in text
-    assert "What is unsure because the sheet is seen aslant" in text
+    assert "Uncertainty from oblique viewing" in text

@@ -100,9 +100,9 @@ def test_bad_pairs_are_named_left_out_and_counted(made, run):
     assert (mean.used, [tag for tag, _ in mean.left_out]) == (PAIRS - 2, [tags[3], tags[7]])
     assert "of its vectors were measured, and 100 % is usual" in mean.left_out[1][1]
     assert mean.count.max() == PAIRS - 2
-    assert not mean.doubts
-    (doubt,) = replace(mean, usual_share=0.2).doubts
-    assert "only 20 % of the vectors of a usual pair" in doubt
+    assert not mean.warnings
+    (warning,) = replace(mean, usual_share=0.2).warnings
+    assert "only 20 % of the vectors of a usual pair" in warning
     assert np.nanmedian(mean.mean_px, axis=(0, 1)) == pytest.approx((SHIFT_PX[0], -SHIFT_PX[1]), abs=0.02)
 
 
