@@ -38,42 +38,39 @@ from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.trace import RayStatus
 
 
+def _rows(vectors: Vectors, number: int, *before: NDArray[Any]) -> NDArray[Any]:
+    """Return x, y, all fields and whether there is a vector, of one time, behind some columns: a row a place."""
+    y, x = np.meshgrid(vectors.y_mm, vectors.x_mm, indexing="ij")
+    fields = [one[number] for one in vectors.everything.values()]
+    columns = (*(np.broadcast_to(one, x.shape) for one in before), x, y, *fields, vectors.measured[number])
+    return np.column_stack([column.ravel() for column in columns])
+
+
+def _heads(vectors: Vectors) -> list[str]:
+    """Return the heads of `_rows`."""
+    places = [f"{axis} [{vectors.length_unit}]" for axis in "xy"]
+    return [*places, *(vectors.called(name) for name in vectors.everything), "measured"]
+
+
 def write_tecplot(path: Path, vectors: Vectors) -> list[Path]:
     """Write one text file with a zone for each time (``.dat``, POINT packing)."""
-    fields, unit = vectors.everything, vectors.length_unit
-    names = [*fields, "measured"]
-    shown = ", ".join(
-        f'"{name}"' for name in (f"x [{unit}]", f"y [{unit}]", *(vectors.called(name) for name in names))
-    )
-    y, x = np.meshgrid(vectors.y_mm, vectors.x_mm, indexing="ij")
     text = io.StringIO()
-    text.write(f'TITLE = "{_title(vectors, path)}"\nVARIABLES = {shown}\n')
+    heads = ", ".join(f'"{head}"' for head in _heads(vectors))
+    text.write(f'TITLE = "{_title(vectors, path)}"\nVARIABLES = {heads}\n')
     for number, time_s in enumerate(vectors.times.tolist()):
         text.write(f'ZONE T="{number}", I={len(vectors.x_mm)}, J={len(vectors.y_mm)}, DATAPACKING=POINT,')
         text.write(f" STRANDID=1, SOLUTIONTIME={time_s:.9g}\n")
-        columns = [x, y, *(np.nan_to_num(one[number]) for one in fields.values()), vectors.measured[number]]
-        np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g")
+        np.savetxt(text, np.nan_to_num(_rows(vectors, number)), fmt="%.9g")
     return _write_bytes(path.with_suffix(".dat"), utf8(text.getvalue()))
 
 
 def write_csv(path: Path, vectors: Vectors) -> list[Path]:
-    """Write one table of all times (``.csv``): a row for each place, nothing where nothing was measured."""
-    fields = vectors.everything
-    y, x = np.meshgrid(vectors.y_mm, vectors.x_mm, indexing="ij")
-    head = [f"t [{vectors.time_unit or 's'}]", f"x [{vectors.length_unit}]", f"y [{vectors.length_unit}]"]
-    names = [*head, *map(vectors.called, fields), "measured"]
+    """Write one table of all times (``.csv``): a row for each place, empty cells where nothing was measured."""
     text = io.StringIO()
     for number, time in enumerate(vectors.times.tolist()):
-        columns = [
-            np.full(x.shape, time),
-            x,
-            y,
-            *(one[number] for one in fields.values()),
-            vectors.measured[number],
-        ]
-        np.savetxt(text, np.column_stack([column.ravel() for column in columns]), fmt="%.9g", delimiter=",")
-    table = text.getvalue().replace("nan", "")
-    return _write_bytes(path.with_suffix(".csv"), utf8(f"{','.join(names)}\n{table}"))
+        np.savetxt(text, _rows(vectors, number, np.array(time)), fmt="%.9g", delimiter=",")
+    heads = ",".join((f"t [{vectors.time_unit or 's'}]", *_heads(vectors)))
+    return _write_bytes(path.with_suffix(".csv"), utf8(f"{heads}\n{text.getvalue().replace('nan', '')}"))
 
 
 def write_matlab(path: Path, vectors: Vectors) -> list[Path]:

@@ -28,7 +28,10 @@ def _not_written(figure, stream, dpi):
     stream.write(PIXEL)
 
 
-DRAWING = {(page, "_drawn"): (page._drawn, _not_drawn), (saved, "write_png"): (saved.write_png, _not_written)}
+DRAWING = {
+    (page, "_render_figure"): (page._render_figure, _not_drawn),
+    (saved, "write_png"): (saved.write_png, _not_written),
+}
 
 
 def _draw(here):

@@ -33,7 +33,7 @@ dxdz, dydz and all that begins with slant_, with `correlation`, the share of the
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -57,6 +57,7 @@ from rtpiv.analysis.series.series_folder import MEAN, Chunks
 from rtpiv.analysis.series.series_view import SeriesView
 
 STRESS = "m2 s-2"
+UV, STRESSES = ("u", "v"), ("uu", "vv", "uv")  # components, and last axes of arrays
 Floats = NDArray[np.float64]
 Named = dict[str, tuple[NDArray[Any], str]]  # values and their unit
 
@@ -171,18 +172,14 @@ def ensemble_vectors(
     known : OutOfPlane
         What is known of the velocity through the sheet.
     """
-    found: Named = {"correlation": (flow.correlation, "1")}
-    for before, values, names, unit in (
-        ("", flow.mean_m_s, ("u", "v"), SPEED),
-        ("sigma_", flow.sigma_m_s, ("u", "v"), SPEED),
-        ("R_", flow.stresses_m2_s2, ("uu", "vv", "uv"), STRESS),
-        ("sigma_R_", flow.stress_sigma_m2_s2, ("uu", "vv", "uv"), STRESS),
-    ):
-        for number, name in enumerate(names):
-            found[before + name] = (values[..., number], unit)
-    if np.isfinite(flow.dt_sigma_share):
-        for number, name in enumerate(("u", "v")):
-            found[f"dt_sigma_{name}"] = (np.abs(flow.mean_m_s[..., number]) * flow.dt_sigma_share, SPEED)
+    dt_sigma = np.abs(flow.mean_m_s) * flow.dt_sigma_share if np.isfinite(flow.dt_sigma_share) else None
+    found: Named = {"correlation": (flow.correlation, "1")} | _by_component(
+        ("{}", UV, flow.mean_m_s, SPEED),
+        ("sigma_{}", UV, flow.sigma_m_s, SPEED),
+        ("R_{}", STRESSES, flow.stresses_m2_s2, STRESS),
+        ("sigma_R_{}", STRESSES, flow.stress_sigma_m2_s2, STRESS),
+        ("dt_sigma_{}", UV, dt_sigma, SPEED),
+    )
     if slope is not None:
         field = SlantedField(flow.mean_m_s, flow.sigma_m_s, slope, flow.windows.size_px / flow.windows.step_px)
         sigma = field.sigma(known.of_mean(field))
@@ -221,51 +218,55 @@ def _with_slope(vectors: Vectors, slope: Floats | None) -> Vectors:
     return replace(vectors, by_place=dict(zip(SLOPES, np.moveaxis(slope, -1, 0), strict=True)))
 
 
-def _slant_variables(sigma_m_s: Floats, stresses: SlantedStresses) -> Named:
+def _by_component(*parts: tuple[str, Sequence[str], Floats | None, str]) -> Named:
+    """Return a variable for each component of arrays (..., components): pattern, components, array, unit.
+
+    An array that is None has none.
+    """
+    return {
+        pattern.format(name): (values[..., number], unit)
+        for pattern, names, values, unit in parts
+        if values is not None
+        for number, name in enumerate(names)
+    }
+
+
+def _slant_variables(sigma_m_s: Floats | None, stresses: SlantedStresses | None) -> Named:
     """Return the perspective error of out-of-plane motion in a mean (ny, nx, 2) and in its stresses."""
-    found: Named = {f"slant_sigma_{name}": (sigma_m_s[..., k], SPEED) for k, name in enumerate("uv")}
-    for number, name in enumerate(("uu", "vv", "uv")):
-        found[f"slant_R_{name}"] = (stresses.bias[..., number], STRESS)
-        found[f"slant_sigma_R_{name}"] = (stresses.sigma[..., number], STRESS)
-    return found
+    bias, sigma = (None, None) if stresses is None else (stresses.bias, stresses.sigma)
+    return _by_component(
+        ("slant_sigma_{}", UV, sigma_m_s, SPEED),
+        ("slant_R_{}", STRESSES, bias, STRESS),
+        ("slant_sigma_R_{}", STRESSES, sigma, STRESS),
+    )
 
 
 def _variables(mean: MeanFlow) -> Named:
-    moments = mean.moments
-    there = mean.count > 0
-    known = there[..., None]
+    moments, has_mean = mean.moments, mean.count > 0
+    lowest, highest = (np.where(has_mean[..., None], each, np.nan) for each in (moments.lowest, moments.highest))
     found: Named = {
         "n": (mean.count, "1"),
-        "chc": (there.astype(np.int8), "1"),
+        "chc": (has_mean.astype(np.int8), "1"),
         "resolution": (mean.resolution_m_s, SPEED),
     }
-    apart: list[tuple[str, str, Floats, str]] = [
-        ("", "uv", mean.mean_m_s, SPEED),
-        ("sigma_", "uv", mean.sigma_m_s, SPEED),
-        ("total_sigma_", "uv", mean.total_sigma_m_s, SPEED),
-        ("n_effective_", "uv", mean.effective.samples, "1"),
-        ("skewness_", "uv", moments.skewness, "1"),
-        ("lowest_", "uv", np.where(known, moments.lowest, np.nan), SPEED),
-        ("highest_", "uv", np.where(known, moments.highest, np.nan), SPEED),
-    ]
-    if np.isfinite(mean.dt_sigma_share):
-        apart.append(("dt_sigma_", "uv", mean.dt_sigma_m_s, SPEED))
-    if mean.map_sigma_m_s is not None and mean.map_sigma_position_mm is not None:
-        apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, SPEED))
-        apart.append(("map_sigma_", "xy", mean.map_sigma_position_mm, "mm"))
-    slant_sigma, slanted = mean.slant_sigma_m_s, mean.perspective_stresses
-    if slant_sigma is not None and slanted is not None:
-        found |= _slant_variables(slant_sigma, slanted)
-    for before, names, values, unit in apart:
-        for number, name in enumerate(names):
-            found[before + name] = (values[..., number], unit)
-    for number, name in enumerate(("uu", "vv", "uv")):
-        found[f"R_{name}"] = (mean.stresses_m2_s2[..., number], STRESS)
-        found[f"R_{name}_measured"] = (mean.noisy_stresses_m2_s2[..., number], STRESS)
-        found[f"sigma_R_{name}"] = (mean.stress_sigma_m2_s2[..., number], STRESS)
-        found[f"resolution_R_{name}"] = (mean.stress_resolution_m2_s2[..., number], STRESS)
+    found |= _slant_variables(mean.slant_sigma_m_s, mean.perspective_stresses)
+    found |= _by_component(
+        ("{}", UV, mean.mean_m_s, SPEED),
+        ("sigma_{}", UV, mean.sigma_m_s, SPEED),
+        ("total_sigma_{}", UV, mean.total_sigma_m_s, SPEED),
+        ("n_effective_{}", UV, mean.effective.samples, "1"),
+        ("skewness_{}", UV, moments.skewness, "1"),
+        ("lowest_{}", UV, lowest, SPEED),
+        ("highest_{}", UV, highest, SPEED),
+        ("dt_sigma_{}", UV, mean.dt_sigma_m_s if np.isfinite(mean.dt_sigma_share) else None, SPEED),
+        ("map_sigma_{}", UV, mean.map_sigma_m_s, SPEED),
+        ("map_sigma_{}", ("x", "y"), mean.map_sigma_position_mm, LENGTH),
+        ("R_{}", STRESSES, mean.stresses_m2_s2, STRESS),
+        ("R_{}_measured", STRESSES, mean.noisy_stresses_m2_s2, STRESS),
+        ("sigma_R_{}", STRESSES, mean.stress_sigma_m2_s2, STRESS),
+        ("resolution_R_{}", STRESSES, mean.stress_resolution_m2_s2, STRESS),
+        ("noise_{}", STRESSES[:2], moments.noise, STRESS),
+    )
     for name, (value, sigma) in rates(mean.field).items():
         found[name], found[f"sigma_{name}"] = (1e3 * value, RATE), (1e3 * sigma, RATE)  # m/s per mm
-    for number, name in enumerate(("uu", "vv")):
-        found[f"noise_{name}"] = (moments.noise[..., number], STRESS)
     return found
