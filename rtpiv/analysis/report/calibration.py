@@ -57,10 +57,10 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
     verdict_chapter(page, StoredVerdict.of(fit), "others")
     mask_table(page, fit.measured_scene)
     if found.weak:
-        page.heading("What these frames leave open")
+        page.heading("Undetermined parameters")
         for weakness in found.weak:
             page.text(f"{sentence_case(found.weakness_sentence(weakness))}.")
-    page.heading("What was found")
+    page.heading("Fitted parameters")
     page.table(parameter_table(found))
     page.write(path)
 
@@ -93,7 +93,7 @@ def calibration_lead(found: Calibration) -> tuple[str, Table]:
 
 def verdict_chapter(page: Page, found: StoredVerdict, views: Literal["all", "others"] = "all") -> None:
     """The verdict in words and its picture, without the view that a page has shown already."""
-    page.heading("Calibration: is the model right?")
+    page.heading("Calibration: test of the model")
     for sentence in found.sentences:
         say = page.text if found.right else page.warning
         say(f"{sentence_case(sentence)}.")
@@ -106,7 +106,7 @@ def mask_table(page: Page, scene: Scene) -> None:
     """Say what parts of the view every map leaves out, and why; nothing where there are none."""
     if not scene.masked:
         return
-    page.heading("What every map leaves out")
+    page.heading("Masked areas")
     rows: list[tuple[str, ...]] = []
     for part in scene.masked:
         where, size = f"all that is seen through {text_of(part.through)}", "-"

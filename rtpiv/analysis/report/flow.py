@@ -226,7 +226,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     _along_lines(page, mean, regions, axis, bool(scene.bodies))
     if scene.bodies:
         rim_chapter(page, mean, scene, regions)
-    page.heading("Where it flows")
+    page.heading("Streamlines and Reynolds stresses")
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)
     page.figure("streamlines", streamlines_figure(mean, scene, speed), "Streamlines of the mean.", dense=True)
     stresses = mean.stresses_m2_s2
@@ -236,7 +236,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     said = "Reynolds stresses without the noise of the correlation, and the vorticity of the mean."
     page.figure("stresses", maps_figure(mean, scene, maps), said, dense=True)
     _mass(page, mean, regions, axis, bool(scene.bodies))
-    page.heading("Are these enough pairs?")
+    page.heading("Convergence")
     if len(found.pairs):
         said = (
             "Difference between the mean of the first n pairs and that of all, rms over the plane. Above the"
@@ -313,7 +313,7 @@ def rim_chapter(page: Page, mean: MeanFlow, scene: Scene, regions: Regions) -> N
 
 def _mass(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behind: bool) -> None:
     """Divergence of the mean against its own sigma, by region."""
-    page.heading("Is mass conserved?")
+    page.heading("Divergence")
     field = mean.field
     value, sigma = (mean.rate(part) for part in divergence(field, axis))
     glass = regions.region == Region.GLASS

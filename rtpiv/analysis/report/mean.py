@@ -230,7 +230,7 @@ def mean_chapters(page: Page, view: SeriesView, mean: MeanFlow) -> None:
 
 def ensemble_chapter(page: Page, view: SeriesView, flow: EnsembleFlow) -> None:
     """The mean by ensemble correlation."""
-    page.heading("By ensemble correlation")
+    page.heading("Ensemble correlation")
     page.text(
         f"Correlation planes of {flow.pairs} pairs added up, windows of {flow.windows.size_px} px: for rims, "
         "walls and thin seeding, where a window of one pair sees too few particles. Stresses: mean_ensemble.nc."
@@ -245,7 +245,7 @@ def ensemble_chapter(page: Page, view: SeriesView, flow: EnsembleFlow) -> None:
 
 def exclusion_chapter(page: Page, mean: MeanFlow) -> None:
     """Every pair that is not in the mean, and why."""
-    page.heading("Every pair accounted for")
+    page.heading("Excluded pairs")
     page.text(f"{mean.used} pairs are in the mean, {len(mean.left_out)} are not.")
     if mean.gaps:
         page.text(mean.gaps.capitalize() + ".")
@@ -255,7 +255,7 @@ def exclusion_chapter(page: Page, mean: MeanFlow) -> None:
 
 def show_self_check(page: Page, found: SelfCheck) -> None:
     """Show what was found."""
-    page.heading("Do the spheres stand where they were calibrated?")
+    page.heading("Check of the sphere positions")
     if found.likely_moves:
         page.warning(found.sentence + ".")
     else:

@@ -27,7 +27,7 @@ def readings_chapter(page: Page, folder: RunFolder) -> None:
     found = readings_of(folder)
     if not found:
         return
-    page.heading("Readings of the lab")
+    page.heading("Gauge readings")
     if (figure := readings_figure(found)) is not None:
         page.figure("readings", figure, CAPTION)
     over = reading_statistics({name: reading} for name, shown in found.items() for _, reading in shown)

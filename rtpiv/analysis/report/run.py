@@ -48,7 +48,7 @@ def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
 
 def account_chapter(page: Page, folder: RunFolder) -> None:
     """Add the account of every frame."""
-    page.heading("Every frame accounted for")
+    page.heading("Frame account")
     chunks = chunk_sentences(folder.entries())
     for sentence in chunks:
         page.text(f"{sentence[:1].upper()}{sentence[1:]}.")
@@ -80,7 +80,7 @@ def displacement_chapter(page: Page, folder: RunFolder) -> None:
         return
     moved = read_displacements(folder)
     by_hand = any("sigma_mm" in entry for entry in moved)
-    page.heading("What the stages did")
+    page.heading("Displacements of the target")
     rows = [
         (entry["tag"], *("-" if moved_mm is None else ", ".join(f"{c:+.4f}" for c in moved_mm)
                          for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])),

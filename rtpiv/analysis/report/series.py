@@ -214,7 +214,7 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
 
 
 def _exclusions(page: Page, given: SeriesInput, result: Evaluated) -> None:
-    page.heading("Every pair accounted for")
+    page.heading("Excluded pairs")
     said = f"{result.pairs} pairs, {len(result.failed)} without vectors"
     page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")
     if result.failed:

@@ -184,8 +184,8 @@ class MeanFlow:
         if not places:
             return ""
         return (
-            f"{places} places have no mean: fewer than half of the pairs have a vector there, or none beside it, "
-            "and these are not like the others; smaller windows or a shorter dt may resolve what moves there"
+            f"no mean at {places} points (fewer than half of the pairs valid, and no representative sample);"
+            " smaller windows or a shorter dt may resolve the flow there"
         )
 
     @property

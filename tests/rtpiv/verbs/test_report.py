@@ -95,7 +95,7 @@ def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
     headings = re.findall("<h2>(.*?)</h2>", text)
     for heading in ("Pairs of this run", "Displacement", "Uncertainty",
                     "Errors against the known shift", "Images", "Scene",
-                    "What the stages did", "Every frame accounted for", "Provenance"):  # fmt: skip
+                    "Displacements of the target", "Frame account", "Provenance"):  # fmt: skip
         assert heading in headings
     assert "6 triggered = 6 written" in text
     head = text.partition("<h2>")[0]

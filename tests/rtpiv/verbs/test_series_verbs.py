@@ -55,7 +55,7 @@ def test_mean_takes_a_run_and_then_its_series(run, monkeypatch, capsys):
     report = run / "report"
     assert main(["report", str(run), "-o", str(report), "--first-window", "32", "--final-window", "16"]) == DONE
     page = (report / "mean.html").read_text()
-    for text in ("pairs in the mean", "<i>without background</i>", "Every frame accounted for"):
+    for text in ("pairs in the mean", "<i>without background</i>", "Frame account"):
         assert text in page
 
 

@@ -197,6 +197,6 @@ def test_the_report_of_a_run_has_the_picture_only_where_gauges_were_read(tmp_pat
         readings_chapter(page, RunFolder.open(run))
         page.write(run / "page.html")
         texts.append((run / "page.html").read_text())
-    assert "Readings of the lab" in texts[0]
+    assert "Gauge readings" in texts[0]
     assert 'alt="What each gauge showed' in texts[0]
-    assert "Readings of the lab" not in texts[1]
+    assert "Gauge readings" not in texts[1]
