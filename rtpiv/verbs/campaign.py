@@ -13,8 +13,7 @@ from ground.plain_words import quantity
 from ground.rows import thread_count
 from ground.terminal import console
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunStatus, campaign_status
-from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, ask_for
-from rtpiv.analysis.campaign.campaign_trial import adopt, trial
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, adopt, ask_for, trial
 from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
 from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, missing_chunks_text
 from rtpiv.analysis.campaign.run_campaign import run_campaign

@@ -1,14 +1,21 @@
-"""From runs to chunks: what a campaign consists of, how much of it is there, what the rest will cost.
+"""Plan of a campaign: its runs as chunks, the finished ones among them, and the cost of the rest.
 
 A run is planned anew whenever its chunks are made: keys come from its journal, its scene, the settings and the
-versions as they are then, and nothing that was planned before is believed.
+versions as they are then; no earlier plan is reused.
+
+A campaign is first planned in a temporary folder (`trial`).  Finished chunks are hours of many computers: those of
+another recipe, of another run with the same name, or of a run that is left out are never replaced or orphaned.
+More pairs of a run, changed frames and further runs are the same recipe; chunks that they concern are made again,
+and the forecast names them.
 """
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -331,3 +338,80 @@ def _names(runs: Sequence[Path]) -> list[str]:
             own = f"{name}_{number}"
         names.append(own)
     return names
+
+
+@contextmanager
+def trial(
+    used: CampaignFolder, ask: Callable[[CampaignFolder], None], processes: int
+) -> Iterator[tuple[CampaignFolder, list[Forecast]]]:
+    """Plan a campaign in a temporary folder, and compare it with what the folder that it is meant for holds.
+
+    Parameters
+    ----------
+    used : CampaignFolder
+        The folder that it is meant for, which is only read.
+    ask : callable
+        Writes what is asked into the folder of the trial, by `ask_for`.
+    processes : int
+        That read long journals.
+
+    Yields
+    ------
+    (CampaignFolder, list of Forecast)
+        The trial, which can be adopted, and what each run asks for.
+
+    Raises
+    ------
+    SeriesError
+        Chunks are finished that this campaign would lose; the message says what differs.
+    PairError, ConfigError, ...
+        As `ask_for` and `plan_runs`.
+    """
+    with TemporaryDirectory(prefix="rtpiv-plan-") as scratch:
+        tried = CampaignFolder(Path(scratch))
+        ask(tried)
+        found = forecasts(tried, processes, used)
+        _require_same(tried, used)
+        yield tried, found
+
+
+def adopt(tried: CampaignFolder, used: CampaignFolder) -> None:
+    """Make a trial the campaign of its folder; DiskError if that cannot be written to."""
+    for asked in tried.about["runs"]:
+        source, series = tried.series(asked["name"]).path, used.series(asked["name"])
+        series.path.mkdir(parents=True, exist_ok=True)
+        keep_scene(source / SCENE_FILE, series.path)
+        if (source / CHECKSUMS).is_file():
+            copy_whole(source / CHECKSUMS, series.path / CHECKSUMS)
+        series.begin(SeriesFolder(source).about)
+    copy_whole(tried.path / FILE, used.path / FILE)
+
+
+def _require_same(tried: CampaignFolder, used: CampaignFolder) -> None:
+    """Refuse a campaign that would lose finished chunks."""
+    lost, differences = 0, dict[str, list[str]]()
+    try:
+        before = used.about
+        paths = {run["name"]: run["path"] for run in before["runs"]}
+        was_us, now_us = before["how"]["dt_us"], tried.about["how"]["dt_us"]
+    except (RunUnsuitable, SeriesError):  # none, or damaged: the chunks of its runs are compared all the same
+        paths, was_us, now_us = {}, None, None
+    asked = {run["name"]: run["path"] for run in tried.about["runs"]}
+    for folder in sorted((used.path / "runs").glob("*/")):
+        name, series = folder.name, SeriesFolder(folder)
+        if name not in asked:
+            said, count = ["left out"], len(series.chunk_keys())
+        else:
+            unlike = series.unlike(tried.series(name).about)
+            said, count = list(unlike.differences), unlike.lost
+            if was_us != now_us:
+                said.append(f"dt_us {was_us} there, {now_us} now")
+            if not (said or unlike.kept) and paths.get(name) not in (None, asked[name]):
+                said.append(f"other frames, those of {asked[name]}")
+        if count:
+            lost += count if said else 0
+            for each in said:
+                differences.setdefault(each, []).append(name)
+    if differences:
+        texts = [f"{', '.join(names)}: {text}" for text, names in differences.items()]
+        raise SeriesError(would_be_lost(used.path, lost, texts))

@@ -1,14 +1,14 @@
 """The report: one self-contained page from a pair of frames or from a whole run.
 
-page.py, page.css   what a page is made of: headings, tables, figures, a slider; no physics
-figures.py          what is drawn for it, as matplotlib figures
-tables.py           figures of an evaluation as rows of text
+page.py, page.css   elements of a page: headings, tables, figures, a slider; no physics
+figures.py          matplotlib figures of the page
+table.py            a table as a value, for page, terminal and JSON
+tables.py           tables of an evaluation, and the verdict on its sigma
 pair.py             the chapters of one evaluated pair
 series.py, mean.py   the chapters of a flow run: its frames and one pair; its mean
-flow.py             whether that mean can be true: rims, lines, mass, convergence
-time_series.py      what velocity does at a place over time, and its spectrum
-readings.py         what gauges of the lab showed meanwhile
+flow.py             plausibility of that mean: rims, lines, divergence, convergence
+time_series.py      velocity at a place over time, and its spectrum
 calibration.py, focus.py   the pages of a scene fit and of a focus scan
 pair_folder.py      the folder that one evaluated pair is written to
-run.py              the chapters of a run: target, frame account, displacements, provenance
+run.py              the chapters of a run: displacements, frame account, gauge readings, provenance
 """

@@ -21,8 +21,7 @@ from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
 from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import NO_SCALE_SIGMA, light_sheet_line, scene_chapter, slant_figure, slant_lines
-from rtpiv.analysis.report.readings import readings_chapter
-from rtpiv.analysis.report.run import account_chapter, notes_chapter
+from rtpiv.analysis.report.run import account_chapter, notes_chapter, readings_chapter
 from rtpiv.analysis.report.series import choose_pair, exclusion_table, frames_chapter, pair_chapter
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow

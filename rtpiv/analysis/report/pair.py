@@ -26,6 +26,7 @@ from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.report.tables import (
     Total,
+    claim_said,
     coverage_of,
     is_plain,
     lead_of,
@@ -33,8 +34,8 @@ from rtpiv.analysis.report.tables import (
     offset_said,
     region_masks,
     totals_of,
+    worst_claim,
 )
-from rtpiv.analysis.report.verdict import claim_said, worst_claim
 from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
 

@@ -12,8 +12,7 @@ from ground.printable import utf8
 from piv.files.vector_file import write_list, write_vectors, write_vtk
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import columns_of
-from rtpiv.analysis.report.tables import claim_table, sigma_table, track_summary
-from rtpiv.analysis.report.verdict import claim_said, worst_claim
+from rtpiv.analysis.report.tables import claim_said, claim_table, sigma_table, track_summary, worst_claim
 
 
 def frame_names(frames: Sequence[Path]) -> dict[str, str]:

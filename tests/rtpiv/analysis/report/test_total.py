@@ -10,6 +10,7 @@ from correction.evaluate.regions import Region, Regions, evaluate_shift
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import quality_of
 from rtpiv.analysis.report.tables import (
+    claim_said,
     claim_table,
     coverage_of,
     displacement_table,
@@ -17,8 +18,8 @@ from rtpiv.analysis.report.tables import (
     offset_said,
     sigma_table,
     totals_of,
+    worst_claim,
 )
-from rtpiv.analysis.report.verdict import claim_said, worst_claim
 from tests.correction.evaluate.vectors import uniform_field
 from tests.loops import loop_over
 

@@ -14,7 +14,7 @@ from piv.files.vector_file import read_vectors
 from rtpiv.analysis.campaign.campaign_plan import plan_runs
 from rtpiv.analysis.campaign.merge import merge_campaign
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.report.readings import readings_chapter, readings_figure
+from rtpiv.analysis.report.run import readings_chapter, readings_figure
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.series_input import tasks_of
 from rtpiv.analysis.series.series_mean import mean_of_series, write_mean
