@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from correction.masked import _filled, mask_pixels, pixels_in, points_in
+from correction.masked import _fill, mask_pixels, pixels_in, points_in
 from correction.node_status import NodeStatus
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, demo_scene
@@ -45,7 +45,7 @@ def test_pixels_of_an_outline_are_those_whose_middle_is_inside():
     for number in range(100):
         outline = rng.uniform(-10.0, 60.0, (rng.integers(3, 12), 2))
         outline = np.rint(outline) if number % 3 == 0 else outline
-        np.testing.assert_array_equal(_filled(outline, (40, 50)), points_in(outline, np.stack((u, v), axis=-1)))
+        np.testing.assert_array_equal(_fill(outline, (40, 50)), points_in(outline, np.stack((u, v), axis=-1)))
 
 
 @pytest.mark.parametrize(

@@ -122,9 +122,9 @@ def test_few_usable_dots_are_refused_in_numbers(tank, monkeypatch, recwarn):
     nominal = replace(nominal, bodies=())
     board = Chessboard(15.0, 9.0, discs=LARGE_DOTS, dots=Dots(6.0))
     image = render(nominal, DotGrid(15.0, 9.0, discs=LARGE_DOTS, dots=Dots(6.0)), Sensor(), samples=3, seed=1)
-    whole = camera_stage.centred
+    whole = camera_stage.centre_dots
     monkeypatch.setattr(
-        camera_stage, "centred", lambda *words: (found := whole(*words)).take(np.arange(len(found)) < 5)
+        camera_stage, "centre_dots", lambda *words: (found := whole(*words)).take(np.arange(len(found)) < 5)
     )
     with pytest.raises(TargetNotFound, match=r"only 5 dots of the bare target .* 12 are needed") as said:
         fit_scene(nominal, [TargetFrame("clear", image, False)], board, priors)

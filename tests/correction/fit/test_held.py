@@ -6,7 +6,7 @@ import pytest
 from correction.fit import adjustment
 from correction.fit.judge.weakness import weaknesses
 from correction.fit.seen import prediction
-from correction.fit.solve import with_considered as doubts
+from correction.fit.solve import considered as doubts
 from correction.fit.solve.considered import ORDINARY, ORDINARY_N, with_considered
 from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import at_size, demo_scene

@@ -44,7 +44,7 @@ def test_faint_cells_are_all_heard(ring, monkeypatch):
     off = []
     for _ in range(DRAWS):
         drawn = planes + noise * rng.standard_normal((disparities.BLOCKS, *planes.shape))
-        found = disparities._measured(scene, views, cell, np.ones(len(cell)), drawn, REACH_MM)
+        found = disparities._match_planes(scene, views, cell, np.ones(len(cell)), drawn, REACH_MM)
         assert len(found.kind) == len(models)  # none is left out for what noise made of it
         weight = found.height_sigma_mm**-2.0
         off.append((weight @ found.height_mm / weight.sum() - HEIGHT_MM) * np.sqrt(weight.sum()))
@@ -74,7 +74,7 @@ def test_a_cell_that_shows_no_layer_tells_nothing(ring, monkeypatch):
     true = np.array([HEIGHT_MM, 0.0, disparities.USUAL_SPREAD2[0], disparities.USUAL_SIZE[0]])
     planes = np.array([model.plane(true) for model in models]).reshape(len(models), -1, 2 * ACROSS + 1)
     noise = NOISE * planes.max() * np.random.default_rng(3).standard_normal((disparities.BLOCKS, *planes.shape))
-    found = disparities._measured(scene, views, cell, np.ones(len(cell)), planes + noise, REACH_MM)
+    found = disparities._match_planes(scene, views, cell, np.ones(len(cell)), planes + noise, REACH_MM)
     assert np.isfinite(found.height_mm).all()
     assert 1 not in found.number
     assert (found.height_sigma_mm[found.number == 0] > 10.0 * np.median(found.height_sigma_mm)).all()

@@ -49,8 +49,8 @@ def test_butterflies_undo_each_other():
     a, b = rng.normal(size=(2, 3 * piv_fft.BLOCK)).astype(np.float32)
     first, second = a.copy(), b.copy()
     for apart, together in (
-        (piv_fft.apart, piv_fft.together),
-        (piv_fft.apart.py_func, piv_fft.together.py_func),
+        (piv_fft.butterfly_forward, piv_fft.butterfly_inverse),
+        (piv_fft.butterfly_forward.py_func, piv_fft.butterfly_inverse.py_func),
     ):
         apart(a, b, np.float32(0.6), np.float32(0.8))
         together(a, b, np.float32(0.6), np.float32(0.8))
@@ -207,12 +207,12 @@ def test_three_points_is_exact_for_a_gaussian_and_sane_without_logarithm():
         assert -1.0 <= kernel(0.99, 1.0, 0.01) <= 1.0
 
 
-def test_normalised_residual_equals_numpy_medians():
+def test_median_residual_equals_numpy_medians():
     rng = np.random.default_rng(9)
     field = rng.normal(size=(9, 8, 2))
     usable = rng.uniform(size=(9, 8)) > 0.2
     everything = np.ones((9, 8), bool)
-    for kernel in (piv_median.normalised_residual, piv_median.normalised_residual.py_func):
+    for kernel in (piv_median.median_residual, piv_median.median_residual.py_func):
         residual = np.full((9, 8), -1.0)
         kernel(field, usable, everything, 2, 0.1, 0.0, 5, 0, 9, np.empty(25), residual)
         for j, i in [(0, 0), (4, 4), (8, 3), (3, 7)]:
@@ -233,7 +233,7 @@ def test_where_all_neighbours_are_near_nothing_is_sorted_and_nothing_changes():
     usable = rng.uniform(size=(40, 40)) > 0.1
     exact, skipped = np.full((2, 40, 40), np.nan)
     for near, out in ((0.0, exact), (0.3, skipped)):
-        piv_median.normalised_residual(field, usable, usable, 2, 0.1, near, 5, 0, 40, np.empty(25), out)
+        piv_median.median_residual(field, usable, usable, 2, 0.1, near, 5, 0, 40, np.empty(25), out)
     was_skipped = skipped == 0.0
     assert 100 < was_skipped.sum() < 1200
     assert exact[was_skipped].max() <= 3.0
