@@ -118,7 +118,7 @@ def test_every_pair_of_a_series_can_be_asked_for_more(run, tmp_path):
 
 def test_a_pair_is_correlated_once_however_much_is_asked_of_it(tmp_path, mocker):
     """Its vectors, its folder and the page of the series: all from one correlation; a whole chunk is kept."""
-    correlated, pairs, out = mocker.spy(pair, "prepared"), 2, tmp_path / "out"
+    correlated, pairs, out = mocker.spy(pair, "prepare_pair"), 2, tmp_path / "out"
     words = ["evaluate", str(flow_run(tmp_path, pairs)), *WINDOWS, "-o", str(out), "--vtk"]
     assert main(words) == DONE
     assert correlated.call_count == pairs
