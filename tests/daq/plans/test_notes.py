@@ -45,7 +45,7 @@ def test_a_run_shows_them(tmp_path):
     provenance_chapter(page, folder, "h", [])
     page.write(tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
-    assert "Operator's notes" in text
+    assert "Operator&#x27;s notes" in text
     assert "<dt>flow rate</dt><dd>5.2 l/min</dd>" in text
     assert "Ä. &lt;b&gt;Ada&lt;/b&gt;" in text
     assert notes_of(RunFolder.create(tmp_path, "plain", about_run([planned(0)]))) == {}

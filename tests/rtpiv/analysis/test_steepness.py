@@ -26,7 +26,7 @@ def test_figures_are_of_their_regions():
     found = Steepness.of(slopes, behind, ~behind)
     assert found.behind == pytest.approx((0.5, 0.5))
     assert found.beside == pytest.approx((0.045, 0.081), abs=0.005)
-    assert "0.50 behind glass (0.50 at 90 % of the places)" in found.sentence
+    assert "0.50 m/s behind glass (0.50 at 90 % of the places)" in found.sentence
     assert Steepness.of(slopes, np.zeros_like(behind), behind).behind is None
     assert Steepness(None, None).sentence == ""
 
@@ -58,6 +58,6 @@ def test_a_page_says_it_and_shows_what_it_makes_unsure(tmp_path):
     slant_figure(page, field, grid, scene, np.full(field.flags.shape, 0.07), "px")
     page.write(tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
-    assert "0.31 behind glass (0.35 at 90 % of the places)" in text
+    assert "0.31 m/s behind glass (0.35 at 90 % of the places)" in text
     assert "0.2 m/s (told)" in text
     assert "Uncertainty from oblique viewing" in text

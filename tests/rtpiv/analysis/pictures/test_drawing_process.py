@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 from rtpiv.analysis.pictures import drawing_process
 def go(out):
-    with drawing_process.started(("json",)):
+    with drawing_process.drawing_apart(("json",)):
         {}
 go(Path(sys.argv[1]))
 """
@@ -85,7 +85,7 @@ from rtpiv.command_line.cli import main
 def forked(modules):
     print(*(name in sys.modules for name in ("rtpiv.verbs.trace", "numba", "matplotlib")))
     raise KeyboardInterrupt
-drawing_process.started = forked
+drawing_process.drawing_apart = forked
 main(["trace", "scene.yaml"])
 """
 
@@ -148,7 +148,7 @@ from daq.signal_handling import handle_signals
 from rtpiv.analysis.pictures import drawing_process
 drawing_process._worth_it = lambda: True
 os.register_at_fork(after_in_child=lambda: os.kill(os.getpid(), signal.SIGHUP))
-with handle_signals(), drawing_process.started(("json",)):
+with handle_signals(), drawing_process.drawing_apart(("json",)):
     print("alive")
 """
 
