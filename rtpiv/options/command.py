@@ -35,6 +35,7 @@ RENAMED = {  # until the next release
     "resume": "acquire --resume", "join": "mean --join", "timeseries": "mean", "devices": "doctor",
     "probe": "doctor --probe",
 } | {part: f"{verb} {part}" for verb, parts in PARTS.items() for part in parts}  # fmt: skip
+REMOVED = {"benchmark": "use python -m benchmarks --scenes SCENE in a checkout of the sources"}
 WORDS = {  # options with other names than their parameters
     "out": ("-o", "--out"),
     "ask": ("--yes",),
@@ -64,7 +65,7 @@ class _Version(argparse.Action):
 
 
 def current(words: Sequence[str]) -> tuple[list[str], str]:
-    """Replace a renamed verb in the words of a command.
+    """Replace a renamed verb in the words of a command, and announce a removed one.
 
     Parameters
     ----------
@@ -78,6 +79,8 @@ def current(words: Sequence[str]) -> tuple[list[str], str]:
     """
     for at, word in enumerate(words):
         if not word.startswith("-") and (at == 0 or words[at - 1] not in WITH_VALUE):
+            if word in REMOVED:
+                return list(words), f"rtpiv {word} has been removed: {REMOVED[word]}"
             if word not in RENAMED:
                 break
             notice = (

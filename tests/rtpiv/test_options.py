@@ -67,6 +67,13 @@ def test_a_renamed_verb_is_read_as_its_new_name_and_named_once(old, new):
     assert current(words) == (words, "")
 
 
+def test_a_removed_verb_says_what_replaces_it(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["benchmark", "scene.yaml"])
+    assert caught.value.code == USAGE
+    assert "python -m benchmarks --scenes SCENE" in capsys.readouterr().err
+
+
 def test_a_renamed_verb_still_works_and_names_the_new_one_on_standard_error(tmp_path, capsys):
     assert main(["schema", "-o", str(tmp_path)]) == DONE
     said = capsys.readouterr().err
