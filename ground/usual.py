@@ -21,7 +21,7 @@ class Usual:
     high: float
 
 
-def unusual(document: Document, table: Table) -> list[Problem]:
+def plausibility_questions(document: Document, table: Table) -> list[Problem]:
     """Return a question, with its line, for every number of a checked file that is not usual."""
     return [
         Problem(document.line(place), f"{place_words(document.tree, place)}: {asked}")

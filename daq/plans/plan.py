@@ -3,7 +3,7 @@
 A plan file names its experiment; see `daq.plans.experiments` for the keys of each.  Experiments are one file each
 and one line in `EXPERIMENTS`.  An experiment is a `PlanTable`: its keys in the plan file, and `poses`, a pure
 function of bench and file that says what is to be photographed.  What a plan may ask and hardly ever does is asked
-back, each question with its line (`plan_questions`; see `daq.bench.unusual_scene`).
+back, each question with its line (`plan_questions`; see `daq.bench.scene_plausibility`).
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from daq.plans.steps import CLEAR, Step, steps_hash
 from ground.config import Document, open_document, require_kind, validate
 from ground.errors import ConfigError, Problem
 from ground.plain_words import near
-from ground.usual import unusual
+from ground.usual import plausibility_questions
 
 EXPERIMENTS = {
     "target": "daq.plans.experiments.target:TargetPlan",
@@ -166,7 +166,7 @@ def _axis(bench: Bench, element: str, direction: str, tag: str) -> str:
 
 def plan_questions(plan: Plan, bench: Bench) -> list[str]:
     """Ask about what is unusual in a plan file on its bench: questions with file and line."""
-    asked = unusual(plan.document, plan.table)
+    asked = plausibility_questions(plan.document, plan.table)
     asked += [Problem(plan.document.line(place), text) for place, text in plan.table.questions(bench, plan.steps)]
     return [f"{plan.path}:{one.line}: {one.text}" for one in sorted(asked, key=lambda one: one.line)]
 

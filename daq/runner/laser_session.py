@@ -13,8 +13,10 @@ from typing import Protocol, cast
 from daq.bench.guards import sheet_clearance_mm
 from daq.bench.opened import OpenBench, require_positions
 from daq.cameras.camera import Setting
+from daq.cameras.link import first_of
 from daq.errors import DaqError, PlanError, RunInterrupted, RunUsageError
 from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
+from daq.runner.camera_session import EXPOSURES_US, RATES_HZ
 from daq.runner.interrupts import Interrupts
 from daq.runner.pair_source import Chunk
 from daq.runs.laser_proof import proof_sentence
@@ -29,7 +31,6 @@ from stages.errors import StageError
 from stages.scale_question import ScaleQuestion
 
 WARM_UP_POLL_S = 0.05
-CAMERA_RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
 
 
 class Operator(Protocol):
@@ -251,16 +252,14 @@ class LaserSession:
 
 def exposure_of(settings: Mapping[str, Setting]) -> float:
     """Exposure time that the camera has read back [us]; PlanError if it tells none."""
-    for name in ("ExposureTime", "ExposureTimeAbs"):
-        value = settings.get(name)
-        if isinstance(value, int | float) and value > 0:
-            return float(value)
+    if exposure_us := first_of(settings, EXPOSURES_US):
+        return exposure_us
     raise PlanError("the camera does not tell its ExposureTime, so no pulse can be placed")
 
 
 def require_rate(settings: Mapping[str, Setting], frames: int, rate_hz: float) -> None:
     """Refuse more pairs a second than the camera says it can take; RunUsageError."""
-    for name in CAMERA_RATES_HZ:
+    for name in RATES_HZ:
         most = settings.get(name)
         if isinstance(most, int | float) and 0 < most < frames * rate_hz:
             raise RunUsageError(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.bench.unusual_scene import scene_questions
+from daq.bench.scene_plausibility import scene_questions
 from daq.errors import DaqError, RunDamaged, RunUsageError
 from daq.runs.names import CAMERAS, MAPS, is_run
 from ground.config import open_document

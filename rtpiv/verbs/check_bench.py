@@ -7,7 +7,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
 from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, check_simulation
-from daq.bench.unusual import bench_questions
+from daq.bench.plausibility import bench_questions
 from daq.errors import PlanError
 from daq.plans.forecast import forecast_from_home, time_said
 from daq.plans.plan import Plan, load_plan, plan_questions, read_plan

@@ -11,7 +11,7 @@ from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
 from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING, NodeStatus
-from daq.bench.unusual_scene import scene_questions
+from daq.bench.scene_plausibility import scene_questions
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
 from rtpiv.analysis.pictures.drawing_process import Draw, drawing

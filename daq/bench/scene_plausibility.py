@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ground.config import Place, open_document, validate
 from ground.errors import Problem
 from ground.plain_words import slip
-from ground.usual import Usual, question, unusual
+from ground.usual import Usual, plausibility_questions, question
 from tracer.bodies import Body, Sphere
 from tracer.camera import Camera
 from tracer.errors import SceneError
@@ -63,7 +63,7 @@ def scene_questions(path: Path | str) -> list[str]:
     table = validate(document, SceneTable)
     scene = scene_from(document, table)
     related = [*_camera_asked(table, scene), *_bodies_asked(scene), *_sheet_asked(scene)]
-    asked = [*unusual(document, table), *(Problem(document.line(at), text) for at, text in related)]
+    asked = [*plausibility_questions(document, table), *(Problem(document.line(at), text) for at, text in related)]
     return [f"{path}:{one.line}: {one.text}" for one in sorted(asked, key=lambda one: one.line)]
 
 

@@ -1,4 +1,4 @@
-"""Plausibility questions about a bench: unusual values, each with its line; see `daq.bench.unusual_scene`.
+"""Plausibility questions about a bench: unusual values, each with its line; see `daq.bench.scene_plausibility`.
 
 Speeds are compared with accelerations and ways, places with what the camera sees, the simulated stages with the
 axes that they stand for.
@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping
 from daq.bench.bench_table import Bench
 from daq.bench.elements import GLASS
 from daq.bench.guards import keep_out_of
-from daq.bench.unusual_scene import bodies_in_picture
+from daq.bench.scene_plausibility import bodies_in_picture
 from ground.config import Place
 from ground.errors import Problem
 from ground.plain_words import slip
-from ground.usual import Usual, question, unusual
+from ground.usual import Usual, plausibility_questions, question
 from tracer.bodies import shifted_by
 
 Asked = Iterator[tuple[Place, str]]
@@ -29,11 +29,11 @@ SAME_SCALE, LEAD_MM, MOST_TRAVEL = 0.01, Usual(0.2, 25.0), 4.0  # of simulated s
 
 def bench_questions(bench: Bench) -> list[str]:
     """Ask about what is unusual in a bench file: questions with file and line, in the order of the lines."""
-    asked = [*unusual(bench.document, bench.table)]
+    asked = [*plausibility_questions(bench.document, bench.table)]
     for name, device in bench.more.items():
         asked += [
             Problem(problem.line, f"devices.{name}.{problem.text}")
-            for problem in unusual(bench.document.inside("devices", name), device.section)
+            for problem in plausibility_questions(bench.document.inside("devices", name), device.section)
         ]
     related = [*_axes_asked(bench), *_glass_asked(bench), *_sizes_asked(bench), *_simulation_asked(bench)]
     asked += [Problem(bench.document.line(at), text) for at, text in related]
