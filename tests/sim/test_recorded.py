@@ -219,8 +219,8 @@ WRONG = [
     ("target", "@ 9600\n< 31\n", "nothing is said to the box in this recording"),
     ("target", "\x00\x01\n", ":1: this is no line of a recording"),
     ("targt", GOOD, "there is no 'targt' on this bench; there are rail, portal"),
-    ("camera", GOOD, "only what is told words by a serial port can be recorded"),
-    ("target_x", GOOD, "only what is told words by a serial port can be recorded"),
+    ("camera", GOOD, "only devices on a serial port can be recorded"),
+    ("target_x", GOOD, "only devices on a serial port can be recorded"),
 ]
 
 

@@ -180,7 +180,7 @@ WRONG = [
     ("{what: fire, of: target, at_s: 1.0}", "what"),
     ("{what: unplug, of: target}", "say when, by one of step, at_s, word"),
     ("{what: unplug, of: target, at_s: 1.0, word: MOV}", "say when, by one of step, at_s, word"),
-    ("{what: unplug, of: camera, word: MOV}", "a camera is not told words; say step or at_s"),
+    ("{what: unplug, of: camera, word: MOV}", "a camera gets no commands on a port; give step or at_s"),
     ("{what: unplug, of: target, at_s: 1.0, nth: 2}", "nth: it counts how often a word is said"),
     ("{what: late, of: target, at_s: 1.0}", "say delay_s as well"),
     ("{what: unplug, of: target, at_s: 1.0, share: 0.5}", "share: unplug takes no such number"),

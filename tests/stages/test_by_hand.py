@@ -132,7 +132,7 @@ def test_a_scale_that_counts_the_other_way_is_asked_for_as_it_reads(bench):
 def test_nobody_answers_and_the_place_is_unknown_until_it_is_read_again(typed):
     stage, typist = typed("20.0", "30.0")
     stage.home()
-    with pytest.raises(MotionStopped, match="nobody has read where a stands; home it"):
+    with pytest.raises(MotionStopped, match="the position of a was not read; home it"):
         stage.move({"a": 10.0})
     assert stage.where_mm() == {"a": None, "b": 20.0}
     assert stage.axis("a").state is AxisState.UNREFERENCED
@@ -175,7 +175,7 @@ def test_a_stop_ends_the_question_and_holds(hands):
 
 def test_nobody_is_there(bench):
     made = bench("by_hand")
-    with pytest.raises(StageUsageError, match="b is moved by hand, and nobody is there to be asked"):
+    with pytest.raises(StageUsageError, match="b is moved by hand, and there is no operator to ask"):
         made.stage.home()
     assert made.stage.what_moves() is None
 
@@ -185,7 +185,7 @@ def test_nobody_reaches_in_while_another_device_bars_it(typed):
     stage.home()
     why = ["the laser is warm"]
     stage.bar_hands(lambda: why[0])
-    with pytest.raises(MotionBarred, match="a is moved by hand, and nobody reaches in now: the laser is warm"):
+    with pytest.raises(MotionBarred, match="a is moved by hand, and must not be reached now: the laser is warm"):
         stage.move({"a": 10.0})
     assert len(typist.asked) == 2
     why[0] = None
