@@ -37,7 +37,7 @@ DT_US = {"straddling": 19_700.0}
 class ToldLight(lit.LitFlow):
     """Light whose frames say what they show."""
 
-    def exposed(self, camera, start_ns, end_ns, pairs=None):
+    def expose(self, camera, start_ns, end_ns, pairs=None):
         with self._lock:
             seen = [flash for flash in self._flashes if start_ns <= flash.time_ns < end_ns]
         image = np.full(camera.scene.camera.shape, FLOOR + LIGHT * len(seen), np.uint16)
