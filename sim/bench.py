@@ -250,15 +250,7 @@ class SimulatedBench:
         flow = table.flow.model_copy(update={"prepared": None})  # pairs of another view
         its = table.model_copy(update={"aperture": own.aperture, "ring": None, "faults": own.faults, "flow": flow})
         world = World(beside, its, stages, self._shows, exposures_before, self.world.lit, self.world.drawing)
-        width, height = beside.scene.camera.sensor_px
-        config = CameraConfig(
-            width,
-            height,
-            serial=_serial_of(name),
-            row_time_us=its.row_time_us,
-            clock_ppm=own.clock_ppm,
-            faults=fault_plan(own.faults, exposures_before),
-        )
+        config = _config_of(name, beside, its, exposures_before, own.clock_ppm)
         own_folder = folder / name
         own_folder.mkdir()
         self._further_worlds[name] = world
@@ -300,14 +292,7 @@ class SimulatedBench:
             device.power_off()
 
     def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int, folder: Path) -> CameraSection:
-        width, height = bench.scene.camera.sensor_px
-        config = CameraConfig(
-            width,
-            height,
-            serial=_serial_of(CAMERA),
-            row_time_us=table.row_time_us,
-            faults=fault_plan(table.faults, exposures_before),
-        )
+        config = _config_of(CAMERA, bench, table, exposures_before)
         if table.ring is not None:
             ring = bench.path.parent / table.ring
             if not list(ring.glob("*.npy")):
@@ -320,6 +305,15 @@ class SimulatedBench:
 def _serial_of(camera: str) -> str:
     """Serial number of a simulated camera."""
     return SERIAL if camera == CAMERA else f"{SERIAL}-{camera}"
+
+
+def _config_of(
+    name: str, bench: Bench, table: SimulationTable, exposures_before: int, clock_ppm: float = 0.0
+) -> CameraConfig:
+    """Configuration of a camera that draws what its world shows."""
+    size, faults = bench.scene.camera.sensor_px, fault_plan(table.faults, exposures_before)
+    serial, row_time_us = _serial_of(name), table.row_time_us
+    return CameraConfig(*size, serial=serial, row_time_us=row_time_us, clock_ppm=clock_ppm, faults=faults)
 
 
 def _any_box(stages: StagesTable) -> StagesTable:

@@ -9,7 +9,9 @@ the light that the scene file tells of target frames (`sim.light`).
 
 import secrets
 import threading
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +20,6 @@ from numpy.typing import NDArray
 from daq.bench.bench_table import Bench
 from sim.arranged import arrange, sheet_mm, true_scene
 from sim.bench_table import SimulationTable
-from sim.drawing_time import DrawingTime
 from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.light import Colours, LitFlow, colours_of, in_each_colour, target_light
@@ -41,6 +42,40 @@ LATER_S = 1.0  # in the flow for each exposure that was made before this process
 BOARD = "chessboard"  # what a target run shows
 FLOW = "flow"  # what a flow run shows: no print, but light on particles
 Print = Chessboard | CodedBoard | DotGrid | ParticleSheet | Plate
+
+
+class DrawingTime:
+    """Seconds in which at least one picture was drawn; the worlds of several cameras share one.
+
+    A real camera has its picture when the shutter closes; ours has to draw it first, with rays, for a second or
+    for minutes.  This is time of the computer and of no camera: a timeout of a wait for a frame takes it off what
+    has passed.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._drawing, self._since_s, self._sum_s = 0, 0.0, 0.0
+
+    @contextmanager
+    def count(self) -> Iterator[None]:
+        """Count the block as drawing."""
+        with self._lock:
+            if not self._drawing:
+                self._since_s = time.monotonic()
+            self._drawing += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._drawing -= 1
+                if not self._drawing:
+                    self._sum_s += time.monotonic() - self._since_s
+
+    @property
+    def so_far_s(self) -> float:
+        """All of it until now, what is being drawn included."""
+        with self._lock:
+            return self._sum_s + (time.monotonic() - self._since_s if self._drawing else 0.0)
 
 
 class World:

@@ -187,12 +187,12 @@ class Plate(PrintedBoard):
         assert self.dots is not None
         out = np.empty(len(face_mm), np.float32)
         large = np.array(self.discs, np.float64).reshape(-1, 2)
-        radii = 0.5 * np.array((self.dots.dot_mm, self.disc_mm))
+        sizes = np.array((self.square_mm, 0.5 * self.dots.dot_mm, 0.5 * self.disc_mm))
         dot, ground = (self.bright, self.dark) if self.dots.bright else (self.dark, self.bright)
         groove = np.array((*GROOVES[self.dots.levels], self.dots.step_mm < 0.0), np.int64)
         shades = np.array((dot, ground, self.wall), np.float32)
         drawn = [points / np.array(self.scale) for points in (face_mm, ground_mm)]
-        plate(drawn[0], drawn[1], self.square_mm, radii, large, self.ends(), groove, shades, out)
+        plate(drawn[0], drawn[1], sizes, large, self.ends(), groove, shades, out)
         return out
 
 

@@ -59,8 +59,7 @@ def dot_grid(
 def plate(
     points: Float64,
     below: Float64,
-    pitch: float,
-    radii: Float64,
+    sizes: Float64,
     large: Float64,
     lines: Float64,
     groove: Int64,
@@ -70,10 +69,11 @@ def plate(
     """Reflectance of a plate with dots on its face and in its grooves, as rays meet it.
 
     points (N, 2) and below (N, 2): where rays cross the face, and where they would cross the ground of the grooves
-    [mm]; radii, large and lines as of `dot_grid`.  groove (3,): whether every second column is one, and every
-    second row, both of which make fields like those of a chessboard; and whether the origin lies in one.  shades
-    (3,) of dots, ground and walls.
+    [mm]; sizes: pitch and the two radii; large and lines as of `dot_grid`.  groove (3,): whether every second
+    column is one, and every second row, both of which make fields like those of a chessboard; and whether the
+    origin lies in one.  shades (3,) of dots, ground and walls.
     """
+    pitch = sizes[0]
     for index in range(points.shape[0]):
         x, y = points[index, 0] / pitch, points[index, 1] / pitch
         i, j = np.round(x), np.round(y)
@@ -83,10 +83,10 @@ def plate(
                 out[index] = shades[2]
                 continue
             i, j = np.round(x), np.round(y)
-        radius = radii[0]
+        radius = sizes[1]
         for k in range(large.shape[0]):
             if large[k, 0] == i and large[k, 1] == j:
-                radius = radii[1]
+                radius = sizes[2]
         there = lines[0, 0] < i < lines[1, 0] and lines[0, 1] < j < lines[1, 1]
         inside = np.hypot(x - i, y - j) * pitch < radius
         out[index] = shades[0] if there and inside else shades[1]
