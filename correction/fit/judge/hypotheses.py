@@ -246,7 +246,7 @@ def _refit(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, before
 
     at = np.concatenate((seen.x, np.zeros(size)))
     gain, behind = squares(at, evaluate(at)), [frame.behind for frame in seen.frames]
-    starts = _starts(wider, at)
+    starts = starts_of_refit(wider, at)
     for turn in range(REFIT_ROUNDS):
         ends = [minimise(wider, evaluate, start, knee=KNEE, steps=REFIT_STEPS) for start in starts]
         found = min(ends, key=lambda end: squares(end.x, evaluate(end.x))) if len(ends) > 1 else ends[0]
@@ -273,7 +273,7 @@ def _refit(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, before
     return replace(found_now, unsaid_px=unsaid_px)
 
 
-def _starts(unknowns: Unknowns, at: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def starts_of_refit(unknowns: Unknowns, at: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Starts of a refit: where the fit stands, and with the glass at its priors if the fit has left these.
 
     A fit that lacks the cause may have pushed a ball into another minimum, from which no descent leads back.

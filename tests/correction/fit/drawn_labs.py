@@ -20,6 +20,7 @@ from correction.fit.solve.light import light_uncertainty
 from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import unknowns_of
 from correction.fitted.map_sigma import sigma_at
+from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
@@ -325,3 +326,19 @@ def map_error(
     chosen = np.flatnonzero(same & found.recovered & np.isfinite(true_mm[:, 0]))[:NODES]
     error = (found.plane_mm - true_mm)[chosen] / grid.pitch_mm
     return pixels[chosen], error, sigma_at(fit, pixels[chosen], behind) / grid.pitch_mm
+
+
+def chance_of(fit: SceneFit, pixels: np.ndarray, error_px: np.ndarray, behind: bool) -> float:
+    """Chance that a lab whose sigma is right errs at least as much; even from 0 to 1 over many labs.
+
+    A lab errs in few independent ways (2 to 10 where corners are many): chi of a single one is 0.4 to 1.6 by
+    chance, and says little.  Its distribution follows from the columns of the root of the covariance.
+    """
+    scene = fit.measured_scene if behind else fit.measured_scene.bare()
+    spread = SceneSigma.of(fit).spread(scene, pixels) / grid_of(scene.camera).pitch_mm
+    kept = np.isfinite(spread).all(axis=(1, 2)) & np.isfinite(error_px).all(axis=1)
+    columns, error = spread[kept].reshape(-1, spread.shape[2]), error_px[kept].ravel()
+    sigma = np.linalg.norm(columns, axis=1)
+    weights = np.linalg.eigvalsh((columns.T / sigma) @ (columns / sigma[:, None])) / len(error)
+    squares = np.random.default_rng(1).standard_normal((20000, len(weights))) ** 2 @ weights
+    return float(np.mean(squares >= np.mean((error / sigma) ** 2)))

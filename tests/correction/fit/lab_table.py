@@ -9,7 +9,8 @@ The corners of the first err as fitted corners of rendered frames do (`drawn_lab
 the independent renderer and fitted: strangers, every second one right, and each named bench so many times
 (`rendered_labs`); the last have one fault each (`faulty_labs`), every seventh none, and count whether the words
 are those of the fault.  A row has what the fit said and, behind glass and beside it, the map's error, its sigma,
-chi (root mean square of error over sigma) and the share of errors within one sigma.  At the end the rows are
+chi (root mean square of error over sigma), the share of errors within one sigma and, of drawn corners, the chance
+of such a chi.  At the end the rows are
 summed by kind: chi counts each lab once there, since the errors of one lab belong together.
 """
 
@@ -53,10 +54,12 @@ class Row:
     behind_sigma_px: float = float("nan")
     behind_chi: float = float("nan")
     behind_covered: float = float("nan")
+    behind_chance: float = float("nan")  # of an error as large if sigma is right (`drawn_labs.chance_of`)
     beside_px: float = float("nan")
     beside_sigma_px: float = float("nan")
     beside_chi: float = float("nan")
     beside_covered: float = float("nan")
+    beside_chance: float = float("nan")
     seconds: float = float("nan")
     is_named: bool = False  # among the words are those of the fault
     words: str = ""
@@ -77,6 +80,13 @@ def fitted(row: Row) -> Row:
             drawn = drawn_labs.drawn_lab(row.seed, row.fault, draw=stranger)
             fit, off = drawn.fit, 0.0
             behind, beside = (drawn.error_px, drawn.sigma_px), drawn.beside[1:]
+            seen = {"behind": (drawn.pixels, drawn.error_px), "beside": drawn.beside[:2]}
+            chances = {
+                f"{region}_chance": drawn_labs.chance_of(fit, *each, region == "behind")
+                for region, each in seen.items()
+                if len(each[0]) > 10
+            }
+            row = replace(row, **chances)
         elif row.kind == FAULTY:
             case = faulty_labs.faulty(row.fault, row.seed)
             photos = tuple(case.frames(row.seed))

@@ -11,7 +11,7 @@ from correction.errors import FitFailed
 from correction.fit import camera_stage
 from correction.fit.adjustment import Adjustment
 from correction.fit.camera_stage import cause_on_bare, find_camera, turn_scene
-from correction.fit.judge.hypotheses import ErrorHypothesis
+from correction.fit.judge.hypotheses import ErrorHypothesis, starts_of_refit
 from correction.fit.judge.result import check
 from correction.fit.judge.verdict import Verdict
 from correction.fit.progress import Progress
@@ -161,3 +161,15 @@ def test_where_no_cause_is_named_all_that_may_be_reach_sigma_as_far_as_they_are_
     np.testing.assert_allclose(alone.changes, changes[:1])
     assert alone.is_right
     assert len(alone.sentences) == len(verdict.sentences) + 1  # what is counted is said
+
+
+def test_a_cause_is_refitted_from_the_priors_too_where_a_fit_has_left_them():
+    unknowns = unknowns_of(named_scene("two_spheres_500"), [0.0], FitTable())
+    near = np.full(len(unknowns.names), 0.5)
+    assert len(starts_of_refit(unknowns, near)) == 1
+    far = near.copy()
+    far[unknowns.names.index("sphere1.radius")] = 17.0
+    stands, anew = starts_of_refit(unknowns, far)
+    of_camera = [name.startswith(("camera", "target", "print")) for name in unknowns.names]
+    np.testing.assert_array_equal(stands, far)
+    np.testing.assert_array_equal(anew, np.where(of_camera, 0.5, 0.0))
