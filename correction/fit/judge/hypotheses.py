@@ -135,7 +135,7 @@ class _Found:
 def rank_hypotheses(
     unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float
 ) -> list[ErrorHypothesis]:
-    """Every hypothesis that lowers the squares by more than its numbers are worth, the most likely first.
+    """List every hypothesis that lowers the squares by more than its numbers are worth, the most likely first.
 
     Parameters
     ----------
@@ -150,6 +150,8 @@ def rank_hypotheses(
     free, (depth, wall) = len(seen.x), touching(unknowns, seen.x)
     flat = [rate.reshape(-1, free) for rate in seen.rates]
     left = [value.ravel() for value in seen.values]
+    # Rao's score test: one Newton step of each candidate's numbers with all that was free, from where the fit
+    # ended.
     own = sum(j.T @ j for j in flat) + np.eye(free)
     slope = sum(j.T @ r for j, r in zip(flat, left, strict=True)) + seen.x
     already = step_with_walls(slope, own, depth, wall @ unknowns.columns)[2]  # nearly nothing: it is fitted
@@ -169,7 +171,7 @@ def rank_hypotheses(
         spread = inverse[free:, free:]
         if np.linalg.inv(spread).diagonal().max() - 1.0 < NOTHING_NEW * normal.diagonal()[free:].max():
             continue  # the fit could do the same with what was free
-        gain -= already + size * np.log(count)
+        gain -= already + size * np.log(count)  # Schwarz's criterion
         if gain > 0.0:
             spreads = np.sqrt(np.diag(spread)) * one.ordinary
             rest = [
@@ -177,13 +179,14 @@ def rank_hypotheses(
                 for k, j, r in zip(every, flat, left, strict=True)
             ]
             of_own = (step[free:] * one.ordinary)[:, None]
-            if one.is_alike:
+            if one.is_alike:  # numbers of one kind are ordinarily no larger than those that the frames show
                 scales = likely_scales(normal - np.eye(len(normal)), gradient, size)
                 likely = float(np.sqrt(scales @ SCALES**2))
                 one = replace(one, ordinary=likely * one.ordinary)
                 step[free:] /= likely
             found.append(_Found(gain, one, step[free:], spreads, (moves @ step)[:, None], of_own, rest))
     found.sort(key=_rank)
+    # The first few are fitted in full: a large fault is no small step, and may lose rank, or everything.
     for number, before in enumerate(found[:RIVALS]):
         found[number] = _refit(unknowns, full, seen, before, count)
     round_or_not = shapes_to_consider(unknowns)
@@ -255,10 +258,12 @@ def _refit(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, before
         gain -= squares(at, parts) * (not turn)
         left = [part.value * by_region(own, factors)[:, None] for own, part in zip(behind, parts, strict=True)]
         factors = region_factors(behind, left)
+    # Of the cause's own numbers the frames leave open a part, which all free numbers follow.
     inverse = np.linalg.inv(found.normal + np.eye(len(at)))[:, free:]
     open_still = inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
     moving = wider.columns[:, : free if one.board is not None or one.is_linear else None]
     moving = np.column_stack((moving, _camera_columns(unknowns)))
+    # The change is that of a lab in which the cause was known; derivatives must reproduce it (`as_linear`).
     stands, other = clear_spheres(unknowns, full)[0], wider.full(at)
     added, unsaid_px = as_linear(unknowns, stands, other, moving)
     change = np.column_stack((other - stands + added, wider.columns @ open_still))

@@ -305,7 +305,7 @@ def judge_model(
     Returns
     -------
     verdict : Verdict
-    left : Left
+    left : ResidualsGivenCause
     """
     full, free = wide.full(x), len(unknowns.names)
     pitch_mm = grid_of(unknowns.camera(full)).pitch_mm
@@ -329,7 +329,7 @@ def judge_model(
     left = _residuals_given(frames, rests, rates, [part.value for part in parts], {False: 1.0, True: 1.0})
     found: list[ErrorHypothesis] = []
     own = [name not in LOCK for name in unknowns.names]
-    pull = np.abs(x[:free]) * own  # what is free may hide what is wrong
+    pull = np.abs(x[:free]) * own  # a number that is free may have moved to hide an error of another
     pulled = float(pull.max(initial=0.0)) > STRAINED
     strained = f"{unknowns.names[int(np.argmax(pull))]} moved {pull.max():.1f} of its sigmas" if pulled else ""
     if pulled or any(way.alarm for way in ways) or unlike_noise(ways):
@@ -348,6 +348,8 @@ def judge_model(
     )
     if not verdict.alarms or verdict.cause is None or verdict.cause.change is None:
         return verdict, left
+    # Once the cause is known, corners err by what it leaves: sigmas, correlation and test are taken anew from
+    # that.
     factors = region_factors([frame.behind for frame in frames], verdict.cause.left)
     rests = [
         replace(
