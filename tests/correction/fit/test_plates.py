@@ -19,6 +19,7 @@ from sim.renderer.render import render, render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tests.correction.fit.test_dots import EXACT
+from tests.slow_cases import slow
 from tracer.board import LARGE_DOTS, Dots
 from tracer.camera import Camera, Lens, look_at
 from tracer.scene.fit_section import FitCameraTable, FitTable
@@ -66,10 +67,10 @@ def test_marks_of_a_level_land_where_its_plane_is(levels):
     ("shown", "told", "words"),
     [
         (("rows", 1.2), ("rows", 1.0), "by rows, .* 1.20. mm behind .* step_mm: 1; say"),
-        (("rows", 1.2), ("columns", 1.2), "by rows, .* levels: columns"),
-        (("alternating", 1.2), ("rows", 1.2), "by alternating, .* levels: rows"),
+        slow(("rows", 1.2), ("columns", 1.2), "by rows, .* levels: columns"),
+        slow(("alternating", 1.2), ("rows", 1.2), "by alternating, .* levels: rows"),
         (("columns", -0.8), ("columns", 0.8), "by columns, .* -0.(80|79[5-9])\\d* mm behind"),
-        (("rows", 1.2), ("", 0.0), "by rows, .* nothing of levels"),
+        slow(("rows", 1.2), ("", 0.0), "by rows, .* nothing of levels"),
         (("", 0.0), ("rows", 1.2), "all dots on one level"),
     ],
 )

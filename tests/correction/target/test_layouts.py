@@ -14,6 +14,7 @@ from correction.target.board_file import PrintedBoard, read_board
 from correction.target.board_search import find_board, track_board
 from tests.correction.target.photographs import FOLDER
 from tests.loops import loop_over
+from tests.slow_cases import slow
 
 NAMES = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
 SIDE_PX, MARGIN = 36, 2  # of a square, and squares of paper around
@@ -78,7 +79,12 @@ def oblique(side, tilt_deg, blur, noise, quality, columns=9, rows=8):
 
 @pytest.mark.parametrize(
     ("side", "tilt_deg", "blur", "noise", "quality", "off_px"),
-    [(16, 25, 0.7, 2, 0, 0.03), (28, 30, 1.0, 3, 75, 0.04), (40, 25, 2.0, 2, 0, 0.03), (48, 0, 1.0, 2, 30, 0.03)],
+    [
+        (16, 25, 0.7, 2, 0, 0.03),
+        (28, 30, 1.0, 3, 75, 0.04),
+        slow(40, 25, 2.0, 2, 0, 0.03),
+        slow(48, 0, 1.0, 2, 30, 0.03),
+    ],
 )
 def test_corners_beside_markers_lie_where_they_were_drawn(side, tilt_deg, blur, noise, quality, off_px):
     """OpenCV's cornerSubPix lies 0.1 to 0.5 px beside: markers reach into its window of half a square."""
@@ -103,7 +109,7 @@ def told(columns, rows, layout=None, dictionary="DICT_5X5_1000", **more):
     return file.board()
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(9, 8), (12, 10), (11, 7)])
+@pytest.mark.parametrize(("columns", "rows"), [(9, 8), slow(12, 10), (11, 7)])
 @pytest.mark.parametrize("legacy", [True, False])
 def test_the_layout_is_seen(columns, rows, legacy):
     image, project = drawn(columns, rows, legacy)
