@@ -46,7 +46,7 @@ from piv.correlation.windows import WindowGrid, interpolation_matrix
 OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and, negative, to the other
 NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
 REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
-DOUBT = 5.0  # times the chance deviation of a measurement
+CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
 BACK = 1.5  # variances of noise that are put back
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
 EDGE = 2  # blocks at the edge of frames that lack pixels
@@ -100,8 +100,8 @@ def measure_agreement(
     product, expected, square = np.zeros((3, *grid.shape))
     for axis in range(2):
         by_shift = blocks.by_shift[axis]
-        told = down @ ((weight * beyond_px[..., axis]).astype(np.float32) @ along.T)
-        pairs = _opposite(blocks.lean[axis] - told * by_shift)
+        known = down @ ((weight * beyond_px[..., axis]).astype(np.float32) @ along.T)
+        pairs = _opposite(blocks.lean[axis] - known * by_shift)
         product += rows @ pairs @ columns.T
         expected += shown * (rows @ _opposite(by_shift) @ columns.T)
         square += rows**2 @ pairs**2 @ (columns**2).T
@@ -135,7 +135,9 @@ def resolution_of(measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Flo
     known, unknown = np.zeros_like(random), np.ones_like(random)
     for mean in measured:
         apart = np.maximum(mean.square_px2 + BACK * np.minimum(random, noise), 0.0) - known
-        clear = np.square(apart) / np.maximum(np.square(noise) + np.square(DOUBT * mean.chance_px2), 1e-30)
+        clear = np.square(apart) / np.maximum(
+            np.square(noise) + np.square(CLEAR_OF_CHANCE * mean.chance_px2), 1e-30
+        )
         share = 1.0 - 1.0 / (1.0 + clear**4)
         known, unknown = known + share * apart, unknown * (1.0 - share)
     missed = np.maximum(known - (1.0 - unknown) * random, 0.0)

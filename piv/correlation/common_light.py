@@ -65,6 +65,8 @@ APART = (  # length in deviations of an image, and how much of it comes of image
 )
 SHARE, FEWEST = 0.5, 4  # of the windows that must show a clear displacement
 MOST_PX = 1024  # side of the part of a frame that is compared with itself
+STILL_MIN_SHIFT = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
+STILL_MIN_WINDOWS = 12  # for a median
 LEAST_COMMON = 0.06  # share of the light, in three of four windows that move
 
 
@@ -158,7 +160,7 @@ def lag_of_coarse_light(pair: DeformedPair, known: Known, spread_px2: float, thr
 def without_common_light(
     pair: Pair, known: Known, min_valid: float, threads: int | None, lag: float = float("nan")
 ) -> CommonLight | None:
-    """Take off what both frames have in common; None if that is nothing, or cannot be told.
+    """Take off what both frames have in common; None if that is nothing, or is not known.
 
     Parameters
     ----------
@@ -262,3 +264,27 @@ def match_at_rest(pair: DeformedPair, grid: WindowGrid, window_sigma: float, thr
     sums = refine(pair, grid, window_sigma, threads).sums
     power = np.sqrt(sums[..., 8] * sums[..., 9])
     return np.where(power > 0.0, sums[..., 0] / np.where(power > 0.0, power, 1.0), np.nan)
+
+
+def still_correlation(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: int | None) -> Floats:
+    """Correlation coefficient at no displacement, for every second window of each direction; `pair` undeformed."""
+    every = slice(None, None, 2)
+    coarse = WindowGrid(grid.row[every], grid.column[every], grid.size_px, 2 * grid.step_px)
+    return match_at_rest(pair, coarse, window_sigma, threads)
+
+
+def static_share(still: Floats, vectors: Floats, spread_px2: float) -> float:
+    """Share of the light that stands still, median over windows; NaN where all moves too little.
+
+    Parameters
+    ----------
+    still : ndarray of float64
+        From `still_correlation`, on the grid of `vectors`.
+    vectors : ndarray of float64, shape (ny, nx, 2)
+        How far it moves.
+    spread_px2 : float
+        Variance of a particle image.
+    """
+    far = np.linalg.norm(vectors, axis=-1)[::2, ::2] > STILL_MIN_SHIFT * np.sqrt(spread_px2)
+    known = still[far & np.isfinite(still)]
+    return float(np.median(known)) if len(known) >= STILL_MIN_WINDOWS else float("nan")

@@ -1,7 +1,7 @@
 """Both frames of a pair seen at their common middle time, through the displacement found so far.
 
 Where single pixels were filled (`piv.correlation.fill`), what stands there errs by variances e_a and e_b beside
-the noise n, and both frames show the same: each is drawn to the other by its share of the doubt,
+the noise n, and both frames show the same: each is drawn to the other by its share of the variance,
 
     a + e_a w' (b - a),     b + e_b w' (a - b),     w' = 1/(e_a + e_b + n).
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
-from piv.correlation.fill import Doubt
+from piv.correlation.fill import FilledPixels
 from piv.correlation.inclined_images import Inclination
 from piv.correlation.kernels.deform import agree_rows, deform_rows, refine_lines
 from piv.correlation.windows import WindowGrid, around
@@ -46,15 +46,15 @@ class DeformedPair(NamedTuple):
 class Frames(NamedTuple):
     """Input of all passes: spline coefficients of both frames, mask (H, W) float32, variance of filled pixels.
 
-    `floor` is the mean square up to which a window counts as constant; `told` as in `Pair`; `inclination` of
+    `floor` is the mean square up to which a window counts as constant; `given` as in `Pair`; `inclination` of
     particle images, None of round ones.
     """
 
     coefficients: tuple[NDArray[np.float32], NDArray[np.float32]]
     valid: NDArray[np.float32]
     floor: float
-    doubt: Doubt | None
-    told: NDArray[np.float32] | None = None
+    filled: FilledPixels | None
+    given: NDArray[np.float32] | None = None
     inclination: Inclination | None = None
 
 
@@ -65,7 +65,7 @@ def deform_pair(
     grid: WindowGrid,
     floor: float,
     threads: int | None = None,
-    doubt: Doubt | None = None,
+    filled: FilledPixels | None = None,
 ) -> DeformedPair:
     """Sample frame A at x - d(x)/2 and frame B at x + d(x)/2.
 
@@ -83,7 +83,7 @@ def deform_pair(
         Mean square up to which a window counts as constant.
     threads : int, optional
         Threads to use.
-    doubt : Doubt, optional
+    filled : FilledPixels, optional
         How unsure what stands in single pixels is.
     """
     height, width = valid.shape
@@ -98,7 +98,7 @@ def deform_pair(
         np.empty((height, width), np.float32),
         np.ones((height, width), np.float32),
         floor,
-        None if doubt is None else np.empty((height, width), np.float32),
+        None if filled is None else np.empty((height, width), np.float32),
     )
 
     def rows(first: int, last: int) -> None:
@@ -108,9 +108,9 @@ def deform_pair(
                 source, valid, masked, refined, cell, share, np.float32(scale), first, last,
                 offset, fraction, target, out.valid,
             )  # fmt: skip
-        if doubt is not None and out.worth is not None:
+        if filled is not None and out.worth is not None:
             agree_rows(
-                out.a, out.b, doubt.variance, np.float32(doubt.noise), refined, cell, share, first, last,
+                out.a, out.b, filled.variance, np.float32(filled.noise), refined, cell, share, first, last,
                 offset, fraction, np.empty((2, width), np.float32), out.worth,
             )  # fmt: skip
         for target in (out.a, out.b):

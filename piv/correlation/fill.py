@@ -38,14 +38,14 @@ class Texture(NamedTuple):
     noise: float
 
 
-class Doubt(NamedTuple):
+class FilledPixels(NamedTuple):
     """Variance (H, W) of what single pixels were filled with, 0 elsewhere, and of noise; over the picture's."""
 
     variance: Floats
     noise: float
 
 
-def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture) -> Doubt | None:
+def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture) -> FilledPixels | None:
     """Fill both levelled frames in place where they are not seen.
 
     Parameters
@@ -59,7 +59,7 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
 
     Returns
     -------
-    Doubt, optional
+    FilledPixels, optional
         How unsure what stands in single pixels is; None if there are none.
     """
     weight = seen.astype(np.float32)
@@ -83,7 +83,7 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     a[at], b[at] = filled[:, 0], filled[:, 1]
     variance = np.zeros(a.shape, np.float32)
     variance[at] = filled[:, 2]
-    return Doubt(variance, max(texture.noise, LEAST_NOISE))
+    return FilledPixels(variance, max(texture.noise, LEAST_NOISE))
 
 
 def blur_frame(frame: Floats, sigma_px: float) -> Floats:

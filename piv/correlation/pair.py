@@ -19,6 +19,21 @@ the two frames or beforehand in a whole series, and belongs to no window. Of the
 by more than their own size, frames that show nothing else do not match at no displacement; what matches there all
 the same, as a share of what the window holds, stands still.
 
+**Uncertainty.** Each step of `_judge_vectors` needs those before it:
+
+1. noise of one correlation (`uncertainty`), over what inclined images leave of it (`inclined_images`): it decides
+   which vectors are measured at all;
+2. noise of the result: passes and the last filter change it (`response`, `denoise`). The error by the places of
+   images between the pixels is added afterwards, since no filter takes it off;
+3. resolution, from the filtered vectors: the model (`resolution`) or what halved windows miss (`halving`), the
+   larger, since they see the same detail; in windows too small for 4. also waves that none of them shows
+   (`finer_waves`), which neither has seen;
+4. resolution as it is measured (`agreement`): it replaces 3. as far as it is clear of noise and chance;
+5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel;
+6. the cut of a mask (`cut_windows`), added: none of 3. to 5. has seen it.
+
+`sigma_u_px` and `sigma_v_px` are 2., `resolution_px` is 3. to 6.
+
 Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 233 (2005).
 Sign and axis conventions: see `piv.correlation.vector_field`.
 """
@@ -39,8 +54,9 @@ from piv.correlation.common_light import (
     Known,
     is_suspect,
     lag_of_coarse_light,
-    match_at_rest,
     match_with_itself,
+    static_share,
+    still_correlation,
     without_common_light,
 )
 from piv.correlation.correlate import peak_ratios
@@ -67,47 +83,24 @@ from piv.correlation.uncertainty import (
     sampling_error_px,
 )
 from piv.correlation.vector_field import TRUSTED_SHARE, VectorField, VectorFlag
-from piv.correlation.windows import WindowGrid, window_grid
+from piv.correlation.windows import window_grid
 from piv.errors import PairError
 from piv.preprocessing.still_light import still_light, with_clean_rim
 
-FAR_MOVED = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
-FEWEST_MOVED = 12  # windows, for a median
 BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
-DOUBTFUL_SHARE, GAIN = 0.8, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
-LEFT = 0.6  # of the windows without a vector: with fewer left, larger first windows have found more
+# Light that stands still
+COMMON_LIGHT_MARGIN = 1.5  # of the shortest vectors: as long ones are not trusted beside shorter ones
+# Larger first windows are tried if few places have a vector, and kept if they find more
+MIN_VALID_SHARE = 0.8  # of the windows
+RETRY_GAIN, RETRY_LEFT = 1.5, 0.6  # share with a vector, and without, over that of the usual windows
+UNRELATED_SHARE, UNRELATED_SIGMA_PX = 0.25, 0.15  # fewer vectors, and less certain ones, are there by chance
+PASS_CHANGE_PX, PASS_CHANGED_SHARE = 0.25, 0.03  # more vectors moved by more: another pass is worth its time
+# Single vectors
+MIN_MATCH_SHARE, MAX_MISMATCH_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
+MAX_NOISE_PX = 0.5  # of a correlation: with more, a vector that is known to a pixel says no less
+MATCH_SIDE = 1.5  # side of what must match around an uncertain vector, in usual windows
 RIM_CUT = 0.35  # of what a mask cuts where its rim is clean (errors near walls over sigma 0.8 to 1.2)
-BESIDE = 1.5  # of the shortest vectors behind common light: as long ones are not trusted beside shorter ones
-STRANGERS, CLEAR_PX = 0.25, 0.15  # fewer vectors than this share, less clear than that, are there by chance
-LEAST_MATCHED, OTHERWISE_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
-MEASURED_PX = 0.5  # noise of a correlation up to which a vector that is known to a pixel says more than that
-AROUND = 1.5  # side of what must match around a doubtful vector, in usual windows
-CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time
 Floats = NDArray[np.float64]
-
-
-def still_correlation(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: int | None) -> Floats:
-    """Correlation coefficient at no displacement, for every second window of each direction; `pair` undeformed."""
-    every = slice(None, None, 2)
-    coarse = WindowGrid(grid.row[every], grid.column[every], grid.size_px, 2 * grid.step_px)
-    return match_at_rest(pair, coarse, window_sigma, threads)
-
-
-def static_share(still: Floats, vectors: Floats, spread_px2: float) -> float:
-    """Share of the light that stands still, median over windows; NaN where all moves too little.
-
-    Parameters
-    ----------
-    still : ndarray of float64
-        From `still_correlation`, on the grid of `vectors`.
-    vectors : ndarray of float64, shape (ny, nx, 2)
-        How far it moves.
-    spread_px2 : float
-        Variance of a particle image.
-    """
-    far = np.linalg.norm(vectors, axis=-1)[::2, ::2] > FAR_MOVED * np.sqrt(spread_px2)
-    known = still[far & np.isfinite(still)]
-    return float(np.median(known)) if len(known) >= FEWEST_MOVED else float("nan")
 
 
 @one_blas_thread()
@@ -156,35 +149,35 @@ def evaluate_pair(
     frames, _, seen = check_frames(frame_a, frame_b, valid)
     if still is None:
         still = still_light([(frames[0], frames[1])], seen)
-    told = valid
-    if told is not None and not told.all():
+    given = valid
+    if given is not None and not given.all():
         usable = check_frames(frame_a, frame_b, None)[2]
-        valid = with_clean_rim((frames[0], frames[1]), told, usable)
+        valid = with_clean_rim((frames[0], frames[1]), given, usable)
     del frames, seen
     if still is not None:
         valid = ~still if valid is None else valid & ~still
     sides = list(settings.windows_px)
-    rim = None if valid is None or told is None or told.all() or not (valid & ~told).any() else told
+    rim = None if valid is None or given is None or given.all() or not (valid & ~given).any() else given
 
     # Frames are prepared anew for each trial: none are held while one goes on.
     def prepare_again() -> Pair:
         pair = prepare_pair(frame_a, frame_b, valid, sides[-1])
-        return pair if rim is None else replace(pair, told=rim.astype(np.float32))
+        return pair if rim is None else replace(pair, given=rim.astype(np.float32))
 
     field = _run_passes(prepare_again(), sides, settings, threads)
-    for side in _larger(sides[0], min(np.shape(frame_a))) if _share(field) < DOUBTFUL_SHARE else ():
+    for side in _larger(sides[0], min(np.shape(frame_a))) if _share(field) < MIN_VALID_SHARE else ():
         try:
             again = _run_passes(prepare_again(), [side, *sides], settings, threads)
         except PairError:
             continue  # no more than there was
-        if _share(again) < GAIN * _share(field) and 1.0 - _share(again) > LEFT * (1.0 - _share(field)):
+        if _share(again) < RETRY_GAIN * _share(field) and 1.0 - _share(again) > RETRY_LEFT * (1.0 - _share(field)):
             continue  # it is not for want of size
         field = again
         if _share(field) > TRUSTED_SHARE:
             break
-    field = _without_strangers(field)
+    field = _without_chance_vectors(field)
     if still is not None and still.any():
-        field = _without_still(field, told, still, settings.min_valid)
+        field = _without_still(field, given, still, settings.min_valid)
     return replace(field, is_one_picture=_is_one_picture(frame_a, frame_b))
 
 
@@ -193,12 +186,12 @@ def _larger(side_px: int, frame_px: int) -> list[int]:
     return [side for side in (3 * side_px // 2, 2 * side_px, 4 * side_px) if 3 * side <= 2 * frame_px]
 
 
-def _without_strangers(field: VectorField) -> VectorField:
+def _without_chance_vectors(field: VectorField) -> VectorField:
     """The field without any vector if the few there are say no more than those of frames that are no pair."""
-    if _share(field) >= STRANGERS or not field.valid.any():
+    if _share(field) >= UNRELATED_SHARE or not field.valid.any():
         return field
     sigma = field.total_sigma_px[field.valid]
-    if np.isfinite(sigma).any() and np.nanmedian(sigma) < CLEAR_PX:
+    if np.isfinite(sigma).any() and np.nanmedian(sigma) < UNRELATED_SIGMA_PX:
         return field
     return _without(field, field.asked, VectorFlag.REJECTED)
 
@@ -214,7 +207,7 @@ def _share(field: VectorField) -> float:
 
 
 def _without_still(
-    field: VectorField, told: NDArray[np.bool_] | None, still: NDArray[np.bool_], min_valid: float
+    field: VectorField, given: NDArray[np.bool_] | None, still: NDArray[np.bool_], min_valid: float
 ) -> VectorField:
     """The field without vectors whose middle stands still; what is masked by that alone says so."""
     row, column = (
@@ -222,7 +215,7 @@ def _without_still(
         for place, side in zip((field.y_px, field.x_px), still.shape, strict=True)
     )
     at = np.ix_(row, column)
-    seen = 1.0 if told is None else _share_around(told, field.window_px)[at]
+    seen = 1.0 if given is None else _share_around(given, field.window_px)[at]
     of_still = (field.flags == VectorFlag.MASKED) & (seen >= min_valid)
     of_still &= _share_around(still, field.window_px)[at] > 0.0
     return _without(field, still[at] | of_still, VectorFlag.STILL)
@@ -263,7 +256,7 @@ def _run_passes(
     still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
     found = search(pair, grids[0], settings, threads)
     inclination = inclination_of(pair.a)
-    frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.doubt, pair.told, inclination)
+    frames = Frames(pair.coefficients(threads), pair.valid, pair.floor, pair.filled, pair.given, inclination)
     spread_px2, sampled_px2, nan_pixels = pair.spread_px2, pair.spread_as_sampled_px2, pair.nan_pixels
     suspect = pair if common is None and is_suspect(still) else None
     del pair  # 8 bytes a pixel that are not needed any more
@@ -280,7 +273,7 @@ def _run_passes(
         lag = lag_of_coarse_light(course.deformed, known._replace(vectors_px=believed), spread_px2, threads)
         common = without_common_light(suspect, known, settings.min_valid, threads, lag)
         if common is not None:
-            field = _run_passes(replace(common.pair, told=suspect.told), sides, settings, threads, common)
+            field = _run_passes(replace(common.pair, given=suspect.given), sides, settings, threads, common)
             return replace(field, nan_pixels=nan_pixels)
         if lag < -LAGS:
             still_share = max(-lag, np.nan_to_num(still_share))
@@ -318,7 +311,9 @@ def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
     )
     short = field.valid & (length_px < common.least_px)
     # Beside short ones others are pushed beyond that length.
-    beside = scipy.ndimage.binary_dilation(short, np.ones((5, 5), bool)) & (length_px < BESIDE * common.least_px)
+    beside = scipy.ndimage.binary_dilation(short, np.ones((5, 5), bool)) & (
+        length_px < COMMON_LIGHT_MARGIN * common.least_px
+    )
     return _without(field, field.valid & (short | beside), VectorFlag.REJECTED)
 
 
@@ -337,12 +332,12 @@ def _decimate(field: VectorField, every: int) -> VectorField:
 def _needs_another_pass(course: MultipassState) -> bool:
     """Return whether a pass has still moved more than a few vectors."""
     dense = course.found.valid_fraction >= course.settings.min_valid
-    far = ~(np.linalg.norm(course.found.left_px, axis=-1) < CHANGE_PX)
-    return bool((far & dense).sum() > CHANGED_SHARE * dense.sum())
+    far = ~(np.linalg.norm(course.found.left_px, axis=-1) < PASS_CHANGE_PX)
+    return bool((far & dense).sum() > PASS_CHANGED_SHARE * dense.sum())
 
 
 def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_px: Floats) -> VectorField:
-    """Judge the vectors of the last pass by their own uncertainty, and take noise off them.
+    """Judge the vectors of the last pass by their own uncertainty, and take noise off them (steps: see the top).
 
     `missed_px` (ny, nx) is what smaller windows have shown that they miss.
     """
@@ -351,35 +346,39 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     sizes = found.sizes or Sizes((grid.size_px,), np.zeros(grid.shape, np.int64))
     sigma, resolution = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
     if found.refined is not None:
+        # 1. Noise of one correlation; it decides which vectors are measured.
         left, _ = fill_gaps(found.left_px, good)
         blocks = blocks_of(course.deformed, spread_px2, course.threads)
-        lean = correlation_asymmetry(blocks, grid, settings.window_sigma, left)
-        lean = asymmetry_of_sizes(lean, grid, sizes, settings.window_sigma)
-        one, pieces = correlation_statistics(lean, found.refined)
+        asymmetry = correlation_asymmetry(blocks, grid, settings.window_sigma, left)
+        asymmetry = asymmetry_of_sizes(asymmetry, grid, sizes, settings.window_sigma)
+        noise, pieces = correlation_statistics(asymmetry, found.refined)
         if course.frames.inclination is not None:
-            one = one * course.frames.inclination.noise_growth(grid)[..., None]
-        good = good & ~_is_unmeasured(course, one, pieces / np.square(sizes.side_px))
+            noise = noise * course.frames.inclination.noise_growth(grid)[..., None]
+        good = good & ~_is_unmeasured(course, noise, pieces / np.square(sizes.side_px))
         good = good & ~_is_mostly_unmatched(found, good)
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
-        one = np.where(good[..., None] & np.isnan(one), LARGEST_PX, one)
-        vectors, sigma, taken = _remove_noise(course, sizes, good, one, added)
+        noise = np.where(good[..., None] & np.isnan(noise), LARGEST_PX, noise)
+        # 2. Noise of the result; no filter takes the sampling error off.
+        vectors, sigma, taken = _remove_noise(course, sizes, good, noise, added)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
+        # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
         resolution = np.maximum(_modelled_resolution(course, sizes, final, taken, pieces), missed_px)
-        beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
-        if not large.all():  # blocks tell nothing there
-            finer = _missed_short_waves(course, good, one, added)
+        if not large.all():  # nothing is measured there, see 4.
+            finer = _missed_short_waves(course, good, noise, added)
             resolution = np.where(large, resolution, np.hypot(resolution, finer))
-        measured = measure_agreement(
-            blocks, grid, beyond, good * large * found.refined.gain, settings.windows_px[-1]
-        )
-        resolution = resolution_of(measured, resolution, sigma, one)
-        # Blocks tell displacements of less than a pixel; what moves farther from the vector matches nothing.
+        # 4. Resolution as blocks of the frames show it.
+        beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
+        weight = good * large * found.refined.gain
+        measured = measure_agreement(blocks, grid, beyond, weight, settings.windows_px[-1])
+        resolution = resolution_of(measured, resolution, sigma, noise)
+        # 5. Light that moves otherwise by a pixel and more, of which blocks show nothing.
         resolution = np.maximum(resolution, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
-        seen, told = course.frames.valid, course.frames.told
-        # A clean rim shows that particles end there, and its windows hold some of them: part of the cut counts.
-        around = seen if told is None else seen + np.float32(RIM_CUT) * (told - seen)
+        # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of
+        # them: part of the cut counts.
+        seen, given = course.frames.valid, course.frames.given
+        around = seen if given is None else seen + np.float32(RIM_CUT) * (given - seen)
         cut = (cut_px(final, around, grid, side, settings.window_sigma) for side in sizes.sides_px)
         resolution = np.hypot(resolution, sizes.pick(list(cut)))
     fill, near = fill_gaps(vectors, good)
@@ -387,9 +386,9 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     flags[near] = VectorFlag.REPLACED
     flags[good] = VectorFlag.VALID
     share = found.valid_fraction
-    if (told := course.frames.told) is not None:
+    if (given := course.frames.given) is not None:
         share = np.minimum(
-            share, sizes.pick([_share_of_given_mask(course, told, side) for side in sizes.sides_px])
+            share, sizes.pick([_share_of_given_mask(course, given, side) for side in sizes.sides_px])
         )
     flags[share < settings.min_valid] = VectorFlag.MASKED
     nothing = (flags == VectorFlag.MASKED) | (flags == VectorFlag.REJECTED)
@@ -416,12 +415,12 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     )
 
 
-def _share_of_given_mask(course: MultipassState, told: NDArray[np.float32], side_px: int) -> Floats:
+def _share_of_given_mask(course: MultipassState, given: NDArray[np.float32], side_px: int) -> Floats:
     """Share (ny, nx) of windows that the mask which was given leaves, by their weights."""
     import cv2
 
     spread_px = float(np.sqrt(variance_px2(side_px, course.settings.window_sigma)))
-    share = np.asarray(cv2.GaussianBlur(told, (0, 0), spread_px))
+    share = np.asarray(cv2.GaussianBlur(given, (0, 0), spread_px))
     nodes = (np.rint(place).astype(np.int64) for place in (course.grid.y_px, course.grid.x_px))
     rows, columns = (np.clip(at, 0, side - 1) for at, side in zip(nodes, share.shape, strict=True))
     return np.asarray(share[np.ix_(rows, columns)], np.float64)
@@ -431,17 +430,17 @@ def _is_unmeasured(course: MultipassState, sigma: Floats, pieces_a_px2: Floats) 
     """Windows (ny, nx) in which nothing was measured: no uncertainty worth the name, and a weak peak or match."""
     found, settings = course.found, course.settings
     # Windows larger than their spacing see the same light, and support each other even where there is nothing.
-    largest_px = np.inf if found.sizes is None else MEASURED_PX
+    largest_px = np.inf if found.sizes is None else MAX_NOISE_PX
     sigma = np.where(sigma < largest_px, sigma, np.nan)
-    doubtful = found.good & np.isnan(sigma).any(axis=-1)
-    if not doubtful.any():
-        return doubtful
-    ratio = peak_ratios(course.deformed, course.grid, doubtful, settings.min_valid, course.threads)
+    uncertain = found.good & np.isnan(sigma).any(axis=-1)
+    if not uncertain.any():
+        return uncertain
+    ratio = peak_ratios(course.deformed, course.grid, uncertain, settings.min_valid, course.threads)
     empty = is_low_confidence(ratio, sigma)
     if found.sizes is not None:
-        around_px = AROUND * settings.windows_px[-1]
+        around_px = MATCH_SIDE * settings.windows_px[-1]
         match = match_around(found.own, course.grid, round(around_px), settings.window_sigma)
-        empty |= doubtful & is_chance_match(match, pieces_a_px2 * around_px**2)
+        empty |= uncertain & is_chance_match(match, pieces_a_px2 * around_px**2)
     if not (found.good & ~empty).any():
         raise PairError("no window gave a vector that its own correlation supports; check exposure and pairing")
     return empty
@@ -449,9 +448,9 @@ def _is_unmeasured(course: MultipassState, sigma: Floats, pieces_a_px2: Floats) 
 
 def _is_mostly_unmatched(found: Measured, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Windows (ny, nx) most of whose light moves otherwise than their vector says, and by much."""
-    little = match_share(found.correlation, good) < LEAST_MATCHED
+    little = match_share(found.correlation, good) < MIN_MATCH_SHARE
     apart_px = mismatch_px(found.vectors_px, found.seen_px, found.correlation, good)
-    return np.asarray(little & (apart_px > OTHERWISE_PX))
+    return np.asarray(little & (apart_px > MAX_MISMATCH_PX))
 
 
 def _remove_noise(

@@ -98,9 +98,9 @@ class MultipassState:
         before, self.number = self.grid, self.number + 1
         frames, settings = self.frames, self.settings
         self.deformed = self.deformed._replace(a=NOTHING, b=NOTHING, valid=NOTHING)  # 12 bytes a pixel, not 24
-        doubt = frames.doubt if self.number >= COARSE else None  # frames complete each other where they match
+        filled = frames.filled if self.number >= COARSE else None  # frames complete each other where they match
         self.deformed = deform_pair(
-            frames.coefficients, frames.valid, predictor, before, frames.floor, self.threads, doubt
+            frames.coefficients, frames.valid, predictor, before, frames.floor, self.threads, filled
         )._replace(inclination=frames.inclination)
         predictor, self.grid = interpolate_nodes(predictor, before, grid), grid
         self.found = refine_pass(self.deformed, grid, predictor, self.number == 1, settings, self.threads, sizes)
@@ -151,16 +151,16 @@ def refine_pass(
         shift = pair.inclination.solve(shift, grid)
     dense = raw.valid_fraction >= settings.min_valid
     shift[~dense] = np.nan
-    told = raw.correlation[dense & np.isfinite(raw.correlation)]  # constant windows have none
-    least = LEAST_CORRELATION * (1.0 if is_first or not told.size else float(np.median(told)))
+    known = raw.correlation[dense & np.isfinite(raw.correlation)]  # constant windows have none
+    least = LEAST_CORRELATION * (1.0 if is_first or not known.size else float(np.median(known)))
     lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
     seen = predictor + shift
     if lost.any() and pair.worth is None:  # frames that complete each other match in the middle, always
         found, ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
         seen[lost] = predictor[lost] + found
         # Not where it was expected, and one of many; what lies in the middle may be right in later passes.
-        doubtful = ratio[lost] < WEAK
-        found[doubtful] = np.nan if is_first else shift[lost][doubtful]
+        is_weak = ratio[lost] < WEAK
+        found[is_weak] = np.nan if is_first else shift[lost][is_weak]
         shift[lost] = found
     if dense.any() and not np.isfinite(shift).any():
         raise PairError("no window shows a peak that stands out; check exposure, seeding and pairing")

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piv.correlation.fill import Doubt, Texture, blur_frame, without_gaps
+from piv.correlation.fill import FilledPixels, Texture, blur_frame, without_gaps
 from piv.errors import FrameError, PairError
 from piv.resampling.sample import MIN_SIDE_PX, prefilter
 
@@ -51,11 +51,11 @@ class Pair:
         Variance of a particle image.
     nan_pixels : int
         Pixels that the mask calls valid and that are not finite.
-    doubt : Doubt, optional
+    filled : FilledPixels, optional
         How unsure what stands in single pixels is.
     noise : float
         Variance of a pixel's noise over that of the picture.
-    told : ndarray of float32, shape (H, W), optional
+    given : ndarray of float32, shape (H, W), optional
         1 where a mask that was given is True, if `valid` is more (`piv.preprocessing.still_light.with_clean_rim`).
     """
 
@@ -65,9 +65,9 @@ class Pair:
     floor: float
     spread_px2: float
     nan_pixels: int
-    doubt: Doubt | None = None
+    filled: FilledPixels | None = None
     noise: float = 0.0
-    told: Floats | None = None
+    given: Floats | None = None
 
     @property
     def spread_as_sampled_px2(self) -> float:
@@ -140,13 +140,13 @@ def prepare_pair(
     side_px = window_px | 1
     a = _remove_level(frames[0], weight, whole, side_px, "A")
     b = _remove_level(frames[1], weight, whole, side_px, "B")
-    texture, doubt = texture_of(a, weight, whole), None
+    texture, filled = texture_of(a, weight, whole), None
     if not whole:
-        doubt = without_gaps(a, b, seen, texture)
-        if doubt is not None:
-            weight[doubt.variance > 0.0] = 1.0
+        filled = without_gaps(a, b, seen, texture)
+        if filled is not None:
+            weight[filled.variance > 0.0] = 1.0
     nan_pixels = int(np.count_nonzero(mask & ~seen))
-    return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, doubt, texture.noise)
+    return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, filled, texture.noise)
 
 
 def check_frames(

@@ -105,8 +105,8 @@ def match_share(correlation: Floats, good: NDArray[np.bool_]) -> Floats:
 
     From their correlation (ny, nx), which is that of windows in which all matches for a quarter of the good ones.
     """
-    told = correlation[good & np.isfinite(correlation)]
-    usual = float(np.quantile(told, MATCHED)) if told.size else 0.0
+    known = correlation[good & np.isfinite(correlation)]
+    usual = float(np.quantile(known, MATCHED)) if known.size else 0.0
     share: Floats = np.nan_to_num(correlation / usual, nan=1.0) if usual > 0.0 else np.ones(good.shape)
     return share
 

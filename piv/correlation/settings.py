@@ -1,10 +1,10 @@
 """Settings of the evaluation of a pair, and their ranges.
 
-Passes go down to the usual windows, the last of `windows_px`. Where a finest window is told, each place finds its
+Passes go down to the usual windows, the last of `windows_px`. Where a finest window is set, each place finds its
 own from there (`piv.correlation.halving`): `finest_px` where halving shows more, and the usual ones elsewhere.
 
 The range of a number stands once, in its type: settings made in Python are held to it here, and a file of settings
-by whoever reads it.
+by its reader.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ class PivSettings:
         displacement. It searches whole windows, all others look for what is left within a pixel.
     finest_px : int, optional
         Side of the smallest windows that a place may find for itself; default: all are the usual ones. `evaluate`
-        and `mean` say 16 where nobody tells them a last side.
+        and `mean` say 16 by default.
     overlap : float
         Shared part of neighbouring windows, in every pass; of the finest in the result.
     window_sigma : float
@@ -125,7 +125,7 @@ class PivSettings:
     def own_grid(self, shape: tuple[int, int]) -> tuple[WindowGrid, int]:
         """Finest windows of a frame (H, W), close enough to add up to larger ones; and every how many'th is kept.
 
-        The finest are a pixel larger than told if the usual ones have a middle pixel and they would have none, or
+        The finest are a pixel larger than set if the usual ones have a middle pixel and they would have none, or
         the other way round.
         """
         usual = self.windows_px[-1]

@@ -23,7 +23,7 @@ depends. With the weights W of the window the variance of that sum is
 That is the noise of one correlation; what passes and the last filter make of it says
 `piv.correlation.response`. Particle images of a few pixels leave an error that no noise betrays and no
 filter takes off: where they lie between the pixels moves the peak. It depends on their size alone (`SAMPLING`,
-measured without noise) and is added as it is. What windows do not resolve is told apart
+measured without noise) and is added as it is. What windows do not resolve is separate
 (`piv.correlation.resolution`); calibration is not seen.
 """
 
@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are one
 LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
 LARGEST_PX = 3.0**-0.5  # one pixel to either side, all places alike
-LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
+LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window it is not known
 SAMPLING = (  # variance of a particle image [px^2] as frames show it, and the error that it leaves [px]
     (0.127, 0.158, 0.209, 0.262, 0.315, 0.46, 0.64, 1.06, 2.2, 3.8, 7.6),
     (0.0095, 0.0055, 0.0038, 0.0029, 0.0025, 0.0023, 0.0019, 0.0011, 0.0005, 0.0005, 0.001),

@@ -2,7 +2,7 @@
 
 Conventions: pixel (0, 0) is the centre of the top-left pixel.  x_px and y_px are pixel positions of the
 window centres, (w - 1)/2 for the first window of a frame.  u_px points right, v_px points DOWN, along image
-rows.  A view in mm with y up is derived by whoever knows the scale: y_mm = y0 - y_px/scale, v_mm = -v_px/scale.
+rows.  A view in mm with y up follows from the scale: y_mm = y0 - y_px/scale, v_mm = -v_px/scale.
 Vectors belong to the time halfway between both frames, because both are deformed by half the displacement.
 """
 
@@ -58,8 +58,8 @@ class VectorField:
     flags : ndarray of uint8, shape (ny, nx)
         VectorFlag.
     peak_ratio, correlation : ndarray of float64, shape (ny, nx)
-        Highest to second highest correlation peak (inf without a second; NaN where nobody looked because nothing
-        spoke against the vector), and the correlation coefficient, of the last pass; also given for vectors that
+        Highest to second highest correlation peak (inf without a second; NaN where nothing spoke against the
+        vector), and the correlation coefficient, of the last pass; also given for vectors that
         were replaced afterwards.
     sigma_u_px, sigma_v_px : ndarray of float64, shape (ny, nx)
         Random standard uncertainty; NaN where not estimated or not VALID.
@@ -129,7 +129,7 @@ class VectorField:
         return could_be_measured(self.flags)
 
     @property
-    def doubt(self) -> str:
+    def warning(self) -> str:
         """Warning about the field as a whole, a sentence; empty if nothing speaks against it."""
         asked = int(np.count_nonzero(self.asked))
         share = self.counts["valid"] / max(asked, 1)

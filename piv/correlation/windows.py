@@ -73,7 +73,7 @@ def window_grid(shape: tuple[int, int], size_px: int, overlap: float) -> WindowG
 
 
 def grid_with_step(shape: tuple[int, int], size_px: int, step_px: int) -> WindowGrid:
-    """The same with their spacing told."""
+    """Windows of a given spacing that fit a frame, as `window_grid`."""
     if size_px > min(shape):
         raise PairError(
             f"a window of {size_px} px does not fit a frame of {shape[1]} x {shape[0]} px; choose smaller"

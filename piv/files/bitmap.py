@@ -2,7 +2,7 @@
 
 A size that the file cannot hold is refused before anything is decoded, and damage as far as a format lets it be
 seen: PNG has a checksum of every part; JPEG and PGM that are cut short lack their end; what was changed within a
-BMP, a JPEG or a PGM nobody can tell.  How a camera was held (EXIF) turns no frame: the sensor is what is traced.
+BMP, a JPEG or a PGM that is not known.  How a camera was held (EXIF) turns no frame: the sensor is what is traced.
 """
 
 import re

@@ -29,7 +29,7 @@ from piv.errors import FrameError, PairError
 
 CAP_DEVIATIONS = 2.0
 MIN_MAX_PX = 10
-NOISES = 6.0  # least range to divide by, in deviations of the noise, where nobody says one
+NOISES = 6.0  # least range to divide by, in deviations of the noise, by default
 SLIDING_MINIMUM, MINIMUM, MEAN, POD, UNSEEDED = "sliding-minimum", "minimum", "mean", "pod", "unseeded"
 RAW = {
     SLIDING_MINIMUM: "the smallest value within 4 frames of its pulse before and after is taken off",

@@ -48,7 +48,7 @@ def without_sliding_minimum(
     ------
     ndarray, shape (H, W), or None
         Frames without their background, not negative, of the kind that came in; NaN where any frame within reach
-        is NaN. None for None, and for a frame that has nobody within reach: its background is not known.
+        is NaN. None for None, and for a frame without others within reach: its background is not known.
 
     Raises
     ------

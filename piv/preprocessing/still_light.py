@@ -111,7 +111,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     Returns
     -------
     ndarray of bool, shape (H, W), or None
-        True where light stands still; None where nothing does, or that cannot be told.
+        True where light stands still; None where nothing does, or that is not known.
     """
     if not valid.any():
         return None

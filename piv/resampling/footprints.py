@@ -1,4 +1,4 @@
-"""The samples of all nodes of a corrector; what they are is told in ``piv.resampling.kernels.footprint``."""
+"""The samples of all nodes of a corrector; they are described in ``piv.resampling.kernels.footprint``."""
 
 from dataclasses import dataclass
 

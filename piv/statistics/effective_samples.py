@@ -61,7 +61,7 @@ class EffectiveSamples:
     way: str
     converged: bool
 
-    def doubt(self, pairs: int) -> str:
+    def warning(self, pairs: int) -> str:
         """Warning about the samples in a mean of this number of pairs; "" if there is none."""
         if self.converged:
             return ""
@@ -116,8 +116,8 @@ def from_series(vectors: Floats) -> EffectiveSamples:
     for lag in range(1, n):
         if not left.size:
             break
-        x, told = off[:, left], known[:, left]
-        pairs = (told[lag:] & told[:-lag]).sum(axis=0)
+        x, seen = off[:, left], known[:, left]
+        pairs = (seen[lag:] & seen[:-lag]).sum(axis=0)
         rho = (x[lag:] * x[:-lag]).sum(axis=0) / np.maximum(pairs, 1) / square[left]
         still = (pairs > 0) & (rho > 0.0)
         left, rho = left[still], rho[still]

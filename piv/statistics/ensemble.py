@@ -52,7 +52,7 @@ Its shape K(s) is known: white noise of variance 1 that is sampled at a fraction
 interpolation h_f correlates with itself over K(s) = sum_k h_f(k) h_f(k + s). Frames are sampled through c (1 -
 m) + b m, the cardinal spline and the B-spline of degree 5 mixed by the size of the particle images
 (`piv.correlation.prepare`), both products of a factor along u and one along v. Frame A is sampled at -d/2 and
-frame B at d/2: K is the same for both. How much there is, n, cannot be told from R_AA: where particle images
+frame B at d/2: K is the same for both. How much there is, n, does not follow from R_AA: where particle images
 are small, K is as wide as their peak, and a fit of both at once took light for noise (particles of 2.4 px:
 stresses 0.03 to 0.05 px^2 too small, of 1.6 px 0.3). It comes from the frames before they are deformed, where
 noise stands at no displacement only: what their autocorrelation has there beyond the Gaussian through its next
@@ -64,7 +64,7 @@ where noise has 0.8 of the light's variance. Where frames are blurred before the
 the displacements of R_AB, s and -s: at fewer of them, or at one half, stresses were off by 0.01 to 0.07 px^2
 with particle images of 2.4 to 6 px.
 
-**Walls that nobody told.** A bright wall stands still, and nothing is left across the frames of a pair when
+**Walls that are not in a mask.** A bright wall stands still, and nothing is left across the frames of a pair when
 that is taken off, while its grain, which flickers, is left in R_AA: windows that hold some of it had stresses
 0.05 to 0.15 px^2 too small, and in the wall itself half of them a mean. So cells are solid in which a part of
 the light stands still and what does not has no partner (`piv.statistics.ensemble_field`); they belong to no
@@ -246,7 +246,7 @@ class EnsembleSums:
         # What is left of the displacement is small, so products are needed up to a few pixels only.
         deformed = deform_pair(pair.coefficients(threads), pair.valid, field, cells, pair.floor, threads)
         ny, nx = cells.shape
-        told = np.empty((TEMPLATES + CUBIC, ny, nx), np.float32)
+        by_template = np.empty((TEMPLATES + CUBIC, ny, nx), np.float32)
         frames = deformed.a, deformed.b
         as_they_are = pair.a * deformed.valid, pair.b * deformed.valid
 
@@ -263,7 +263,7 @@ class EnsembleSums:
                 self.across[j] += plane
                 # A few numbers a pair tell the scatter of what is fitted; no plane has to be kept.
                 template_sums(plane, self.lags, self.sweep.variance_px2[j], weight, sums)
-                told[:, j] = sums
+                by_template[:, j] = sums
                 for frame in frames:
                     cell_products(frame, frame, self.own_lags, *at, line, own)
                     self.own[j] += own
@@ -275,7 +275,7 @@ class EnsembleSums:
         for total, frame in zip(self.frames, (*frames, *as_they_are, deformed.valid), strict=True):
             total += frame
         self.noise += self._noise(field_px, pair.spread_px2)
-        self._count(told, np.moveaxis(field - self.sweep.field_px, -1, 0))
+        self._count(by_template, np.moveaxis(field - self.sweep.field_px, -1, 0))
         self.pairs += 1
 
     def _noise(self, field_px: Floats | None, spread_px2: float) -> Singles:
@@ -288,27 +288,27 @@ class EnsembleSums:
             parts = _noise_parts(field_px, self.own_lags)
         return np.ascontiguousarray(np.moveaxis(_mix(parts, spread_px2), 0, 1), np.float32)
 
-    def _count(self, told: Singles, off: Floats) -> None:
+    def _count(self, by_template: Singles, off: Floats) -> None:
         """Add up for cells, and for windows of each side, what one pair has to say.
 
         Parameters
         ----------
-        told : ndarray of float32, shape (TEMPLATES + CUBIC, ny, nx)
+        by_template : ndarray of float32, shape (TEMPLATES + CUBIC, ny, nx)
             Its planes' sums over the templates.
         off : ndarray of float64, shape (2, ny, nx)
             Field that has deformed its frames, less that of the sweep.
         """
         for side, total in self.windows.items():
-            q = windows_of(told[:TEMPLATES], side).astype(np.float64)
+            q = windows_of(by_template[:TEMPLATES], side).astype(np.float64)
             total["templates"] += q
             for n, (k, m) in enumerate(zip(*PAIRS_OF_TEMPLATES, strict=True)):
                 total["products"][n] += q[k] * q[m]
-        self.cells["templates"] += told
+        self.cells["templates"] += by_template
         self.cells["fields"] += off
         for n, (i, j) in enumerate(PRODUCTS_OF_FIELDS):
             self.cells["field_products"][n] += off[i] * off[j]
         for i in range(2):
-            self.cells["mixed"][i * len(told) : (i + 1) * len(told)] += off[i] * told
+            self.cells["mixed"][i * len(by_template) : (i + 1) * len(by_template)] += off[i] * by_template
 
     def merged(self, other: "EnsembleSums") -> "EnsembleSums":
         """Sums of both.

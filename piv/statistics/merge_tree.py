@@ -1,8 +1,8 @@
 """Merge the parts of a series in an order that depends on their numbers alone.
 
 Floating-point sums depend on the order of addition. Here part number k is leaf k of a binary tree; nodes 2 i and
-2 i + 1 of a level become node i of the next one, whoever comes first. Which worker made a part, and when, shows in
-no bit. At the end nodes without a partner rise as they are: a missing part counts as an empty one.
+2 i + 1 of a level become node i of the next one, in whatever order they come. Which worker made a part, and when,
+shows in no bit. At the end nodes without a partner rise as they are: a missing part counts as an empty one.
 
 Of parts that come in order log2 of their number wait, as the digits of a binary counter; the worst order keeps
 half of them waiting. The tree over chunks of 2^m pairs is the upper part of the tree over their pairs: chunks

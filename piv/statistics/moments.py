@@ -104,12 +104,12 @@ class Moments:
         good: NDArray[np.bool_] = np.asarray(np.isfinite(vectors).all(axis=-1), np.bool_)
         if valid is not None:
             good = good & shaped("valid", np.asarray(valid, np.bool_), grid)
-        told: NDArray[np.bool_] = np.zeros(grid, np.bool_)
+        has_sigma: NDArray[np.bool_] = np.zeros(grid, np.bool_)
         squares = np.zeros((*grid, 2))
         if sigma is not None:
             sigma = shaped("sigma", np.asarray(sigma, np.float64), (*grid, 2))
-            told = good & (np.isfinite(sigma) & (sigma >= 0.0)).all(axis=-1)
-            squares = np.where(told[..., None], np.square(np.where(told[..., None], sigma, 0.0)), 0.0)
+            has_sigma = good & (np.isfinite(sigma) & (sigma >= 0.0)).all(axis=-1)
+            squares = np.where(has_sigma[..., None], np.square(np.where(has_sigma[..., None], sigma, 0.0)), 0.0)
         here = good[..., None]
         return cls(
             count=good.astype(np.int64),
@@ -119,7 +119,7 @@ class Moments:
             third=np.zeros((*grid, 2)),
             lowest=np.where(here, vectors, np.inf),
             highest=np.where(here, vectors, -np.inf),
-            sigma_count=told.astype(np.int64),
+            sigma_count=has_sigma.astype(np.int64),
             sigma_squares=squares,
         )
 

@@ -20,8 +20,8 @@ already.  Reynolds stresses err by w' alone,
 of which the terms in R_ww are a bias, known as well as R_ww is, and those in R_uw and R_vw are of either sign:
 |R_uw| is taken as evenly spread up to CORRELATED of sqrt(R_uu R_ww), which is what shear layers have at most.
 
-**How large w is.**  It may be told: `sigma_w_m_s` for w', and `w_over_u`, the ratio of |W| to the speed within the
-plane (0: nothing flows through the sheet on average).  What is not told is assumed:
+**How large w is.**  It may be given: `sigma_w_m_s` for w', and `w_over_u`, the ratio of |W| to the speed in the
+plane (0: nothing flows through the sheet on average).  What is not given is assumed:
 
     of one field, single pair or mean    w varies around each place as much as u and v do there: half the sum of
                                          their variances over a neighbourhood, noise taken off
@@ -99,8 +99,8 @@ class OutOfPlane:
     def sentence(self) -> str:
         """Description of the given and the assumed velocities."""
         assumed = "as much as u and v vary around each place (assumed, isotropic)"
-        w = assumed if self.sigma_w_m_s is None else f"{self.sigma_w_m_s:g} m/s (told)"
-        steady = assumed if self.w_over_u is None else f"{self.w_over_u:g} of the speed in the plane (told)"
+        w = assumed if self.sigma_w_m_s is None else f"{self.sigma_w_m_s:g} m/s (given)"
+        steady = assumed if self.w_over_u is None else f"{self.w_over_u:g} of the speed in the plane (given)"
         if w == steady:
             return f"w through the sheet: {assumed}"
         return f"w through the sheet, from pair to pair: {w}; steady: {steady}"
@@ -113,10 +113,10 @@ class OutOfPlane:
         field : SlantedField
             Its vectors.
         per_m_s : float
-            1 m/s in their unit; NaN where the time between the frames is not known, and no speed can be told.
+            1 m/s in their unit; NaN where the time between the frames is not known, and no speed is known.
         """
-        told = None if self.sigma_w_m_s is None else self.sigma_w_m_s * per_m_s
-        varying = field.varied() if told is None or np.isnan(told) else np.full(field.shape, told)
+        given = None if self.sigma_w_m_s is None else self.sigma_w_m_s * per_m_s
+        varying = field.varied() if given is None or np.isnan(given) else np.full(field.shape, given)
         return np.asarray(np.hypot(varying, 0.0 if self.w_over_u is None else self.w_over_u * field.speed))
 
     def of_mean(self, field: "SlantedField") -> Floats:
@@ -150,7 +150,7 @@ class SlantedStresses(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SlantedField:
-    """A field that was seen aslant.
+    """A field under oblique viewing.
 
     Parameters
     ----------
@@ -189,8 +189,8 @@ class SlantedField:
         """Return the uncertainty by w of this size (ny, nx), and that of derivatives of the field."""
         varied = self.varied()
         with np.errstate(invalid="ignore", divide="ignore"):
-            told = np.where(varied > 0.0, sigma_w / varied, 0.0)
-        return ThroughSheet(self.slope, sigma_w, self.changed() * told[..., None])
+            per_change = np.where(varied > 0.0, sigma_w / varied, 0.0)
+        return ThroughSheet(self.slope, sigma_w, self.changed() * per_change[..., None])
 
     def varied(self) -> Floats:
         """Isotropic share (ny, nx) of what the field varies by around each place; NaN where nothing tells."""

@@ -156,8 +156,8 @@ def sweep_with(
         raise SeriesError("ensemble correlation begins with the mean of vectors, and there is none; see the pairs")
     cells = cells_of(shape)
     energy = np.clip(0.5 * (stress_px2[..., 0] + stress_px2[..., 1]), 0.0, None)
-    told = np.isfinite(energy) & known
-    energy = np.where(told, energy, float(np.median(energy[told])) if told.any() else 0.25)
+    usable = np.isfinite(energy) & known
+    energy = np.where(usable, energy, float(np.median(energy[usable])) if usable.any() else 0.25)
     spread = fill_gaps(np.repeat(energy[..., None], 2, axis=-1), np.ones_like(known))[0]
     energy = np.clip(interpolate_nodes(spread, grid, cells)[..., 0], 0.0, None)
     largest = 2.0 * spread_px2 + float(np.percentile(energy, 98))

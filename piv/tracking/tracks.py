@@ -77,7 +77,7 @@ def track_particles(
 def apart(
     a: Particles, b: Particles, way_a: NDArray[np.int64], way_b: NDArray[np.int64]
 ) -> tuple[Particles, Particles]:
-    """Give places a third coordinate, far apart for every way of seeing: nobody is near one seen otherwise."""
+    """Give places a third coordinate that keeps those seen in different ways apart."""
     _, layer = np.unique(np.concatenate([way_a, way_b]), return_inverse=True)
     third_a, third_b = np.split(FAR_PX * layer[:, None], [len(way_a)])
     return (
@@ -89,8 +89,8 @@ def apart(
 def match(a: Particles, b: Particles, shift_px: Floats, reach_px: float) -> Tracks:
     """Pairs of particles that are each other's nearest after `shift_px` (N, 2), and clearly so."""
     if len(a.place_px) < 2 or len(b.place_px) < 2:
-        nobody = np.zeros(0, np.intp)
-        return Tracks(*(np.zeros((0, 2)),) * 3, nobody, nobody)
+        none = np.zeros(0, np.intp)
+        return Tracks(*(np.zeros((0, 2)),) * 3, none, none)
     expected = a.place_px.copy()
     expected[:, :2] += shift_px
     far, there = scipy.spatial.cKDTree(b.place_px).query(expected, k=2)

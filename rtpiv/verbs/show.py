@@ -40,8 +40,8 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
     if evaluation.seen is not None and evaluation.seen.through is not None:
         screen.print(evaluation.seen.through.sentence, style="bold")
     screen.print(str(evaluation))
-    if evaluation.field.doubt:
-        screen.print(evaluation.field.doubt, style="bold red")
+    if evaluation.field.warning:
+        screen.print(evaluation.field.warning, style="bold red")
     for warning in evaluation.scale_warnings:
         screen.print(warning, style="bold red")
     if worst := worst_claim(evaluation):
@@ -153,7 +153,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     screen.print(Table(f"median where it flows: {above}", ("", "u", "v"), rows))
     if mean.no_map_sigma:
         screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
-    if doubt := mean.effective.doubt(mean.used):
+    if doubt := mean.effective.warning(mean.used):
         screen.print(doubt)
     if mean.gaps:
         screen.print(mean.gaps)

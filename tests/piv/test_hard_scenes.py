@@ -143,7 +143,7 @@ def test_clean_pictures_lose_no_vector(name):
     assert field.counts["still"] == 0
     assert field.common_light_px == 0.0
     assert field.valid.mean() > 0.96
-    assert "not move" not in field.doubt
+    assert "not move" not in field.warning
 
 
 @pytest.mark.parametrize("seed", [301, 302, 303])
@@ -181,7 +181,7 @@ def test_fixed_patterns_are_taken_off_and_named(fixed):
     assert found.wrong <= 0.002 * found.valid
     assert found.silent <= 0.002 * found.valid
     assert field.common_light_px > 0.0
-    assert "does not move; it was taken off" in field.doubt
+    assert "does not move; it was taken off" in field.warning
     assert np.nanmin(np.hypot(field.u_px, field.v_px)[field.valid]) >= 0.9 * field.common_light_px
 
 
@@ -228,8 +228,8 @@ def test_coarse_textures_behind_flows_of_a_few_grains_are_taken_off_or_named(dev
     scene = behind(round(1000 * grain), uniform(3.5, -1.6), rough(round(10 * grain), deviation, grain))
     field = evaluate(scene)
     found = judge(scene, field)
-    assert "does not move" in field.doubt
-    assert found.silent <= 0.002 * found.valid or "draws every vector to zero" in field.doubt
+    assert "does not move" in field.warning
+    assert found.silent <= 0.002 * found.valid or "draws every vector to zero" in field.warning
 
 
 @pytest.mark.parametrize("slope", [0.045, 0.06, 0.075])
@@ -339,4 +339,4 @@ def test_unrelated_frames_have_no_vector(seeds, density):
     one, other = (behind(seed, uniform(3.0, 1.0), 0.0, density=density) for seed in seeds)
     field = evaluate(hard_scenes.Scene(one.a, other.b, one.truth))
     assert not field.valid.any()
-    assert "one pair" in field.doubt
+    assert "one pair" in field.warning

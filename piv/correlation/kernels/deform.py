@@ -175,14 +175,14 @@ def agree_rows(
     last: int,
     offset: Array,
     fraction: Array,
-    doubt: Array,
+    variances: Array,
     worth: Array,
 ) -> None:
-    """Draw rows first..last-1 of two deformed frames to each other by their doubt, see `piv.correlation.deform`.
+    """Draw rows first..last-1 of two deformed frames to each other, see `piv.correlation.deform`.
 
     a, b (H, W) float32 are changed in place; variance (H, W) float32 of what undeformed frames were filled with;
-    noise, the usual variance; refined, cell, weight, offset and fraction as in `deform_rows`; doubt (2, W) float32
-    is scratch; worth (H, W) float32 becomes the weight of what is left of the difference.
+    noise, the usual variance; refined, cell, weight, offset and fraction as in `deform_rows`; variances (2, W)
+    float32 is scratch; worth (H, W) float32 becomes the weight of what is left of the difference.
     """
     width = a.shape[1]
     for row in range(first, last):
@@ -192,10 +192,10 @@ def agree_rows(
             row_offsets(refined[0, c : c + 4], refined[1, c : c + 4], weight[row], scale, offset, fraction)
             for k in range(width):
                 i, j = k + offset[0, k], row + offset[1, k]
-                doubt[n, k] = share_at(variance, i, j, fraction[0, k], fraction[1, k])
+                variances[n, k] = share_at(variance, i, j, fraction[0, k], fraction[1, k])
         for k in range(width):
-            share = _ONE / (doubt[0, k] + doubt[1, k] + noise)
+            share = _ONE / (variances[0, k] + variances[1, k] + noise)
             apart = (b[row, k] - a[row, k]) * share
-            a[row, k] += doubt[0, k] * apart
-            b[row, k] -= doubt[1, k] * apart
+            a[row, k] += variances[0, k] * apart
+            b[row, k] -= variances[1, k] * apart
             worth[row, k] = noise * share

@@ -11,7 +11,7 @@ Windows lie side by side: element (row, column) of 16 windows is a block of 16 r
 imaginary parts.  Every butterfly is then a handful of vector instructions, nothing is shuffled within a
 register, and a radix of 2 is enough: the data stay in the second-level cache and its bandwidth is the limit.
 Transforms run along the rows of blocks; for the other axis the blocks are transposed.  The forward transform
-leaves frequencies in bit-reversed order and the inverse takes them so: nobody sorts.
+leaves frequencies in bit-reversed order and the inverse takes them so, without sorting.
 """
 
 import numpy as np

@@ -210,7 +210,7 @@ def mean_chapters(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     """Add what the uncertainty of the mean leaves out, and the fluctuations."""
     scene, grid = view.scene, view.grid
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
-    if doubt := mean.effective.doubt(mean.used):
+    if doubt := mean.effective.warning(mean.used):
         page.text(doubt[0].upper() + doubt[1:] + ".")
     if np.isnan(mean.dt_sigma_share):
         page.text("Timing error of dt: not stated (dt_sigma_us in the plan).")

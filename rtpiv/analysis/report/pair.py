@@ -50,8 +50,8 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
     """
     seen, field = _frame_of(evaluation), evaluation.field
     through_lead(page, seen.through, evaluation.task.scene, seen.recovered)
-    if field.doubt:
-        page.warning(field.doubt + ".")
+    if field.warning:
+        page.warning(field.warning + ".")
     for warning in evaluation.scale_warnings:
         page.warning(warning)
     if totals := totals_of(evaluation):

@@ -40,7 +40,7 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
         "no_map_sigma": evaluation.no_map_sigma,
     }
     summary |= {"readings": dict(task.readings)} if task.readings else {}  # as it is, in place of the text
-    summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels, "doubt": field.doubt}
+    summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels, "doubt": field.warning}
     summary["correlation"] = asdict(evaluation.settings)
     if np.isfinite(field.static_share):
         summary["static_share"] = field.static_share

@@ -196,8 +196,8 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     """The vectors of one pair."""
     field, grid = shown.field, shown.grid
     page.heading("One pair")
-    if field.doubt:
-        page.warning(field.doubt + ".")
+    if field.warning:
+        page.warning(field.warning + ".")
     what, unit = ("displacement", shown.length) if shown.dt_s is None else ("speed", "m/s")
     scale = per_px(grid.pitch_mm, shown.dt_s)
     speed = np.hypot(field.u_px, field.v_px) * scale

@@ -37,7 +37,7 @@ def test_crests_of_short_waves_are_kept(particle_pair, length_px, least):
 def test_strangers_have_few_vectors_and_are_called_strangers(particle_pair):
     field = evaluate_pair(particle_pair(mix, seed=1)[0], particle_pair(mix, seed=2)[1])
     assert field.valid.mean() <= 0.2
-    assert "one pair" in field.doubt
+    assert "one pair" in field.warning
 
 
 @pytest.mark.parametrize("changes", [{"noise": 0.2}, {"loss": 0.4}, {"ppp": 0.005}])

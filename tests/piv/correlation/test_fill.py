@@ -77,7 +77,7 @@ def test_a_vortex_through_dead_pixels(particle_pair):
 def test_strangers_do_not_become_a_pair_by_completing_each_other(particle_pair, share):
     field = evaluate_pair(particle_pair(mix, seed=1)[0], particle_pair(mix, seed=2)[1], scattered(share))
     assert field.valid.mean() <= 0.2
-    assert "one pair" in field.doubt
+    assert "one pair" in field.warning
 
 
 def smooth_noise(shape, seed=0, sigma_px=1.2):
@@ -89,12 +89,12 @@ def test_filling_is_the_best_linear_guess_and_knows_its_error():
     truth, other, seen = smooth_noise((96, 96)), smooth_noise((96, 96), 1), scattered(0.2, shape=(96, 96))
     a, b = truth * seen, other * seen
     # A field smoothed by a Gaussian correlates over r as exp(-r^2/(4 sigma^2)).
-    doubt = without_gaps(a, b, seen, Texture(1.2**2, 1e-4))
-    holes = doubt.variance > 0.0
+    filled = without_gaps(a, b, seen, Texture(1.2**2, 1e-4))
+    holes = filled.variance > 0.0
     assert np.array_equal(a[seen], truth[seen])
     inner = holes[6:-6, 6:-6]
     assert rms((a - truth)[6:-6, 6:-6][inner]) < 0.1
-    expected = np.sqrt(doubt.variance[6:-6, 6:-6][inner].mean())
+    expected = np.sqrt(filled.variance[6:-6, 6:-6][inner].mean())
     assert rms((a - truth)[6:-6, 6:-6][inner]) == pytest.approx(expected, rel=0.35)
     y, x = np.argwhere(holes)[200]
     near = [(y + j, x + i) for j, i in NEAR if 0 <= y + j < 96 and 0 <= x + i < 96 and seen[y + j, x + i]]
@@ -102,7 +102,7 @@ def test_filling_is_the_best_linear_guess_and_knows_its_error():
     alike = np.exp(-((places[:, None] - places[None]) ** 2).sum(-1) / (4 * 1.2**2))
     share = np.linalg.solve(alike[:-1, :-1] + 1e-4 * np.eye(len(near)), alike[:-1, -1])
     assert a[y, x] == pytest.approx(sum(s * truth[at] for s, at in zip(share, near, strict=True)), abs=1e-4)
-    assert doubt.variance[y, x] == pytest.approx(1.0 - share @ alike[:-1, -1], abs=1e-5)
+    assert filled.variance[y, x] == pytest.approx(1.0 - share @ alike[:-1, -1], abs=1e-5)
 
 
 def test_the_edge_of_a_region_is_no_dead_pixel():
@@ -125,7 +125,7 @@ def test_what_shines_in_dead_pixels_counts_nothing():
     pairs = [prepare_pair(np.where(seen, frame, light), other, seen, 16) for light in (0.0, 1e6)]
     assert np.array_equal(pairs[0].a, pairs[1].a)
     inner = np.s_[4:-4, 4:-4]
-    assert np.array_equal((pairs[0].doubt.variance > 0.0)[inner], ~seen[inner])
+    assert np.array_equal((pairs[0].filled.variance > 0.0)[inner], ~seen[inner])
     assert pairs[0].valid[inner].min() == 1.0
 
 
@@ -156,13 +156,13 @@ def test_kriging_as_plain_python():
 def test_frames_agree_where_they_are_unsure_and_their_difference_weighs_by_its_variance():
     a, b = smooth_noise((32, 32), 4), smooth_noise((32, 32), 5)
     seen = scattered(0.2, shape=(32, 32))
-    doubt = prepare_pair(a, b, seen, 16).doubt
+    filled = prepare_pair(a, b, seen, 16).filled
     grid, nothing = window_grid((32, 32), 16, 0.5), np.zeros((3, 3, 2))
     whole = np.ones((32, 32), np.float32)
     apart = deform_pair((a, b), whole, nothing, grid, 0.0)
-    near = deform_pair((a, b), whole, nothing, grid, 0.0, doubt=doubt)
+    near = deform_pair((a, b), whole, nothing, grid, 0.0, filled=filled)
     inner = np.s_[4:-4, 4:-4]  # beyond, spline and bilinear weights see the edge
-    worth = doubt.noise / (2.0 * doubt.variance + doubt.noise)
+    worth = filled.noise / (2.0 * filled.variance + filled.noise)
     assert apart.worth is None
     assert np.abs(near.worth - worth)[inner].max() < 1e-5
     assert np.abs((near.a - near.b) - worth * (apart.a - apart.b))[inner].max() < 1e-4
@@ -178,7 +178,7 @@ def test_agreeing_rows_as_plain_python():
     for kernel in (deform_kernels.agree_rows, deform_kernels.agree_rows.py_func):
         a, b, worth = *frames.copy(), np.empty((12, 16), np.float32)
         scratch = np.empty((2, 16), np.int32), *np.empty((2, 2, 16), np.float32)
-        doubt = variance.astype(np.float32), np.float32(0.1)
-        kernel(a, b, *doubt, refined, cell, weight, 0, 12, *scratch, worth)
+        filled = variance.astype(np.float32), np.float32(0.1)
+        kernel(a, b, *filled, refined, cell, weight, 0, 12, *scratch, worth)
         results.append((a, b, worth))
     assert np.abs(np.array(results[0]) - results[1]).max() < 1e-5

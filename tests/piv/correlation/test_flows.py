@@ -89,7 +89,7 @@ def test_a_displacement_beyond_the_first_window_is_found_without_being_told(part
     field = evaluate_pair(*particle_pair(truth, seed=3))
     assert field.valid.mean() > 0.9
     assert rms(errors(field, truth)[:, 3:-3]) < 0.01
-    assert not field.doubt
+    assert not field.warning
 
 
 def test_what_stands_still_is_found_and_named(particle_pair):
@@ -98,7 +98,7 @@ def test_what_stands_still_is_found_and_named(particle_pair):
     stripes = (600 * (np.sin(2 * np.pi * np.arange(512) / 12) > 0)).astype(np.uint16)
     field = evaluate_pair(*(np.clip(frame + stripes, 0, 4095).astype(np.uint16) for frame in pair))
     assert field.static_share > 0.15
-    assert "does not move" in field.doubt
+    assert "does not move" in field.warning
 
 
 SIGMA_CASES = [

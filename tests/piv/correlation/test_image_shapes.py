@@ -122,6 +122,6 @@ def test_large_images_are_not_light_that_stands_still(profile, flow, loss):
     """They lie over themselves when they have moved by their smaller width: that was taken off both frames."""
     field, off = inner_errors(pair_of(flow, profile, 11, count=2500, loss=loss), flow)
     assert field.common_light_px == 0.0
-    assert field.doubt == ""
+    assert field.warning == ""
     assert field.valid.mean() > (0.97 if loss == 0.0 else 0.88)
     assert np.sqrt(np.nanmean(off**2)) < (0.05 if loss == 0.0 else 0.3)

@@ -183,7 +183,7 @@ def test_frames_of_any_scale_and_kind_become_the_same():
         assert np.abs(pair.b - plain.b).max() < 1e-3
     masked = np.ma.masked_greater(frame, 1500)
     pair = prepare_pair(masked, other, None, 32)
-    assert np.array_equal((pair.valid == 0) | (pair.doubt.variance > 0), frame > 1500)
+    assert np.array_equal((pair.valid == 0) | (pair.filled.variance > 0), frame > 1500)
 
 
 def test_what_is_masked_counts_nothing_and_leaves_no_step():

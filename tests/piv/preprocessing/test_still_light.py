@@ -48,7 +48,7 @@ def test_a_pair_has_no_vector_in_a_wall_that_nobody_told(settings, flicker):
     for name in ("u_px", "v_px", "sigma_u_px", "sigma_v_px", "resolution_px"):
         assert np.isnan(getattr(field, name)[solid]).all(), name
     assert field.counts["still"] >= solid.sum() * len(field.x_px)
-    assert not field.doubt  # a wall is no reason to distrust what is beside it
+    assert not field.warning  # a wall is no reason to distrust what is beside it
     away = (field.y_px < WALL - 32) & (field.y_px > 24)
     assert field.valid[away].mean() > 0.98
     true, _ = boundary_layer(*np.meshgrid(field.x_px, field.y_px))

@@ -64,9 +64,9 @@ def test_what_is_told_counts_in_place_of_what_is_assumed():
     assert OutOfPlane(w_over_u=0.2).of_mean(field) == pytest.approx(0.2 * speed)
     sigma = field.sigma(np.full((SIDE, SIDE), 2.0))
     assert sigma == pytest.approx(2.0 * np.abs(slope))
-    assert "(told)" not in OutOfPlane().sentence
-    assert "0.7 m/s (told)" in OutOfPlane(0.7).sentence
-    assert "steady: 0.2 of the speed in the plane (told)" in OutOfPlane(0.7, 0.2).sentence
+    assert "(given)" not in OutOfPlane().sentence
+    assert "0.7 m/s (given)" in OutOfPlane(0.7).sentence
+    assert "steady: 0.2 of the speed in the plane (given)" in OutOfPlane(0.7, 0.2).sentence
 
 
 def test_stresses_are_as_much_too_large_as_it_says():
