@@ -243,8 +243,8 @@ def campaign_of_a_lab():
 def other_wires():
     """Stage controllers that no lab of `init` has, and shots of every timing unit."""
     from tests.daq import small_bench
-    from tests.daq.timing import test_pivlab_synchroniser as pivlab
     from tests.daq.timing import quantum_desk as composers
+    from tests.daq.timing import test_pivlab_synchroniser as pivlab
 
     path = small_bench.write_bench(Path("apt"))
     small_bench.with_grbl_rail(small_bench.with_thorlabs_target(path))
