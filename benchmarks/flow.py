@@ -58,7 +58,7 @@ from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
 from sim.renderer.render import Aperture
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 
 Array = NDArray[Any]
 
@@ -106,7 +106,7 @@ class Case:
 @cache
 def _camera(case: Case) -> FlowCamera:
     stack = at_size(demo_scene(f"{case.name}_spheres_500"), case.size_px)
-    scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
+    scene = stack.with_bodies([body.moved(translate_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     flow = Flow(Jet(), None if case.is_steady else RandomModes(8.0, seed=case.seed))
     if case.is_pinhole:
         return FlowCamera(scene, flow, seed=case.seed)

@@ -16,7 +16,7 @@ from sim.bench_table import SimulationTable, simulation_of
 from sim.demo.scenes import misalign
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 
@@ -48,7 +48,7 @@ def arrange(
         offsets[axis.carries]["xyz".index(axis.along)] += positions_mm[name] - bench.home_mm[name]
     camera = scene.camera
     x, y, z = (float(c) for c in np.add(camera.position_mm, offsets["camera"]))
-    bodies = tuple(body.moved(shifted_by(offsets[body.carried])) for body in scene.bodies)
+    bodies = tuple(body.moved(translate_by(offsets[body.carried])) for body in scene.bodies)
     moved = replace(scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
     return moved, Pose().translate(*(float(c) for c in offsets["target"]))
 

@@ -49,7 +49,7 @@ class Codes:
 
 @dataclass(frozen=True)
 class Dots:
-    """What a grid of dots has in place of squares.
+    """Measures of a grid of dots, in place of squares.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Board:
 
     @property
     def is_plain(self) -> bool:
-        """Whether it has no mark, so that nothing but its edges says where it is."""
+        """Return whether it has no mark, so that nothing but its edges says where it is."""
         return not self.discs and self.codes is None
 
     @property

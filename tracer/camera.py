@@ -115,7 +115,7 @@ class Camera:
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether frames are mirror images: seen by a mirror, or with columns reversed."""
+        """Return whether frames are mirror images: seen by a mirror, or with columns reversed."""
         return bool(np.linalg.det(np.array(self.rotation)) < 0.0)
 
     def mirrored(self) -> "Camera":
@@ -201,7 +201,7 @@ class Camera:
 
 
 def within_reach(point_mm: Vector3) -> bool:
-    """Whether a point is finite and no farther than LONGEST_MM along any axis."""
+    """Return whether a point is finite and no farther than LONGEST_MM along any axis."""
     return all(abs(coordinate) <= LONGEST_MM for coordinate in point_mm)
 
 

@@ -49,7 +49,7 @@ DEGREES = np.array([degree for _, degree, _ in TERMS])
 
 
 def up_to(degree: int) -> int:
-    """How many coefficients there are up to a degree."""
+    """Number of coefficients up to a degree."""
     return (degree + 1) ** 2 - LOWEST**2
 
 
@@ -82,7 +82,7 @@ def amplitudes_mm(shapes_mm: Float64) -> Float64:
 
 
 def largest_mm(shapes_mm: Float64) -> Float64:
-    """What a ball (...,) is nowhere higher or lower than, from its coefficients (..., 45)."""
+    """Largest deviation of a ball (...,) from its radius, from its coefficients (..., 45)."""
     return np.asarray(amplitudes_mm(shapes_mm).sum(axis=-1))
 
 
@@ -115,7 +115,7 @@ def _quadrature() -> tuple[Float64, Float64]:
     return np.stack((x, y, z), axis=-1).reshape(-1, 3), np.repeat(weight / (2.0 * 48), 48)
 
 
-def turned(shape_mm: Float64, rotation: Float64) -> Float64:
+def rotate_harmonics(shape_mm: Float64, rotation: Float64) -> Float64:
     """Coefficients (45,) of a ball turned by a rotation (3, 3)."""
     return np.asarray(turning(rotation) @ shape_mm)
 

@@ -7,7 +7,7 @@ A picture in such light is the sum of pictures in each colour, so a glass shows 
 and a point behind glass is smeared along the way on which it moves with the index.  What counts is the product of
 three: the lamp's spectrum, every filter's transmittance, and the camera's response.
 
-A white LED is told by its colour temperature: the blue light of its pump and the broad light of its phosphor.
+A white LED is specified by its colour temperature: the blue light of its pump and the broad light of its phosphor.
 Both are Gaussians.  Their places, widths and heights (TYPICAL) were fitted to the typical lamps LED-B1 to LED-B5
 of CIE 15:2018, from 2733 to 6598 K, whose mean wavelengths they give to 4 nm; between them they follow the
 reciprocal of the temperature.  Lamps of one colour temperature differ, by UNSURE_NM in mean wavelength: a spectrum

@@ -1,4 +1,4 @@
-"""Where the light sheet is: particles shine in its plane, and that is seldom quite the plane of the target.
+"""The light sheet: particles shine in its plane, which is seldom quite the plane of the target.
 
 The target hangs at z = 0 and a scene fit ties the world to it.  The sheet is set up by another hand; in world
 coordinates its middle is
@@ -46,7 +46,7 @@ class LightSheet:
     correlation : (float, float, float)
         Between z and tilt_x, z and tilt_y, tilt_x and tilt_y.
     thickness_mm : float or None
-        Full width at e^-2 of the light across it; None if nobody knows.
+        Full width at e^-2 of the light across it; None if unknown.
 
     Raises
     ------
@@ -81,12 +81,12 @@ class LightSheet:
 
     @property
     def is_target_plane(self) -> bool:
-        """Whether it lies in z = 0."""
+        """Return whether it lies in z = 0."""
         return not (self.z_mm or self.tilt_x_deg or self.tilt_y_deg)
 
     @property
     def summary(self) -> str:
-        """Where it is, in words."""
+        """Position of the sheet, in words."""
         return (
             f"the light sheet at z = {self.z_mm:+.3f} +- {self.sigma_mm:.3g} mm, tilted by {self.tilt_x_deg:+.3f}"
             f" and {self.tilt_y_deg:+.3f} +- {self.tilt_sigma_deg:.3g} degrees along x and y"

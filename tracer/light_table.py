@@ -1,4 +1,4 @@
-"""How the light of the target frames stands in a file: one spectrum, what it passes, and who counts it.
+"""The light of the target frames in a file: spectrum, filters and camera response.
 
 One of these says what the lamp sends:
 
@@ -16,7 +16,7 @@ Beside it stand ``filters`` (a list of the same shapes, read as transmittance) a
 ``response`` (points of signal per watt) or ``quantum_efficiency`` (points of electrons per photon).  Without
 either the spectrum is taken as what the camera counts.  ``unsure_nm`` is the standard deviation of the mean
 wavelength: 0 for a laser and for lines, 5 for lamps, of which no two of one data sheet are alike, 8 where a colour
-temperature or one colour is all that is said.  Whoever writes no more than a wavelength, be it the one in which
+temperature or one colour is all that is said.  A file that gives no more than a wavelength, be it the one in which
 particles are seen, has not said that it is a laser's; and of a lamp three are sold as "the" wavelength: the peak
 of the spectrum, the dominant wavelength, which is the colour that eyes see, and the mean.  They are some 5 nm
 apart, beside the 5 nm by which lamps differ.
@@ -110,7 +110,7 @@ class FilterTable(ShapeTable):
     def passed(self, nm: Numbers) -> Numbers:
         """Transmittance at wavelengths."""
         if self.points is not None:
-            return _interpolated(nm, self.points)
+            return _interpolate(nm, self.points)
         if self.band_nm is not None:
             return ((nm >= self.band_nm[0]) & (nm <= self.band_nm[1])).astype(np.float64)
         return np.asarray(np.exp(-0.5 * ((nm - (self.mean_nm or 0.0)) / self.spread_nm) ** 2))
@@ -163,11 +163,11 @@ class LightTable(ShapeTable):
         SceneError
             Nothing is left behind the filters, or a response says nothing about a part of the light.
         """
-        return self._counted(self._sent(particles_nm))
+        return self._light_at_camera(self._lamp_light(particles_nm))
 
     @property
     def is_believed(self) -> bool:
-        """Whether the file says how well the mean wavelength is known."""
+        """Return whether the file says how well the mean wavelength is known."""
         return self.unsure_nm is not None or self.source == "laser"
 
     def rivals(self) -> tuple[Light, ...]:
@@ -189,9 +189,9 @@ class LightTable(ShapeTable):
             shapes = [band(max(self.mean_nm - half, low), min(self.mean_nm + half, high)) for half in halves]
         else:
             shapes = []
-        return tuple(self._counted(shape) for shape in shapes)
+        return tuple(self._light_at_camera(shape) for shape in shapes)
 
-    def _counted(self, light: Light) -> Light:
+    def _light_at_camera(self, light: Light) -> Light:
         """Light behind the filters as the camera counts it."""
         for number, one in enumerate(self.filters, start=1):
             if one.points is not None:
@@ -201,7 +201,7 @@ class LightTable(ShapeTable):
         if counts is not None:
             photons = self.quantum_efficiency is not None  # of a watt, as many as the wavelength is long
             _covering(light, counts, "quantum_efficiency" if photons else "response")
-            light = light.through(lambda nm: _interpolated(nm, counts) * (nm if photons else 1.0))
+            light = light.through(lambda nm: _interpolate(nm, counts) * (nm if photons else 1.0))
         if self.unsure_nm is not None:
             return replace(light, unsure_nm=self.unsure_nm)
         if light.unsure_nm or self.lines is not None or self.source == "laser":
@@ -209,7 +209,7 @@ class LightTable(ShapeTable):
         one_figure = self.mean_nm is not None and self.spread_nm == 0.0 and self.source is None
         return replace(light, unsure_nm=ONE_FIGURE_NM if one_figure else LAMPS_DIFFER_NM)
 
-    def _sent(self, particles_nm: float | None) -> Light:
+    def _lamp_light(self, particles_nm: float | None) -> Light:
         """Light of the lamp."""
         if self.colour_temperature_k is not None:
             return white_led(self.colour_temperature_k)
@@ -218,7 +218,7 @@ class LightTable(ShapeTable):
             return light_of(lengths, power)
         if self.points is not None:
             points = self.points
-            return continuous(points[0][0], points[-1][0], lambda nm: _interpolated(nm, points))
+            return continuous(points[0][0], points[-1][0], lambda nm: _interpolate(nm, points))
         if self.band_nm is not None:
             return band(*self.band_nm)
         mean_nm = self.mean_nm or particles_nm
@@ -226,7 +226,7 @@ class LightTable(ShapeTable):
         return gaussian(mean_nm, self.spread_nm) if self.spread_nm > 0.0 else line(mean_nm)
 
 
-def _interpolated(nm: Numbers, points: Sequence[Sequence[float]]) -> Numbers:
+def _interpolate(nm: Numbers, points: Sequence[Sequence[float]]) -> Numbers:
     """Straight lines between points, nothing beyond them."""
     table = np.array(points)
     return np.asarray(np.interp(nm, table[:, 0], table[:, 1], left=0.0, right=0.0))

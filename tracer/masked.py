@@ -98,7 +98,7 @@ def left_out(path: Path, sensor_px: tuple[int, int]) -> tuple[MaskedPart, ...]:
 
     fine = np.pad(np.kron(white, np.ones((FINER, FINER), np.uint8)), 1)
     found, tree = cv2.findContours(fine, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    outlines = [_thinned(contour) for contour in found]
+    outlines = [_simplify(contour) for contour in found]
     areas = [k for k in range(len(outlines)) if tree[0][k][3] < 0]
     if len(areas) > MOST_PARTS:
         raise SceneError(f"mask {path}: white areas are {len(areas)}, and {MOST_PARTS} are taken; clean it up")
@@ -106,7 +106,7 @@ def left_out(path: Path, sensor_px: tuple[int, int]) -> tuple[MaskedPart, ...]:
     for k in areas:
         outline, hole = outlines[k], tree[0][k][2]
         while hole >= 0:
-            outline = _joined(outline, outlines[hole])
+            outline = _join_hole(outline, outlines[hole])
             hole = tree[0][hole][0]
         points: tuple[Point, ...] = tuple((round(u, 3), round(v, 3)) for u, v in outline.tolist())
         parts.append(MaskedPart(LEFT_OUT, outline_px=points))
@@ -167,7 +167,7 @@ def _with_numbers(content: bytes) -> bytes:
     return bytes(altered)
 
 
-def _thinned(contour: NDArray[Any]) -> NDArray[np.float64]:
+def _simplify(contour: NDArray[Any]) -> NDArray[np.float64]:
     """Corners u, v (N, 2) of a contour around fine pixels, three at least."""
     import cv2
 
@@ -176,6 +176,6 @@ def _thinned(contour: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray((points - 1.0 - (FINER - 1) / 2.0) / FINER)
 
 
-def _joined(outline: NDArray[np.float64], hole: NDArray[np.float64]) -> NDArray[np.float64]:
+def _join_hole(outline: NDArray[np.float64], hole: NDArray[np.float64]) -> NDArray[np.float64]:
     """One outline of an area and of a hole in it: along the cut there, around the hole, along the cut back."""
     return np.vstack((outline, outline[:1], hole, hole[:1]))

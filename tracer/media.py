@@ -171,7 +171,7 @@ COMMON_NAMES = {  # what people call them, without case, spaces and hyphens
 
 
 def medium_called(name: str, media: Mapping[str, Medium] = MEDIA) -> Medium | None:
-    """Return the medium of this name, as it is written or as people call it; None if nobody does.
+    """Return the medium of this name, as it is written or as people call it; None if it is unknown.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def medium_called(name: str, media: Mapping[str, Medium] = MEDIA) -> Medium | No
     return media.get(known)
 
 
-def known_media(media: Mapping[str, Medium] = MEDIA) -> str:
+def media_names(media: Mapping[str, Medium] = MEDIA) -> str:
     """Names to choose from, for messages."""
     own = sorted(name for name in media if name not in MEDIA)
     return ", ".join([*own, "acrylic", "BK7", *sorted(name for name in MEDIA if name not in ("PMMA", "N-BK7"))])

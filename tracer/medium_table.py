@@ -1,4 +1,4 @@
-"""How a medium stands in a file: by name, by number, by formula, or as another one with a measured offset."""
+"""A medium in a file: by name, by number, by formula, or as another one with a measured offset."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -18,7 +18,7 @@ from tracer.media import (
     Medium,
     SellmeierMedium,
     ShiftedMedium,
-    known_media,
+    media_names,
     medium_called,
 )
 
@@ -88,21 +88,21 @@ def medium_of(material: str | MediumTable, media: Mapping[str, Medium]) -> Mediu
     found = medium_called(material, media)
     if found is None:
         hint = near(material, list(media)) or near(material.casefold(), list(COMMON_NAMES))
-        hint = hint or f"; known are {known_media(media)}"
+        hint = hint or f"; known are {media_names(media)}"
         raise SceneError(
             f"unknown medium {material!r}{hint} (or its index, as in {{n: 1.5}}; opaque blocks light)"
         )
     return found
 
 
-def written(medium: Medium) -> str | dict[str, Any]:
-    """How a medium is written in a file."""
+def medium_entry(medium: Medium) -> str | dict[str, Any]:
+    """Return a medium as a scene file has it."""
     if MEDIA.get(medium.name) == medium or isinstance(medium, AirMedium):
         return medium.name
     if isinstance(medium, ConstantMedium):
         return {"n": medium.index}
     if isinstance(medium, ShiftedMedium):
-        base = written(medium.base)
+        base = medium_entry(medium.base)
         named = {"base": base} if isinstance(base, str) else base
         return {**named, "offset": medium.offset}
     return {"sellmeier": {"b": list(medium.b), "c_um2": list(medium.c_um2)}}

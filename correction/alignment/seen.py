@@ -44,7 +44,7 @@ from correction.target.lattice_growth import Patch, grow_patches
 from correction.target.marks import find_marks, refine_marks
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 from tracer.camera import Camera
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
@@ -394,7 +394,7 @@ def at_places(scene: Scene, expected: Expected) -> Scene:
     x, y, z = np.add(scene.camera.position_mm, expected.camera_mm).tolist()
     moves = {"glass": expected.glass_mm, "camera": expected.camera_mm}
     bodies = tuple(
-        body.moved(shifted_by(moves[body.carried])) if body.carried in moves else body for body in scene.bodies
+        body.moved(translate_by(moves[body.carried])) if body.carried in moves else body for body in scene.bodies
     )
     return replace(scene, camera=replace(scene.camera, position_mm=(x, y, z)), bodies=bodies)
 

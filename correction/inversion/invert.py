@@ -17,7 +17,7 @@ what they find in bundles (``kernels.bed_sheets``).
 
 from collections.abc import Iterator, Mapping
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +26,21 @@ from correction.grid import PlaneGrid
 from correction.inversion.kernels.bed_sheets import (
     LANES,
     MEASURES,
-    Sensor,
-    Small,
+    BundleScratch,
+    SmallSheets,
     StartScratch,
     solve_in_bundle,
     solve_small_sheets,
 )
-from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, direct_rows_behind
-from correction.inversion.kernels.direct import direct_rows
-from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, Ways
-from correction.inversion.kernels.views import NodeScratch, join_weights, solve_nodes
+from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, BehindScratch, direct_rows_behind
+from correction.inversion.kernels.direct import DirectScratch, DirectView, direct_rows
+from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, BranchSequences, SheetPath
+from correction.inversion.kernels.views import InverseProblem, NodeScratch, ViewMaps, join_weights, solve_nodes
 from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts
 from correction.masked import mask_branches, mask_pixels
 from ground.rows import run_parts, run_rows
 from tracer.kernels.camera import CENTRE_U, FOCAL
-from tracer.kernels.lanes import Bundle
 from tracer.kernels.sphere import OPAQUE
-from tracer.kernels.world import Tables
 from tracer.strategies.beds import Balls
 from tracer.strategies.branches import chain_trip, event_numbers, key_of
 from tracer.strategies.lockstep import block_scratch, sphere_discs
@@ -50,121 +48,67 @@ from tracer.strategies.ray_map import RayMap
 from tracer.strategies.strategy import Kind, Strategy
 
 
-class Sought(NamedTuple):
-    """What is sought: scene and grid as kernels take them, whether `every` node is, limits, the map's arrays."""
-
-    tables: Tables
-    grid: NDArray[np.float64]
-    windows: NDArray[np.float64]
-    every: bool
-    limits: NDArray[np.float64]
-    maps: tuple[NDArray[Any], ...]
-
-
-def solve_bed(sought: Sought, sheets: Sheets, ways: Ways, balls: Balls, weight: NDArray[np.float32]) -> None:
+def solve_bed(
+    problem: InverseProblem, maps: ViewMaps, sheets: Sheets, sequences: BranchSequences, balls: Balls
+) -> None:
     """Solve all sheets, those with few events first.
 
     Parameters
     ----------
-    sought : Sought
-        Scene, grid, limits and maps.
+    problem, maps : InverseProblem, ViewMaps
+        Scene, grid and limits, and the arrays of the map: a node whose last layer weighs enough takes no view.
     sheets : Sheets
         Those of the ray map.
-    ways : Ways
+    sequences : BranchSequences
         Spheres of each branch.
     balls : Balls
         The spheres, as bundles take them.
-    weight : (h, w) array
-        Last layer of the weights: who has enough takes no view any more.
     """
     every = sheets.ordered()
-    small = _listed(every, ways, balls, sought.every)
+    small = _listed(every, sequences, balls, problem.every)
     start = StartScratch(
         np.zeros(3, np.int64),
         np.empty(LANES, np.int64),
         np.empty(MEASURES),
+        np.empty(NEWTON_NUMBERS),
         *sheets.room_for_starts(),
-        np.zeros(1 << (2 * sheets.room).bit_length(), np.int64),
     )
-    sensor = Sensor(sheets.plane, sheets.branch, sheets.flags, sheets.taken)
+    room = start, np.zeros(1 << (2 * sheets.room).bit_length(), np.int64)
     scratch, progress = _bundle_scratch(balls), np.zeros(2, np.int64)
     while progress[0] < len(every.branch):
         progress[1] = sheets.stamp
-        solve_small_sheets(
-            sought.tables,
-            ways,
-            sought.grid,
-            sought.windows,
-            balls.balls,
-            balls.bed,
-            sought.every,
-            small,
-            sensor,
-            progress,
-            sought.limits,
-            start,
-            *scratch,
-            sought.maps,
-        )
+        solve_small_sheets(problem, balls.bed, small, sheets.sensor, progress, room, scratch, maps)
         sheets.stamp = int(progress[1])
-        if progress[0] < len(every.branch):
+        if progress[0] < len(every.branch):  # a large sheet is solved on all cores
             k = int(progress[0])
-            sheet, way = every.sheet(k), slice(small.begin[k], small.begin[k + 1])
-            parts = sheets.starts(sheet, weight, small.enough[k])
-            _solve_large(sought, sheet, parts, balls, small.events[way], small.balls[way])
+            sheet, own = every.sheet(k), slice(small.begin[k], small.begin[k + 1])
+            path = SheetPath(small.events[own], small.balls[own], 0, -1, sheet.branch, sheet.sign, True)
+
+            def work(part: Starts, path: SheetPath = path) -> None:
+                solve_in_bundle(problem, path, *part, balls.bed, _bundle_scratch(balls), maps)
+
+            run_parts(work, sheets.starts(sheet, maps.weight[-1], small.enough[k]))
             progress[0] += 1
 
 
-def _listed(every: Ordered, ways: Ways, balls: Balls, all_nodes: bool) -> Small:
+def _listed(every: Ordered, sequences: BranchSequences, balls: Balls, all_nodes: bool) -> SmallSheets:
     """All sheets with their spheres, as kernels take them."""
-    sizes = np.diff(ways.begin)[every.branch]
+    sizes = np.diff(sequences.begin)[every.branch]
     ends = np.cumsum(sizes)
     inside = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - sizes, sizes)
-    events = ways.events[np.repeat(ways.begin[every.branch], sizes) + inside]
+    events = sequences.events[np.repeat(sequences.begin[every.branch], sizes) + inside]
     place = np.empty(len(balls.order), np.int64)
     place[balls.order] = np.arange(len(balls.order))
     begin = np.concatenate(([0], ends))
     enough = (np.full(len(sizes), np.inf) if all_nodes else 1.0 / (1.0 + every.events)).astype(np.float32)
-    return Small(every.branch, every.sign, events, place[events], begin, every.runs, every.first, enough)
+    own = events, place[events], begin
+    return SmallSheets(every.branch, every.sign, *own, every.runs, every.first, enough, sequences)
 
 
-def _solve_large(
-    sought: Sought,
-    sheet: Sheet,
-    parts: Iterator[Starts],
-    balls: Balls,
-    sequence: NDArray[np.int64],
-    way: NDArray[np.int64],
-) -> None:
-    """Solve a large sheet on all cores."""
-
-    def work(part: Starts) -> None:
-        starts, nodes = part
-        solve_in_bundle(
-            sought.tables,
-            sought.grid,
-            sought.windows,
-            balls.balls,
-            balls.bed,
-            sought.every,
-            sequence,
-            way,
-            sheet.branch,
-            sheet.sign,
-            sought.limits,
-            starts,
-            nodes,
-            *_bundle_scratch(balls),
-            sought.maps,
-        )
-
-    run_parts(work, parts)
-
-
-def _bundle_scratch(balls: Balls) -> tuple[Bundle, NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Memory of one thread of `solve_in_bundle`, from the bundle on."""
-    passed, block, state = np.empty(GROUP, np.int64), np.empty(NEWTON_NUMBERS), np.empty(GROUP, np.int64)
-    return balls.bundle(), passed, block, state, block_scratch()[1]
+def _bundle_scratch(balls: Balls) -> BundleScratch:
+    """Memory of one thread of `solve_in_bundle`."""
+    passed, state = np.empty(GROUP, np.int64), np.empty(GROUP, np.int64)
+    return BundleScratch(balls.bundle(), passed, np.empty(NEWTON_NUMBERS), state, block_scratch()[1])
 
 
 class Inversion:
@@ -185,11 +129,16 @@ class Inversion:
         self.way, self.ray_map, self.grid = way, ray_map, grid
         self.skip = skip
         self.size = scene.camera.sensor_px
-        self.tables = (way.camera, way.world)
+        self.tables, self.longest_mm = (way.camera, way.world), 2.0 * grid.pitch_mm / limits[0]
         self.events = event_numbers(scene)
         self.window = way.single_window
-        self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
-        self.limits = np.array([*limits, *self.size], dtype=np.float64)
+        self.problem = InverseProblem(
+            self.tables,
+            np.array([*grid.origin_mm, grid.pitch_mm]),
+            way.windows,
+            not skip,
+            np.array([*limits, *self.size], dtype=np.float64),
+        )
         lead, kind = (layers, height, width), ray_map.branch.dtype
         if out is None or out["pixel"].shape != (*lead, 2) or out["branch"].dtype != kind:
             out = {
@@ -204,14 +153,13 @@ class Inversion:
         self.masked = np.zeros((1, 1), np.uint8), np.zeros(0, np.uint8)
         if scene.masked:
             self.masked = mask_pixels(scene), mask_branches(scene, ray_map.branches)
-        self.longest_mm = 2.0 * grid.pitch_mm / limits[0]
         self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
         self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
 
     @property
-    def maps(self) -> tuple[NDArray[Any], ...]:
-        """The arrays in the order in which kernels take them, and what is masked."""
-        return *self.arrays.values(), *self.masked
+    def maps(self) -> ViewMaps:
+        """The arrays as kernels take them, and what is masked."""
+        return ViewMaps(*self.arrays.values(), *self.masked)
 
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
@@ -238,39 +186,33 @@ class Inversion:
         place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
         lens_free, world = self.way.scene.camera.lens.is_ideal, self.tables[1]
         glass_only = not (world.others or world.shapes or world.spheres[:, OPAQUE].any())
-        size, maps = np.array(self.size, dtype=np.float64), self._flat_maps()
+        maps = self._flat_maps()
+        lockstep = not len(world.others) and self.way.kind is Kind.LOCKSTEP
+        view = DirectView(place, self.tables, discs, lockstep, glass_only, lens_free, self._frame())
 
         def work(first: int, last: int) -> None:
             x, y = np.arange(width, dtype=np.float64), np.empty(width)
             x = (x - place[CENTRE_U]) / place[FOCAL]
             spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
-            scratch = (x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
-            direct_rows(
-                place,
-                self.tables,
-                discs,
-                not len(world.others) and self.way.kind is Kind.LOCKSTEP,
-                glass_only,
-                lens_free,
-                self.grid_numbers,
-                size,
-                first,
-                last,
-                *scratch,
-                maps,
-            )
+            scratch = DirectScratch(x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
+            direct_rows(view, first, last, scratch, maps)
 
         run_rows(work, height)
+
+    def _frame(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Grid (3,) and size (2,) of the sensor."""
+        return self.problem.grid, np.array(self.size, np.float64)
 
     def _direct_behind(self, window: NDArray[np.float64]) -> None:
         """As `direct`, through the only window in front of a few spheres."""
         height, width = self.grid.shape
-        size, maps, flat = np.array(self.size, np.float64), self._flat_maps(), self.way.scene.camera.lens.is_ideal
+        maps, flat = self._flat_maps(), self.way.scene.camera.lens.is_ideal
+        optics, frame = (self.tables[0], window, self.way.chain), self._frame()
 
         def work(first: int, last: int) -> None:
-            scratch = *block_scratch(), np.empty(width, np.uint8), np.empty((6, width)), np.empty(BLOCK_NUMBERS)
-            place = self.tables[0], window, self.way.chain, flat, self.grid_numbers, size
-            direct_rows_behind(*place, first, last, *scratch, maps)
+            lens = np.empty((6, width))
+            scratch = BehindScratch(*block_scratch(), np.empty(width, np.uint8), lens, np.empty(BLOCK_NUMBERS))
+            direct_rows_behind(optics, flat, frame, first, last, scratch, maps)
 
         run_rows(work, height)
 
@@ -293,31 +235,22 @@ class Inversion:
         # Behind walls the direct view is sought as the others are, unless it was found.
         walled = not self.way.scene.arrangement.is_one_room
         least = 0 if walled and self.window is None else 1
-        sensor = self.ray_map, self.grid, self.tables, self.longest_mm, least
+        sensor = self.ray_map, self.grid, self.problem, self.longest_mm, least
         if self.way.inverse_kind is Kind.BUNDLES:
-            ways = self._ways()
-            self._solve_many(Sheets(*sensor, ways), ways)
+            sequences = self._sequences()
+            solve_bed(self.problem, self.maps, Sheets(*sensor, sequences), sequences, self.way.balls)
             return
         sheets = Sheets(*sensor)
         for sheet in sheets:
-            self._solve_one(sheet, sheets)
+            enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
+            self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
 
-    def _ways(self) -> Ways:
+    def _sequences(self) -> BranchSequences:
         """Spheres of every branch."""
         branches = self.ray_map.branches
         begin = np.cumsum([0, *map(len, branches)], dtype=np.int64)
         events = np.fromiter(map(self.events.__getitem__, chain.from_iterable(branches)), np.int64, int(begin[-1]))
-        return Ways(begin, events, self.way.windows)
-
-    def _solve_one(self, sheet: Sheet, sheets: Sheets) -> None:
-        """Solve a sheet on all cores."""
-        enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
-        self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
-
-    def _solve_many(self, sheets: Sheets, ways: Ways) -> None:
-        """Solve the sheets of a bed."""
-        numbers = self.tables, self.grid_numbers, self.way.windows, not self.skip, self.limits, self.maps
-        solve_bed(Sought(*numbers), sheets, ways, self.way.balls, self.weight[-1])
+        return BranchSequences(begin, events, self.way.windows)
 
     def _sequence(self, number: int) -> list[int]:
         """Events of a branch."""
@@ -330,35 +263,22 @@ class Inversion:
         trip = chain_trip(self.way.scene, sequence) if self.way.inverse_kind is Kind.LOCKSTEP else -1
         world = self.tables[1]
         solid = self.way.in_blocks and not world.shapes and bool((sequence < len(world.spheres)).all())
+        path = SheetPath(sequence, sequence, key, trip, sheet.branch, sheet.sign, trip >= 0 or solid)
         balls, maps = self.way.chain, self.maps
 
         def work(part: Starts) -> None:
+            rays, trips = block_scratch()
             scratch = NodeScratch(
                 np.empty(NEWTON_NUMBERS),
+                np.empty(GROUP, np.int64),
+                trips,
                 np.empty(GROUP, np.int64),
                 np.empty((2, GROUP)),
                 np.empty((len(balls), 2), np.int64),
                 np.empty(len(balls), np.int64),
-                *block_scratch(),
-                np.empty(GROUP, np.int64),
+                rays,
             )
-            solve_nodes(
-                self.tables,
-                self.grid_numbers,
-                balls,
-                self.way.windows,
-                sequence,
-                trip,
-                solid,
-                not self.skip,
-                key,
-                sheet.branch,
-                sheet.sign,
-                self.limits,
-                *part,
-                scratch,
-                maps,
-            )
+            solve_nodes(self.problem, path, *part, balls, scratch, maps)
 
         run_parts(work, parts)
 

@@ -12,11 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
-from correction.inversion.kernels.bed_sheets import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
-from correction.inversion.kernels.newton import NEWTON_NUMBERS, NO_WAYS, Ways
-from correction.inversion.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
+from correction.inversion.kernels.bed_sheets import (
+    DONE,
+    ENOUGH_NODES,
+    LANES,
+    MEASURES,
+    TILING,
+    StartScratch,
+    Wanted,
+    scatter_sheet,
+)
+from correction.inversion.kernels.newton import NEWTON_NUMBERS, NO_SEQUENCES, BranchSequences
+from correction.inversion.kernels.sheets import (
+    RUN,
+    NodeScale,
+    Sensor,
+    count_useful,
+    flag_edges,
+    flag_rows,
+    join_runs,
+    list_runs,
+)
+from correction.inversion.kernels.views import InverseProblem
 from ground.rows import run_rows
-from tracer.kernels.world import Tables
 from tracer.strategies.branches import lengths_of
 from tracer.strategies.ray_map import RayMap
 
@@ -57,13 +75,13 @@ class Sheets:
         The ray map.
     grid : PlaneGrid
         The nodes.
-    tables : tuple of array and World
-        Camera and bodies as kernels take them.
+    problem : InverseProblem
+        Camera, bodies and grid as kernels take them.
     longest_mm : float
         Largest singular value of d plane / d pixel of a pixel that is worth a start.
     least : int
         First branch that is sought: 0 where the direct view is not known otherwise, else 1.
-    ways : Ways
+    sequences : BranchSequences
         Spheres of each branch, where there are only spheres behind windows.
     """
 
@@ -71,25 +89,27 @@ class Sheets:
         self,
         ray_map: RayMap,
         grid: PlaneGrid,
-        tables: Tables,
+        problem: InverseProblem,
         longest_mm: float,
         least: int,
-        ways: Ways = NO_WAYS,
+        sequences: BranchSequences = NO_SEQUENCES,
     ) -> None:
         height, width = ray_map.status.shape
-        self.tables, self.ways, self.grid_numbers = tables, ways, np.array([*grid.origin_mm, grid.pitch_mm])
-        self.plane, self.branch = ray_map.plane_mm.reshape(height, 2 * width), ray_map.branch
+        self.problem, self.sequences, self.stamp = problem, sequences, 0
         self.events = lengths_of(ray_map.branches)
-        self.flags, self.taken, self.stamp = np.empty((height, width), np.uint8), np.zeros(grid.shape, np.uint8), 0
+        self.flags, self.taken = np.empty((height, width), np.uint8), np.zeros(grid.shape, np.uint8)
+        plane = ray_map.plane_mm.reshape(height, 2 * width)
+        self.sensor = Sensor(plane, ray_map.branch, self.flags, self.taken)
         # A pixel's largest square, two wide, is sqrt(8) of its longest side across.
         across = math.sqrt(8.0) * longest_mm / grid.pitch_mm
         self.room = ENOUGH_NODES + min(math.prod(grid.shape), (int(across) + 3) ** 2)
         self.spare: list[Starts] = []
         counts, box = np.empty(height, np.int64), np.array(grid.shape[::-1]) - 1.0
+        scale = NodeScale(problem.grid, box, longest_mm, least)
 
         def flag(first: int, last: int) -> None:
-            sensor = self.plane, self.branch, ray_map.status, ways, np.empty(NEWTON_NUMBERS)
-            flag_rows(tables, self.grid_numbers, box, longest_mm, least, first, last, *sensor, self.flags, counts)
+            scratch = np.empty(NEWTON_NUMBERS), counts
+            flag_rows(problem.tables, scale, first, last, self.sensor, ray_map.status, sequences, scratch)
 
         run_rows(flag, height)
         self.begin = np.concatenate(([0], np.cumsum(counts)))
@@ -97,8 +117,8 @@ class Sheets:
 
         def cut(first: int, last: int) -> None:
             ends, edges = np.empty(width, np.int64), np.empty(width, np.uint8)
-            list_runs(self.flags, self.branch, first, last, self.begin, ends, self.runs)
-            flag_edges(self.flags, self.branch, first, last, self.begin, edges)
+            list_runs(self.flags, ray_map.branch, first, last, self.begin, ends, self.runs)
+            flag_edges(self.flags, ray_map.branch, first, last, self.begin, edges)
 
         run_rows(cut, height)
 
@@ -138,23 +158,8 @@ class Sheets:
         # The kernel fills what memory it is given and says by `cursor` where to go on.
         while cursor[0] < DONE:
             starts, nodes = self.spare.pop() if self.spare else self.room_for_starts()
-            tiled, found = scatter_sheet(
-                self.plane,
-                self.branch,
-                self.flags,
-                sheet.runs,
-                self.tables,
-                self.ways,
-                self.grid_numbers,
-                weight,
-                enough,
-                self.stamp,
-                self.taken,
-                cursor,
-                *scratch,
-                starts,
-                nodes,
-            )
+            start, wanted = StartScratch(cursor, *scratch, starts, nodes), Wanted(weight, enough, self.stamp)
+            tiled, found = scatter_sheet(self.problem, self.sensor, sheet.runs, self.sequences, wanted, start)
             if found == 0:
                 self.spare.append((starts, nodes))
             elif cursor[0] == TILING:

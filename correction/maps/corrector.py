@@ -121,14 +121,12 @@ class Corrector:
             image = self._spare.pop() if self._spare else np.zeros(self._memory, np.float32)
             filter_tiles(frame, MIRRORED_COEFFICIENTS, self._tiles, image)
         flat, stride = image.reshape(image.size), image.shape[1]
-        feet = self._footprints
-        laid = (feet.anchor, feet.fraction, feet.begin, feet.span, feet.share)
 
         def work(first: int, last: int) -> None:
             pixels = np.empty((2, 2 * CHUNK), frame.dtype)
             scratch = np.empty((WEIGHTS, CHUNK), np.float32) if quintic else pixels
-            values = np.empty(CHUNK, np.float32)
-            correct_rows(flat, quintic, stride, *laid, self.fill, first, last, scratch, values, result)
+            memory = scratch, np.empty(CHUNK, np.float32)
+            correct_rows((flat, stride), quintic, self._footprints, self.fill, first, last, memory, result)
 
         run_rows(work, rows)
         if quintic:

@@ -14,7 +14,7 @@ from ground.config import Place
 from ground.errors import Problem
 from ground.plain_words import slip
 from ground.usual import Usual, plausibility_questions, question
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 
 Asked = Iterator[tuple[Place, str]]
 
@@ -75,7 +75,7 @@ def _glass_asked(bench: Bench) -> Asked:
         return
     positions = bench.home_mm | glass.retract_mm | glass.out_mm
     moved = bench.scene.with_bodies([
-        body.moved(shifted_by(bench.table.offset_mm(GLASS, positions)))
+        body.moved(translate_by(bench.table.offset_mm(GLASS, positions)))
         for body in bench.scene.bodies
         if body.carried == GLASS
     ])  # fmt: skip

@@ -20,7 +20,7 @@ from daq.runs.records import CURE
 from daq.runs.run_folder import RunFolder, frame_entries
 from daq.runs.run_views import bench_table
 from piv.errors import PairError
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 from tracer.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
     """
     if not any(place_mm):
         return scene
-    step, carried = shifted_by(place_mm), [body for body in scene.bodies if not body.stays]
+    step, carried = translate_by(place_mm), [body for body in scene.bodies if not body.stays]
     moved = scene.with_bodies([body if body.stays else body.moved(step) for body in scene.bodies])
     if not (scene.masked and carried):
         return moved

@@ -1,6 +1,6 @@
-"""The samples of all nodes of a corrector; they are described in ``piv.resampling.kernels.footprint``."""
+"""The samples of all nodes of a corrector; see ``piv.resampling.kernels.footprint``."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,7 @@ from piv.resampling.kernels.lanes import TAPS, WIDE
 from piv.resampling.sample import TILE, tile_grid
 
 
-@dataclass(frozen=True)
-class Views:
+class Views(NamedTuple):
     """Places of the nodes on the frame.
 
     Parameters
@@ -30,8 +29,7 @@ class Views:
     weight: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Footprints:
+class Footprints(NamedTuple):
     """Samples in order of use.
 
     Parameters
@@ -78,13 +76,9 @@ def lay_footprints(
         count, spans = (int(samples[-1]), int(begin[-1])) if store else (0, 0)
         anchor, fraction = np.empty(count, np.int32), np.empty(count, np.uint32)
         span, share = np.empty((spans, SPAN), np.int64), np.empty(spans, np.float32)
-        maps = (views.position, views.jacobian, views.weight)
-
-        def work(first: int, last: int) -> None:
-            lay_rows(*maps, recovered, size, store, first, last, samples, begin, anchor, fraction, span, share)
-
-        run_rows(work, rows)
-        return Footprints(anchor, fraction, begin, span, share)
+        laid = Footprints(anchor, fraction, begin, span, share)
+        run_rows(lambda first, last: lay_rows(views, recovered, size, store, first, last, samples, laid), rows)
+        return laid
 
     lay(store=False)
     np.cumsum(samples, out=samples)

@@ -124,8 +124,8 @@ def filter_tiles(
     def work(first: int, last: int) -> None:
         lines = np.empty((2, TILE[1] + 2 * SPREAD), np.float32)
         tile = np.empty((TILE[0] + 2 * REACH + 1, TILE[1]), np.float32)
-        for top, left, bottom, right in tiles[first:last].tolist():
-            filter_tile(frame, rim, top, left, bottom, right, lines, tile, out)
+        for place in tiles[first:last].tolist():
+            filter_tile(frame, rim, tuple(place), (lines, tile), out)
 
     run_rows(work, len(tiles), block=TILES_PER_CALL, threads=threads)
 

@@ -12,7 +12,7 @@ from rtpiv.templates.lab import Lab, medium_of_glass
 from rtpiv.templates.room import CLEARANCE_MM, GLASS_HEIGHTS_MM, SHEET_OFF_MM, Room, bare_heights_mm
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at, thin_lens_distance_mm
-from tracer.media import MEDIA, ConstantMedium, known_media
+from tracer.media import MEDIA, ConstantMedium, media_names
 from tracer.scene.scene import Scene
 
 NAMES = {
@@ -76,7 +76,7 @@ def scene_text(lab: Lab) -> str:
         height=str(lab.sensor_px[1]),
         hide="" if lab.turn_deg else "# ",
         pinhole=", ".join(f"{c:g}" for c in lab.pinhole_mm),
-        media=str(known_media()),
+        media=str(media_names()),
         bodies="\n".join(bodies),
     )
 

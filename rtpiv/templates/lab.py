@@ -23,7 +23,7 @@ from rtpiv.templates.arrangement import (
     rods_mm,
     span_mm,
 )
-from tracer.media import ConstantMedium, Medium, known_media, medium_called
+from tracer.media import ConstantMedium, Medium, media_names, medium_called
 
 NAME = TypeAdapter(Name, config=ConfigDict(defer_build=True))
 DENSEST = 4.0  # index
@@ -126,7 +126,7 @@ class Lab:
             said.append(f"balls: a {self.arrangement} has {counts}, not {self.balls}")
         for glass in dict.fromkeys(self.each_glass):
             if _index(glass) is None and medium_called(glass) is None:
-                said.append(f"glass {glass!r} is not known; known are {known_media()}, or its index, 1 to 4")
+                said.append(f"glass {glass!r} is not known; known are {media_names()}, or its index, 1 to 4")
         for what, given in (("ball_mm", self.sizes_mm), ("glass", self.glasses)):
             if given and (self.arrangement not in LINES or len(given) != self.balls):
                 said.append(

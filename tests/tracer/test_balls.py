@@ -17,7 +17,7 @@ from ground.errors import ConfigError
 from tests.tracer.scenes import ball, camera_at
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
-from tracer.harmonics import COUNT, DEGREES, NAMES, of_ellipsoid, to_polynomials, turned, up_to, values
+from tracer.harmonics import COUNT, DEGREES, NAMES, of_ellipsoid, rotate_harmonics, to_polynomials, up_to, values
 from tracer.light_sheet import LightSheet
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
@@ -214,7 +214,7 @@ def test_harmonics_are_what_they_are_said_to_be() -> None:
     assert np.linalg.matrix_rank(to_polynomials()) == COUNT
     one, turn = rng.normal(size=COUNT), scipy.spatial.transform.Rotation.random(random_state=rng).as_matrix()
     np.testing.assert_allclose(
-        values(directions @ turn.T) @ turned(one, turn), values(directions) @ one, atol=1e-12
+        values(directions @ turn.T) @ rotate_harmonics(one, turn), values(directions) @ one, atol=1e-12
     )
 
 

@@ -14,7 +14,7 @@ from tracer.errors import RayMapUsageError
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import lengths_of
-from tracer.strategies.lockstep import aligned
+from tracer.strategies.lockstep import cache_aligned
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.strategy import Kind, choose
 from tracer.strategies.trace import RayStatus
@@ -172,11 +172,11 @@ def test_a_tile_whose_rays_are_all_totally_reflected(monkeypatch: pytest.MonkeyP
     """Nobody is left to ask a list, and memory that nobody has written to must not say which."""
 
     def poisoned(count: int, dtype: type) -> np.ndarray:
-        memory = aligned(count, dtype)
+        memory = cache_aligned(count, dtype)
         memory[...] = np.nan if np.issubdtype(dtype, np.floating) else 7_777_777_777_777
         return memory
 
-    monkeypatch.setattr("tracer.strategies.beds.aligned", poisoned)
+    monkeypatch.setattr("tracer.strategies.beds.cache_aligned", poisoned)
     bubble = Sphere("bubble", (0.0, 0.0, 60.0), 20.0, ConstantMedium(1.0))
     camera = camera_at((18.0, 0.0, 460.0), (18.0, 0.0, 0.0), 4000.0, (16, 16))
     made = build_ray_map(Scene(camera, (bubble,), ambient=ConstantMedium(1.5)))

@@ -23,7 +23,7 @@ from tracer.kernels.rays import (
     trace_to_plane,
     trace_trails,
 )
-from tracer.kernels.sensor import sensor_rows
+from tracer.kernels.sensor import MapArrays, RowOptions, sensor_rows
 from tracer.kernels.sphere import angles, foot, rotate, through, transmittance
 from tracer.kernels.world import next_body
 from tracer.scene.scene import Scene
@@ -126,10 +126,11 @@ def test_rows_of_the_sensor_compiled_and_interpreted(name: str) -> None:
     outcomes = []
     for kernel in (sensor_rows, sensor_rows.py_func):
         point, status = np.empty((24, 48)), np.empty((24, 24), np.uint8)
-        outputs = np.empty(24, np.int64), point, status, np.empty((24, 24), np.uint16)
+        unknown, out = np.empty(24, np.int64), MapArrays(point, status, np.empty((24, 24), np.uint16))
+        options, scratch = RowOptions(True, True, 3), row_scratch(24, len(balls))
         with np.errstate(over="ignore"):  # NumPy warns where the branch number of an unknown way wraps
-            kernel(camera, balls, True, True, 3, find_mirrors(where), 0, 12, row_scratch(24, len(balls)), *outputs)
-        outcomes.append(outputs)
+            kernel((camera, balls), options, find_mirrors(where), 0, 12, scratch, unknown, out)
+        outcomes.append((unknown, *out))
     for one, other in zip(*outcomes, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 

@@ -7,7 +7,7 @@ import pytest
 
 from ground.errors import ConfigError
 from tests.correction.small_scenes import EXAMPLES, small_scene
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import dump_scene, load_scene
@@ -87,5 +87,5 @@ def test_glass_may_be_touched_by_the_sheet_and_not_be_cut_in_two():
     through = replace(scene, sheet=LightSheet(1.4))
     with pytest.raises(SceneError, match=r"runs through 'near' \(1.4 mm deep\)"):
         through.in_light_sheet()
-    free = through.with_bodies([body.moved(shifted_by((0.0, 0.0, 4.0))) for body in through.bodies])
+    free = through.with_bodies([body.moved(translate_by((0.0, 0.0, 4.0))) for body in through.bodies])
     assert free.in_light_sheet().spheres[0].lowest_mm == pytest.approx(2.6)

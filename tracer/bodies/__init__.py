@@ -14,7 +14,7 @@ from tracer.bodies.body import (
     Number,
     Piece,
     Room,
-    shifted_by,
+    translate_by,
     vector3,
 )
 from tracer.bodies.dome import Dome
@@ -44,6 +44,6 @@ __all__ = [
     "Sphere",
     "Tube",
     "Window",
-    "shifted_by",
+    "translate_by",
     "vector3",
 ]

@@ -1,4 +1,4 @@
-"""What every kind of body says of itself.
+"""Interface of a body, of whatever kind.
 
 Scene, files, fit, keep-out zones, renderer and benches ask a body these questions and no other: a new kind is one
 file that answers them (``docs/add-a-body.md``).
@@ -61,7 +61,7 @@ class BodySection(Table):
     name: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     kind: str
 
-    def located(self, folder: Path) -> Self:
+    def resolve_paths(self, folder: Path) -> Self:
         """Return the section of a scene file in a folder; files that it names are beside it."""
         return self
 
@@ -77,7 +77,7 @@ class BodySection(Table):
 
 
 class Room(NamedTuple):
-    """What a body keeps apart from the rest of the world.
+    """Space that a body parts from the rest of the world.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Number(NamedTuple):
 
 
 class Ball(Protocol):
-    """What a body asks of a ball beside it (`Body.gap_to_ball_mm`)."""
+    """Properties that a body asks of a ball beside it (`Body.gap_to_ball_mm`)."""
 
     @property
     def centre_mm(self) -> Vector3:
@@ -128,12 +128,12 @@ class Ball(Protocol):
 
     @property
     def shape_um(self) -> tuple[float, ...]:
-        """How far it is out of round; empty for a sphere."""
+        """Deviation from a sphere; empty for a sphere."""
         ...
 
     @property
     def uneven_mm(self) -> float:
-        """What its surface is nowhere higher or lower than the radius."""
+        """Largest deviation of its surface from the radius."""
         ...
 
     def radius_towards_mm(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -222,17 +222,17 @@ class Body(ABC):
 
     @property
     def may_cross_plane(self) -> bool:
-        """Whether the body may reach through the investigation plane."""
+        """Return whether the body may reach through the investigation plane."""
         return False
 
     @property
     def uneven_mm(self) -> float:
-        """How much smaller than its outline the body may be on each side, because it is out of round."""
+        """Largest distance of the surface inside the outline of a body out of round."""
         return 0.0
 
     @property
     def slope_rad(self) -> float:
-        """How far the slope of the surface is off, rms, as far as the body knows; 0: it is a formula."""
+        """Uncertainty of the slope of the surface, rms, as the body states it; 0: it is a formula."""
         return 0.0
 
     @property
@@ -242,12 +242,12 @@ class Body(ABC):
 
     @property
     def carried(self) -> Carrier:
-        """What the body moves with: the glass, as balls and their supports do, the camera, or nothing."""
+        """Support of the body: it moves with the glass, as balls do, with the camera, or with nothing."""
         return "glass"
 
     @property
     def stays(self) -> bool:
-        """Whether it is there still when the glass is driven out."""
+        """Return whether it is there still when the glass is driven out."""
         return self.carried != "glass"
 
     @property
@@ -263,7 +263,7 @@ class Body(ABC):
         return np.array([capsule.start_mm, capsule.end_mm]), capsule.radius_mm
 
 
-def shifted_by(step_mm: Iterable[float]) -> Callable[[Vector3], Vector3]:
+def translate_by(step_mm: Iterable[float]) -> Callable[[Vector3], Vector3]:
     """Return the movement by a vector (3,) [mm], for `Body.moved`."""
     dx, dy, dz = (float(part) for part in step_mm)
     return lambda point: (point[0] + dx, point[1] + dy, point[2] + dz)

@@ -18,7 +18,7 @@ from tracer.errors import SceneError
 from tracer.kernels.dome import cross_dome, dome_rates, leave_dome, meets_dome
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium
-from tracer.medium_table import MediumTable, Positive, medium_of, written
+from tracer.medium_table import MediumTable, Positive, medium_entry, medium_of
 
 WHOLE_DEG = 180.0
 UP = (0.0, 0.0, 1.0)
@@ -146,15 +146,15 @@ class Dome(Body):
         inner = {} if self.inner_centre_mm is None else {"inner_centre_mm": list(self.inner_centre_mm)}
         whole = self.half_angle_deg == WHOLE_DEG
         mount = {} if whole else {"axis": list(self.axis), "half_angle_deg": self.half_angle_deg}
-        filled = {} if self.filled is None else {"filled": written(self.filled)}
+        filled = {} if self.filled is None else {"filled": medium_entry(self.filled)}
         filled |= {} if self.carried_by == "bench" else {"carried_by": self.carried_by}
         radii = {"outer_radius_mm": self.outer_radius_mm, "inner_radius_mm": self.inner_radius_mm}
         place = {"centre_mm": list(self.centre_mm), **radii, **inner, **mount}
-        return {"name": self.name, "kind": self.kind, **place, "material": written(self.medium), **filled}
+        return {"name": self.name, "kind": self.kind, **place, "material": medium_entry(self.medium), **filled}
 
     @property
     def carried(self) -> Carrier:
-        """What it moves with."""
+        """Support that it moves with."""
         return self.carried_by
 
     @property

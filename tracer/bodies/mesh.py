@@ -23,7 +23,7 @@ from tracer.errors import SceneError
 from tracer.kernels.mesh import BOX_NUMBERS, PATCH_NUMBERS, cross_mesh, meets_mesh, mesh_rates, normal_at
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium
-from tracer.medium_table import MediumTable, Positive, medium_of, written
+from tracer.medium_table import MediumTable, Positive, medium_entry, medium_of
 
 LEAF = 2  # patches of a box that is divided no more
 MARGIN = 1e-12  # of the size, added to boxes: rounding
@@ -116,7 +116,7 @@ class MeshSection(BodySection):
     unit_mm: Positive = 1.0
     material: str | MediumTable
 
-    def located(self, folder: Path) -> Self:
+    def resolve_paths(self, folder: Path) -> Self:
         """Take the file from beside the scene file."""
         return self.model_copy(update={"file": str((folder / self.file).resolve())})
 
@@ -191,7 +191,7 @@ class Mesh(Body):
 
     @cached_property
     def slope_rad(self) -> float:
-        """How well the file knows the slope of the surface: half of the rms kink between neighbouring patches."""
+        """Uncertainty of the slope of the surface: half of the rms kink between neighbouring patches."""
         return 0.5 * float(np.sqrt(np.mean(kinks(self.shape.triangles, self.controls_mm) ** 2)))
 
     @cached_property
@@ -214,7 +214,7 @@ class Mesh(Body):
         unit = {} if self.unit_mm == 1.0 else {"unit_mm": self.unit_mm}
         place = {"position_mm": list(self.position_mm), **turned, **unit}
         file = {"file": str(self.path), "sha256": self.shape.sha256}
-        return {"name": self.name, "kind": self.kind, **file, **place, "material": written(self.medium)}
+        return {"name": self.name, "kind": self.kind, **file, **place, "material": medium_entry(self.medium)}
 
     @property
     def capsule(self) -> Capsule:

@@ -25,7 +25,7 @@ ENDINGS = (".ply", ".obj")
 
 @dataclass(frozen=True)
 class MeshFile:
-    """What is in a mesh file, in its own units.
+    """Contents of a mesh file, in its own units.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def load_mesh(path: Path | str) -> MeshFile:
         content = read_plain(path, MOST_BYTES)
     except OSError as error:
         raise _wrong(path, f"cannot be read: {error.strerror or error}") from None
-    points, normals, triangles = _parsed(path, content)
-    points, normals, triangles = _merged(path, points, normals, triangles)
+    points, normals, triangles = _parse(path, content)
+    points, normals, triangles = _merge_points(path, points, normals, triangles)
     _check_shape(path, points, normals, triangles)
     return MeshFile(points, normals, triangles, hashlib.sha256(content).hexdigest())
 
@@ -70,7 +70,7 @@ def _wrong(path: Path, text: str) -> SceneError:
     return SceneError(problems=[("file", f"mesh file {path}: {text}")])
 
 
-def _parsed(path: Path, content: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def _parse(path: Path, content: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     try:
         from trimesh.exchange.obj import load_obj
         from trimesh.exchange.ply import load_ply
@@ -109,7 +109,7 @@ def _parsed(path: Path, content: bytes) -> tuple[NDArray[np.float64], NDArray[np
     return points, normals / lengths, triangles
 
 
-def _merged(
+def _merge_points(
     path: Path, points: NDArray[np.float64], normals: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Make one of points that a file has several times, where they have one normal."""
@@ -122,7 +122,7 @@ def _merged(
     apart = np.linalg.norm(normals - normals[first][which], axis=1)
     if float(apart.max()) > CREASE:
         worst = points[int(np.argmax(apart))]
-        raise _wrong(path, f"has two normals at {_said(worst)}: a crease; round it, or export smooth normals")
+        raise _wrong(path, f"has two normals at {_place(worst)}: a crease; round it, or export smooth normals")
     return points[first], normals[first], which[triangles]
 
 
@@ -134,7 +134,7 @@ def _check_shape(
     area = np.linalg.norm(across, axis=1)
     flat = area <= 1e-14 * float(np.ptp(points, axis=0).max()) ** 2
     if flat.any():
-        raise _wrong(path, f"has a triangle without area at {_said(corners[int(np.argmax(flat)), 0])}; remove it")
+        raise _wrong(path, f"has a triangle without area at {_place(corners[int(np.argmax(flat)), 0])}; remove it")
     edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     code = edges[:, 0] * len(points) + edges[:, 1]
     back = edges[:, 1] * len(points) + edges[:, 0]
@@ -143,25 +143,25 @@ def _check_shape(
     if len(np.unique(code)) < len(code):
         twice = edges[np.setdiff1d(np.arange(len(code)), np.unique(code, return_index=True)[1])[0]]
         raise _wrong(
-            path, f"has neighbours of opposite orientation at {_said(points[twice[0]])}; orient them alike"
+            path, f"has neighbours of opposite orientation at {_place(points[twice[0]])}; orient them alike"
         )
     open_edges = code[order][found] != back
     if open_edges.any():
         at = points[edges[int(np.argmax(open_edges)), 0]]
-        raise _wrong(path, f"is open at {_said(at)}: an edge has one triangle only; close the surface")
+        raise _wrong(path, f"is open at {_place(at)}: an edge has one triangle only; close the surface")
     unit = across / area[:, None]
     if float((corners[:, 0] * across).sum()) <= 0.0:
         raise _wrong(path, "is inside out: its triangles run clockwise seen from outside; flip them")
     if (np.einsum("tkc,tc->tk", normals[triangles], unit) <= 0.0).any():
         bad = np.einsum("tkc,tc->tk", normals[triangles], unit).min(axis=1)
         at = corners[int(np.argmin(bad)), 0]
-        raise _wrong(path, f"has a normal at {_said(at)} that points into it, or too coarse triangles there")
+        raise _wrong(path, f"has a normal at {_place(at)} that points into it, or too coarse triangles there")
     step = points[edges[:, 1]] - points[edges[:, 0]]
     rise, reach = (step * normals[edges[:, 0]]).sum(axis=1), np.linalg.norm(step, axis=1)
     if float((rise - HOLLOW * reach).max()) > 0.0:
         at = points[edges[int(np.argmax(rise - HOLLOW * reach)), 0]]
-        raise _wrong(path, f"is hollow at {_said(at)}: rays are followed through convex bodies; cut it into such")
+        raise _wrong(path, f"is hollow at {_place(at)}: rays are followed through convex bodies; cut it into such")
 
 
-def _said(point: NDArray[np.float64]) -> str:
+def _place(point: NDArray[np.float64]) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in point) + ")"

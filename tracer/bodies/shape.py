@@ -27,7 +27,7 @@ Shape = tuple[float, ...]  # coefficients [um] in the order of `tracer.harmonics
 
 
 class ShapeTable(Table):
-    """How a ball differs from a sphere."""
+    """Deviation of a ball from a sphere."""
 
     harmonics_um: dict[str, Annotated[float, Field(ge=-1e4, le=1e4)]] | None = None
     semi_axes_mm: Annotated[list[Positive], Field(min_length=3, max_length=3), exactly(3)] | None = None
@@ -35,7 +35,7 @@ class ShapeTable(Table):
 
     @field_validator("harmonics_um")
     @classmethod
-    def _known(cls, value: dict[str, float] | None) -> dict[str, float] | None:
+    def _check_names(cls, value: dict[str, float] | None) -> dict[str, float] | None:
         for name in value or {}:
             if name in ("C00", "C10", "C11", "S11"):
                 raise ValueError(
@@ -85,7 +85,7 @@ class ShapeTable(Table):
 
 @lru_cache(maxsize=4096)
 def reach_mm(radius_mm: float, shape: Shape, side: float) -> float:
-    """How far a ball reaches along z from its centre, up (`side` 1) or down (-1).
+    """Reach of a ball along z from its centre, up (`side` 1) or down (-1).
 
     The top of u_z r(u) is one hill near the axis: it is sought on ever finer grids about the highest point.
     """
@@ -99,6 +99,6 @@ def reach_mm(radius_mm: float, shape: Shape, side: float) -> float:
     return best
 
 
-def written_shape(shape: Shape) -> dict[str, dict[str, float]]:
+def shape_section(shape: Shape) -> dict[str, dict[str, float]]:
     """Return a shape as a scene file has it."""
     return {"harmonics_um": {name: value for name, value in zip(NAMES, shape, strict=True) if value != 0.0}}

@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 from ground.config import Table, Triple
 from ground.jit import Array
 from tracer.bodies.body import CONTACT_TOL_MM, Ball, Body, BodySection, Capsule, Index, vector3
-from tracer.bodies.shape import Shape, ShapeTable, reach_mm, written_shape
+from tracer.bodies.shape import Shape, ShapeTable, reach_mm, shape_section
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
-from tracer.harmonics import COUNT, bending_mm, largest_mm, turned, values
+from tracer.harmonics import COUNT, bending_mm, largest_mm, rotate_harmonics, values
 from tracer.kernels.sphere import REFRACTIVE_INDEX, SOLID
 from tracer.media import Medium
-from tracer.medium_table import OPAQUE, MediumTable, Positive, medium_of, written
+from tracer.medium_table import OPAQUE, MediumTable, Positive, medium_entry, medium_of
 
 UNTURNED = 1e-9  # what rounding makes of a movement without a turn
 
 
 class CoreSection(Table):
-    """What is inside a sphere, about the same centre; it may have a core itself."""
+    """Core of a sphere, about the same centre; it may have a core itself."""
 
     radius_mm: Positive
     material: str | MediumTable
@@ -160,12 +160,12 @@ class Sphere(Body):
 
     @property
     def may_be_uneven(self) -> bool:
-        """Whether a fit could find a shape: of solid glass."""
+        """Return whether a fit could find a shape: of solid glass."""
         return self.medium is not None and not self.cores
 
     @property
     def uneven_mm(self) -> float:
-        """What the surface is nowhere higher or lower than the radius; 0 for a sphere."""
+        """Largest deviation of the surface from the radius; 0 for a sphere."""
         return float(largest_mm(self.shape_mm)) if self.shape_um else 0.0
 
     def radius_towards_mm(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -195,10 +195,10 @@ class Sphere(Body):
         """Return the sphere as a scene file has it, its cores in one another."""
         inside: dict[str, Any] = {}
         for core in reversed(self.cores):
-            inside = {"core": {"radius_mm": core.radius_mm, "material": written(core.medium), **inside}}
+            inside = {"core": {"radius_mm": core.radius_mm, "material": medium_entry(core.medium), **inside}}
         place = {"name": self.name, "kind": self.kind, "centre_mm": list(self.centre_mm)}
-        material = OPAQUE if self.medium is None else written(self.medium)
-        shape = {"shape": written_shape(self.shape_um)} if self.shape_um else {}
+        material = OPAQUE if self.medium is None else medium_entry(self.medium)
+        shape = {"shape": shape_section(self.shape_um)} if self.shape_um else {}
         return {**place, "radius_mm": self.radius_mm, "material": material, **inside, **shape}
 
     @property
@@ -217,7 +217,7 @@ class Sphere(Body):
         return self.centre_mm[2] + self._reach_mm(1.0)
 
     def _reach_mm(self, side: float) -> float:
-        """How far the ball reaches along z, up (1) or down (-1)."""
+        """Reach of the ball along z, up (1) or down (-1)."""
         return reach_mm(self.radius_mm, self.shape_um, side) if self.shape_um else self.radius_mm
 
     def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -246,7 +246,7 @@ class Sphere(Body):
         ahead = np.array([to((x + 1.0, y, z)), to((x, y + 1.0, z)), to((x, y, z + 1.0))]) - np.array(centre)
         if np.abs(ahead - np.eye(3)).max() < UNTURNED:
             return replace(self, centre_mm=centre)
-        shape = turned(np.array(self.shape_um), ahead.T)
+        shape = rotate_harmonics(np.array(self.shape_um), ahead.T)
         return replace(self, centre_mm=centre, shape_um=tuple(shape.tolist()))
 
     @property
@@ -271,7 +271,7 @@ class Sphere(Body):
         return tuple(self.event_name(way) for way in range(2 * len(self.cores) + 1))
 
     def is_on(self, branch: Iterable[str]) -> bool:
-        """Whether a branch goes through the sphere, on whatever way."""
+        """Return whether a branch goes through the sphere, on whatever way."""
         return not set(self.event_names).isdisjoint(branch)
 
     def event_name(self, way: int) -> str:

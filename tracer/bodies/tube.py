@@ -21,7 +21,7 @@ from tracer.errors import SceneError
 from tracer.kernels.tube import cross_tube, leave_tube, meets_tube, tube_rates
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium, shifted
-from tracer.medium_table import MediumTable, Positive, medium_of, written
+from tracer.medium_table import MediumTable, Positive, medium_entry, medium_of
 
 STAVES = 32  # of a wall: they stand out by 0.5 % of its radius
 
@@ -136,12 +136,12 @@ class Tube(Body):
 
     def section(self) -> dict[str, Any]:
         """Return the tube as a scene file has it."""
-        filled = {} if self.filled is None else {"filled": written(self.filled)}
+        filled = {} if self.filled is None else {"filled": medium_entry(self.filled)}
         filled |= {} if self.carried_by is None else {"carried_by": self.carried_by}
         ends = {"start_mm": list(self.start_mm), "end_mm": list(self.end_mm)}
         radii = {"outer_radius_mm": self.outer_radius_mm, "inner_radius_mm": self.inner_radius_mm}
         return {
-            "name": self.name, "kind": self.kind, **ends, **radii, "material": written(self.medium), **filled
+            "name": self.name, "kind": self.kind, **ends, **radii, "material": medium_entry(self.medium), **filled
         }  # fmt: skip
 
     @property
@@ -151,7 +151,7 @@ class Tube(Body):
 
     @property
     def carried(self) -> Carrier:
-        """What it moves with."""
+        """Support that it moves with."""
         return self.carried_by or ("glass" if self.inner_radius_mm == 0.0 else "bench")
 
     @property
@@ -200,8 +200,8 @@ class Tube(Body):
         return replace(self, medium=own, filled=filled[0] if filled else None)
 
     @property
-    def _seen_mm(self) -> float:
-        """Where along the axis it comes nearest to the origin: about there it is moved and turned."""
+    def _nearest_mm(self) -> float:
+        """Place on the axis nearest to the origin, about which the tube is moved and turned."""
         return float(np.clip(-np.array(self.start_mm) @ np.array(self.axis), 0.0, self.length_mm))
 
     def numbers(self, wavelength_nm: float) -> tuple[Number, ...]:
@@ -209,7 +209,7 @@ class Tube(Body):
         if self.room is None:
             return ()
         axes, aside = sideways(self.axis)
-        middle = np.array(self.start_mm) + self._seen_mm * np.array(self.axis)
+        middle = np.array(self.start_mm) + self._nearest_mm * np.array(self.axis)
         places = [Number(axis, float(middle @ way), "place_mm") for axis, way in zip(axes, aside, strict=True)]
         tilts = [Number(f"tilt_{axis}", 0.0, "tilt_deg") for axis in axes]
         outer = Number("outer_radius", self.outer_radius_mm, "radius_mm")
@@ -222,13 +222,13 @@ class Tube(Body):
             return self
         one, other, first, second, outer, inner, n = values
         _, aside = sideways(self.axis)
-        middle = np.array(self.start_mm) + self._seen_mm * np.array(self.axis)
+        middle = np.array(self.start_mm) + self._nearest_mm * np.array(self.axis)
         middle = middle + (np.array([one, other]) - aside @ middle) @ aside
         axis = np.array(leaning(self.axis, (first, second)))
         return replace(
             self,
-            start_mm=vector3(middle - self._seen_mm * axis),
-            end_mm=vector3(middle + (self.length_mm - self._seen_mm) * axis),
+            start_mm=vector3(middle - self._nearest_mm * axis),
+            end_mm=vector3(middle + (self.length_mm - self._nearest_mm) * axis),
             outer_radius_mm=outer,
             inner_radius_mm=inner,
             medium=shifted(self.medium, n - self.medium.n(wavelength_nm)),

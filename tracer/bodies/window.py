@@ -17,7 +17,7 @@ from tracer.errors import SceneError
 from tracer.kernels.window import cross_window, leave_window, meets_window, window_rates
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium, shifted
-from tracer.medium_table import MediumTable, Positive, medium_of, written
+from tracer.medium_table import MediumTable, Positive, medium_entry, medium_of
 
 
 class Windows(NamedTuple):
@@ -113,12 +113,12 @@ class Window(Body):
 
     def section(self) -> dict[str, Any]:
         """Return the window as a scene file has it."""
-        behind = {} if self.behind is None else {"behind": written(self.behind)}
+        behind = {} if self.behind is None else {"behind": medium_entry(self.behind)}
         behind |= {} if self.carried_by == "bench" else {"carried_by": self.carried_by}
         size = {"thickness_mm": self.thickness_mm, "radius_mm": self.radius_mm}
         place = {"centre_mm": list(self.centre_mm), "normal": list(self.normal)}
         return {
-            "name": self.name, "kind": self.kind, **place, **size, "material": written(self.medium), **behind
+            "name": self.name, "kind": self.kind, **place, **size, "material": medium_entry(self.medium), **behind
         }  # fmt: skip
 
     @property
@@ -129,7 +129,7 @@ class Window(Body):
 
     @property
     def carried(self) -> Carrier:
-        """What it moves with."""
+        """Support that it moves with."""
         return self.carried_by
 
     @property

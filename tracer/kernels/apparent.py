@@ -1,4 +1,4 @@
-"""Where things behind windows seem to stand: straight rays must come near there if bent ones are to meet them.
+"""Apparent positions behind windows: straight rays must come near there if bent ones are to meet the bodies.
 
 The faces are parallel, N is their unit normal towards the camera, P the pinhole.  A ray leaves P at an angle theta
 to N.  In a layer of thickness d and index n (of the medium before the first window: 1) it moves sideways by
@@ -20,7 +20,9 @@ is convex: where the straight rays through the corners of a block pass it, all r
 import math
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, axes_of
+from tracer.kernels.camera import EYE_Z, axes_of, eye_of
+from tracer.kernels.chain import image_ray
+from tracer.kernels.vectors import Vector, divide, dot, move, scale, subtract, vector_at
 from tracer.kernels.window import BEHIND, GLASS, OPENING, THICKNESS
 
 ROUNDED = 1e-11  # of a distance: more than what rounding does
@@ -41,99 +43,84 @@ def image_box(x: Array, y: Array, box: Array) -> None:
 
 
 @kernel_inlined
-def corner_ray(corner: int, box: Array, camera: Array) -> tuple[float, float, float]:
-    """Direction of the ray through a corner of a box of the image."""
-    x, y = box[corner & 1], box[2 + (corner >> 1)]
-    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
-    return c3 * x + c6 * y + c9, c4 * x + c7 * y + c10, c5 * x + c8 * y + c11
+def corner_ray(corner: int, box: Array, camera: Array, normal: Vector) -> tuple[float, Vector]:
+    """Share m towards the window of the ray through a corner of a box of the image, and its share across."""
+    d = image_ray(box[corner & 1], box[2 + (corner >> 1)], axes_of(camera))
+    m = -dot(d, normal)
+    return m, move(d, m, normal)
 
 
 @kernel
 def shortening(n: float, tan2: float) -> tuple[float, float]:
     """Middle of g at theta = 0 and at the largest tan^2 theta, and half their difference; NaN: reflected."""
     square = n * n + (n - 1.0) * (n + 1.0) * tan2
-    straight, aslant = 1.0 / n, 1.0 / math.sqrt(square) if square > 0.0 else math.nan
-    return 0.5 * (straight + aslant), 0.5 * abs(straight - aslant)
+    straight, oblique = 1.0 / n, 1.0 / math.sqrt(square) if square > 0.0 else math.nan
+    return 0.5 * (straight + oblique), 0.5 * abs(straight - oblique)
 
 
 @kernel
-def seem(box: Array, camera: Array, windows: Array, balls: Array, faces: Array, discs: Array) -> bool:
+def apparent_positions(
+    box: Array, camera: Array, windows: Array, balls: Array, faces: Array, discs: Array
+) -> bool:
     """Faces (2 K, FACE) of windows (K, 10) and apparent spheres (N, 4) x, y, z, R^2 for the rays of a box.
 
     Returns whether they are good bounds: windows that are not parallel, or a ray that is reflected, have none.
     """
-    px, py, pz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    nx, ny, nz = windows[0, 3], windows[0, 4], windows[0, 5]
+    eye, normal = eye_of(camera), vector_at(windows[0], 3)
     tan2 = 0.0
     for corner in range(4):
-        dx, dy, dz = corner_ray(corner, box, camera)
-        m = -(dx * nx + dy * ny + dz * nz)
+        m, s = corner_ray(corner, box, camera, normal)
         if not m > 0.0:
             return False
-        sx, sy, sz = dx + m * nx, dy + m * ny, dz + m * nz
-        tan2 = max(tan2, (sx * sx + sy * sy + sz * sz) / (m * m))
+        tan2 = max(tan2, dot(s, s) / (m * m))
     tangent = math.sqrt(tan2)
     level = seeming = error = 0.0
     n = 1.0
     g, e = 1.0, 0.0
     for k in range(windows.shape[0]):
         row = windows[k]
-        if row[3] != nx or row[4] != ny or row[5] != nz:
+        if row[3] != normal[0] or row[4] != normal[1] or row[5] != normal[2]:
             return False
-        wx, wy, wz = px - row[0], py - row[1], pz - row[2]
-        away = wx * nx + wy * ny + wz * nz
+        w = subtract(eye, vector_at(row, 0))
+        away = dot(w, normal)
         if not away > level:
             return False
         for face in range(2):
             depth = away - level if face == 0 else row[THICKNESS]
             seeming, error, level = seeming + depth * g, error + depth * e, level + depth
             slack = error * tangent + ROUNDED * level
-            free = max(row[OPENING] - slack, 0.0)
-            f = 2 * k + face
-            faces[f, LEVEL], faces[f, SEEMING], faces[f, FREE], faces[f, SLACK] = level, seeming, free, slack
-            faces[f, BESIDE_X], faces[f, BESIDE_Y], faces[f, BESIDE_Z] = (
-                away * nx - wx,
-                away * ny - wy,
-                away * nz - wz,
-            )
+            f = faces[2 * k + face]
+            f[LEVEL], f[SEEMING], f[FREE], f[SLACK] = level, seeming, max(row[OPENING] - slack, 0.0), slack
+            f[BESIDE_X], f[BESIDE_Y], f[BESIDE_Z] = subtract(scale(away, normal), w)
             g, e = shortening(n * row[GLASS] if face == 0 else n * row[BEHIND], tan2)
             if not g < math.inf:
                 return False
         n *= row[BEHIND]
     for k in range(balls.shape[0]):
-        wx, wy, wz, radius = balls[k, 0] - px, balls[k, 1] - py, balls[k, 2] - pz, math.sqrt(balls[k, 3])
-        away = -(wx * nx + wy * ny + wz * nz)
+        centre, radius = vector_at(balls[k], 0), math.sqrt(balls[k, 3])
+        away = -dot(subtract(centre, eye), normal)
         depth = away - level
         if not depth >= 0.0:
             return False
         moved = away - seeming - depth * g  # towards the camera
         slack = (error + (depth + radius) * e) * tangent + ROUNDED * (away + radius)
         wide = radius * max(1.0, g) + slack
-        discs[k, 0], discs[k, 1], discs[k, 2] = (
-            balls[k, 0] + moved * nx,
-            balls[k, 1] + moved * ny,
-            balls[k, 2] + moved * nz,
-        )
+        discs[k, 0], discs[k, 1], discs[k, 2] = move(centre, moved, normal)
         discs[k, 3] = wide * wide
     return True
 
 
 @kernel
 def all_open(box: Array, camera: Array, windows: Array, faces: Array) -> bool:
-    """Whether all rays of a box pass the openings of all faces, above the investigation plane."""
-    nx, ny, nz = windows[0, 3], windows[0, 4], windows[0, 5]
+    """Return whether all rays of a box pass the openings of all faces, above the investigation plane."""
+    normal = vector_at(windows[0], 3)
     for corner in range(4):
-        dx, dy, dz = corner_ray(corner, box, camera)
-        m = -(dx * nx + dy * ny + dz * nz)
-        sx, sy, sz = (dx + m * nx) / m, (dy + m * ny) / m, (dz + m * nz) / m
-        for f in range(faces.shape[0]):
-            far = faces[f, SEEMING]
-            ax, ay, az = (
-                far * sx - faces[f, BESIDE_X],
-                far * sy - faces[f, BESIDE_Y],
-                far * sz - faces[f, BESIDE_Z],
-            )
-            height = camera[EYE_Z] - faces[f, LEVEL] * nz + far * sz
-            if not (ax * ax + ay * ay + az * az < faces[f, FREE] * faces[f, FREE] and height > faces[f, SLACK]):
+        m, s = corner_ray(corner, box, camera, normal)
+        s = divide(s, m)
+        for k in range(faces.shape[0]):
+            f = faces[k]
+            a = subtract(scale(f[SEEMING], s), vector_at(f, BESIDE_X))
+            height = camera[EYE_Z] - f[LEVEL] * normal[2] + f[SEEMING] * s[2]
+            if not (dot(a, a) < f[FREE] * f[FREE] and height > f[SLACK]):
                 return False
     return True

@@ -4,10 +4,10 @@ A bundle is up to LANES rays, those of a tile of the sensor.  As in ``tracer.ker
 goes over its rays in one structure of arrays, in loops without a branch that the compiler puts into vectors.  In
 a bed rays do not stay together, so each round begins with sorting them:
 
-    group   rays that left the same ball in about the same direction ask the same list
-    look    at the spheres of the list, nearest first, until no ray of the group can find a nearer one
-    part    rays that met nothing are done, and the last rays of the bundle take their places: no lane is idle
-    turn    all rays that are left, each by the numbers of its own sphere.
+    group      rays that left the same ball in about the same direction ask the same list
+    intersect  the spheres of the list, nearest first, until no ray of the group can find a nearer one
+    compact    rays that met nothing are done, and the last rays of the bundle take their places: no lane is idle
+    refract    all other rays, each by the numbers of its own sphere.
 
 Directions are unit vectors, as for `trace_ray`; its three facts (``tracer.kernels.rays``) replace every tolerance
 here as well.  Nothing is assumed of the order in which spheres are met, or of how many there are.
@@ -29,13 +29,12 @@ from tracer.kernels.candidates import (
     BALL_Y,
     BALL_Z,
     BINS,
-    INDEX,
+    NON_NEGATIVE,
     cell_of,
     list_from_ball,
     list_from_box,
     narrow_list,
 )
-from tracer.kernels.chain import VECTOR, whole_vectors
 from tracer.kernels.lanes import (
     BALL_GK,
     BALL_IR,
@@ -49,9 +48,6 @@ from tracer.kernels.lanes import (
     CX,
     CY,
     CZ,
-    DX,
-    DY,
-    DZ,
     END_DX,
     END_DY,
     END_DZ,
@@ -75,7 +71,6 @@ from tracer.kernels.lanes import (
     KEY,
     KT,
     LANE,
-    LANES,
     LAST,
     LIST,
     LOST,
@@ -84,18 +79,18 @@ from tracer.kernels.lanes import (
     NU,
     PICK,
     PLACE,
-    PX,
-    PY,
-    PZ,
     R2,
-    STEP,
     Bed,
     Bundle,
 )
+from tracer.kernels.packets import DX, DY, DZ, LANES, PX, PY, PZ, STEP, VECTOR, refract, whole_vectors
 from tracer.kernels.rooms import OUTERMOST
+from tracer.kernels.sphere import foot
+from tracer.kernels.vectors import Vector, dot, move, subtract
 from tracer.kernels.world import BLOCKED, RECOVERED, TIR, TOO_MANY_EVENTS, next_in_bed
 
 MANY, LONG = 16, 4  # rays of a group and balls of its list from which it pays to narrow it
+foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
 FACTOR = 6364136223846793005  # of the hash of a trail, modulo 2^64 (Knuth's MMIX generator)
 
 
@@ -133,7 +128,7 @@ def point_cells(count: int, rays: Array, marks: Array) -> None:
 
 
 @kernel
-def group_lanes(count: int, balls: Array, bed: Bed, bundle: Bundle) -> int:
+def group_lanes(count: int, bundle: Bundle) -> int:
     """Sort copies of `count` rays into groups that ask the same list; return how many groups.
 
     Group g has lanes group_marks[BEGIN + g] to group_marks[BEGIN + g + 1], whole vectors; those beyond its last
@@ -162,10 +157,10 @@ def group_lanes(count: int, balls: Array, bed: Bed, bundle: Bundle) -> int:
     for i in range(count):
         last = marks[LAST + i]
         at = group_of.shape[0] - 1 if last < 0 else last * BINS + marks[CELL + i]
-        g = group_of[at & INDEX]
+        g = group_of[at & NON_NEGATIVE]
         if g < 0:
             g = groups
-            group_of[at & INDEX] = g
+            group_of[at & NON_NEGATIVE] = g
             places[LIST + g], places[BEGIN + g] = at, 0
             groups += 1
         places[BEGIN + g] += 1
@@ -176,11 +171,11 @@ def group_lanes(count: int, balls: Array, bed: Bed, bundle: Bundle) -> int:
         for i in range(lane + size, lane + whole_vectors(size)):
             places[LANE + i] = NOTHING
         lane += whole_vectors(size)
-        group_of[places[LIST + g] & INDEX] = -1
+        group_of[places[LIST + g] & NON_NEGATIVE] = -1
     places[BEGIN + groups] = lane
     for i in range(count):
-        g = places[MEMBER + i] & INDEX
-        at = places[BEGIN + g] & INDEX
+        g = places[MEMBER + i] & NON_NEGATIVE
+        at = places[BEGIN + g] & NON_NEGATIVE
         places[BEGIN + g] = at + 1
         places[LANE + at] = i
         grouped[GX + at], grouped[GY + at], grouped[GZ + at] = rays[PX + i], rays[PY + i], rays[PZ + i]
@@ -198,7 +193,7 @@ def group_lanes(count: int, balls: Array, bed: Bed, bundle: Bundle) -> int:
 
 
 @kernel
-def look(k: int, beyond: float, count: int, balls: Array, grouped: Array, places: Array) -> int:
+def intersect(k: int, beyond: float, count: int, balls: Array, grouped: Array, places: Array) -> int:
     """Note sphere k for the lanes of a group whose nearest it is so far; how many may find one beyond `beyond`."""
     cx, cy, cz, r2 = balls[BALL_X, k], balls[BALL_Y, k], balls[BALL_Z, k], balls[BALL_R2, k]
     still = 0
@@ -208,7 +203,7 @@ def look(k: int, beyond: float, count: int, balls: Array, grouped: Array, places
         m = -(wx * dx + wy * dy + wz * dz)
         ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
         near, pick = grouped[NEAR + i], places[FOUND + i]
-        first_one = (m < near) | ((m == near) & (k < pick))  # whatever the order in which they are looked at
+        first_one = (m < near) | ((m == near) & (k < pick))  # whatever the order in which they are asked
         nearer = (ax * ax + ay * ay + az * az < r2) & (m > 0.0) & first_one
         near = m if nearer else near
         grouped[NEAR + i] = near
@@ -218,22 +213,17 @@ def look(k: int, beyond: float, count: int, balls: Array, grouped: Array, places
 
 
 @kernel
-def look_around(groups: int, count: int, balls: Array, bed: Bed, bundle: Bundle) -> None:
-    """Find the sphere that each of `count` rays in `groups` meets next: PICK, or NOTHING."""
-    marks, grouped, places, lists, near = (
-        bundle.marks,
-        bundle.grouped,
-        bundle.group_marks,
-        bundle.lists,
-        bed.near,
-    )
+def intersect_groups(groups: int, bed: Bed, bundle: Bundle) -> None:
+    """Find the sphere that each ray of some groups meets next: PICK, or NOTHING."""
+    marks, grouped, places, lists = bundle.marks, bundle.grouped, bundle.group_marks, bundle.lists
+    balls, near = bed.balls, bed.near
     lanes = places[BEGIN + groups]
     for i in range(lanes):
         grouped[NEAR + i] = math.inf
     for i in range(lanes):
         places[FOUND + i] = NOTHING
     for g in range(groups):
-        at, first, last = places[LIST + g] & INDEX, places[BEGIN + g], places[BEGIN + g + 1]
+        at, first, last = places[LIST + g] & NON_NEGATIVE, places[BEGIN + g], places[BEGIN + g + 1]
         of_tile = at == lists.begin.shape[0] - 1
         if lists.begin[at] < 0:
             list_from_ball(at // BINS, at % BINS, balls, near, lists)
@@ -244,7 +234,7 @@ def look_around(groups: int, count: int, balls: Array, bed: Bed, bundle: Bundle)
             begin, end = narrow_list(begin, end, bundle.box, balls, lists)
         for e in range(begin, end):
             beyond = lists.least[e + 1] if e + 1 < end else math.inf
-            if look(lists.ball[e], beyond, last - first, balls, lanes_of, found_of) == 0:
+            if intersect(lists.ball[e], beyond, last - first, balls, lanes_of, found_of) == 0:
                 break
         for i in range(first, last):
             lane = places[LANE + i]
@@ -252,21 +242,18 @@ def look_around(groups: int, count: int, balls: Array, bed: Bed, bundle: Bundle)
                 continue
             pick = places[FOUND + i]
             if not (of_tile or grouped[NEAR + i] <= near.horizon):
-                px, py, pz = grouped[GX + i], grouped[GY + i], grouped[GZ + i]
-                dx, dy, dz = grouped[GU + i], grouped[GV + i], grouped[GW + i]
-                if not leaves(px, py, pz, dx, dy, dz, near.horizon, bed.frame) or pick != NOTHING:
+                p = grouped[GX + i], grouped[GY + i], grouped[GZ + i]
+                d = grouped[GU + i], grouped[GV + i], grouped[GW + i]
+                if not is_outside(move(p, near.horizon, d), bed.frame) or pick != NOTHING:
                     cells = bed.frame, bed.begin, bed.items
-                    p, d = (px, py, pz), (dx, dy, dz)
                     pick, _ = next_in_bed(p, d, at // BINS, bed.spheres, cells, OUTERMOST, bed.home)
             marks[PICK + lane] = pick
 
 
 @kernel_inlined
-def leaves(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, within: float, frame: Array
-) -> bool:  # fmt: skip
-    """Whether a ray is out of the box of all spheres after a distance `within`."""
-    x, y, z, side = px + within * dx, py + within * dy, pz + within * dz, frame[3]
+def is_outside(p: Vector, frame: Array) -> bool:
+    """Return whether a point is out of the box of all spheres."""
+    (x, y, z), side = p, frame[3]
     out = (x < frame[0]) | (y < frame[1]) | (z < frame[2])
     return bool(
         out
@@ -279,7 +266,7 @@ def leaves(
 @kernel_inlined
 def end_ray(i: int, fate: int, events: int, rays: Array, marks: Array, ends: Array, fates: Array) -> None:
     """Write down what became of the ray in lane i."""
-    at = marks[PLACE + i] & INDEX
+    at = marks[PLACE + i] & NON_NEGATIVE
     ends[END_PX + at], ends[END_PY + at], ends[END_PZ + at] = rays[PX + i], rays[PY + i], rays[PZ + i]
     ends[END_DX + at], ends[END_DY + at], ends[END_DZ + at] = rays[DX + i], rays[DY + i], rays[DZ + i]
     fates[FATE + at], fates[EVENTS + at], fates[HASH + at] = fate, events, marks[KEY + i]
@@ -295,16 +282,16 @@ def move_ray(to: int, i: int, rays: Array, marks: Array) -> None:
 
 
 @kernel
-def part(count: int, events: int, most: int, clear: bool, balls: Array, bundle: Bundle) -> int:
+def compact_active_rays(count: int, events: int, most: int, bed: Bed, bundle: Bundle) -> int:
     """End the rays that met nothing, or are stopped, and note what the others met; return how many these are."""
     rays, marks, ends, fates = bundle.rays, bundle.marks, bundle.ends, bundle.fates
-    nothing = 0
+    nothing, clear = 0, bed.clear
     for i in range(count):
         nothing += marks[PICK + i] == NOTHING
     some = nothing > 0 or not clear or events == most
-    for i in range(count - 1 if some else -1, -1, -1):  # who is last goes on, or is this one
+    for i in range(count - 1 if some else -1, -1, -1):  # the last ray goes on, or is this one
         pick = marks[PICK + i]
-        stopped = pick != NOTHING and not clear and balls[BALL_OPAQUE, pick & INDEX] != 0.0
+        stopped = pick != NOTHING and not clear and bed.balls[BALL_OPAQUE, pick & NON_NEGATIVE] != 0.0
         if pick == NOTHING or stopped or events == most:
             fate = RECOVERED if pick == NOTHING else BLOCKED if stopped else TOO_MANY_EVENTS
             end_ray(i, fate, events, rays, marks, ends, fates)
@@ -316,7 +303,7 @@ def part(count: int, events: int, most: int, clear: bool, balls: Array, bundle: 
         marks[KEY + i] = marks[KEY + i] * FACTOR + marks[PICK + i] + 1
     trail = bundle.trail[events * LANES :]
     for i in range(count):
-        trail[marks[PLACE + i] & INDEX] = marks[PICK + i]
+        trail[marks[PLACE + i] & NON_NEGATIVE] = marks[PICK + i]
     return count
 
 
@@ -329,51 +316,38 @@ def fill_alike(balls: Array, rays: Array) -> None:
 
 
 @kernel
-def turn(count: int, alike: bool, balls: Array, rays: Array, marks: Array) -> int:
-    """Turn every ray at its sphere, LAST; return how many are totally reflected there, LOST.
+def refract_bundle(count: int, bed: Bed, rays: Array, marks: Array) -> int:
+    """Refract every ray at its sphere, LAST; return how many are totally reflected there, LOST.
 
-    `alike`: all balls have one radius and one index, which stand in the columns already (`fill_alike`).
+    If all balls have one radius and one index, these stand in the columns already (`fill_alike`).
     """
+    balls = bed.balls
     for i in range(count):
-        k = marks[LAST + i] & INDEX
+        k = marks[LAST + i] & NON_NEGATIVE
         rays[CX + i], rays[CY + i], rays[CZ + i] = balls[BALL_X, k], balls[BALL_Y, k], balls[BALL_Z, k]
-    for i in range(0 if alike else count):
-        k = marks[LAST + i] & INDEX
+    for i in range(0 if bed.alike else count):
+        k = marks[LAST + i] & NON_NEGATIVE
         rays[R2 + i], rays[IR2 + i], rays[KT + i] = balls[BALL_R2, k], balls[BALL_IR2, k], balls[BALL_KT, k]
         rays[NU + i], rays[GK + i], rays[IR + i] = balls[BALL_NU, k], balls[BALL_GK, k], balls[BALL_IR, k]
     lost = 0
     for i in range(count):
-        cx, cy, cz, r2, ir2 = rays[CX + i], rays[CY + i], rays[CZ + i], rays[R2 + i], rays[IR2 + i]
-        kt, nu, gk, ir = rays[KT + i], rays[NU + i], rays[GK + i], rays[IR + i]
-        dx, dy, dz = rays[DX + i], rays[DY + i], rays[DZ + i]
-        wx, wy, wz = rays[PX + i] - cx, rays[PY + i] - cy, rays[PZ + i] - cz
-        m = -(wx * dx + wy * dy + wz * dz)
-        ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
-        # Once more, as `foot` of ``tracer.kernels.sphere`` does: from far away the first is not across d.
-        e = ax * dx + ay * dy + az * dz
-        ax, ay, az = ax - e * dx, ay - e * dy, az - e * dz
-        b2 = ax * ax + ay * ay + az * az
-        chi = b2 * ir2
-        cos_i = math.sqrt(max((r2 - b2) * ir2, 0.0))
-        cos_t = math.sqrt(max(1.0 - b2 * kt, 0.0))
-        g = gk / (cos_t + cos_i * nu)
-        cosine = 1.0 - 2.0 * chi * g * g
-        q = 2.0 * g * (cos_i * cos_t + chi * nu) * ir
-        inside = b2 < r2  # else a tangent by rounding, which passes
-        cosine, q = cosine if inside else 1.0, q if inside else 0.0
-        along = b2 * q
-        rays[PX + i] = cx + ax * cosine + dx * along
-        rays[PY + i] = cy + ay * cosine + dy * along
-        rays[PZ + i] = cz + az * cosine + dz * along
-        rays[DX + i], rays[DY + i], rays[DZ + i] = dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q
-        total = inside & (b2 * kt >= 1.0)
+        centre = rays[CX + i], rays[CY + i], rays[CZ + i]
+        glass = rays[R2 + i], rays[IR2 + i], rays[KT + i], rays[NU + i], rays[GK + i], rays[IR + i]
+        d = rays[DX + i], rays[DY + i], rays[DZ + i]
+        _, a = foot_inlined(subtract((rays[PX + i], rays[PY + i], rays[PZ + i]), centre), d)
+        b2 = dot(a, a)
+        inside = b2 < glass[0]  # else a tangent by rounding, which passes
+        p, d = refract(centre, a, b2, d, (1.0, 1.0), glass, inside)
+        rays[PX + i], rays[PY + i], rays[PZ + i] = p
+        rays[DX + i], rays[DY + i], rays[DZ + i] = d
+        total = inside & (b2 * glass[2] >= 1.0)
         marks[LOST + i] = 1 if total else 0
         lost += total
     return lost
 
 
 @kernel
-def part_lost(count: int, events: int, bundle: Bundle) -> int:
+def end_reflected(count: int, events: int, bundle: Bundle) -> int:
     """End the rays that were totally reflected; return how many are left."""
     rays, marks, ends, fates = bundle.rays, bundle.marks, bundle.ends, bundle.fates
     i = 0
@@ -397,23 +371,23 @@ def fill_lanes(count: int, rays: Array, marks: Array) -> int:
 
 
 @kernel
-def follow_bundle(count: int, most: int, balls: Array, bed: Bed, bundle: Bundle) -> bool:
-    """Take `count` rays through the spheres, `most` each (MAX_EVENTS or fewer); whether there are any in view."""
+def follow_bundle(count: int, most: int, bed: Bed, bundle: Bundle) -> bool:
+    """Take `count` rays through at most `most` spheres each; return whether there are any in view."""
     rays, marks, events = bundle.rays, bundle.marks, 0
     box_of(fill_lanes(count, rays, marks), STEP, rays, bundle.box)
-    if list_from_box(bundle.box, balls, bed.clusters, bundle.lists) == 0:
-        part(count, events, most, bed.clear, balls, bundle)
+    if list_from_box(bundle.box, bed.balls, bed.clusters, bundle.lists) == 0:
+        compact_active_rays(count, events, most, bed, bundle)
         return False
     while True:
-        groups = group_lanes(count, balls, bed, bundle)
-        look_around(groups, count, balls, bed, bundle)
-        count = part(count, events, most, bed.clear, balls, bundle)
+        groups = group_lanes(count, bundle)
+        intersect_groups(groups, bed, bundle)
+        count = compact_active_rays(count, events, most, bed, bundle)
         if count == 0:
             return True
         full = fill_lanes(count, rays, marks)
         events += 1
-        if turn(full, bed.alike, balls, rays, marks) != 0:
-            count = part_lost(count, events, bundle)
+        if refract_bundle(full, bed, rays, marks) != 0:
+            count = end_reflected(count, events, bundle)
             if count == 0:
                 return True
         point_cells(count, rays, marks)

@@ -1,4 +1,4 @@
-"""Which spheres a ray can meet next, in short lists that are too long at times, never too short.
+"""Lists of the spheres that a ray can meet next: too long at times, never too short.
 
 A ray that leaves ball i is taken from a point inside it.  Its direction falls into one of BINS cells of a cube
 around the ball, within a cone about the cell's axis u of half angle alpha.  Depth and side measured from the
@@ -8,7 +8,7 @@ ball's radius.  It can meet ball j of radius R, whose centre lies at depth t and
     p <= r + tan(alpha) (t + r) + R / cos(alpha)        and        t + R >= -r ,
 
 because of the points of ball j, those at depth t + x, sqrt(R^2 - x^2) + x tan(alpha) is R / cos(alpha) at most.
-It meets it no nearer than  |j - i| - r - R.  The list of (ball, cell) holds who passes this test, by that
+It meets it no nearer than  |j - i| - r - R.  The list of (ball, cell) holds the balls that pass this test, by that
 distance: a search ends where the next one stands farther than what was found.  Beds are local: lists hold the
 balls within a `horizon`, and a ray that finds nothing before it is looked for in the cells of the whole bed
 (``kernels.world``).
@@ -27,13 +27,16 @@ import math
 from typing import NamedTuple
 
 from ground.jit import Array, kernel, kernel_inlined
+from tracer.kernels.vectors import Vector, add, divide, dot, scale, subtract, vector_at
 
 CLUSTER = 8
 BALL_X, BALL_Y, BALL_Z, BALL_R = 0, 1, 2, 3  # rows of ``balls`` (.., N)
 SPLIT = 4  # cells of a side of the cube each way
 BINS = 6 * SPLIT * SPLIT
 WIDER, ROUNDED = 1.0 + 1e-9, 1e-12
-INDEX = (1 << 62) - 1  # says that a number is not negative: nothing is counted from the end
+ORIGIN = (0.0, 0.0, 0.0)
+Cone = tuple[Vector, float, float]  # axis u, tangent and 1 / cosine of the half angle alpha
+NON_NEGATIVE = (1 << 62) - 1  # says that a number is not negative: nothing is counted from the end
 
 
 class Lists(NamedTuple):
@@ -83,8 +86,8 @@ def cell_of(dx: float, dy: float, dz: float) -> int:
 
 
 @kernel
-def cone_of(cell: int) -> tuple[float, float, float, float]:
-    """Axis u of a cell of the cube and the tangent of the half angle of the cone around it."""
+def cone_of(cell: int) -> Cone:
+    """Cone around a cell of the cube."""
     face, row, column = cell // (SPLIT * SPLIT), cell // SPLIT % SPLIT, cell % SPLIT
     a, b = (2.0 * column + 1.0) / SPLIT - 1.0, (2.0 * row + 1.0) / SPLIT - 1.0
     sign = -1.0 if face % 2 else 1.0
@@ -94,23 +97,30 @@ def cone_of(cell: int) -> tuple[float, float, float, float]:
         least = min(least, (1.0 + a * c + b * d) / (length * math.sqrt(1.0 + c * c + d * d)))
     tangent = math.sqrt(1.0 - least * least) / least * WIDER + ROUNDED
     sign, a, b = sign / length, a / length, b / length
-    if face >= 4:
-        return a, b, sign, tangent
-    if face >= 2:
-        return b, sign, a, tangent
-    return sign, a, b, tangent
+    axis = (a, b, sign) if face >= 4 else (b, sign, a) if face >= 2 else (sign, a, b)
+    return axis, tangent, math.sqrt(1.0 + tangent * tangent)
 
 
 @kernel_inlined
-def in_cone(
-    wx: float, wy: float, wz: float, radius: float, ux: float, uy: float, uz: float, tangent: float, wide: float,
-    start: float,
-) -> bool:  # fmt: skip
-    """Whether a ball w from a ball of radius `start` may be met from there in a cone; `wide` is 1 / cos(alpha)."""
-    depth, square = wx * ux + wy * uy + wz * uz, wx * wx + wy * wy + wz * wz
+def may_meet(w: Vector, radius: float, start: float, cone: Cone) -> bool:
+    """Return whether a ball w from a ball of radius `start` may be met from there in a cone."""
+    u, tangent, wide = cone
+    depth, square = dot(w, u), dot(w, w)
     bound = (start + tangent * (depth + start) + radius * wide) * WIDER + ROUNDED * abs(depth)
     ahead = depth + (radius + start) * WIDER + ROUNDED * abs(depth) >= 0.0
     return ahead & (bound > 0.0) & (square - depth * depth <= bound * bound + ROUNDED * square)
+
+
+@kernel_inlined
+def from_ball(k: int, balls: Array, x: Vector) -> tuple[Vector, float]:
+    """Centre of ball k, seen from x, and its radius."""
+    return (balls[BALL_X, k] - x[0], balls[BALL_Y, k] - x[1], balls[BALL_Z, k] - x[2]), balls[BALL_R, k]
+
+
+@kernel_inlined
+def insert_near(k: int, w: Vector, reach: float, first: int, count: int, lists: Lists) -> int:
+    """Insert ball k, w away, by the nearest distance at which it may be met; `reach`: both radii."""
+    return insert(k, math.sqrt(dot(w, w)) * (1.0 - ROUNDED) - reach * WIDER, first, count, lists)
 
 
 @kernel_inlined
@@ -137,39 +147,42 @@ def begin_list(at: int, most: int, lists: Lists) -> int:
 
 @kernel
 def list_from_ball(ball: int, cell: int, balls: Array, near: Neighbours, lists: Lists) -> None:
-    """Make the list of those whom a ray may meet that leaves a ball in a cell's direction."""
-    ux, uy, uz, tangent = cone_of(cell)
-    wide, start, count = math.sqrt(1.0 + tangent * tangent), balls[BALL_R, ball] * WIDER, 0
-    cx, cy, cz = balls[BALL_X, ball], balls[BALL_Y, ball], balls[BALL_Z, ball]
+    """Make the list of the balls that a ray may meet that leaves a ball in a cell's direction."""
+    cone, (x, start), count = cone_of(cell), from_ball(ball, balls, ORIGIN), 0
+    start *= WIDER
     at = ball * BINS + cell
     first = begin_list(at, near.begin[ball + 1] - near.begin[ball], lists)
     for e in range(near.begin[ball], near.begin[ball + 1]):
         k = near.items[e]
-        wx, wy, wz, radius = balls[BALL_X, k] - cx, balls[BALL_Y, k] - cy, balls[BALL_Z, k] - cz, balls[BALL_R, k]
-        if in_cone(wx, wy, wz, radius, ux, uy, uz, tangent, wide, start):
-            apart = math.sqrt(wx * wx + wy * wy + wz * wz)
-            count = insert(k, apart * (1.0 - ROUNDED) - (start + radius) * WIDER, first, count, lists)
+        w, radius = from_ball(k, balls, x)
+        if may_meet(w, radius, start, cone):
+            count = insert_near(k, w, start + radius, first, count, lists)
     lists.size[at] = count
     lists.used[0] = first + count
 
 
 @kernel_inlined
-def cone_of_box(box: Array) -> tuple[float, float, float, float, float, float, float, float]:
-    """Middle of some starts, radius of a ball around them, axis and tangent of a cone around their directions.
+def cone_of_box(box: Array) -> tuple[Vector, float, Cone]:
+    """Middle of some starts, radius of a ball around them, and a cone around their directions.
 
     ``box`` (12,): lowest and highest start x, y, z, lowest and highest direction x, y, z.  The tangent is infinite
     where directions are too far apart.
     """
-    x, y, z = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
-    hx, hy, hz = 0.5 * (box[3] - box[0]), 0.5 * (box[4] - box[1]), 0.5 * (box[5] - box[2])
-    start = math.sqrt(hx * hx + hy * hy + hz * hz) * WIDER
-    ux, uy, uz = 0.5 * (box[6] + box[9]), 0.5 * (box[7] + box[10]), 0.5 * (box[8] + box[11])
-    hx, hy, hz = 0.5 * (box[9] - box[6]), 0.5 * (box[10] - box[7]), 0.5 * (box[11] - box[8])
-    length, aside = math.sqrt(ux * ux + uy * uy + uz * uz), math.sqrt(hx * hx + hy * hy + hz * hz) * WIDER
+    x, h = middle_of(box, 0)
+    start = math.sqrt(dot(h, h)) * WIDER
+    u, h = middle_of(box, 6)
+    length, aside = math.sqrt(dot(u, u)), math.sqrt(dot(h, h)) * WIDER
     if not aside < 0.9 * length:
-        return x, y, z, start, 0.0, 0.0, 0.0, math.inf
+        return x, start, (ORIGIN, math.inf, math.inf)
     tangent = aside / (length - aside) * WIDER + ROUNDED
-    return x, y, z, start, ux / length, uy / length, uz / length, tangent
+    return x, start, (divide(u, length), tangent, math.sqrt(1.0 + tangent * tangent))
+
+
+@kernel_inlined
+def middle_of(box: Array, at: int) -> tuple[Vector, Vector]:
+    """Middle and half the size of a box whose lowest and highest numbers begin at a place."""
+    low, high = vector_at(box, at), vector_at(box, at + 3)
+    return scale(0.5, add(low, high)), scale(0.5, subtract(high, low))
 
 
 @kernel
@@ -178,37 +191,33 @@ def list_from_box(box: Array, balls: Array, clusters: Array, lists: Lists) -> in
 
     ``clusters`` (4, C): x, y, z, R of spheres around CLUSTER balls each.
     """
-    x, y, z, start, ux, uy, uz, tangent = cone_of_box(box)
-    every = not tangent < math.inf
-    wide, count, at = math.sqrt(1.0 + tangent * tangent), 0, lists.begin.shape[0] - 1
+    x, start, cone = cone_of_box(box)
+    every, count, at = not cone[1] < math.inf, 0, lists.begin.shape[0] - 1
     first = begin_list(at, balls.shape[1], lists)  # forgotten as soon as the next list is made
     for c in range(clusters.shape[1]):
-        wx, wy, wz = clusters[BALL_X, c] - x, clusters[BALL_Y, c] - y, clusters[BALL_Z, c] - z
-        if not (every or in_cone(wx, wy, wz, clusters[BALL_R, c], ux, uy, uz, tangent, wide, start)):
+        w, radius = from_ball(c, clusters, x)
+        if not (every or may_meet(w, radius, start, cone)):
             continue
         for k in range(CLUSTER * c, min(CLUSTER * (c + 1), balls.shape[1])):
-            wx, wy, wz, radius = balls[BALL_X, k] - x, balls[BALL_Y, k] - y, balls[BALL_Z, k] - z, balls[BALL_R, k]
-            if every or in_cone(wx, wy, wz, radius, ux, uy, uz, tangent, wide, start):
-                apart = math.sqrt(wx * wx + wy * wy + wz * wz)
-                count = insert(k, apart * (1.0 - ROUNDED) - (start + radius) * WIDER, first, count, lists)
+            w, radius = from_ball(k, balls, x)
+            if every or may_meet(w, radius, start, cone):
+                count = insert_near(k, w, start + radius, first, count, lists)
     lists.size[at] = count
     return count
 
 
 @kernel
 def narrow_list(first: int, last: int, box: Array, balls: Array, lists: Lists) -> tuple[int, int]:
-    """Copy those of a list whom the rays of a box (12,) may meet behind all lists; where they begin and end."""
-    x, y, z, start, ux, uy, uz, tangent = cone_of_box(box)
+    """Copy those of a list that the rays of a box (12,) may meet behind all lists; where they begin and end."""
+    x, start, cone = cone_of_box(box)
     begin, count = lists.used[0], 0
-    if not tangent < math.inf or begin + last - first > lists.ball.shape[0]:
+    if not cone[1] < math.inf or begin + last - first > lists.ball.shape[0]:
         return first, last
-    wide = math.sqrt(1.0 + tangent * tangent)
     for e in range(first, last):
         k = lists.ball[e]
-        wx, wy, wz, radius = balls[BALL_X, k] - x, balls[BALL_Y, k] - y, balls[BALL_Z, k] - z, balls[BALL_R, k]
-        if in_cone(wx, wy, wz, radius, ux, uy, uz, tangent, wide, start):
-            apart = math.sqrt(wx * wx + wy * wy + wz * wz)
-            count = insert(k, apart * (1.0 - ROUNDED) - (start + radius) * WIDER, begin, count, lists)
+        w, radius = from_ball(k, balls, x)
+        if may_meet(w, radius, start, cone):
+            count = insert_near(k, w, start + radius, begin, count, lists)
     return begin, begin + count
 
 
@@ -218,16 +227,16 @@ def count_neighbours(balls: Array, clusters: Array, horizon: float, begin: Array
     total = 0
     for i in range(balls.shape[1]):
         begin[i] = total
-        x, y, z, r = balls[BALL_X, i], balls[BALL_Y, i], balls[BALL_Z, i], balls[BALL_R, i]
+        x, r = from_ball(i, balls, ORIGIN)
         for c in range(clusters.shape[1]):
-            wx, wy, wz = clusters[BALL_X, c] - x, clusters[BALL_Y, c] - y, clusters[BALL_Z, c] - z
-            reach = (horizon + r + clusters[BALL_R, c]) * WIDER
-            if not wx * wx + wy * wy + wz * wz <= reach * reach:
+            w, radius = from_ball(c, clusters, x)
+            reach = (horizon + r + radius) * WIDER
+            if not dot(w, w) <= reach * reach:
                 continue
             for k in range(CLUSTER * c, min(CLUSTER * (c + 1), balls.shape[1])):
-                wx, wy, wz = balls[BALL_X, k] - x, balls[BALL_Y, k] - y, balls[BALL_Z, k] - z
-                reach = (horizon + r + balls[BALL_R, k]) * WIDER
-                if k != i and wx * wx + wy * wy + wz * wz <= reach * reach:
+                w, radius = from_ball(k, balls, x)
+                reach = (horizon + r + radius) * WIDER
+                if k != i and dot(w, w) <= reach * reach:
                     if total < items.shape[0]:
                         items[total] = k
                     total += 1

@@ -4,12 +4,12 @@ A block is up to LANES neighbouring pixels of one row.  Its rays go from body to
 round, in one structure of arrays: every pass is a loop over the block without a branch in which hits are
 taken by selects, so that the compiler puts 4 or 8 rays into one vector instruction.  A round is
 
-    look   at every sphere that can still be met: keep the nearest foot point ahead, as `trace_ray` does;
-    turn   at every sphere that some ray met: all rays are turned, those that met it keep the result.
+    intersect   every sphere that can still be met: keep the nearest foot point ahead, as `trace_ray` does;
+    refract     at every sphere that some ray met: all rays are turned, those that met it keep the result.
 
-When one sphere alone can be met, or one that lies wholly above all others while every ray goes down, looking and
-turning are one pass.  The number of spheres is data, so the same machine code serves every scene.  A sphere is not
-looked at when
+When one sphere alone can be met, or one that lies wholly above all others while every ray goes down, both are one
+pass.  The number of spheres is data, so the same machine code serves every scene.  A sphere is
+skipped when
 
     first round    its silhouette (`glass_span`, exact) does not reach into the block;
     later rounds   it is the only one met in the round before (a body just left cannot be met again), or it lies
@@ -32,176 +32,107 @@ overlap, where eight arrays would need more overlap tests at run time than it is
 ``balls`` (N, BALL): centre x, y, z, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R, lowest z, highest z.
 ``rays`` (RAY_NUMBERS,) float64 and ``trips`` (TRIP_NUMBERS,) int64 are the block.
 
-Where the way is known beforehand, `lone_block` and `direct_block` write plane points (NaN: the ray does not go
+Where the path is known beforehand, `single_block` and `direct_block` write plane points (NaN: the ray does not go
 down) where they belong: passes over scratch cost more.
 """
 
 import math
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.branches import ALL_BITS, BITS, MOST_EVENTS
-from tracer.kernels.camera import (
-    AHEAD_X,
-    AHEAD_Y,
-    AHEAD_Z,
-    CENTRE_V,
-    DOWN_X,
-    DOWN_Y,
-    DOWN_Z,
-    EYE_X,
-    EYE_Y,
-    EYE_Z,
-    FOCAL,
-    RIGHT_X,
-    RIGHT_Y,
-    RIGHT_Z,
-    axes_of,
-    ideal_row,
-)
+from tracer.kernels.branches import ALL_BITS, BITS, MOST_EVENTS, NOTHING
+from tracer.kernels.camera import AHEAD_X, CENTRE_V, DOWN_X, FOCAL, RIGHT_X, axes_of, eye_of, ideal_row
+from tracer.kernels.packets import DX, DY, DZ, PX, PY, PZ, STEP, foot_of, refract
+from tracer.kernels.vectors import Vector, dot, subtract, vector_at
 
-LANES = 256  # rays of a block: 21 kB, what the first-level cache holds
 BALL = 11
-VECTOR = 8  # rays of the widest vector instruction
-STEP = LANES + 40  # columns a power of two apart would fight for the same lines of that cache
-PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR = (k * STEP for k in range(9))
+QQ, IQ, NEAR = (k * STEP for k in range(6, 9))
 RAY_NUMBERS = 9 * STEP
 PICK, TRIP = (k * STEP for k in range(2))
 TRIP_NUMBERS = 2 * STEP
-NOBODY = -1
 SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; the result must not change
+
+
+@kernel_inlined
+def glass_of(balls: Array, k: int) -> tuple[float, float, float, float, float, float]:
+    """R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2 and 1/R of sphere k, as `refract` takes them."""
+    return balls[k, 3], balls[k, 4], balls[k, 5], balls[k, 6], balls[k, 7], balls[k, 8]
+
+
+@kernel_inlined
+def image_ray(x: float, y: float, axes: tuple[float, ...]) -> Vector:
+    """Direction, not normalised, of the ray through ideal image coordinates x, y."""
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes
+    return c3 * x + c6 * y + c9, c4 * x + c7 * y + c10, c5 * x + c8 * y + c11
+
+
+@kernel_inlined
+def write_plane_point(i: int, p: Vector, d: Vector, point: Array) -> int:
+    """Write the plane point of a ray, x and y in turn, NaN if it does not go down; return 1 if so."""
+    t = -p[2] / d[2]
+    x, y = p[0] + t * d[0], p[1] + t * d[1]
+    down = d[2] < 0.0
+    point[2 * i], point[2 * i + 1] = x if down else math.nan, y if down else math.nan
+    return 0 if down else 1
 
 
 @kernel
 def direct_block(x: Array, y: Array, camera: Array, point: Array) -> int:
     """Trace rays (n,) that no glass touches to point (2 n,), x and y in turn; return how many do not go down."""
-    up = 0
-    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
+    up, eye, axes = 0, eye_of(camera), axes_of(camera)
     for i in range(x.shape[0]):
-        dx = c3 * x[i] + c6 * y[i] + c9
-        dy = c4 * x[i] + c7 * y[i] + c10
-        dz = c5 * x[i] + c8 * y[i] + c11
-        t = -oz / dz
-        tx, ty = ox + t * dx, oy + t * dy
-        down = dz < 0.0
-        point[2 * i], point[2 * i + 1] = tx if down else math.nan, ty if down else math.nan
-        up += 0 if down else 1
+        up += write_plane_point(i, eye, image_ray(x[i], y[i], axes), point)
     return up
 
 
 @kernel
-def lone_block(x: Array, y: Array, camera: Array, balls: Array, point: Array, branch: Array) -> int:
-    """Trace rays (n,) as `direct_block` does, but through the only sphere there is; branch (n,): who meets it."""
-    up = 0
-    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
-    cx, cy, cz, r2, ir2, kt = balls[0, 0], balls[0, 1], balls[0, 2], balls[0, 3], balls[0, 4], balls[0, 5]
-    nu, gk, ir = balls[0, 6], balls[0, 7], balls[0, 8]
-    wx, wy, wz = ox - cx, oy - cy, oz - cz
+def single_block(x: Array, y: Array, camera: Array, balls: Array, point: Array, branch: Array) -> int:
+    """Trace rays (n,) as `direct_block` does, but through the only sphere there is; branch (n,): 1 if met."""
+    up, eye, axes, centre, glass = 0, eye_of(camera), axes_of(camera), vector_at(balls[0], 0), glass_of(balls, 0)
+    w = subtract(eye, centre)
     for i in range(x.shape[0]):
-        dx = c3 * x[i] + c6 * y[i] + c9
-        dy = c4 * x[i] + c7 * y[i] + c10
-        dz = c5 * x[i] + c8 * y[i] + c11
-        square = dx * dx + dy * dy + dz * dz
+        d = image_ray(x[i], y[i], axes)
+        square = dot(d, d)
         inverse = 1.0 / square
-        m, ax, ay, az, b2 = foot_of(wx, wy, wz, dx, dy, dz, inverse)
-        hit = (b2 < r2) & (m > 0.0)
-        ex, ey, ez, cosine, along = turned(ax, ay, az, b2, dx, dy, dz, square, inverse, r2, ir2, kt, nu, gk, ir)
-        px, py, pz = cx + ax * cosine + dx * along, cy + ay * cosine + dy * along, cz + az * cosine + dz * along
-        px, py, pz = px if hit else ox, py if hit else oy, pz if hit else oz
-        ex, ey, ez = ex if hit else dx, ey if hit else dy, ez if hit else dz
-        t = -pz / ez
-        tx, ty = px + t * ex, py + t * ey
-        down = ez < 0.0
-        point[2 * i], point[2 * i + 1] = tx if down else math.nan, ty if down else math.nan
-        up += 0 if down else 1
+        m, a, b2 = foot_of(w, d, inverse)
+        hit = (b2 < glass[0]) & (m > 0.0)
+        q, e = refract(centre, a, b2, d, (square, inverse), glass, True)
+        p = q[0] if hit else eye[0], q[1] if hit else eye[1], q[2] if hit else eye[2]
+        e = e[0] if hit else d[0], e[1] if hit else d[1], e[2] if hit else d[2]
+        up += write_plane_point(i, p, e, point)
         branch[i] = 1 if hit else 0
     return up
 
 
 @kernel
-def land_block(count: int, rays: Array) -> None:
-    """Take the rays to the plane; their points are its points from then on."""
-    for i in range(count):
-        dz = rays[DZ + i]
-        t = -rays[PZ + i] / dz
-        tx, ty = rays[PX + i] + t * rays[DX + i], rays[PY + i] + t * rays[DY + i]
-        down = dz < 0.0
-        rays[PX + i], rays[PY + i] = tx if down else math.nan, ty if down else math.nan
-
-
-@kernel
-def whole_vectors(count: int) -> int:
-    """Smallest multiple of VECTOR that is not below `count`."""
-    return (count + VECTOR - 1) // VECTOR * VECTOR
-
-
-@kernel
 def begin_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
     """Put the rays of a span with ideal image coordinates x, y (n,) into the block, n <= LANES."""
-    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
+    (ox, oy, oz), axes = eye_of(camera), axes_of(camera)
     for i in range(x.shape[0]):
-        dx = c3 * x[i] + c6 * y[i] + c9
-        dy = c4 * x[i] + c7 * y[i] + c10
-        dz = c5 * x[i] + c8 * y[i] + c11
-        square = dx * dx + dy * dy + dz * dz
+        d = image_ray(x[i], y[i], axes)
+        square = dot(d, d)
         rays[PX + i], rays[PY + i], rays[PZ + i] = ox, oy, oz
-        rays[DX + i], rays[DY + i], rays[DZ + i] = dx, dy, dz
+        rays[DX + i], rays[DY + i], rays[DZ + i] = d
         rays[QQ + i], rays[IQ + i] = square, 1.0 / square
     for i in range(x.shape[0]):
         trips[TRIP + i] = 0
 
 
-@kernel_inlined
-def foot_of(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, inverse: float
-) -> tuple[float, float, float, float, float]:
-    """Distance m to the foot point [|D|], the foot point a and b^2 of a ray from p relative to a centre."""
-    m = -(px * dx + py * dy + pz * dz) * inverse
-    ax, ay, az = px + m * dx, py + m * dy, pz + m * dz
-    return m, ax, ay, az, ax * ax + ay * ay + az * az
-
-
-@kernel_inlined
-def turned(
-    ax: float, ay: float, az: float, b2: float, dx: float, dy: float, dz: float, square: float, inverse: float,
-    r2: float, ir2: float, kt: float, nu: float, gk: float, ir: float,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """D' of a ray that meets a sphere at its foot point a, cos delta, and b^2 L q / Q."""
-    chi = b2 * ir2
-    cos_i = math.sqrt(max((r2 - b2) * ir2, 0.0) * square)
-    cos_t = math.sqrt(max(1.0 - b2 * kt, 0.0) * square)
-    g = gk * square / (cos_t + cos_i * nu)
-    gi = g * inverse
-    cosine = 1.0 - 2.0 * chi * g * gi
-    q = 2.0 * gi * (cos_i * cos_t + chi * nu * square) * ir
-    return dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q, cosine, b2 * q * inverse
-
-
 @kernel
 def clear_picks(count: int, rays: Array, trips: Array) -> None:
-    """Forget what was looked at."""
+    """Forget the spheres that were met."""
     for i in range(count):
         rays[NEAR + i] = math.inf
-        trips[PICK + i] = NOBODY
+        trips[PICK + i] = NOTHING
 
 
 @kernel_inlined
-def look(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
-    """Note sphere k for the rays whose nearest sphere ahead it is so far; whether there are any."""
-    cx, cy, cz, r2 = balls[k, 0], balls[k, 1], balls[k, 2], balls[k, 3]
+def intersect(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
+    """Note sphere k for the rays whose nearest sphere ahead it is so far; return whether there are any."""
+    (cx, cy, cz), r2 = vector_at(balls[k], 0), balls[k, 3]
     some = 0
     for i in range(count):
-        m, _, _, _, b2 = foot_of(
-            rays[PX + i] - cx,
-            rays[PY + i] - cy,
-            rays[PZ + i] - cz,
-            rays[DX + i],
-            rays[DY + i],
-            rays[DZ + i],
-            rays[IQ + i],
-        )
+        w = rays[PX + i] - cx, rays[PY + i] - cy, rays[PZ + i] - cz
+        m, _, b2 = foot_of(w, (rays[DX + i], rays[DY + i], rays[DZ + i]), rays[IQ + i])
         nearer = (b2 < r2) & (m > 0.0) & (m < rays[NEAR + i]) & (trips[TRIP + i] & ALL_BITS != k + 1)
         near = m if nearer else rays[NEAR + i]
         rays[NEAR + i] = near
@@ -211,22 +142,21 @@ def look(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
 
 
 @kernel_inlined
-def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Array) -> tuple[bool, bool]:
-    """Turn the rays that picked sphere k (`alone`: all that meet it); whether any did, and whether all go down."""
-    cx, cy, cz, r2, ir2, kt = balls[k, 0], balls[k, 1], balls[k, 2], balls[k, 3], balls[k, 4], balls[k, 5]
-    nu, gk, ir = balls[k, 6], balls[k, 7], balls[k, 8]
+def refract_block(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Array) -> tuple[bool, bool]:
+    """Refract the rays that picked sphere k (`alone`: all that meet it); whether any did, whether all go down."""
+    centre, glass = vector_at(balls[k], 0), glass_of(balls, k)
     some, level = 0, 0
     for i in range(count):
-        dx, dy, dz = rays[DX + i], rays[DY + i], rays[DZ + i]
-        px, py, pz = rays[PX + i], rays[PY + i], rays[PZ + i]
-        square, inverse = rays[QQ + i], rays[IQ + i]
-        m, ax, ay, az, b2 = foot_of(px - cx, py - cy, pz - cz, dx, dy, dz, inverse)
-        hit = (b2 < r2) & (m > 0.0) & (trips[TRIP + i] & ALL_BITS != k + 1) & (alone | (trips[PICK + i] == k))
-        ex, ey, ez, cosine, along = turned(ax, ay, az, b2, dx, dy, dz, square, inverse, r2, ir2, kt, nu, gk, ir)
-        qx, qy, qz = cx + ax * cosine + dx * along, cy + ay * cosine + dy * along, cz + az * cosine + dz * along
+        d = rays[DX + i], rays[DY + i], rays[DZ + i]
+        p = rays[PX + i], rays[PY + i], rays[PZ + i]
+        m, a, b2 = foot_of(subtract(p, centre), d, rays[IQ + i])
+        hit = (
+            (b2 < glass[0]) & (m > 0.0) & (trips[TRIP + i] & ALL_BITS != k + 1) & (alone | (trips[PICK + i] == k))
+        )
+        q, e = refract(centre, a, b2, d, (rays[QQ + i], rays[IQ + i]), glass, True)
         # Selects of finished values: an expression inside a select would become a branch.
-        qx, qy, qz = qx if hit else px, qy if hit else py, qz if hit else pz
-        ex, ey, ez = ex if hit else dx, ey if hit else dy, ez if hit else dz
+        qx, qy, qz = q[0] if hit else p[0], q[1] if hit else p[1], q[2] if hit else p[2]
+        ex, ey, ez = e[0] if hit else d[0], e[1] if hit else d[1], e[2] if hit else d[2]
         rays[PX + i], rays[PY + i], rays[PZ + i] = qx, qy, qz
         rays[DX + i], rays[DY + i], rays[DZ + i] = ex, ey, ez
         trip = trips[TRIP + i]
@@ -239,7 +169,7 @@ def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Arra
 
 @kernel
 def goes_down(count: int, rays: Array) -> bool:
-    """Whether all rays of a block do."""
+    """Return whether all rays of a block do."""
     level = 0
     for i in range(count):
         level += not rays[DZ + i] < 0.0
@@ -257,16 +187,16 @@ def follow_block(
         wanted[k] = 1 if reached or not skips & SKIP_SILHOUETTES else 0
     all_down = goes_down(count, rays)
     for _ in range(MOST_EVENTS + 1):
-        candidates, first, rest = 0, NOBODY, -math.inf
+        candidates, first, rest = 0, NOTHING, -math.inf
         for k in range(bodies):
             if wanted[k]:
                 candidates += 1
-                first, rest = (k, rest) if first == NOBODY else (first, max(rest, balls[k, 10]))
+                first, rest = (k, rest) if first == NOTHING else (first, max(rest, balls[k, 10]))
         if candidates == 0:
             return
-        met, only, top = 0, NOBODY, -math.inf
+        met, only, top = 0, NOTHING, -math.inf
         if candidates == 1 or (skips & SKIP_LEFT_BEHIND and all_down and balls[first, 9] >= rest):
-            some, all_down = turn(first, True, balls, count, rays, trips)
+            some, all_down = refract_block(first, True, balls, count, rays, trips)
             if not some:
                 wanted[first] = 0
                 continue
@@ -275,10 +205,12 @@ def follow_block(
             clear_picks(count, rays, trips)
             for k in range(bodies):
                 if wanted[k]:
-                    wanted[k] = 1 if look(k, balls, count, rays, trips) else 0
+                    wanted[k] = 1 if intersect(k, balls, count, rays, trips) else 0
             for k in range(bodies):
                 if wanted[k]:
-                    some, all_down = turn(k, False, balls, count, rays, trips)  # the last one speaks for all
+                    some, all_down = refract_block(
+                        k, False, balls, count, rays, trips
+                    )  # the last one speaks for all
                     if some:
                         met += 1
                         only, top = k, max(top, balls[k, 10])
@@ -289,7 +221,7 @@ def follow_block(
             behind = (met == 1 and k == only) or (above and skips & SKIP_LEFT_BEHIND)
             wanted[k] = 0 if behind else 1
     for i in range(count):
-        trips[TRIP + i] = NOBODY
+        trips[TRIP + i] = NOTHING
 
 
 @kernel
@@ -300,11 +232,10 @@ def glass_span(x: Array, y: Array, flat: bool, camera: Array, balls: Array, k: i
     an ideal camera (`flat`: y is the same in all columns, x is linear) d is linear in x and the bounds are the
     roots of a quadratic; else the row is searched.
     """
-    wx, wy, wz = camera[EYE_X] - balls[k, 0], camera[EYE_Y] - balls[k, 1], camera[EYE_Z] - balls[k, 2]
-    outside = wx * wx + wy * wy + wz * wz - balls[k, 3]
-    u = camera[RIGHT_X] * wx + camera[RIGHT_Y] * wy + camera[RIGHT_Z] * wz  # w in camera axes
-    v = camera[DOWN_X] * wx + camera[DOWN_Y] * wy + camera[DOWN_Z] * wz
-    w = camera[AHEAD_X] * wx + camera[AHEAD_Y] * wy + camera[AHEAD_Z] * wz
+    to_eye = subtract(eye_of(camera), vector_at(balls[k], 0))
+    outside = dot(to_eye, to_eye) - balls[k, 3]
+    u, v = dot(vector_at(camera, RIGHT_X), to_eye), dot(vector_at(camera, DOWN_X), to_eye)
+    w = dot(vector_at(camera, AHEAD_X), to_eye)
     width = x.shape[0]
     if flat and u * u < outside:  # the usual case, an ellipse: inside between the roots
         rest = v * y[0] + w
@@ -321,10 +252,10 @@ def glass_span(x: Array, y: Array, flat: bool, camera: Array, balls: Array, k: i
         return first, max(first, last)
     first, last = width, 0
     for i in range(width):
-        dot = u * x[i] + v * y[i] + w
+        along = u * x[i] + v * y[i] + w
         d2 = x[i] * x[i] + y[i] * y[i] + 1.0
         # As above; for d itself, not its square root, so that no pixel at the rim is lost to rounding.
-        meets = (dot < 0.0) & (dot * dot * (1.0 + 1e-13) > outside * d2)
+        meets = (along < 0.0) & (along * along * (1.0 + 1e-13) > outside * d2)
         first = min(first, i if meets else width)
         last = max(last, i + 1 if meets else 0)
     return max(0, first - 1), max(max(0, first - 1), min(width, last + 1))

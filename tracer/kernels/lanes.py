@@ -12,12 +12,10 @@ from typing import NamedTuple
 
 from ground.jit import Array
 from tracer.kernels.candidates import Lists, Neighbours
+from tracer.kernels.packets import DX, DY, DZ, LANES, PX, PY, PZ, STEP
 
-LANES = 256
-STEP = LANES + 40  # columns a power of two apart would fight for the same lines of the first-level cache
 BALL_R2, BALL_IR2, BALL_KT, BALL_NU, BALL_GK, BALL_IR, BALL_OPAQUE = range(4, 11)
 BALL_ROWS = 11  # centre x, y, z, R, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R, opaque
-PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(6))
 CX, CY, CZ, R2, IR2, KT, NU, GK, IR = (k * STEP for k in range(6, 15))  # of the ball that turns a ray
 RAY_NUMBERS = 15 * STEP
 LAST, PICK, PLACE, KEY, LOST, CELL = (k * STEP for k in range(6))
@@ -27,20 +25,21 @@ GX, GY, GZ, GU, GV, GW, NEAR = (k * GROUPED for k in range(7))
 GROUP_NUMBERS = 7 * GROUPED
 FOUND, LANE, BEGIN, LIST, MEMBER = (k * GROUPED for k in range(5))
 GROUP_MARKS = 5 * GROUPED
-END_PX, END_PY, END_PZ, END_DX, END_DY, END_DZ = (k * STEP for k in range(6))
+END_PX, END_PY, END_PZ, END_DX, END_DY, END_DZ = PX, PY, PZ, DX, DY, DZ
 END_NUMBERS = 6 * STEP
 FATE, EVENTS, HASH = (k * STEP for k in range(3))
 FATE_NUMBERS = 3 * STEP
 
 
 class Bed(NamedTuple):
-    """Where the spheres of ``balls`` stand: who is near whom, clusters, and the cells of the bed.
+    """Spheres of a scene for bundles: numbers in ``balls``, neighbours, clusters and the cells of the bed.
 
     ``spheres`` (N, 6) as ``Scene.sphere_table`` in the order of ``balls``; ``frame``, ``begin``, ``items`` their
     cells, see ``tracer.kernels.world``; ``home`` (0,).  ``alike``: all are of one radius and one index; ``clear``:
     none is opaque.
     """
 
+    balls: Array
     near: Neighbours
     clusters: Array
     spheres: Array

@@ -16,27 +16,22 @@ all stay.
 
 from typing import NamedTuple
 
-from ground.jit import Array, kernel
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.branches import UNKNOWN, branch_number
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import (
-    LANES,
     PICK,
-    PX,
-    PY,
     SKIP_SILHOUETTES,
     TRIP,
-    VECTOR,
     begin_block,
     direct_block,
     follow_block,
     glass_span,
     insert_span,
-    land_block,
-    lone_block,
     place_row,
-    whole_vectors,
+    single_block,
 )
+from tracer.kernels.packets import LANES, PX, STEP, VECTOR, hit_plane, whole_vectors
 from tracer.kernels.world import MISSED_PLANE, RECOVERED
 
 
@@ -49,40 +44,41 @@ class Mirrors(NamedTuple):
     swap_y: Array
 
 
-@kernel
-def mirror_left_right(
-    count: int, swap: Array, p: Array, s: Array, b: Array, point: Array, status: Array, branch: Array
-) -> None:
-    """Write what p (2 n,), s, b (n,) hold mirrored in x: the last pixel comes first."""
-    last, most = count - 1, swap.shape[0] - 1
-    for i in range(count):
-        point[2 * i], point[2 * i + 1] = 0.0 - p[2 * (last - i)], p[2 * (last - i) + 1]
-    for i in range(count):
-        status[i] = s[last - i]
-    if most < 0:
-        for i in range(count):
-            branch[i] = b[last - i]
-    else:
-        for i in range(count):
-            branch[i] = swap[min(b[last - i], most)]
+class MapArrays(NamedTuple):
+    """Map of a sensor: plane points (H, 2 W), status and branch numbers (H, W), or of a part of one row."""
+
+    point: Array
+    status: Array
+    branch: Array
+
+
+class RowOptions(NamedTuple):
+    """Properties of the scene: no lens terms; spheres in pairs of one height; and what may be skipped."""
+
+    flat: bool
+    paired: bool
+    skips: int
+
+
+@kernel_inlined
+def part_of_row(out: MapArrays, row: int, low: int, high: int) -> MapArrays:
+    """Columns [low, high) of a row."""
+    return MapArrays(out.point[row, 2 * low : 2 * high], out.status[row, low:high], out.branch[row, low:high])
 
 
 @kernel
-def mirror_up_down(
-    count: int, swap: Array, p: Array, s: Array, b: Array, point: Array, status: Array, branch: Array
-) -> None:
-    """Write what p (2 n,), s, b (n,) hold mirrored in y."""
-    most = swap.shape[0] - 1
+def mirror_row(count: int, in_x: bool, swap: Array, source: MapArrays, out: MapArrays) -> None:
+    """Write `count` pixels mirrored in x, the last one first, or in y; ``swap`` are the branch numbers there."""
+    most, last = swap.shape[0] - 1, count - 1
     for i in range(count):
-        point[2 * i], point[2 * i + 1] = p[2 * i], 0.0 - p[2 * i + 1]
+        k = last - i if in_x else i
+        x, y = source.point[2 * k], source.point[2 * k + 1]
+        out.point[2 * i], out.point[2 * i + 1] = 0.0 - x if in_x else x, y if in_x else 0.0 - y
     for i in range(count):
-        status[i] = s[i]
-    if most < 0:
-        for i in range(count):
-            branch[i] = b[i]
-    else:
-        for i in range(count):
-            branch[i] = swap[min(b[i], most)]
+        out.status[i] = source.status[last - i if in_x else i]
+    for i in range(count):
+        number = source.branch[last - i if in_x else i]
+        out.branch[i] = number if most < 0 else swap[min(number, most)]
 
 
 class RowScratch(NamedTuple):
@@ -119,32 +115,22 @@ def number_block(count: int, paired: bool, balls: Array, trips: Array) -> int:
 
 @kernel
 def glass_block(
-    x: Array,
-    y: Array,
-    low: int,
-    count: int,
-    skips: int,
-    paired: bool,
-    camera: Array,
-    balls: Array,
-    spans: Array,
-    rays: Array,
-    trips: Array,
-    wanted: Array,
+    low: int, count: int, options: RowOptions, camera: Array, balls: Array, scratch: RowScratch
 ) -> int:
     """Trace `count` columns from `low` on; returns how many have no branch number."""
     full = whole_vectors(count)
-    begin_block(x[low : low + full], y[low : low + full], camera, rays, trips)
-    follow_block(low, full, skips, balls, spans, rays, trips, wanted)
-    land_block(full, rays)
-    return number_block(count, paired, balls, trips)
+    begin_block(scratch.x[low : low + full], scratch.y[low : low + full], camera, scratch.rays, scratch.trips)
+    follow_block(low, full, options.skips, balls, scratch.spans, scratch.rays, scratch.trips, scratch.wanted)
+    hit_plane(full, scratch.rays)
+    return number_block(count, options.paired, balls, scratch.trips)
 
 
 @kernel
-def write_block(count: int, rays: Array, trips: Array, point: Array, status: Array, branch: Array) -> None:
-    """Write a block: point (2 n,) x and y in turn, status (n,), branch (n,)."""
+def write_block(count: int, rays: Array, trips: Array, out: MapArrays) -> None:
+    """Write a block."""
+    point, status, branch = out
     for i in range(count):
-        point[2 * i], point[2 * i + 1] = rays[PX + i], rays[PY + i]
+        point[2 * i], point[2 * i + 1] = rays[PX + i], rays[PX + STEP + i]
     for i in range(count):
         status[i] = RECOVERED if rays[PX + i] == rays[PX + i] else MISSED_PLANE
     for i in range(count):
@@ -153,19 +139,20 @@ def write_block(count: int, rays: Array, trips: Array, point: Array, status: Arr
 
 @kernel
 def straight_span(
-    inside: bool, x: Array, y: Array, camera: Array, balls: Array, rays: Array, trips: Array, point: Array,
-    status: Array, branch: Array,
-) -> None:  # fmt: skip
-    """Trace and write a span that no glass touches, or if `inside` one through the only sphere.
+    inside: bool, low: int, camera: Array, balls: Array, scratch: RowScratch, out: MapArrays
+) -> None:
+    """Trace and write a span from column `low` on, straight or if `inside` through the only sphere.
 
     Its last pixels, no whole vector, go by way of scratch.
     """
+    (point, status, branch), rays, trips = out, scratch.rays, scratch.trips
+    x, y = scratch.x[low:], scratch.y[low:]
     count = status.shape[0]
     whole = count // VECTOR * VECTOR
     last = slice(whole, whole + VECTOR if whole < count else whole)
     if inside:
-        up = lone_block(x[:whole], y[:whole], camera, balls, point, branch)
-        up += lone_block(x[last], y[last], camera, balls, rays, trips)
+        up = single_block(x[:whole], y[:whole], camera, balls, point, branch)
+        up += single_block(x[last], y[last], camera, balls, rays, trips)
         for i in range(whole, count):
             branch[i] = trips[i - whole]
     else:
@@ -181,16 +168,13 @@ def straight_span(
 
 
 @kernel
-def silhouettes(
-    flat: bool, skips: int, camera: Array, balls: Array, x: Array, y: Array, width: int, spans: Array
-) -> int:
+def silhouettes(options: RowOptions, camera: Array, balls: Array, width: int, scratch: RowScratch) -> int:
     """Write each sphere's columns of a row to spans[:N], joined ones to spans[N:]; return how many these are."""
-    bodies = balls.shape[0]
-    count = 0
+    bodies, spans, count = balls.shape[0], scratch.spans, 0
     for k in range(bodies):
         low, high = 0, width
-        if skips & SKIP_SILHOUETTES:
-            low, high = glass_span(x[:width], y[:width], flat, camera, balls, k)
+        if options.skips & SKIP_SILHOUETTES:
+            low, high = glass_span(scratch.x[:width], scratch.y[:width], options.flat, camera, balls, k)
         spans[k, 0], spans[k, 1] = low, high
         if low < high:
             count = insert_span(spans[bodies:], count, low, high)
@@ -219,69 +203,47 @@ def next_span(low: int, edge: int, joined: Array, count: int, j: int) -> tuple[i
 
 
 @kernel
-def write_mirrored(
-    row: int, edge: int, mirror_x: bool, mirror_y: bool, swap_x: Array, swap_y: Array,
-    unknown: Array, point: Array, status: Array, branch: Array,
-) -> None:  # fmt: skip
+def write_mirrored(row: int, edge: int, mirrors: Mirrors, unknown: Array, out: MapArrays) -> None:
     """Complete a row that was traced up to column `edge`, and write the row that is its mirror image."""
-    height, width = status.shape
+    height, width = out.status.shape
     other = height - 1 - row
-    p, s, b = point[row], status[row], branch[row]
-    if mirror_x:
+    if mirrors.in_x:
         n = width - edge  # a middle column is its own image
-        mirror_left_right(n, swap_x, p[: 2 * n], s[:n], b[:n], p[2 * edge :], s[edge:], b[edge:])
-    if mirror_y and other != row:
-        mirror_up_down(width, swap_y, p, s, b, point[other], status[other], branch[other])
-    if mirror_y:
+        mirror_row(n, True, mirrors.swap_x, part_of_row(out, row, 0, n), part_of_row(out, row, edge, width))
+    if mirrors.in_y and other != row:
+        source, image = part_of_row(out, row, 0, width), part_of_row(out, other, 0, width)
+        mirror_row(width, False, mirrors.swap_y, source, image)
+    if mirrors.in_y:
         unknown[other] = unknown[row]
 
 
 @kernel
 def sensor_rows(
-    camera: Array,
-    balls: Array,
-    flat: bool,
-    paired: bool,
-    skips: int,
-    mirrors: Mirrors,
-    first: int,
-    last: int,
-    scratch: RowScratch,
-    unknown: Array,
-    point: Array,
-    status: Array,
-    branch: Array,
-) -> None:
+    optics: tuple[Array, Array], options: RowOptions, mirrors: Mirrors, first: int, last: int, scratch: RowScratch,
+    unknown: Array, out: MapArrays,
+) -> None:  # fmt: skip
     """Trace rows first..last-1, and with ``mirrors.in_y`` write those they are the mirror image of as well.
 
-    Outputs: ``unknown`` (H,) int64, pixels a row without a branch number, ``point`` (H, 2 W), ``status`` and
-    ``branch`` (H, W).
+    `optics` are camera and balls; ``unknown`` (H,) int64 receives the pixels a row without a branch number.
     """
-    x, y, spans, wanted = scratch.x, scratch.y, scratch.spans, scratch.wanted
-    rays, trips = scratch.rays, scratch.trips
-    mirror_x, mirror_y = mirrors.in_x, mirrors.in_y
-    swap_x, swap_y = mirrors.swap_x, mirrors.swap_y
-    width = status.shape[1]
-    bodies = balls.shape[0]
-    flat_columns(flat, camera, x)
-    joined = spans[bodies:]
-    edge = (width + 1) // 2 if mirror_x else width
+    camera, balls = optics
+    width, bodies = out.status.shape[1], balls.shape[0]
+    flat_columns(options.flat, camera, scratch.x)
+    edge = (width + 1) // 2 if mirrors.in_x else width
     for row in range(first, last):
-        place_row(row, flat, camera, x, y)
-        count = silhouettes(flat, skips, camera, balls, x, y, width, spans)
+        place_row(row, options.flat, camera, scratch.x, scratch.y)
+        count = silhouettes(options, camera, balls, width, scratch)
         unknown[row] = 0
         low, j = 0, 0
         while low < edge:
-            j, inside, high = next_span(low, edge, joined, count, j)
+            j, inside, high = next_span(low, edge, scratch.spans[bodies:], count, j)
             through = inside and bodies > 1
             high = min(high, low + LANES) if through else high
-            p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
+            part = part_of_row(out, row, low, high)
             if through:
-                unknown[row] += glass_block(
-                    x, y, low, high - low, skips, paired, camera, balls, spans, rays, trips, wanted
-                )
-                write_block(high - low, rays, trips, p, s, b)
+                unknown[row] += glass_block(low, high - low, options, camera, balls, scratch)
+                write_block(high - low, scratch.rays, scratch.trips, part)
             else:
-                straight_span(inside, x[low:], y[low:], camera, balls, rays, trips, p, s, b)
+                straight_span(inside, low, camera, balls, scratch, part)
             low = high
-        write_mirrored(row, edge, mirror_x, mirror_y, swap_x, swap_y, unknown, point, status, branch)
+        write_mirrored(row, edge, mirrors, unknown, out)

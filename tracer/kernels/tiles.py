@@ -3,14 +3,14 @@
 A tile is as square as a bundle allows: rays stay together longest so.  Windows in front of everything are a pass
 over the tile before it (``tracer.kernels.windowed``): rays stand in the columns in which a block has them.
 
-The branch of a pixel is first an entry in the book of the thread that traced it;
-the caller numbers them.  When a book may not hold the next tile the kernel comes back and says where it is.
+The branch of a pixel is first an entry in the table of the thread that traced it;
+the caller numbers them.  When a table may not hold the next tile the kernel comes back and says where it is.
 
-A book has one entry for each branch that was met, found by a hash of its trail.  Entry e holds the spheres met, in
+A table has one entry for each branch that was met, found by a hash of its trail.  Entry e holds the spheres, in
 order: met[begin[e] : begin[e + 1]], rows of ``balls``.  Entry 0 is the direct view. ``slots`` (a power of two,)
 int32 is a hash table with open addressing: entry + 1, or 0; ``hashes`` (entries,) int64. A hash only says where to
-look: that two trails are the same is seen by comparing them.  Each thread keeps a book of its own; they become one
-afterwards (`copy_book`).
+look: that two trails are the same is seen by comparing them.  Each thread keeps its own table; they become one
+afterwards (`copy_entries`).
 
 ``counts`` (1,) int64 is how many entries there are.
 """
@@ -23,11 +23,7 @@ from tracer.kernels import chain
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.bundle import follow_bundle
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of, lens_of, undistort
-from tracer.kernels.chain import whole_vectors
 from tracer.kernels.lanes import (
-    DX,
-    DY,
-    DZ,
     END_DX,
     END_DY,
     END_DZ,
@@ -38,28 +34,25 @@ from tracer.kernels.lanes import (
     FATE,
     HASH,
     KEY,
-    LANES,
     LAST,
     LOST,
     PICK,
     PLACE,
-    PX,
-    PY,
-    PZ,
     Bed,
     Bundle,
 )
+from tracer.kernels.packets import DX, DY, DZ, LANES, PX, PY, PZ, hit_plane, whole_vectors
 from tracer.kernels.rays import MAX_EVENTS
 from tracer.kernels.window import BEHIND, GLASS, THICKNESS
 from tracer.kernels.windowed import OPEN, SHUT, through_window_carefully
 from tracer.kernels.world import BLOCKED, MISSED_PLANE, RECOVERED
 
-INDEX = (1 << 62) - 1  # says that a number is not negative
+NON_NEGATIVE = (1 << 62) - 1  # says that a number is not negative
 FULL = -1
 SIDE = 16  # pixels of a tile each way
 
 
-class BranchBook(NamedTuple):
+class BranchTable(NamedTuple):
     """See the top of the file."""
 
     slots: Array
@@ -70,9 +63,9 @@ class BranchBook(NamedTuple):
 
 
 @kernel
-def enter(hashed: int, events: int, first: int, step: int, trail: Array, book: BranchBook) -> int:
+def enter(hashed: int, events: int, first: int, step: int, trail: Array, table: BranchTable) -> int:
     """Entry of the trail of so many numbers trail[first], trail[first + step], ..., made if it is new."""
-    slots, hashes, begin, met, counts = book
+    slots, hashes, begin, met, counts = table
     mask = slots.shape[0] - 1
     # the lower bits of a product know nothing of the upper ones
     slot = ((hashed >> 32) ^ hashed) & mask
@@ -98,40 +91,56 @@ def enter(hashed: int, events: int, first: int, step: int, trail: Array, book: B
 
 
 @kernel
-def has_room(entries: int, longest: int, book: BranchBook) -> bool:
-    """Whether so many more entries fit, none longer than `longest`."""
-    count = book.counts[0] + entries
-    fits = count < book.hashes.shape[0] and 2 * count <= book.slots.shape[0]
-    return bool(fits and book.begin[book.counts[0]] + entries * longest <= book.met.shape[0])
+def has_room(entries: int, longest: int, table: BranchTable) -> bool:
+    """Return whether so many more entries fit, none longer than `longest`."""
+    count = table.counts[0] + entries
+    fits = count < table.hashes.shape[0] and 2 * count <= table.slots.shape[0]
+    return bool(fits and table.begin[table.counts[0]] + entries * longest <= table.met.shape[0])
 
 
 @kernel
-def copy_book(book: BranchBook, other: BranchBook, entries: Array) -> None:
-    """Enter all that `book` has into `other`, which has room: its entries there go to entries (E,) int64."""
-    for entry in range(book.counts[0]):
-        at = book.begin[entry]
-        entries[entry] = enter(book.hashes[entry], book.begin[entry + 1] - at, at, 1, book.met, other)
+def copy_entries(table: BranchTable, other: BranchTable, entries: Array) -> None:
+    """Enter all that `table` has into `other`, which has room: its entries there go to entries (E,) int64."""
+    for entry in range(table.counts[0]):
+        at = table.begin[entry]
+        entries[entry] = enter(table.hashes[entry], table.begin[entry + 1] - at, at, 1, table.met, other)
 
 
 @kernel
-def pack_ranks(book: BranchBook, rank: Array, bits: int, packed: Array) -> None:
+def pack_ranks(table: BranchTable, rank: Array, bits: int, packed: Array) -> None:
     """Words (W, E) uint64 of the entries that sort as their lengths, then the ranks (N,) of what they met, do.
 
     The first word of each is the length.
     """
     fit = 63 // bits
-    for entry in range(book.counts[0]):
-        at, events = book.begin[entry], book.begin[entry + 1] - book.begin[entry]
+    for entry in range(table.counts[0]):
+        at, events = table.begin[entry], table.begin[entry + 1] - table.begin[entry]
         packed[0, entry] = events
         for w in range(1, packed.shape[0]):
             word = 0
             for e in range((w - 1) * fit, w * fit):
-                word = word << bits | (rank[book.met[at + e]] if e < events else 0)
+                word = word << bits | (rank[table.met[at + e]] if e < events else 0)
             packed[w, entry] = word
 
 
+class TileArrays(NamedTuple):
+    """Results of a sensor.
+
+    Parameters
+    ----------
+    odd : (H,) int64
+        In the first row of each tile how many of its rays only `trace_ray` can follow through the windows.
+    point, status, entry : (H, 2 W), (H, W) uint8, (H, W) uint32
+        Plane points, status, and entries in the thread's table.
+    """
+
+    odd: Array
+    point: Array
+    status: Array
+    entry: Array
+
+
 assert SIDE * SIDE == LANES
-assert (PX, PY, PZ, DX, DY, DZ) == (chain.PX, chain.PY, chain.PZ, chain.DX, chain.DY, chain.DZ)
 
 
 @kernel
@@ -188,7 +197,7 @@ def pass_windows(count: int, windows: Array, rays: Array, fates: Array) -> int:
 def end_behind(count: int, inner: Array, fates: Array, ends: Array, ended: Array) -> int:
     """Correct what became of landed rays behind windows, the last one `inner`; how many `trace_ray` has to know.
 
-    Who would land in front of its back meets the wall there.
+    A ray that would land in front of its back meets the wall there.
     """
     nx, ny, nz = inner[3], inner[4], inner[5]
     level = inner[2] * nz - inner[THICKNESS]
@@ -204,22 +213,11 @@ def end_behind(count: int, inner: Array, fates: Array, ends: Array, ended: Array
 
 
 @kernel
-def land_lanes(count: int, ends: Array) -> None:
-    """Take the rays to the plane, whole vectors: their points in END_PX, END_PY, NaN for those that go up."""
-    for i in range(count):
-        dz = ends[END_DZ + i]
-        t = -ends[END_PZ + i] / dz
-        x, y = ends[END_PX + i] + t * ends[END_DX + i], ends[END_PY + i] + t * ends[END_DY + i]
-        down = dz < 0.0
-        ends[END_PX + i], ends[END_PY + i] = x if down else math.nan, y if down else math.nan
-
-
-@kernel
 def write_tile(
-    row: int, rows: int, column: int, columns: int, bundle: Bundle, book: BranchBook,
-    point: Array, status: Array, entry: Array,
-) -> None:  # fmt: skip
+    row: int, rows: int, column: int, columns: int, bundle: Bundle, table: BranchTable, out: TileArrays
+) -> None:
     """Write the finished rays of a tile."""
+    point, status, entry = out.point, out.status, out.entry
     ends, fates, trail = bundle.ends, bundle.fates, bundle.trail
     before, known = -1, 0
     for r in range(rows):
@@ -243,29 +241,28 @@ def write_tile(
                     k += 1
                 same = k == events
             if not same:
-                known = enter(fates[HASH + i], events, i, LANES, trail, book)
+                known = enter(fates[HASH + i], events, i, LANES, trail, table)
             before = i
             e[c] = known
 
 
 @kernel
 def trace_tiles(
-    camera: Array, balls: Array, bed: Bed, windows: Array, most: int, row: int, rows: int, tile: int,
-    bundle: Bundle, passed: Array, odd: Array, book: BranchBook, point: Array, status: Array, entry: Array,
+    camera: Array, bed: Bed, windows: Array, most: int, place: tuple[int, int, int], scratch: tuple[Bundle, Array],
+    table: BranchTable, out: TileArrays,
 ) -> int:  # fmt: skip
-    """Trace the tiles of `rows` rows from `row` on, beginning with number `tile`; the number of the next one.
+    """Trace tiles of a band, `place`: first row, rows, number of the first tile; the number of the next one.
 
-    ``windows`` (K, 10) are passed before, from the camera on; ``passed`` (LANES,) int64 is scratch.  Outputs:
-    plane points (H, 2 W), status (H, W) uint8, entries in the book (H, W) uint32, and ``odd`` (H,) int64, which
-    counts in the tiles' first row what only `trace_ray` can follow through the windows.
+    ``windows`` (K, 10) are passed before, from the camera on; `scratch` is a bundle and (LANES,) int64.
     """
+    (row, rows, tile), (bundle, passed), odd, status = place, scratch, out.odd, out.status
     rays, marks, ends = bundle.rays, bundle.marks, bundle.ends
     width = status.shape[1]
     while tile * SIDE < width:
         column = tile * SIDE
         columns = min(SIDE, width - column)
         count = rows * columns
-        if not has_room(count, MAX_EVENTS, book):
+        if not has_room(count, MAX_EVENTS, table):
             return tile
         for r in range(rows):
             for c in range(columns):
@@ -276,14 +273,14 @@ def trace_tiles(
         aim_lanes(full, camera, rays, marks)
         behind = windows.shape[0] > 0
         if not behind or pass_windows(full, windows, rays, passed) > 0:
-            follow_bundle(count, most, balls, bed, bundle)
+            follow_bundle(count, most, bed, bundle)
         for i in range(count, full):
             ends[END_PX + i], ends[END_PY + i], ends[END_PZ + i] = ends[END_PX], ends[END_PY], ends[END_PZ]
             ends[END_DX + i], ends[END_DY + i], ends[END_DZ + i] = ends[END_DX], ends[END_DY], ends[END_DZ]
-        land_lanes(full, ends)
+        hit_plane(full, ends)
         if behind:
             odd[row] += end_behind(count, windows[windows.shape[0] - 1], passed, ends, bundle.fates)
-        write_tile(row, rows, column, columns, bundle, book, point, status, entry)
+        write_tile(row, rows, column, columns, bundle, table, out)
         tile += 1
     return tile
 

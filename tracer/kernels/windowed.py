@@ -25,45 +25,36 @@ import math
 from typing import NamedTuple
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.apparent import all_open, image_box, seem
+from tracer.kernels.apparent import all_open, apparent_positions, image_box
 from tracer.kernels.branches import UNKNOWN
-from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, axes_of
-from tracer.kernels.chain import (
-    DX,
-    DY,
-    DZ,
-    IQ,
-    LANES,
-    PICK,
-    PX,
-    PY,
-    PZ,
-    QQ,
-    begin_block,
-    follow_block,
-    land_block,
-    place_row,
-    whole_vectors,
-)
+from tracer.kernels.camera import axes_of, eye_of
+from tracer.kernels.chain import IQ, PICK, QQ, begin_block, follow_block, image_ray, place_row
+from tracer.kernels.packets import DX, DY, DZ, LANES, PX, PY, PZ, hit_plane, whole_vectors
 from tracer.kernels.sensor import (
+    MapArrays,
     Mirrors,
+    RowOptions,
     RowScratch,
     flat_columns,
     next_span,
     number_block,
+    part_of_row,
     silhouettes,
     write_block,
     write_mirrored,
 )
+from tracer.kernels.vectors import combine, dot, move, subtract, vector_at
 from tracer.kernels.window import BEHIND, GLASS, OPENING, THICKNESS
 from tracer.kernels.world import BLOCKED
 
 OPEN, SHUT, UNUSUAL = 0, 1, 2
+Optics = tuple[Array, Array, Array]  # camera, balls, windows
 
 
 class WindowScratch(NamedTuple):
-    """Memory of one thread beside `RowScratch`: ``fates`` of a block, ``box`` (4,), and what `seem` writes."""
+    """Memory of one thread: rows, ``fates`` of a block, ``box`` (4,), and results of `apparent_positions`."""
 
+    row: RowScratch
     fates: Array
     box: Array
     faces: Array
@@ -99,39 +90,43 @@ def through_window(count: int, row: Array, rays: Array) -> None:
 
 @kernel
 def direct_through(x: Array, y: Array, camera: Array, row: Array, rays: Array, trips: Array) -> None:
-    """Trace a block (n,) through one window and by no sphere: `through_window` and `land_block` in one.
+    """Trace a block (n,) through one window and by no sphere: `through_window` and `hit_plane` in one.
 
     All that it divides by is one product.
     """
-    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
-    nx, ny, nz, thickness, behind = row[3], row[4], row[5], row[THICKNESS], row[BEHIND]
+    eye, axes, normal, thickness, behind = (
+        eye_of(camera),
+        axes_of(camera),
+        vector_at(row, 3),
+        row[THICKNESS],
+        row[BEHIND],
+    )
     gain, gain_behind = (row[GLASS] - 1.0) * (row[GLASS] + 1.0), (behind - 1.0) * (behind + 1.0)
-    h = (ox - row[0]) * nx + (oy - row[1]) * ny + (oz - row[2]) * nz
+    h = dot(subtract(eye, vector_at(row, 0)), normal)
     if behind == 1.0:
         for i in range(x.shape[0]):
-            dx, dy, dz = c3 * x[i] + c6 * y[i] + c9, c4 * x[i] + c7 * y[i] + c10, c5 * x[i] + c8 * y[i] + c11
-            m = -(dx * nx + dy * ny + dz * nz)
-            w = math.sqrt(gain * (dx * dx + dy * dy + dz * dz) + m * m)
-            r = 1.0 / (w * dz)
-            moved = thickness * (m * dz * r) - thickness
-            t = -(oz + moved * nz) * (w * r)
-            tx, ty = ox + moved * nx + t * dx, oy + moved * ny + t * dy
-            down = dz < 0.0
+            d = image_ray(x[i], y[i], axes)
+            m = -dot(d, normal)
+            w = math.sqrt(gain * dot(d, d) + m * m)
+            r = 1.0 / (w * d[2])
+            moved = thickness * (m * d[2] * r) - thickness
+            p = move(eye, moved, normal)
+            t = -p[2] * (w * r)
+            down = d[2] < 0.0
+            tx, ty = p[0] + t * d[0], p[1] + t * d[1]
             rays[PX + i], rays[PY + i] = tx if down else math.nan, ty if down else math.nan
     else:
         for i in range(x.shape[0]):
-            dx, dy, dz = c3 * x[i] + c6 * y[i] + c9, c4 * x[i] + c7 * y[i] + c10, c5 * x[i] + c8 * y[i] + c11
-            m = -(dx * nx + dy * ny + dz * nz)
-            q = dx * dx + dy * dy + dz * dz
+            d = image_ray(x[i], y[i], axes)
+            m, q = -dot(d, normal), dot(d, d)
             w, w_behind = math.sqrt(gain * q + m * m), math.sqrt(gain_behind * q + m * m)
-            turned = m - w_behind
-            dx, dy, dz = dx + turned * nx, dy + turned * ny, dz + turned * nz
-            r = 1.0 / (m * w * dz)
-            moved = (h * w + thickness * m) * (r * dz) * w_behind - h - thickness
-            t = -(oz + moved * nz) * (m * w * r)
-            tx, ty = ox + moved * nx + t * dx, oy + moved * ny + t * dy
-            down = dz < 0.0
+            d = move(d, m - w_behind, normal)
+            r = 1.0 / (m * w * d[2])
+            moved = (h * w + thickness * m) * (r * d[2]) * w_behind - h - thickness
+            p = move(eye, moved, normal)
+            t = -p[2] * (m * w * r)
+            down = d[2] < 0.0
+            tx, ty = p[0] + t * d[0], p[1] + t * d[1]
             rays[PX + i], rays[PY + i] = tx if down else math.nan, ty if down else math.nan
     for i in range(x.shape[0]):
         trips[PICK + i] = 0
@@ -140,39 +135,40 @@ def direct_through(x: Array, y: Array, camera: Array, row: Array, rays: Array, t
 @kernel_inlined
 def through_window_carefully(count: int, row: Array, rays: Array, fates: Array) -> None:
     """Take a block through a window; `fates` (n,) becomes SHUT or UNUSUAL where a ray does not go on."""
-    ox, oy, oz, nx, ny, nz = row[0], row[1], row[2], row[3], row[4], row[5]
-    thickness, opening2 = row[THICKNESS], row[OPENING] * row[OPENING]
+    start, normal, thickness, opening2 = (
+        vector_at(row, 0),
+        vector_at(row, 3),
+        row[THICKNESS],
+        row[OPENING] * row[OPENING],
+    )
     e1, e2 = 1.0 / row[GLASS], row[GLASS] / row[BEHIND]
     gain1, gain2 = (e1 - 1.0) * (e1 + 1.0), (e2 - 1.0) * (e2 + 1.0)
     for i in range(count):
-        scale = 1.0 / math.sqrt(rays[QQ + i])
-        dx, dy, dz = scale * rays[DX + i], scale * rays[DY + i], scale * rays[DZ + i]
-        px, py, pz = rays[PX + i], rays[PY + i], rays[PZ + i]
-        c1 = -(dx * nx + dy * ny + dz * nz)
-        t = ((px - ox) * nx + (py - oy) * ny + (pz - oz) * nz) / c1
-        qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
-        wx, wy, wz = qx - ox, qy - oy, qz - oz
-        off2 = wx * wx + wy * wy + wz * wz
+        norm = 1.0 / math.sqrt(rays[QQ + i])
+        d = norm * rays[DX + i], norm * rays[DY + i], norm * rays[DZ + i]
+        p = rays[PX + i], rays[PY + i], rays[PZ + i]
+        c1 = -dot(d, normal)
+        t = dot(subtract(p, start), normal) / c1
+        q = move(p, t, d)
+        w = subtract(q, start)
+        off2 = dot(w, w)
         square1 = 1.0 - e1 * e1 * (1.0 - c1 * c1)
         c2 = math.sqrt(max(square1, 0.0))
-        k = gain1 / (e1 * c1 + c2)
-        ex, ey, ez = e1 * dx + k * nx, e1 * dy + k * ny, e1 * dz + k * nz
-        s = thickness / c2
-        bx, by, bz = qx + s * ex, qy + s * ey, qz + s * ez
-        wx, wy, wz = bx - ox, by - oy, bz - oz
-        back2 = wx * wx + wy * wy + wz * wz - thickness * thickness
+        e = combine(e1, d, gain1 / (e1 * c1 + c2), normal)
+        b = move(q, thickness / c2, e)
+        w = subtract(b, start)
+        back2 = dot(w, w) - thickness * thickness
         square2 = 1.0 - e2 * e2 * (1.0 - c2 * c2)
-        k = gain2 / (e2 * c2 + math.sqrt(max(square2, 0.0)))
-        fx, fy, fz = e2 * ex + k * nx, e2 * ey + k * ny, e2 * ez + k * nz
-        usual = (c1 > 0.0) & (t > 0.0) & (qz > 0.0) & (bz > 0.0) & (square1 > 0.0) & (square2 > 0.0)
+        f = combine(e2, e, gain2 / (e2 * c2 + math.sqrt(max(square2, 0.0))), normal)
+        usual = (c1 > 0.0) & (t > 0.0) & (q[2] > 0.0) & (b[2] > 0.0) & (square1 > 0.0) & (square2 > 0.0)
         is_open = (off2 < opening2) & (back2 < opening2)
         fate = fates[i]
         now = (OPEN if is_open else SHUT) if usual else UNUSUAL
         fates[i] = now if fate == OPEN else fate
         goes = usual & is_open & (fate == OPEN)
-        square = fx * fx + fy * fy + fz * fz
-        px, py, pz = bx if goes else px, by if goes else py, bz if goes else pz
-        dx, dy, dz = fx if goes else dx, fy if goes else dy, fz if goes else dz
+        square = dot(f, f)
+        px, py, pz = b[0] if goes else p[0], b[1] if goes else p[1], b[2] if goes else p[2]
+        dx, dy, dz = f[0] if goes else d[0], f[1] if goes else d[1], f[2] if goes else d[2]
         square = square if goes else 1.0
         rays[PX + i], rays[PY + i], rays[PZ + i] = px, py, pz
         rays[DX + i], rays[DY + i], rays[DZ + i] = dx, dy, dz
@@ -190,11 +186,10 @@ def around(flat: bool, x: Array, y: Array, low: int, high: int, box: Array) -> N
 
 @kernel
 def glass_behind(
-    x: Array, y: Array, low: int, count: int, skips: int, paired: bool, careful: bool, camera: Array, balls: Array,
-    windows: Array, scratch: RowScratch, fates: Array,
-) -> None:  # fmt: skip
+    low: int, count: int, careful: bool, options: RowOptions, optics: Optics, scratch: WindowScratch
+) -> None:
     """Trace `count` columns from `low` on through windows and spheres; `careful` ones get ``fates``."""
-    spans, rays, trips, wanted = scratch.spans, scratch.rays, scratch.trips, scratch.wanted
+    (camera, balls, windows), (x, y, spans, wanted, rays, trips), fates = optics, scratch.row, scratch.fates
     full = whole_vectors(count)
     begin_block(x[low : low + full], y[low : low + full], camera, rays, trips)
     if careful:
@@ -205,24 +200,22 @@ def glass_behind(
     else:
         for k in range(windows.shape[0]):
             through_window(full, windows[k], rays)
-    follow_block(low, full, skips, balls, spans, rays, trips, wanted)
-    land_block(full, rays)
-    number_block(full, paired, balls, trips)
+    follow_block(low, full, options.skips, balls, spans, rays, trips, wanted)
+    hit_plane(full, rays)
+    number_block(full, options.paired, balls, trips)
 
 
 @kernel_inlined
 def is_before(x: float, y: float, inner: Array) -> bool:
-    """Whether a point of the investigation plane lies before the back of the last window."""
+    """Return whether a point of the investigation plane lies before the back of the last window."""
     along = (x - inner[0]) * inner[3] + (y - inner[1]) * inner[4]
     return bool(along > inner[2] * inner[5] - inner[THICKNESS])
 
 
 @kernel
-def end_block(
-    count: int, careful: bool, inner: Array, rays: Array, trips: Array, fates: Array, point: Array, status: Array,
-    branch: Array,
-) -> int:  # fmt: skip
-    """Write a block: point (2 n,), status (n,), branch (n,); how many have no branch number."""
+def end_block(count: int, careful: bool, inner: Array, scratch: WindowScratch, out: MapArrays) -> int:
+    """Write a block; return how many of its pixels have no branch number."""
+    rays, trips, fates = scratch.row.rays, scratch.row.trips, scratch.fates
     nx, ny, nz = inner[3], inner[4], inner[5]
     level = inner[2] * nz - inner[THICKNESS]
     unknown = 0
@@ -231,51 +224,48 @@ def end_block(
         above = (px - inner[0]) * nx + (py - inner[1]) * ny > level
         rays[PX + i], rays[PY + i] = math.nan if above else px, math.nan if above else py
         unknown += trips[PICK + i] == UNKNOWN
-    write_block(count, rays, trips, point, status, branch)
+    write_block(count, rays, trips, out)
     if careful:
         unknown = 0
         for i in range(count):
             if fates[i] != OPEN:
-                status[i], branch[i] = BLOCKED, UNKNOWN if fates[i] == UNUSUAL else 0
-                point[2 * i], point[2 * i + 1] = math.nan, math.nan
-            unknown += branch[i] == UNKNOWN
+                out.status[i], out.branch[i] = BLOCKED, UNKNOWN if fates[i] == UNUSUAL else 0
+                out.point[2 * i], out.point[2 * i + 1] = math.nan, math.nan
+            unknown += out.branch[i] == UNKNOWN
     return unknown
 
 
 @kernel
-def windowed_rows(
-    camera: Array, balls: Array, windows: Array, flat: bool, paired: bool, skips: int, mirrors: Mirrors,
-    first: int, last: int, scratch: RowScratch, beside: WindowScratch, unknown: Array, point: Array, status: Array,
-    branch: Array,
+def rows_behind_windows(
+    optics: Optics, options: RowOptions, mirrors: Mirrors, first: int, last: int, scratch: WindowScratch,
+    unknown: Array, out: MapArrays,
 ) -> None:  # fmt: skip
-    """Trace rows first..last-1 as `sensor_rows` does; `windows` (K, 10) from the camera on."""
-    x, y, spans, rays, trips = scratch.x, scratch.y, scratch.spans, scratch.rays, scratch.trips
-    fates, box, faces, discs = beside
-    swap_x, swap_y = mirrors.swap_x, mirrors.swap_y
-    width = status.shape[1]
-    bodies, inner = balls.shape[0], windows[windows.shape[0] - 1]
-    flat_columns(flat, camera, x)
-    joined = spans[bodies:]
+    """Trace rows first..last-1 as `sensor_rows` does; windows (K, 10) from the camera on."""
+    (camera, balls, windows), (x, y, spans, _, rays, trips), box = optics, scratch.row, scratch.box
+    faces, discs = scratch.faces, scratch.discs
+    width, bodies, inner = out.status.shape[1], balls.shape[0], windows[windows.shape[0] - 1]
+    flat_columns(options.flat, camera, x)
     edge = (width + 1) // 2 if mirrors.in_x else width
     for row in range(first, last):
-        place_row(row, flat, camera, x, y)
-        around(flat, x, y, 0, width, box)
-        known = seem(box, camera, windows, balls, faces, discs)
-        count = silhouettes(flat, skips if known else 0, camera, discs, x, y, width, spans)
+        place_row(row, options.flat, camera, x, y)
+        around(options.flat, x, y, 0, width, box)
+        known = apparent_positions(box, camera, windows, balls, faces, discs)
+        visible = RowOptions(options.flat, options.paired, options.skips if known else 0)
+        count = silhouettes(visible, camera, discs, width, scratch.row)
         unknown[row] = 0
         low, j = 0, 0
         while low < edge:
-            j, inside, high = next_span(low, edge, joined, count, j)
+            j, inside, high = next_span(low, edge, spans[bodies:], count, j)
             high = min(high, low + LANES)
-            around(flat, x, y, low, high, box)
+            around(options.flat, x, y, low, high, box)
             careful = not (known and all_open(box, camera, windows, faces))
-            p, s, b = point[row, 2 * low : 2 * high], status[row, low:high], branch[row, low:high]
+            part = part_of_row(out, row, low, high)
             if inside or careful or windows.shape[0] > 1:
-                glass_behind(x, y, low, high - low, skips, paired, careful, camera, balls, windows, scratch, fates)
-                unknown[row] += end_block(high - low, careful, inner, rays, trips, fates, p, s, b)
+                glass_behind(low, high - low, careful, options, optics, scratch)
+                unknown[row] += end_block(high - low, careful, inner, scratch, part)
             else:
                 full = low + whole_vectors(high - low)
                 direct_through(x[low:full], y[low:full], camera, inner, rays, trips)
-                write_block(high - low, rays, trips, p, s, b)
+                write_block(high - low, rays, trips, part)
             low = high
-        write_mirrored(row, edge, mirrors.in_x, mirrors.in_y, swap_x, swap_y, unknown, point, status, branch)
+        write_mirrored(row, edge, mirrors, unknown, out)

@@ -97,7 +97,7 @@ class FitTargetTable(Table):
 
 
 class FitTable(Table):
-    """What is known before the fit."""
+    """Prior knowledge for the fit."""
 
     camera: FitCameraTable = FitCameraTable()
     spheres: FitSphereTable = FitSphereTable()

@@ -1,4 +1,4 @@
-"""Which body stands in which room, derived from the arrangement (``tracer.kernels.rooms``).
+"""The room of each body, derived from the arrangement (``tracer.kernels.rooms``).
 
 A window or a tube has a room; a body is in it if the wall leaves it wholly inside.  Rooms are nested like boxes:
 of two that hold the same body one holds the wall of the other.  What a wall cuts, or what stands behind two
@@ -36,12 +36,12 @@ class Arrangement:
 
     @property
     def is_one_room(self) -> bool:
-        """Whether there are no walls."""
+        """Return whether there are no walls."""
         return not self._walls
 
     @cached_property
     def _gaps_mm(self) -> dict[tuple[str, str | None], tuple[float, float]]:
-        """How far each body stays outside and inside of each wall, by their names; None is the camera."""
+        """Distances of each body outside and inside of each wall, by their names; None is the camera."""
         gaps: dict[tuple[str, str | None], tuple[float, float]] = {}
         for wall in self._walls:
             assert wall.room is not None
@@ -103,7 +103,7 @@ class Arrangement:
         return found
 
     def _holds(self, one: Body, wall: Body) -> bool:
-        """Whether `wall` is in the room of `one` and cannot cut it: only a plane goes on beyond its plate."""
+        """Return whether `wall` is in the room of `one` and cannot cut it: only planes go on beyond the plate."""
         assert wall.room is not None
         may = one.room is not None and (one.room.surrounds or wall.room.surrounds)
         return may and self._gaps_mm[one.name, wall.name][1] >= -CONTACT_TOL_MM

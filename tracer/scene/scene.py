@@ -33,7 +33,7 @@ DEEPEST_CUT_MM = 1.0  # that a light sheet may run into a body which touches the
 
 
 class SceneBound:
-    """What was made from one scene and serves no other; `scene_hash` says which."""
+    """Result that was made from one scene and serves no other, with its `scene_hash`."""
 
     scene_hash: str
     noun: ClassVar[str] = "map"
@@ -121,7 +121,7 @@ class Scene:
 
     @property
     def left_out(self) -> tuple[MaskedPart, ...]:
-        """What is masked because a person wants it so, whatever stands there."""
+        """Masked parts of the frame, whatever stands there."""
         return tuple(part for part in self.masked if part.why == LEFT_OUT)
 
     def with_camera(self, camera: Camera) -> "Scene":
@@ -135,7 +135,7 @@ class Scene:
 
     @property
     def lit(self) -> LightSheet:
-        """Where particles are lit: `sheet`, or z = 0 as unsure as a sheet that was set up by eye."""
+        """Light sheet: `sheet`, or z = 0 with the uncertainty of a sheet that was set up by eye."""
         return self.sheet or LightSheet()
 
     def in_light_sheet(self) -> "Scene":
@@ -326,7 +326,7 @@ def _in_short(row: NDArray[np.float64]) -> list[float]:
 
 
 def _gap_mm(one: Body, other: Body) -> float:
-    """How far two bodies stay apart, one of them taken for its capsule: the better of both bounds from below."""
+    """Distance of two bodies, one of them taken for its capsule: the better of both bounds from below."""
     gaps = []
     for exact, around in ((one, other.capsule), (other, one.capsule)):
         start, step = np.array(around.start_mm), np.array(around.end_mm) - np.array(around.start_mm)

@@ -49,11 +49,11 @@ from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
 from tracer.masked import MaskedPart
 from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium, medium_called
-from tracer.medium_table import medium_of, written
+from tracer.medium_table import medium_entry, medium_of
 from tracer.scene.fit_section import SHAPE_KEYS, FitSphereTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.scene.scene_tables import SceneTable
-from tracer.scene.touching import moved_apart
+from tracer.scene.touching import separate_touching
 from tracer.scene.view import view_problems
 
 T = TypeVar("T")
@@ -79,26 +79,26 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     names = [body.name or f"{body.kind}{index + 1}" for index, body in enumerate(table.bodies)]
     for index, (name, entry) in enumerate(zip(names, table.bodies, strict=True)):
         try:
-            bodies.append(entry.located(document.path.parent).body(name, inside))
+            bodies.append(entry.resolve_paths(document.path.parent).body(name, inside))
         except SceneError as error:
             for part, text in error.problems:
                 at: tuple[str | int, ...] = ("bodies", index, *(part or "material").split("."))
                 problems.append(Problem(document.line(at), text))
-    ambient = _tried(lambda: medium_of(table.ambient, media), document.line(("ambient",)), problems)
-    camera = _tried(table.camera.camera, document.line(("camera",)), problems)
-    sheet = None if table.sheet is None else _tried(table.sheet.light_sheet, document.line(("sheet",)), problems)
+    ambient = _attempt(lambda: medium_of(table.ambient, media), document.line(("ambient",)), problems)
+    camera = _attempt(table.camera.camera, document.line(("camera",)), problems)
+    sheet = None if table.sheet is None else _attempt(table.sheet.light_sheet, document.line(("sheet",)), problems)
     masked: list[MaskedPart] = []
     for index, left in enumerate(table.masked):
         sensor_px = None if camera is None else camera.sensor_px
         described = partial(left.parts, document.path.parent, sensor_px)
-        masked += _tried(described, document.line(("masked", index)), problems) or ()
+        masked += _attempt(described, document.line(("masked", index)), problems) or ()
     scene = None
     if camera is not None:
         if sheet is not None and not sheet.place(camera.position_mm)[2] > 0.0:
             text = f"sheet: a light sheet at z = {sheet.z_mm:g} mm lies behind the camera; is z_mm right?"
             problems.append(Problem(document.line(("sheet",)), text))
         try:
-            placed, steps_mm = moved_apart(bodies, table.fit)
+            placed, steps_mm = separate_touching(bodies, table.fit)
             scene = Scene(camera, placed, table.wavelength_nm, ambient or VACUUM, sheet, masked=tuple(masked))
             if steps_mm:
                 each = ", ".join(f"{name} by {step:.2g} mm" for name, step in steps_mm.items())
@@ -118,7 +118,7 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     return scene
 
 
-def _tried(build: Callable[[], T], line: int, problems: list[Problem]) -> T | None:
+def _attempt(build: Callable[[], T], line: int, problems: list[Problem]) -> T | None:
     """Build something; None if that cannot be, with what is wrong added to `problems`."""
     try:
         return build()
@@ -128,7 +128,7 @@ def _tried(build: Callable[[], T], line: int, problems: list[Problem]) -> T | No
 
 
 def _air_of_the_room(table: SceneTable, media: dict[str, Medium]) -> dict[str, Medium]:
-    """What `air` means in a body: the gas of the room, if that is one, so that a hollow ball holds no other."""
+    """Medium that `air` means in a body: the gas of the room, if that is one."""
     try:
         room = medium_of(table.ambient, media)
         gas = room.n(table.wavelength_nm) < THINNEST_LIQUID
@@ -220,9 +220,9 @@ def load_scene(path: Path | str) -> Scene:
 
 
 def _further_problems(document: Document, error: ConfigError) -> list[Problem]:
-    """What else is wrong with a file that has problems: its sound bodies, seen by its camera if that is sound.
+    """Further problems of a file: of its valid bodies, as its camera sees them if that is valid.
 
-    Overlaps and unknown glass are told with the first misspelt key, not after it.
+    Overlaps and unknown glass are reported with the first misspelt key, not after it.
     """
     if not isinstance(document.tree, dict):
         return []
@@ -230,7 +230,7 @@ def _further_problems(document: Document, error: ConfigError) -> list[Problem]:
     tree, lines = dict(document.tree), {}
     for key in [key for key in tree if key != "bodies" and _lines_of(document, (key,)) & wrong]:
         if key == "glasses":
-            return []  # whoever is made of them would be called unknown
+            return []  # a body made of them would be reported as unknown
         del tree[key]
     entries = tree.get("bodies", [])
     sound = [] if not isinstance(entries, list) else [
@@ -267,14 +267,14 @@ def dump_scene(scene: Scene, fit: FitTable | None = None) -> str:
     camera = scene.camera
     media = {medium.name: medium for body in scene.bodies for _, medium in body.media}
     named = [name for name in (fit.glasses if fit else ()) if name in MEDIA or name in media]
-    own = {name: written(media[name]) for name in named if name not in MEDIA}
+    own = {name: medium_entry(media[name]) for name in named if name not in MEDIA}
     section = {} if fit is None else fit.model_dump(mode="json", exclude_defaults=True, exclude={"glasses"})
     section |= {"glasses": {name: fit.glasses[name] for name in named}} if fit and named else {}
     pupil = camera.pupil
     aperture = {} if pupil is None else {"pupil_mm": 2.0 * pupil.radius_mm, "focus_mm": pupil.focus_mm}
     tree = {
         "wavelength_nm": scene.wavelength_nm,
-        "ambient": written(scene.ambient),
+        "ambient": medium_entry(scene.ambient),
         "camera": {
             "focal_px": camera.focal_px,
             "sensor_px": list(camera.sensor_px),
@@ -288,7 +288,7 @@ def dump_scene(scene: Scene, fit: FitTable | None = None) -> str:
         **({"glasses": own} if own else {}),
         "bodies": [_by_name(body.section(), own) for body in scene.bodies],
         **({} if scene.sheet is None else {"sheet": _sheet_section(scene.sheet)}),
-        **({"masked": [_masked_section(part) for part in scene.masked]} if scene.masked else {}),
+        **({"masked": [_section_of_mask(part) for part in scene.masked]} if scene.masked else {}),
         **({"fit": section} if section else {}),
     }
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=110)
@@ -307,7 +307,7 @@ def _sheet_section(sheet: LightSheet) -> dict[str, Any]:
     return {key: value for key, value in said.items() if value is not None}
 
 
-def _masked_section(part: MaskedPart) -> dict[str, Any]:
+def _section_of_mask(part: MaskedPart) -> dict[str, Any]:
     """A masked part as a scene file has it."""
     if part.through:
         return {"why": part.why, "through": list(part.through)}

@@ -19,7 +19,7 @@ CLEARANCE_MM = 0.1 * CONTACT_TOL_MM
 ROUNDS = 500
 
 
-def moved_apart(bodies: Sequence[Body], priors: FitTable) -> tuple[tuple[Body, ...], dict[str, float]]:
+def separate_touching(bodies: Sequence[Body], priors: FitTable) -> tuple[tuple[Body, ...], dict[str, float]]:
     """Return bodies whose balls touch, and how far each was moved [mm]; unchanged where priors do not allow it.
 
     Parameters

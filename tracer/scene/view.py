@@ -74,7 +74,7 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
 
 
 def distortion(camera: Camera) -> float:
-    """How far lens terms move a corner of the picture, over its distance from the axis."""
+    """Displacement of a corner of the picture by lens terms, over its distance from the axis."""
     if camera.lens.is_ideal:
         return 0.0
     axis_px, (width, height) = np.array(camera.principal_px), camera.sensor_px
@@ -84,7 +84,7 @@ def distortion(camera: Camera) -> float:
 
 
 def surface_error_px(camera: Camera, body: Body) -> float:
-    """How far off the plane is seen through a body, rms, as far as it knows itself (`Body.slope_rad`).
+    """Error of the plane seen through a body, rms, from the slope uncertainty it states (`Body.slope_rad`).
 
     A slope wrong by s turns a ray by (n - 1) s, which is (n - 1) s z on the plane, at both faces.
     """
@@ -98,7 +98,7 @@ def surface_error_px(camera: Camera, body: Body) -> float:
 def _is_behind(
     pinhole_mm: "np.typing.NDArray[np.float64]", axis: "np.typing.NDArray[np.float64]", body: Body
 ) -> bool:
-    """Whether a body lies wholly behind the plane through the pinhole that the camera's axis is normal to."""
+    """Return whether a body lies wholly behind the plane through the pinhole across the camera's axis."""
     capsule = body.capsule
     ahead_mm = max(float((np.array(end) - pinhole_mm) @ axis) for end in (capsule.start_mm, capsule.end_mm))
     return ahead_mm + capsule.radius_mm <= 0.0

@@ -1,10 +1,10 @@
-"""How a whole sensor is traced behind many spheres, in bundles (``tracer.kernels.bundle``).
+"""Trace a whole sensor behind many spheres, in bundles (``tracer.kernels.bundle``).
 
 Bundles serve scenes of solid and opaque round spheres, however many, behind windows or not: those that are too
 many for lockstep, opaque, or thinner than what is around them.
 
-Every thread notes in a book of its own which branches it met.  The books become one list, numbered by length and
-name, whoever traced what; what remains a list of numbers until somebody asks for its names (`BranchList`).
+Every thread keeps a table of the branches that it met.  The tables become one list, numbered by length and name,
+whatever thread traced them; it remains a list of numbers until names are asked for (`BranchList`).
 """
 
 from collections import deque
@@ -23,24 +23,24 @@ from tracer.kernels.lanes import (
     FATE_NUMBERS,
     GROUP_MARKS,
     GROUP_NUMBERS,
-    LANES,
     MARK_NUMBERS,
     RAY_NUMBERS,
     Bed,
     Bundle,
 )
+from tracer.kernels.packets import LANES
 from tracer.kernels.rays import MAX_EVENTS
 from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, OPAQUE, RADIUS, REFRACTIVE_INDEX
-from tracer.kernels.tiles import SIDE, BranchBook, copy_book, number_rows, pack_ranks, trace_tiles
+from tracer.kernels.tiles import SIDE, BranchTable, TileArrays, copy_entries, number_rows, pack_ranks, trace_tiles
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import SHORT_NUMBERS, Branch, BranchList, Numbers
-from tracer.strategies.lockstep import NO_WINDOWS, aligned
+from tracer.strategies.lockstep import NO_WINDOWS, cache_aligned
 from tracer.strategies.trace import cells_of, pack_camera
 
 NEIGHBOURS = 100  # balls around each that are asked first
 ROOM = 1 << 18  # balls in all lists of a thread, 3 MB: what a bed of a thousand uses
-FIRST_ENTRIES = 1024  # branches of a book before it grows
+FIRST_ENTRIES = 1024  # branches of a table before it grows
 
 
 class Balls:
@@ -68,15 +68,17 @@ class Balls:
             1.0 / radius,
             opaque,
         ]
-        self.balls = np.ascontiguousarray(np.array(rows).reshape(BALL_ROWS, -1))
+        balls = np.ascontiguousarray(np.array(rows).reshape(BALL_ROWS, -1))
         alike = len(np.unique(table[:, RADIUS:], axis=0)) <= 1
-        clusters = spheres_around(self.balls)
-        near = neighbours(self.balls, clusters)
-        self.bed = Bed(near, clusters, table, *cells_of(table), ONE_ROOM.home, bool(alike), not opaque.any())
+        clusters = spheres_around(balls)
+        near = neighbours(balls, clusters)
+        self.bed = Bed(
+            balls, near, clusters, table, *cells_of(table), ONE_ROOM.home, bool(alike), not opaque.any()
+        )
 
     def bundle(self) -> Bundle:
         """Memory of one thread."""
-        spheres = self.balls.shape[1]
+        spheres = self.bed.balls.shape[1]
         room = ROOM + spheres
         lists = Lists(
             np.full(spheres * BINS + 1, -1, np.int32),
@@ -85,18 +87,18 @@ class Balls:
             np.empty(room),
             np.zeros(1, np.int64),
         )
-        rays = aligned(RAY_NUMBERS, np.float64)
+        rays = cache_aligned(RAY_NUMBERS, np.float64)
         if spheres and self.bed.alike:
-            fill_alike(self.balls, rays)
+            fill_alike(self.bed.balls, rays)
         return Bundle(
             rays,
-            aligned(MARK_NUMBERS, np.int64),
-            aligned(END_NUMBERS, np.float64),
-            aligned(FATE_NUMBERS, np.int64),
+            cache_aligned(MARK_NUMBERS, np.int64),
+            cache_aligned(END_NUMBERS, np.float64),
+            cache_aligned(FATE_NUMBERS, np.int64),
             np.empty(MAX_EVENTS * LANES, np.int32),
             np.empty(12 + 2 * LANES),
-            aligned(GROUP_NUMBERS, np.float64),
-            aligned(GROUP_MARKS, np.int64),
+            cache_aligned(GROUP_NUMBERS, np.float64),
+            cache_aligned(GROUP_MARKS, np.int64),
             np.full(spheres * BINS + 1, -1, np.int32),
             lists,
         )
@@ -146,25 +148,25 @@ def spheres_around(balls: NDArray[np.float64]) -> NDArray[np.float64]:
     return around
 
 
-def new_book(entries: int, longest: int = MAX_EVENTS) -> BranchBook:
-    """Return a book for so many branches, which has the direct view."""
+def new_table(entries: int, longest: int = MAX_EVENTS) -> BranchTable:
+    """Return a table for so many branches, which has the direct view."""
     slots = 1 << (4 * entries - 1).bit_length()
-    book = BranchBook(
+    table = BranchTable(
         np.zeros(slots, np.int32),
         np.empty(entries + 1, np.int64),
         np.zeros(entries + 2, np.int64),
         np.empty(entries * longest, np.int32),
         np.zeros(1, np.int64),
     )
-    first = BranchBook(book.slots, np.ones(1, np.int64), np.zeros(2, np.int64), book.met, np.ones(1, np.int64))
-    copy_book(first, book, np.empty(1, np.int64))
-    return book
+    first = BranchTable(table.slots, np.ones(1, np.int64), np.zeros(2, np.int64), table.met, np.ones(1, np.int64))
+    copy_entries(first, table, np.empty(1, np.int64))
+    return table
 
 
-def grown(book: BranchBook) -> BranchBook:
-    """Return a book with the same entries and twice the room."""
-    larger = new_book(2 * len(book.hashes))
-    copy_book(book, larger, np.empty(int(book.counts[0]), np.int64))
+def enlarge(table: BranchTable) -> BranchTable:
+    """Return a table with the same entries and twice the room."""
+    larger = new_table(2 * len(table.hashes))
+    copy_entries(table, larger, np.empty(int(table.counts[0]), np.int64))
     return larger
 
 
@@ -199,9 +201,10 @@ def trace_bed(
     camera, spheres = pack_camera(scene.camera), Balls(scene.sphere_table())
     point, entry = plane.reshape(height, 2 * width), np.empty((height, width), np.uint32)
     bands = -(-height // SIDE)
-    owner, books = np.empty(bands, np.int64), list[BranchBook]()
+    owner, tables = np.empty(bands, np.int64), list[BranchTable]()
     spare, one_at_a_time = deque[tuple[int, Bundle, NDArray[np.int64]]](), Lock()
     odd = np.zeros(height, np.int64)
+    out = TileArrays(odd, point, status, entry)
 
     def work(first: int, last: int) -> None:
         try:
@@ -209,24 +212,22 @@ def trace_bed(
         except IndexError:
             bundle, passed = spheres.bundle(), np.empty(LANES, np.int64)
             with one_at_a_time:
-                number = len(books)
-                books.append(new_book(FIRST_ENTRIES))
+                number = len(tables)
+                tables.append(new_table(FIRST_ENTRIES))
         for band in range(first, last):
             owner[band], tile, row = number, 0, SIDE * band
             rows = min(SIDE, height - row)
             while SIDE * tile < width:
-                tile = trace_tiles(
-                    camera, spheres.balls, spheres.bed, windows, most, row, rows, tile, bundle,
-                    passed, odd, books[number], point, status, entry,
-                )  # fmt: skip
+                place, scratch = (row, rows, tile), (bundle, passed)
+                tile = trace_tiles(camera, spheres.bed, windows, most, place, scratch, tables[number], out)
                 if SIDE * tile < width:
-                    books[number] = grown(books[number])
+                    tables[number] = enlarge(tables[number])
         spare.append((number, bundle, passed))
 
     run_rows(work, bands, block=max(1, bands // 32))
     if odd.any():
         return None
-    numbers, branches = number_books(scene, spheres.order, books)
+    numbers, branches = number_tables(scene, spheres.order, tables)
     if len(branches) > SHORT_NUMBERS:
         branch = np.empty((height, width), np.uint32)
 
@@ -238,15 +239,15 @@ def trace_bed(
     return branch, branches
 
 
-def number_books(
-    scene: Scene, order: NDArray[np.int64], books: list[BranchBook]
+def number_tables(
+    scene: Scene, order: NDArray[np.int64], tables: list[BranchTable]
 ) -> tuple[list[NDArray[np.int64]], BranchList]:
-    """Branch numbers of the entries of each book, and the branches that they number."""
-    entries = int(sum(book.counts[0] for book in books))
-    every = new_book(entries)
-    into = [np.empty(int(book.counts[0]), np.int64) for book in books]
-    for book, places in zip(books, into, strict=True):
-        copy_book(book, every, places)
+    """Branch numbers of the entries of each table, and the branches that they number."""
+    entries = int(sum(table.counts[0] for table in tables))
+    every = new_table(entries)
+    into = [np.empty(int(table.counts[0]), np.int64) for table in tables]
+    for table, places in zip(tables, into, strict=True):
+        copy_entries(table, every, places)
     count = int(every.counts[0])
     names = np.array(scene.event_names()[: len(order)], dtype=object)[order]
     rank = np.empty(len(order), np.int64)

@@ -1,4 +1,4 @@
-"""What a pupil does to a point behind glass: every part of it shows the point at another pixel.
+"""Blur by the pupil behind glass: every part of it shows a point at another pixel.
 
 The part a of the pupil sees with a pinhole of its own, moved by a; its pixels are those whose rays meet the chief
 ones in the plane in focus.  With X_a(u) the plane point that pixel u shows through a, the point X that the chief
@@ -52,7 +52,7 @@ class Blur:
 
 @dataclass(frozen=True)
 class PupilViews:
-    """Where K parts of a pupil show N points.
+    """Pixels at which K parts of a pupil show N points.
 
     Parameters
     ----------

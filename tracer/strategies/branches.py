@@ -13,7 +13,7 @@ on one way through it, and has a number.  A branch has, for those who cannot car
     trip     the events of a lockstep ray in one integer, spheres counted from the highest centre down
     text     "upper > lower core", for people
 
-The mirror image of a scene that is its own has another number for some branches: `mirrored_numbers`.  All that
+The mirror image of a scene that is its own has another number for some branches: `mirror_numbers`.  All that
 turns one of these into another stands here; kernels write keys and trips by ``tracer.kernels.branches``.
 """
 
@@ -134,7 +134,7 @@ def chain_trip(scene: Scene, events: NDArray[np.int64]) -> int:
     return trip
 
 
-def mirrored_numbers(image: Sequence[int]) -> NDArray[np.int64]:
+def mirror_numbers(image: Sequence[int]) -> NDArray[np.int64]:
     """Lockstep's number of the mirror image of each branch, then UNKNOWN; empty if all stay what they are.
 
     `image` says which sphere of the chain is the mirror image of which.
@@ -168,7 +168,7 @@ __all__ = [
     "key_of",
     "last_sphere",
     "lengths_of",
-    "mirrored_numbers",
+    "mirror_numbers",
     "number_in",
     "sphere_of",
     "text_of",

@@ -1,4 +1,4 @@
-"""How a whole sensor is traced in lockstep (``tracer.kernels.chain``), behind windows or not.
+"""Trace a whole sensor in lockstep (``tracer.kernels.chain``), behind windows or not.
 
 Lockstep serves scenes of a few solid transparent spheres that are nowhere optically thinner than what is around
 them: every scene of the paper, spheres in a furnace, a few in a tank of liquid.  What else there is goes by other
@@ -21,19 +21,12 @@ from tracer.bodies import Sphere
 from tracer.bodies.window import ROW
 from tracer.kernels.apparent import FACE
 from tracer.kernels.branches import UNKNOWN
-from tracer.kernels.chain import (
-    BALL,
-    LANES,
-    RAY_NUMBERS,
-    SKIP_LEFT_BEHIND,
-    SKIP_SILHOUETTES,
-    TRIP_NUMBERS,
-    VECTOR,
-)
-from tracer.kernels.sensor import Mirrors, RowScratch, sensor_rows
-from tracer.kernels.windowed import WindowScratch, windowed_rows
+from tracer.kernels.chain import BALL, RAY_NUMBERS, SKIP_LEFT_BEHIND, SKIP_SILHOUETTES, TRIP_NUMBERS
+from tracer.kernels.packets import LANES, VECTOR
+from tracer.kernels.sensor import MapArrays, Mirrors, RowOptions, RowScratch, sensor_rows
+from tracer.kernels.windowed import WindowScratch, rows_behind_windows
 from tracer.scene.scene import Scene
-from tracer.strategies.branches import Branch, Numbers, chain, chain_branches, mirrored_numbers, number_in
+from tracer.strategies.branches import Branch, Numbers, chain, chain_branches, mirror_numbers, number_in
 from tracer.strategies.trace import pack_camera, trace
 
 NO_WINDOWS = np.empty((0, len(ROW)))
@@ -77,21 +70,22 @@ def trace_lockstep(
     paired = len(mirrors.swap_x) + len(mirrors.swap_y) > 0
     if not skips & SKIP_MIRRORED:
         mirrors = NO_MIRRORS
-    point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
-    seen = unknown, point, status, branch
+    unknown, out = np.zeros(height, np.int64), MapArrays(plane.reshape(height, 2 * width), status, branch)
+    options = RowOptions(flat, paired, skips)
 
     def work(first: int, last: int) -> None:
-        rows = flat, paired, skips, mirrors, first, last, row_scratch(width, len(balls))
+        scratch = row_scratch(width, len(balls))
         if len(windows) == 0:
-            sensor_rows(camera, balls, *rows, *seen)
+            sensor_rows((camera, balls), options, mirrors, first, last, scratch, unknown, out)
             return
-        beside = WindowScratch(
+        behind = WindowScratch(
+            scratch,
             np.empty(LANES + VECTOR, np.int64),
             np.empty(4),
             np.empty((2 * len(windows), FACE)),
             np.empty((len(balls), 4)),
         )
-        windowed_rows(camera, balls, windows, *rows, beside, *seen)
+        rows_behind_windows((camera, balls, windows), options, mirrors, first, last, behind, unknown, out)
 
     run_rows(work, (height + 1) // 2 if mirrors.in_y else height)
     branches = chain_branches(scene)
@@ -114,14 +108,14 @@ def find_mirrors(scene: Scene, windows: NDArray[np.float64] = NO_WINDOWS) -> Mir
         symmetric = symmetric and not windows[:, (axis, 3 + axis)].any()
         there.append(symmetric and camera.principal_px[axis] == (camera.sensor_px[axis] - 1) / 2.0)
         images.append([rows.index(place) if there[axis] else k for k, place in enumerate(places)])
-    swap_x, swap_y = map(mirrored_numbers, images)
+    swap_x, swap_y = map(mirror_numbers, images)
     return Mirrors(there[0], there[1], swap_x, swap_y)
 
 
 def row_scratch(width: int, bodies: int) -> RowScratch:
     """Memory of one thread for the kernels in ``tracer.kernels.sensor``."""
     spans, wanted = np.empty((3 * bodies + 1, 2), np.int64), np.empty(bodies, np.int64)
-    x, y = aligned(width + VECTOR, np.float64), aligned(width + VECTOR, np.float64)
+    x, y = cache_aligned(width + VECTOR, np.float64), cache_aligned(width + VECTOR, np.float64)
     return RowScratch(x, y, spans, wanted, *block_scratch())
 
 
@@ -156,7 +150,7 @@ def trace_numbered(
 
 def block_scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Scratch ``rays`` and ``trips`` of one block."""
-    return aligned(RAY_NUMBERS, np.float64), aligned(TRIP_NUMBERS, np.int64)
+    return cache_aligned(RAY_NUMBERS, np.float64), cache_aligned(TRIP_NUMBERS, np.int64)
 
 
 def pack_chain(scene: Scene) -> NDArray[np.float64]:
@@ -171,7 +165,7 @@ def sphere_discs(table: NDArray[np.float64]) -> NDArray[np.float64]:
     return discs
 
 
-def aligned(count: int, dtype: type) -> NDArray[Any]:
+def cache_aligned(count: int, dtype: type) -> NDArray[Any]:
     """Uninitialised numbers of 8 bytes that begin at a cache line: vectors across two lines cost twice."""
     memory = np.empty(8 * count + LINE, np.uint8)
     start = -memory.__array_interface__["data"][0] % LINE  # `ctypes` takes as long as a row

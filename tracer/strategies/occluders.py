@@ -67,11 +67,11 @@ def sides_of(scene: Scene, rods: NDArray[np.float64]) -> NDArray[np.float64]:
     above = (
         np.minimum(rods[:, 2], rods[:, 5]) >= rods[:, 6]
     )  # else `trace_ray` stops a ray behind the plane as well
-    begins = [parted(rods, eye, ball)[0] for ball in balls]
-    legs = {(i, j): parted(rods, balls[i], balls[j])[0] for i, j in combinations(range(len(balls)), 2)}
+    begins = [separating_plane(rods, eye, ball)[0] for ball in balls]
+    legs = {(i, j): separating_plane(rods, balls[i], balls[j])[0] for i, j in combinations(range(len(balls)), 2)}
     sides = np.full((1 << len(balls), len(rods), 3), (0.0, 0.0, np.inf))
     for last, (centre, radius) in enumerate(balls):
-        clear, normal, reach = parted(rods, (centre, radius), (centre * (1.0, 1.0, 0.0), -np.inf))
+        clear, normal, reach = separating_plane(rods, (centre, radius), (centre * (1.0, 1.0, 0.0), -np.inf))
         lands = np.column_stack((normal[:, :2], reach + ROOM_MM))
         for number in range(1 << last, 2 << last):
             way = [ball for ball in range(last + 1) if number >> ball & 1]
@@ -80,10 +80,10 @@ def sides_of(scene: Scene, rods: NDArray[np.float64]) -> NDArray[np.float64]:
     return sides
 
 
-def parted(
+def separating_plane(
     rods: NDArray[np.float64], one: tuple[NDArray[np.float64], float], other: tuple[NDArray[np.float64], float]
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
-    """Whether a plane parts each rod from two balls, its normal (K, 3), and how far along that the rod reaches.
+    """Return whether a plane parts each rod from two balls, its normal (K, 3), and the rod's reach along that.
 
     Tried are planes across the nearest way from a rod to either centre, or its part across the line of both.
     """

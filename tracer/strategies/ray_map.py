@@ -30,7 +30,7 @@ BYTES_PER_PX = 27  # of a map, and of the keys of its branches while it is made
 
 
 class RayHeader(Table):
-    """What the header of a stored ray map holds."""
+    """Header of a stored ray map."""
 
     scene_hash: Hash
     branches: list[list[str]]

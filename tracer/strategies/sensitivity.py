@@ -1,4 +1,4 @@
-"""Where pixels land on a target plane, and how that depends on every number of the scene.
+"""Landing points of pixels on a target plane, and their derivatives by every number of the scene.
 
 For the acquired pixel (u, v) the landing point (s1, s2) in the target's own axes is a function of the camera
 (position, rotation, focal length, principal point, lens terms), of every sphere crossed (centre, radius, n), of
@@ -34,7 +34,7 @@ TARGET = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class TargetPose:
-    """Where a plane target stands: its origin in the world and its own axes (rows; orthonormal)."""
+    """Pose of a plane target: its origin in the world and its own axes (rows; orthonormal)."""
 
     origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axes: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

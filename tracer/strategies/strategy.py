@@ -1,4 +1,4 @@
-"""How the rays of a scene are traced: chosen once, as one value, which ray map and inversion ask and nothing else.
+"""Choice of how the rays of a scene are traced, made once, for ray map and inversion.
 
 A scene goes the quickest way that serves it:
 
@@ -35,7 +35,9 @@ from tracer.strategies.lockstep import MAX_CHAIN, NO_WINDOWS, pack_chain, trace_
 from tracer.strategies.occluders import trace_with_occluders
 from tracer.strategies.trace import number_keys, pack_camera, world_of
 
-STEEPEST = 0.12  # square of the cosine in a medium, and cosine before, of a ray that is called usual
+MIN_COSINE = 0.12  # of a ray in front of a window, 83 degrees from its normal: beyond, closed forms lose digits
+MIN_SQUARED_COSINE = 0.12  # of a ray in the glass and behind it, 70 degrees: the margin before total reflection
+CLEARANCE = 3.0  # thicknesses of glass that a ray has to the plane: its path in it is at most 1 / sqrt(0.12) = 2.9
 NO_CHAIN = np.empty((0, BALL))
 
 
@@ -50,7 +52,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """How one scene is traced.
+    """Way of tracing one scene.
 
     Parameters
     ----------
@@ -62,7 +64,7 @@ class Strategy:
         Windows that stand in front of all spheres, from the camera on; none where walls stand otherwise.
     in_blocks : bool
         Whether nodes that are seen through spheres alone may be sought in blocks, behind `windows`: there are no
-        other walls, and every ray enters each window in the usual way, above the plane and not too much aslant.
+        other walls, and every ray enters each window in the usual way, above the plane and not too obliquely.
     """
 
     scene: Scene
@@ -82,7 +84,7 @@ class Strategy:
 
     @property
     def inverse_kind(self) -> Kind:
-        """The way in which the inverse is sought: that of the rays, where that goes in blocks."""
+        """Kind of the inverse: that of the rays where nodes go in blocks and no rod stands, else ray by ray."""
         return self.kind if self.in_blocks and self.kind is not Kind.OCCLUDERS else Kind.RAYS
 
     @cached_property
@@ -181,7 +183,7 @@ def windows_before(scene: Scene) -> NDArray[np.float64] | None:
 
 
 def is_usual(scene: Scene, windows: NDArray[np.float64]) -> bool:
-    """Whether every ray enters each window (K, 10) above the plane and not too much aslant.
+    """Return whether every ray enters each window (K, 10) above the plane and not too obliquely.
 
     Asked of a grid of pixels, each for itself and a bit more.
     """
@@ -192,9 +194,14 @@ def is_usual(scene: Scene, windows: NDArray[np.float64]) -> bool:
         normal, n, behind = row[3:6], row[7], row[8]
         slope = -(ray @ normal)
         entry = place + (((place - row[:3]) @ normal) / slope)[..., None] * ray
-        room = 1.0 - (1.0 - slope**2) / np.array((n, behind))[:, None, None] ** 2
-        if not (slope.min() > STEEPEST and room.min() > STEEPEST and entry[..., 2].min() > 3.0 * row[6]):
+        squared = 1.0 - (1.0 - slope**2) / np.array((n, behind))[:, None, None] ** 2  # by Snell
+        if not (
+            slope.min() > MIN_COSINE
+            and squared.min() > MIN_SQUARED_COSINE
+            and entry[..., 2].min() > CLEARANCE * row[6]
+        ):
             return False
+        # behind the window, in closed form (``tracer.kernels.windowed``), for the next one
         ray = (ray + (slope - np.sqrt(behind**2 - 1.0 + slope**2))[..., None] * normal) / behind
         place = entry - row[6] * normal
     return True

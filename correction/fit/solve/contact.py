@@ -22,7 +22,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.bodies import CONTACT_TOL_MM, Body, Sphere, shifted_by
+from tracer.bodies import CONTACT_TOL_MM, Body, Sphere, translate_by
 from tracer.bodies.shape import reach_mm
 from tracer.harmonics import COUNT, values
 
@@ -50,7 +50,7 @@ def carry_support(support: Body, before: Sequence[Sphere], after: Sequence[Spher
     if gaps_mm and min(gaps_mm) <= HELD_MM:
         held = int(np.argmin(gaps_mm))
         step_mm = np.subtract(after[held].centre_mm, before[held].centre_mm)
-        support = support.moved(shifted_by(step_mm))
+        support = support.moved(translate_by(step_mm))
     return clear_of(support, after)
 
 
@@ -62,7 +62,7 @@ def clear_of(support: Body, balls: Sequence[Sphere]) -> Body:
             steps_mm.append(np.array([0.0, 0.0, -support.lowest_mm]))
         if not steps_mm:
             break
-        support = support.moved(shifted_by(np.mean(steps_mm, axis=0)))
+        support = support.moved(translate_by(np.mean(steps_mm, axis=0)))
     return support
 
 

@@ -30,26 +30,25 @@ import numpy as np
 
 from correction.inversion.kernels.newton import (
     CONVERGED,
-    GROUP,
     TOLERANCE_PX,
+    BranchSequences,
+    SheetPath,
     U,
     V,
-    Ways,
     inverse_2x2,
     slopes_along,
-    solve_block,
-    solve_patiently,
 )
-from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
-from correction.inversion.kernels.views import ANOTHER, begin_group, judge_trips, keep_group, put_off
+from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, Sensor, slopes
+from correction.inversion.kernels.views import OTHER_PATH, InverseProblem, ViewMaps, solve_sheet
 from ground.jit import Array, kernel, kernel_inlined
-from piv.resampling.kernels.bspline import INDEX
+from piv.resampling.kernels.bspline import NON_NEGATIVE
 from tracer.kernels.bundle import follow_bundle
-from tracer.kernels.chain import TRIP, whole_vectors
-from tracer.kernels.lanes import DX, DY, END_DZ, EVENTS, FATE, Bed, Bundle
-from tracer.kernels.lanes import LANES as IN_BUNDLE
+from tracer.kernels.chain import TRIP
+from tracer.kernels.lanes import END_DZ, EVENTS, FATE, Bed, Bundle
+from tracer.kernels.packets import DX, DY, hit_plane, whole_vectors
+from tracer.kernels.packets import LANES as IN_BUNDLE
 from tracer.kernels.rays import MAX_EVENTS, trace_pixel_tangents
-from tracer.kernels.tiles import aim_lanes, end_behind, land_lanes, pass_windows
+from tracer.kernels.tiles import aim_lanes, end_behind, pass_windows
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
 
@@ -75,7 +74,7 @@ LAST_STAMP = 255
 
 
 @kernel_inlined
-def twist(plane: Array, branch: Array, up: int, row: int, down: int, i: int) -> tuple[float, float]:
+def mixed_derivative(plane: Array, branch: Array, up: int, row: int, down: int, i: int) -> tuple[float, float]:
     """d2x/du dv and d2y/du dv at pixel (row, i) from its diagonal neighbours, 0 unless all are of its branch."""
     own = branch[row, i]
     there = (branch[up, i - 1] == own) & (branch[up, i + 1] == own) & (up + 2 == down)
@@ -85,50 +84,74 @@ def twist(plane: Array, branch: Array, up: int, row: int, down: int, i: int) -> 
     return 0.25 * xx if there else 0.0, 0.25 * yy if there else 0.0
 
 
+class StartScratch(NamedTuple):
+    """Memory for the starts of one sheet.
+
+    Parameters
+    ----------
+    cursor : (3,) int64
+        Where to begin and then where to go on: TILING, EDGES or DONE, run, column.
+    listed, measured, block : (LANES,) int64, (MEASURES,), (NEWTON_NUMBERS,)
+        Scratch.
+    starts, nodes : (N, 4), (N, 2) int32
+        Start u, v, its squared distance from the pixel and how small a Newton step must be to be the last; row and
+        column.  Both hold what one pixel gives beyond ENOUGH_NODES.
+    """
+
+    cursor: Array
+    listed: Array
+    measured: Array
+    block: Array
+    starts: Array
+    nodes: Array
+
+
+class Wanted(NamedTuple):
+    """Nodes that a sheet may show: those whose ``weight`` (h, w) is below `enough` and not taken with `stamp`."""
+
+    weight: Array
+    enough: np.float32
+    stamp: int
+
+
 @kernel
 def measure_pixels(
-    line: int,
-    count: int,
-    tiling: bool,
-    listed: Array,
-    flags: Array,
-    plane: Array,
-    branch: Array,
-    grid: Array,
-    m: Array,
+    line: int, count: int, tiling: bool, sensor: Sensor, grid: Array, listed: Array, m: Array
 ) -> int:
     """Reach, node coordinates and derivatives of `count` pixels of a line; how many have no derivatives.
 
     ``listed`` (LANES,) int64 are their columns, ``m`` (MEASURES,) receives.
     """
+    plane, branch, flags, _ = sensor
     up, down = max(0, line - 1), min(branch.shape[0] - 1, line + 1)
     x0, y0, per_mm = grid[0], grid[1], 1.0 / grid[2]
-    lonely = 0
+    isolated = 0
     for k in range(count):
-        i = listed[k] & INDEX
+        i = listed[k] & NON_NEGATIVE
         xu, xv, yu, yv, xuu, xvv, yuu, yvv = slopes(plane, branch, up, line, down, i)
         m[XU + k], m[XV + k], m[YU + k], m[YV + k] = xu, xv, yu, yv
         m[XUU + k], m[XVV + k], m[YUU + k], m[YVV + k] = xuu, xvv, yuu, yvv
-        m[XUV + k], m[YUV + k] = twist(plane, branch, up, line, down, i)
+        m[XUV + k], m[YUV + k] = mixed_derivative(plane, branch, up, line, down, i)
         m[C + k], m[R + k] = (plane[line, 2 * i] - x0) * per_mm, (y0 - plane[line, 2 * i + 1]) * per_mm
         reach = WHOLE if flags[line, i] & BORDER else REACH
         m[REACHED + k] = HALF if tiling else reach
         m[WITHIN + k] = TOLERANCE_PX if (flags[line, i] & BORDER != 0) | (up + 2 != down) else LOOSE_PX
-        lonely += xu * xv * yu * yv * 0.0 != 0.0
-    return lonely
+        isolated += xu * xv * yu * yv * 0.0 != 0.0  # NaN without a neighbour of its branch
+    return isolated
 
 
 @kernel
-def ask_lonely(
-    line: int, count: int, listed: Array, tables: Tables, branch: Array, ways: Ways, block: Array, m: Array
+def trace_isolated_pixels(
+    line: int, count: int, tables: Tables, branch: Array, sequences: BranchSequences, scratch: StartScratch
 ) -> None:
     """Derivatives of the measured pixels that have no neighbours, as traced."""
+    listed, m = scratch.listed, scratch.measured
     for k in range(count):
         if m[XU + k] * m[XV + k] * m[YU + k] * m[YV + k] * 0.0 != 0.0:
             u, v = float(listed[k]), float(line)
-            if ways.begin.shape[0] > 0:
+            if sequences.begin.shape[0] > 0:
                 m[XU + k], m[XV + k], m[YU + k], m[YV + k] = slopes_along(
-                    u, v, branch[line, listed[k]], ways, tables[0], tables[1].spheres, block
+                    u, v, branch[line, listed[k]], sequences, tables[0], tables[1].spheres, scratch.block
                 )
             else:
                 _, _, _, m[XU + k], m[XV + k], m[YU + k], m[YV + k], _, _, _ = trace_pixel_tangents(u, v, *tables)
@@ -161,18 +184,15 @@ def give_starts(
     line: int,
     count: int,
     tiling: bool,
-    listed: Array,
-    m: Array,
     pitch: float,
-    weight: Array,
-    enough: np.float32,
-    stamp: int,
-    found: int,
     taken: Array,
-    starts: Array,
-    nodes: Array,
+    wanted: Wanted,
+    found: int,
+    scratch: StartScratch,
 ) -> tuple[int, int]:
     """Starts for the nodes around measured pixels; of how many pixels, and nodes with the `found` ones before."""
+    _, listed, m, _, starts, nodes = scratch
+    weight, enough, stamp = wanted
     for k in range(count):
         if found >= ENOUGH_NODES:
             return k, found
@@ -180,10 +200,10 @@ def give_starts(
         ux, uy, vx, vy = m[UX + k], m[UY + k], m[VX + k], m[VY + k]
         left, right = int(m[LEFT + k]), int(m[RIGHT + k])
         for row in range(int(m[TOP + k]), int(m[BOTTOM + k]) + 1):
-            row = row & INDEX
+            row = row & NON_NEGATIVE
             ey = -(row - r) * pitch
             for column in range(left, right + 1):
-                column = column & INDEX
+                column = column & NON_NEGATIVE
                 ex = (column - c) * pitch
                 du, dv = ux * ex + uy * ey, vx * ex + vy * ey
                 if not (abs(du) <= reach and abs(dv) <= reach):
@@ -206,37 +226,16 @@ def give_starts(
 
 @kernel
 def scatter_sheet(
-    plane: Array,
-    branch: Array,
-    flags: Array,
-    runs: Array,
-    tables: Tables,
-    ways: Ways,
-    grid: Array,
-    weight: Array,
-    enough: np.float32,
-    stamp: int,
-    taken: Array,
-    cursor: Array,
-    listed: Array,
-    measured: Array,
-    block: Array,
-    starts: Array,
-    nodes: Array,
-) -> tuple[int, int]:
-    """Scatter starts of one sheet until there are ENOUGH_NODES or it is done.
+    problem: InverseProblem, sensor: Sensor, runs: Array, sequences: BranchSequences, wanted: Wanted,
+    scratch: StartScratch,
+) -> tuple[int, int]:  # fmt: skip
+    """Scatter starts of one sheet, whose ``runs`` are (R, RUN), until there are ENOUGH_NODES or it is done.
 
     Returns how many came from the tiling, and how many with those from the edges, which may name a node again.
-
-    ``plane`` (H, 2 W), ``branch``, ``flags`` (H, W) as in ``sheets``, ``runs`` (R, RUN) those
-    of the sheet, ``tables`` camera and bodies.  Nodes whose ``weight`` (h, w) is `enough` are left out,
-    and those whose ``taken`` (h, w) uint8 is `stamp`, which nodes get from the tiling.
-
-    ``nodes`` (N, 2) int32 receives rows and columns of the nodes, ``starts`` (N, 4) their start u, v, its squared
-    distance from the pixel and how small a Newton step must be to be the last; both hold what one pixel gives
-    beyond ENOUGH_NODES.  ``cursor`` (3,) int64 is where to begin and then where to go on: TILING, EDGES or DONE,
-    run, column.  Scratch: ``listed`` (LANES,) int64, ``measured`` (MEASURES,), ``block`` (NEWTON_NUMBERS,).
+    Nodes get the stamp of the sheet from the tiling.
     """
+    flags, taken, grid, tables = sensor.flags, sensor.taken, problem.grid, problem.tables
+    cursor, listed, measured = scratch.cursor, scratch.listed, scratch.measured
     tiled = found = 0
     for sweep in range(cursor[0], DONE):
         asked = NEAR | EDGE | BORDER if sweep == TILING else EDGE | BORDER
@@ -249,24 +248,10 @@ def scatter_sheet(
                     flag = flags[line, i] & asked
                     count += (flag == NEAR) if sweep == TILING else (flag != 0)
                     i += 1
-                if measure_pixels(line, count, sweep == TILING, listed, flags, plane, branch, grid, measured) != 0:
-                    ask_lonely(line, count, listed, tables, branch, ways, block, measured)
+                if measure_pixels(line, count, sweep == TILING, sensor, grid, listed, measured) != 0:
+                    trace_isolated_pixels(line, count, tables, sensor.branch, sequences, scratch)
                 invert_measures(count, 1.0 / grid[2], taken.shape[1] - 1.0, taken.shape[0] - 1.0, measured)
-                given, found = give_starts(
-                    line,
-                    count,
-                    sweep == TILING,
-                    listed,
-                    measured,
-                    grid[2],
-                    weight,
-                    enough,
-                    stamp,
-                    found,
-                    taken,
-                    starts,
-                    nodes,
-                )
+                given, found = give_starts(line, count, sweep == TILING, grid[2], taken, wanted, found, scratch)
                 if given < count:
                     cursor[0], cursor[1], cursor[2] = sweep, run, listed[given]
                     return found if sweep == TILING else tiled, found
@@ -277,7 +262,7 @@ def scatter_sheet(
     return tiled, found
 
 
-class Small(NamedTuple):
+class SmallSheets(NamedTuple):
     """Sheets in the order in which they are solved.
 
     Parameters
@@ -292,6 +277,8 @@ class Small(NamedTuple):
         Runs of each sheet, runs[first[s] : first[s + 1]].
     enough : (S,) float32
         Weight from which a node takes no view of it.
+    sequences : BranchSequences
+        Spheres of every branch.
     """
 
     branch: Array
@@ -302,26 +289,17 @@ class Small(NamedTuple):
     runs: Array
     first: Array
     enough: Array
+    sequences: BranchSequences
 
 
-class Sensor(NamedTuple):
-    """Plane points (H, 2 W), branch, flags (H, W) of the sensor; who has ``taken`` a node (h, w): see `starts`."""
+class BundleScratch(NamedTuple):
+    """Memory of one thread: a bundle, ``passed``, ``state`` (GROUP,) int64, ``block``, ``trips`` of a block."""
 
-    plane: Array
-    branch: Array
-    flags: Array
-    taken: Array
-
-
-class StartScratch(NamedTuple):
-    """``cursor`` (3,), ``listed``, ``measured``, ``starts``, ``nodes`` as for `scatter_sheet`; ``slots``."""
-
-    cursor: Array
-    listed: Array
-    measured: Array
-    starts: Array
-    nodes: Array
-    slots: Array
+    bundle: Bundle
+    passed: Array
+    block: Array
+    state: Array
+    trips: Array
 
 
 @kernel
@@ -356,13 +334,13 @@ def keep_nearest(tiled: int, found: int, stamp: int, starts: Array, nodes: Array
 
 @kernel
 def verify_in_bundle(
-    count: int, balls: Array, camera: Array, windows: Array, bed: Bed, table: Array, bundle: Bundle, passed: Array,
-    state: Array, trips: Array, b: Array,
-) -> None:  # fmt: skip
-    """MET for converged pixels whose ray meets the spheres ``balls`` (E,) of `table`, in this order, no others."""
+    count: int, problem: InverseProblem, path: SheetPath, bed: Bed, scratch: BundleScratch
+) -> None:
+    """MET for converged pixels whose ray meets the spheres of the path, in this order, and no others."""
+    (bundle, passed, b, state, trips), windows, balls = scratch, problem.windows, path.balls
     rays, some, events = bundle.rays, -1, balls.shape[0]
     for i in range(count):
-        trips[TRIP + i] = ANOTHER
+        trips[TRIP + i] = OTHER_PATH
         if state[i] == CONVERGED:
             some = i
     if some < 0:
@@ -371,67 +349,44 @@ def verify_in_bundle(
     for i in range(full):
         good = i < count and state[i] == CONVERGED
         rays[DX + i], rays[DY + i] = b[U + i] if good else b[U + some], b[V + i] if good else b[V + some]
-    aim_lanes(full, camera, rays, bundle.marks)
+    aim_lanes(full, problem.tables[0], rays, bundle.marks)
     behind = windows.shape[0] > 0
     if behind:
         pass_windows(full, windows, rays, passed)
-    follow_bundle(count, MAX_EVENTS, table, bed, bundle)
+    follow_bundle(count, MAX_EVENTS, bed, bundle)
     if behind:
         for i in range(count, full):
             bundle.ends[END_DZ + i] = -1.0
-        land_lanes(full, bundle.ends)
+        hit_plane(full, bundle.ends)
         end_behind(count, windows[windows.shape[0] - 1], passed, bundle.ends, bundle.fates)
     for i in range(count):
         same = state[i] == CONVERGED and bundle.fates[FATE + i] == TRACED and bundle.ends[END_DZ + i] < 0.0
         same = same and bundle.fates[EVENTS + i] == events
         for e in range(events if same else 0):
             same = same and bundle.trail[e * IN_BUNDLE + i] == balls[e]
-        trips[TRIP + i] = MET if same else ANOTHER
+        trips[TRIP + i] = MET if same else OTHER_PATH
 
 
 @kernel
 def solve_in_bundle(
-    tables: Tables, grid: Array, windows: Array, table: Array, bed: Bed, every: bool, sequence: Array,
-    balls: Array, number: int, sign: float, limits: Array, starts: Array, nodes: Array, bundle: Bundle,
-    passed: Array, block: Array, state: Array, trips: Array, maps: tuple[Array, ...],
+    problem: InverseProblem, path: SheetPath, starts: Array, nodes: Array, bed: Bed, scratch: BundleScratch,
+    maps: ViewMaps,
 ) -> None:  # fmt: skip
-    """Solve nodes of one sheet from their starts and keep the views, as `solve_nodes`.
-
-    ``sequence``, ``balls`` (E,) are the spheres of the sheet in the order of the sphere table and of the bundle's
-    ``table``; the others are those of `solve_small_sheets`.
-    """
-    camera, spheres = tables[0], tables[1].spheres
-    total, left = nodes.shape[0], 0
-    for patient in range(2):
-        for low in range(0, total, GROUP):
-            count = min(GROUP, total - low)
-            group, of_group = starts[low : low + count], nodes[low : low + count]
-            begin_group(count, grid, group, of_group, block, state)
-            if patient:
-                solve_patiently(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
-            else:
-                solve_block(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
-            verify_in_bundle(count, balls, camera, windows, bed, table, bundle, passed, state, trips, block)
-            judge_trips(count, MET, every, group, trips, block, state)
-            keep_group(count, grid[2], balls.shape[0], number, limits, of_group, block, state, maps)
-            left = put_off(low, count, left, starts, nodes, trips)
-        total, left = left, 0
+    """Solve nodes of one sheet from their starts and keep the views, as `solve_nodes`, verified in bundles."""
+    solve_sheet(problem, path, starts, nodes, verify_in_bundle, bed, scratch, maps)
 
 
 @kernel
 def solve_small_sheets(
-    tables: Tables, ways: Ways, grid: Array, windows: Array, table: Array, bed: Bed, every: bool, sheets: Small,
-    sensor: Sensor, progress: Array, limits: Array, start: StartScratch, bundle: Bundle, passed: Array,
-    block: Array, state: Array, trips: Array, maps: tuple[Array, ...],
+    problem: InverseProblem, bed: Bed, sheets: SmallSheets, sensor: Sensor, progress: Array,
+    room: tuple[StartScratch, Array], scratch: BundleScratch, maps: ViewMaps,
 ) -> None:  # fmt: skip
     """Solve sheets from number progress[0] on, until one is too large, which then is progress[0], or all are done.
 
-    ``table`` (BALL_ROWS, N) balls of the bundle; ``progress`` (2,) int64: next sheet, stamp of the last one;
-    ``passed`` (GROUP,) int64 is scratch.
-    Others as `solve_nodes` and `scatter_sheet` take them.
+    ``progress`` (2,) int64: next sheet, stamp of the last one; `room` is scratch for starts and the slots of
+    `keep_nearest`.
     """
-    starts, nodes = start.starts, start.nodes
-    events, balls, begin, weight = sheets.events, sheets.balls, sheets.begin, maps[3]
+    (start, slots), weight = room, maps.weight
     while progress[0] < sheets.branch.shape[0]:
         s = progress[0]
         if progress[1] == LAST_STAMP:
@@ -439,19 +394,17 @@ def solve_small_sheets(
             progress[1] = 0
         progress[1] += 1
         start.cursor[:] = 0
-        tiled, found = scatter_sheet(
-            sensor.plane, sensor.branch, sensor.flags, sheets.runs[sheets.first[s] : sheets.first[s + 1]],
-            tables, ways, grid, weight[weight.shape[0] - 1], sheets.enough[s], progress[1], sensor.taken,
-            start.cursor, start.listed, start.measured, block, starts, nodes,
-        )  # fmt: skip
+        runs = sheets.runs[sheets.first[s] : sheets.first[s + 1]]
+        wanted = Wanted(weight[weight.shape[0] - 1], sheets.enough[s], progress[1])
+        tiled, found = scatter_sheet(problem, sensor, runs, sheets.sequences, wanted, start)
         if start.cursor[0] < DONE:
             return
-        found = keep_nearest(tiled, found, s + 1, starts, nodes, start.slots)
-        solve_in_bundle(
-            tables, grid, windows, table, bed, every, events[begin[s] : begin[s + 1]],
-            balls[begin[s] : begin[s + 1]], sheets.branch[s], sheets.sign[s], limits, starts[:found],
-            nodes[:found], bundle, passed, block, state, trips, maps,
-        )  # fmt: skip
+        found = keep_nearest(tiled, found, s + 1, start.starts, start.nodes, slots)
+        low, high = sheets.begin[s], sheets.begin[s + 1]
+        path = SheetPath(
+            sheets.events[low:high], sheets.balls[low:high], 0, MET, sheets.branch[s], sheets.sign[s], True
+        )
+        solve_in_bundle(problem, path, start.starts[:found], start.nodes[:found], bed, scratch, maps)
         progress[0] = s + 1
 
 

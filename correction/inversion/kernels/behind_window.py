@@ -29,6 +29,7 @@ behind the window (many spheres, opaque ones, another window) is left to the she
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,21 +48,8 @@ from correction.inversion.kernels.direct import (
 )
 from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of
-from tracer.kernels.chain import (
-    DX,
-    DY,
-    DZ,
-    IQ,
-    LANES,
-    PICK,
-    PX,
-    PY,
-    PZ,
-    STEP,
-    TRIP,
-    clear_picks,
-    look,
-)
+from tracer.kernels.chain import IQ, PICK, TRIP, clear_picks, intersect
+from tracer.kernels.packets import DX, DY, DZ, LANES, PX, PY, PZ, STEP
 from tracer.kernels.window import BEHIND, GLASS, OPENING, THICKNESS
 
 LX, LY, LZ, ASIDE, DEEP, TANGENT, A, B, G, SLOPE, U, V, UC, UR, VC, VR = (k * STEP for k in range(16))
@@ -193,7 +181,7 @@ def hide_block(
     for i in range(count):
         trips[TRIP + i] = 0
     for k in range(balls.shape[0]):
-        look(k, balls, count, rays, trips)
+        intersect(k, balls, count, rays, trips)
     for i in range(count):
         hidden[i] = BEHIND_GLASS if (hidden[i] == FREE) & (trips[PICK + i] >= 0) else hidden[i]
 
@@ -236,15 +224,26 @@ def keep_row(lens: Array, pixel: Array, jacobian: Array, weight: Array, light: A
         jacobian[4 * i + 2], jacobian[4 * i + 3] = np.float32(vc), np.float32(vr)
 
 
+class BehindScratch(NamedTuple):
+    """Memory of one thread: a block's, ``hidden`` (w,) uint8, ``lens`` (6, w) and ``block`` (BLOCK_NUMBERS,)."""
+
+    rays: Array
+    trips: Array
+    hidden: Array
+    lens: Array
+    block: Array
+
+
 @kernel
 def direct_rows_behind(
-    camera: Array, window: Array, balls: Array, flat: bool, grid: Array, size: Array, first: int, last: int,
-    rays: Array, trips: Array, hidden: Array, lens: Array, b: Array, maps: tuple[Array, ...],
+    optics: tuple[Array, Array, Array], flat: bool, frame: tuple[Array, Array], first: int, last: int,
+    scratch: BehindScratch, maps: tuple[Array, ...],
 ) -> None:  # fmt: skip
-    """As `direct_rows`, through one window (10,) in front of transparent spheres ``balls`` (N, BALL).
+    """As `direct_rows`, through one window (10,) in front of transparent spheres.
 
-    ``b`` (BLOCK_NUMBERS,) is scratch as all before it is.
+    `optics`: camera, window and balls (N, BALL); `frame`: grid (3,) and size (2,) of the sensor.
     """
+    (camera, window, balls), (rays, trips, hidden, lens, b), grid = optics, scratch, frame[0]
     status, pixel, jacobian, weight, transmittance, branch = maps
     width = status.shape[1]
     for row in range(first, last):
@@ -256,6 +255,6 @@ def direct_rows_behind(
             pass_block(count, window, b, transmittance[0, row, low : low + count])
             hide_block(count, camera, window, balls, b, rays, trips, hidden[low : low + count])
             see_block(low, count, flat, camera, b, rays, lens)
-        place_pixels(wy, False, grid, size, camera, lens, hidden, pixel[0, row], status[row])
+        place_pixels(wy, False, frame, camera, lens, hidden, pixel[0, row], status[row])
         keep_row(lens, pixel[0, row], jacobian[0, row], weight[0, row], transmittance[0, row])
         begin_views(row, pixel, jacobian, weight, transmittance, branch)

@@ -10,6 +10,7 @@ them.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,17 +29,8 @@ from tracer.kernels.camera import (
     lens_of,
     undistort,
 )
-from tracer.kernels.chain import (
-    LANES,
-    PICK,
-    STEP,
-    begin_block,
-    clear_picks,
-    glass_span,
-    insert_span,
-    look,
-    place_row,
-)
+from tracer.kernels.chain import PICK, begin_block, clear_picks, glass_span, insert_span, intersect, place_row
+from tracer.kernels.packets import LANES, STEP
 from tracer.kernels.rooms import OUTERMOST
 from tracer.kernels.world import Tables, is_stopped, next_body
 
@@ -47,7 +39,7 @@ SETTLED_PX = 1e-10
 X, Y, XA, XB, YB, WANTED_X, WANTED_Y = (k * STEP for k in range(7))  # columns of a block
 EDGE_PX = 1e-9  # beside the outermost pixel centre and still on it
 FREE, BEHIND_GLASS, BEHIND_BODY = 0, 1, 2
-WITHIN = 3  # `glass_span` is two nodes wider than a silhouette, at most: so far inside it there is no doubt
+WITHIN = 3  # `glass_span` is two nodes wider than a silhouette, at most: so far inside it is certain
 
 
 @kernel
@@ -116,29 +108,54 @@ def acquire_row(wy: float, grid: Array, camera: Array, block: Array, lens: Array
             lens[5, low + i] = block[YB + i]
 
 
-@kernel
-def hide_nodes(
-    row: int,
-    place: Array,
-    tables: Tables,
-    discs: Array,
-    lockstep: bool,
-    glass_only: bool,
-    x: Array,
-    y: Array,
-    spans: Array,
-    rays: Array,
-    trips: Array,
-    hidden: Array,
-) -> None:
-    """Note in hidden (w,) uint8 what hides the nodes of a row from the pinhole: FREE, BEHIND_GLASS, ...
+class DirectView(NamedTuple):
+    """What is seen without glass.
 
-    ``place`` is a camera whose pixels are the nodes: it stands in the pinhole and looks straight down, so that
-    a sphere's shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.  Only nodes in
-    shadows are asked for, and where all bodies are round and of glass (`glass_only`) only those at the shadows'
-    rims: what is deeper in one is behind glass, whatever else stands there.  ``discs`` (N, BALL), of which centre
-    and R^2 count, in the order of the sphere table.
+    Parameters
+    ----------
+    place : (20,) float64
+        Camera whose pixels are the nodes: it stands in the pinhole and looks straight down, so that a sphere's
+        shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.
+    tables : Tables
+        Camera and bodies.
+    discs : (N, BALL) float64
+        Centres and R^2 in the order of the sphere table.
+    lockstep, glass_only, flat : bool
+        Spheres alone; all bodies round and of glass; a camera without lens terms.
+    frame : (3,) and (2,) float64
+        Grid, and width and height of the sensor.
     """
+
+    place: Array
+    tables: Tables
+    discs: Array
+    lockstep: bool
+    glass_only: bool
+    flat: bool
+    frame: tuple[Array, Array]
+
+
+class DirectScratch(NamedTuple):
+    """Memory of one thread: ``x``, ``y`` (w,), ``spans``, a block's, ``hidden`` (w,) uint8 and ``lens`` (6, w)."""
+
+    x: Array
+    y: Array
+    spans: Array
+    rays: Array
+    trips: Array
+    hidden: Array
+    lens: Array
+
+
+@kernel
+def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
+    """Note in ``hidden`` what hides the nodes of a row from the pinhole: FREE, BEHIND_GLASS, ...
+
+    Only nodes in shadows are asked for, and where all bodies are round and of glass only those at the shadows'
+    rims: what is deeper in one is behind glass, whatever else stands there.
+    """
+    place, tables, discs, lockstep, glass_only, _, _ = view
+    x, y, spans, rays, trips, hidden, _ = scratch
     camera, world = tables
     width, bodies = x.shape[0], discs.shape[0]
     walled = world.rooms.home.shape[0] > 0  # behind a wall nothing is seen straight
@@ -172,7 +189,7 @@ def hide_nodes(
                 begin_block(x[low:high], y[low:high], place, rays, trips)
                 clear_picks(high - low, rays, trips)
                 for k in range(bodies):
-                    look(k, discs, high - low, rays, trips)
+                    intersect(k, discs, high - low, rays, trips)
                 for i in range(high - low):
                     hidden[low + i] = BEHIND_GLASS if trips[PICK + i] >= 0 else hidden[low + i]
             else:
@@ -190,42 +207,23 @@ def hide_nodes(
 
 
 @kernel
-def direct_rows(
-    place: Array,
-    tables: Tables,
-    discs: Array,
-    lockstep: bool,
-    glass_only: bool,
-    flat: bool,
-    grid: Array,
-    size: Array,
-    first: int,
-    last: int,
-    x: Array,
-    y: Array,
-    spans: Array,
-    rays: Array,
-    trips: Array,
-    hidden: Array,
-    lens: Array,
-    maps: tuple[Array, ...],
-) -> None:
+def direct_rows(view: DirectView, first: int, last: int, scratch: DirectScratch, maps: tuple[Array, ...]) -> None:
     """See the nodes of rows first..last-1 without glass: the first layer of all maps.
 
     Nodes behind a body are left to the glass with the status they keep if no glass shows them.  ``maps`` as in
-    `keep_view`, but pixel (K, h, 2 w) and Jacobian (K, h, 4 w) with their numbers in turn; further layers are
-    cleared.  ``size`` (2,) sensor width and height; ``lens`` (6, w) is scratch.  Others see `hide_nodes`.
+    `ViewMaps`, but pixel (K, h, 2 w) and Jacobian (K, h, 4 w) with their numbers in turn; further layers are
+    cleared.
     """
     status, pixel, jacobian, weight, transmittance, branch = maps
-    camera = tables[0]
+    camera, grid, lens = view.tables[0], view.frame[0], scratch.lens
     for row in range(first, last):
-        hide_nodes(row, place, tables, discs, lockstep, glass_only, x, y, spans, rays, trips, hidden)
+        hide_nodes(row, view, scratch)
         wy = grid[1] - row * grid[2] - camera[EYE_Y]
-        if not flat:
-            acquire_row(wy, grid, camera, rays, lens)
-        place_pixels(wy, flat, grid, size, camera, lens, hidden, pixel[0, row], status[row])
+        if not view.flat:
+            acquire_row(wy, grid, camera, scratch.rays, lens)
+        place_pixels(wy, view.flat, view.frame, camera, lens, scratch.hidden, pixel[0, row], status[row])
         place_jacobians(wy, grid, camera, pixel[0, row], jacobian[0, row])
-        if not flat:
+        if not view.flat:
             bend_jacobians(lens, jacobian[0, row])
         place_weights(pixel[0, row], jacobian[0, row], weight[0, row], transmittance[0, row])
         begin_views(row, pixel, jacobian, weight, transmittance, branch)
@@ -248,21 +246,15 @@ def begin_views(
 
 @kernel
 def place_pixels(
-    wy: float,
-    flat: bool,
-    grid: Array,
-    size: Array,
-    camera: Array,
-    lens: Array,
-    hidden: Array,
-    pixel: Array,
+    wy: float, flat: bool, frame: tuple[Array, Array], camera: Array, lens: Array, hidden: Array, pixel: Array,
     status: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Pixels (2 w,) and status (w,) of a row of nodes that lies wy from the pinhole.
 
     This and the next ones are loops of their own because each touches few arrays: the compiler vectorises only
     what it can prove disjoint by a handful of tests.
     """
+    grid, size = frame
     px, pz, x0, pitch, right, bottom = camera[EYE_X], camera[EYE_Z], grid[0], grid[2], size[0] - 1.0, size[1] - 1.0
     c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     focal, u0, v0 = camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]

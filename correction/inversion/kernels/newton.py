@@ -3,10 +3,10 @@
 Any node is solved by itself (`solve_node`).  A block of nodes is solved at once along ONE known sequence of
 spheres: on a sheet every ray takes the same sequence, so nothing has to be looked for while iterating: the block
 goes through the turns of the sequence, derivatives and all, in loops without a branch.  What leaves the sheet (no
-hit: NaN; wrong sign of the determinant; a long step; no convergence) is gathered and solved again, patiently: no
-step is longer than LONGEST_PX, and who has left the sheet goes half the way back.  Whose very start is off the
-sheet is hopeless: it has nowhere to go back to.  What converged still has to be verified (``views``); who finds
-its node only behind another body, which the sequence knows nothing of, is not seen there.
+hit: NaN; wrong sign of the determinant; a long step; no convergence) is gathered and solved again, damped: no
+step is longer than LONGEST_PX, and a step that leaves the sheet is halved.  A node whose very start is off the
+sheet has nowhere to go back to.  What converged still has to be verified (``views``): a node that is found only
+behind another body, which the sequence knows nothing of, is not seen there.
 
 A node has converged when a step is so small that derivatives and transmittance, which are those of the place
 before it, are right behind it to what float32 holds; how small that is comes with its start.  The step is still
@@ -58,9 +58,9 @@ U, V, X, Y, PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(10))
 FX, FY, FZ, UX, UY, UZ, GX, GY, GZ, VX, VY, VZ = (k * STEP for k in range(10, 22))
 LIGHT, KEPT, XU, XV, YU, YV, WORTH, WITHIN, BACK_U, BACK_V = (k * STEP for k in range(22, 32))
 NEWTON_NUMBERS = 32 * STEP
-VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the patient way
-LONGEST_PX = 2.0  # of a patient step
-MOVING, CONVERGED, FAILED, HOPELESS = 0, 1, 2, 3
+VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for damped steps
+LONGEST_PX = 2.0  # of a step
+MOVING, CONVERGED, FAILED, OFF_BRANCH = 0, 1, 2, 3
 foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
 rotate_inlined = kernel_inlined(rotate.py_func)  # type: ignore[attr-defined]
 foot_tangent_inlined = kernel_inlined(foot_tangent.py_func)  # type: ignore[attr-defined]
@@ -248,10 +248,38 @@ def cross_sphere(count: int, sphere: Array, b: Array) -> None:
         put_vector(b, VX, i, v)
 
 
+class SheetPath(NamedTuple):
+    """Path of the rays of one sheet.
+
+    Parameters
+    ----------
+    events, balls : (E,) int64 each
+        Its spheres in the order of the sphere table, and of a bundle's table where it is verified in bundles.
+    key, trip : int
+        Branch key, and trip in the chain of lockstep; -1 where a scene does not fit that.
+    number, sign : int, float
+        Branch number, and sign of the determinant.
+    solid : bool
+        Whether a block can follow it: spheres alone, behind `windows` alone.
+    """
+
+    events: Array
+    balls: Array
+    key: int
+    trip: int
+    number: int
+    sign: float
+    solid: bool
+
+
 @kernel
-def step_pixels(count: int, first: bool, sign: float, b: Array, state: Array) -> int:
-    """Move u, v by one Newton step towards the nodes; state (LANES,) int64; how many still move."""
-    moving, off = 0, HOPELESS if first else FAILED
+def step_pixels(count: int, damped: bool, first: bool, sign: float, b: Array, state: Array) -> int:
+    """Move u, v by one Newton step towards the nodes; state (LANES,) int64; how many still move.
+
+    A node that has left the sheet, or whose step is too long, has FAILED, OFF_BRANCH if that is its `first` step;
+    `damped`: no step is too long, and one that leaves the sheet is halved.
+    """
+    moving, lost = 0, OFF_BRANCH if first else FAILED
     for i in range(count):
         dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
         inverse = -1.0 / dz
@@ -264,71 +292,26 @@ def step_pixels(count: int, first: bool, sign: float, b: Array, state: Array) ->
         inverse = 1.0 / det
         du, dv = (yv * ex - xv * ey) * inverse, (xu * ey - yu * ex) * inverse
         size = max(abs(du), abs(dv))
-        on_sheet = (det * sign > 0.0) & (dz < 0.0)  # NaN is not
-        good = on_sheet & (abs(du) <= 2.0) & (abs(dv) <= 2.0)
-        goes = (state[i] == MOVING) & good
-        settled = goes & (size <= b[WITHIN + i])
-        b[U + i] = b[U + i] + du if goes else b[U + i]
-        b[V + i] = b[V + i] + dv if goes else b[V + i]
-        b[KEPT + i] = b[LIGHT + i] if goes else b[KEPT + i]
-        b[XU + i], b[XV + i] = xu if goes else b[XU + i], xv if goes else b[XV + i]
-        b[YU + i], b[YV + i] = yu if goes else b[YU + i], yv if goes else b[YV + i]
-        ended = CONVERGED if settled else MOVING
-        ended = ended if good else FAILED
-        ended = ended if on_sheet else off
-        ended = ended if state[i] == MOVING else state[i]
-        state[i] = ended
-        moving += ended == MOVING
-    return moving
-
-
-@kernel
-def step_patiently(count: int, sign: float, b: Array, state: Array) -> int:
-    """As `step_pixels`, but no step is too long, and who has left the sheet goes half of the last step back."""
-    moving = 0
-    for i in range(count):
-        dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
-        inverse = -1.0 / dz
-        t = b[PZ + i] * inverse
-        tu, tv = (b[FZ + i] + t * b[UZ + i]) * inverse, (b[GZ + i] + t * b[VZ + i]) * inverse
-        xu, xv = b[FX + i] + tu * dx + t * b[UX + i], b[GX + i] + tv * dx + t * b[VX + i]
-        yu, yv = b[FY + i] + tu * dy + t * b[UY + i], b[GY + i] + tv * dy + t * b[VY + i]
-        ex, ey = b[X + i] - b[PX + i] - t * dx, b[Y + i] - b[PY + i] - t * dy
-        det = xu * yv - xv * yu
-        inverse = 1.0 / det
-        du, dv = (yv * ex - xv * ey) * inverse, (xu * ey - yu * ex) * inverse
-        size = max(abs(du), abs(dv))
-        shorter = LONGEST_PX / max(size, LONGEST_PX)
+        shorter = LONGEST_PX / max(size, LONGEST_PX)  # 1 unless the step is too long
         back_u, back_v = -0.5 * b[BACK_U + i], -0.5 * b[BACK_V + i]
         on_sheet = (det * sign > 0.0) & (dz < 0.0)  # NaN is not
-        goes = state[i] == MOVING
+        good = on_sheet & (damped | ((abs(du) <= LONGEST_PX) & (abs(dv) <= LONGEST_PX)))
+        is_moving = state[i] == MOVING
+        goes, kept = is_moving & (good | damped), is_moving & good
         du, dv = shorter * du if on_sheet else back_u, shorter * dv if on_sheet else back_v
-        kept = goes & on_sheet
         b[U + i], b[V + i] = b[U + i] + du if goes else b[U + i], b[V + i] + dv if goes else b[V + i]
         b[BACK_U + i], b[BACK_V + i] = du if on_sheet else -back_u, dv if on_sheet else -back_v
         b[KEPT + i] = b[LIGHT + i] if kept else b[KEPT + i]
         b[XU + i], b[XV + i] = xu if kept else b[XU + i], xv if kept else b[XV + i]
         b[YU + i], b[YV + i] = yu if kept else b[YU + i], yv if kept else b[YV + i]
-        ended = CONVERGED if kept & (size <= TOLERANCE_PX) else MOVING
-        ended = ended if on_sheet | (abs(back_u) + abs(back_v) >= TOLERANCE_PX) else FAILED
-        ended = ended if goes else state[i]
+        within = TOLERANCE_PX if damped else b[WITHIN + i]
+        ended = CONVERGED if kept & (size <= within) else MOVING
+        ended = ended if good | (damped & (abs(back_u) + abs(back_v) >= TOLERANCE_PX)) else FAILED
+        ended = ended if on_sheet | damped else lost
+        ended = ended if is_moving else state[i]
         state[i] = ended
         moving += ended == MOVING
     return moving
-
-
-@kernel
-def solve_patiently(
-    count: int, camera: Array, windows: Array, spheres: Array, sequence: Array, sign: float, b: Array, state: Array
-) -> None:
-    """As `solve_block`, for nodes for which that was too quick: every step that leaves the sheet is halved."""
-    for i in range(count):
-        state[i] = MOVING
-        b[BACK_U + i] = b[BACK_V + i] = 0.0
-    for _ in range(MAX_STEPS):
-        follow_sequence(count, camera, windows, spheres, sequence, b)
-        if step_patiently(count, sign, b, state) == 0:
-            break
 
 
 @kernel
@@ -343,18 +326,19 @@ def follow_sequence(count: int, camera: Array, windows: Array, spheres: Array, s
 
 @kernel
 def solve_block(
-    count: int, camera: Array, windows: Array, spheres: Array, sequence: Array, sign: float, b: Array, state: Array
+    count: int, damped: bool, tables: Tables, windows: Array, path: SheetPath, b: Array, state: Array
 ) -> None:
-    """Newton for the nodes x, y from the pixels u, v through windows (K, 10), then the spheres of `sequence`."""
+    """Newton for the nodes x, y from the pixels u, v through windows (K, 10), then the spheres of a path."""
     for i in range(count):
         state[i] = MOVING
-    for step in range(VECTOR_STEPS):
-        follow_sequence(count, camera, windows, spheres, sequence, b)
-        if step_pixels(count, step == 0, sign, b, state) == 0:
+        b[BACK_U + i] = b[BACK_V + i] = 0.0
+    for step in range(MAX_STEPS if damped else VECTOR_STEPS):
+        follow_sequence(count, tables[0], windows, tables[1].spheres, path.events, b)
+        if step_pixels(count, damped, step == 0 and not damped, path.sign, b, state) == 0:
             break
 
 
-class Ways(NamedTuple):
+class BranchSequences(NamedTuple):
     """Spheres of every branch, in order: of branch k events[begin[k] : begin[k + 1]]; empty: not asked by them.
 
     Parameters
@@ -370,17 +354,17 @@ class Ways(NamedTuple):
     windows: Array
 
 
-NO_WAYS = Ways(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 10)))
+NO_SEQUENCES = BranchSequences(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 10)))
 
 
 @kernel
 def slopes_along(
-    u: float, v: float, branch: int, ways: Ways, camera: Array, spheres: Array, block: Array
+    u: float, v: float, branch: int, sequences: BranchSequences, camera: Array, spheres: Array, block: Array
 ) -> tuple[float, float, float, float]:
     """dx/du, dx/dv, dy/du, dy/dv of the plane at pixel u, v; ``block`` (NEWTON_NUMBERS,) is scratch."""
     block[U], block[V] = u, v
-    sequence = ways.events[ways.begin[branch] : ways.begin[branch + 1]]
-    follow_sequence(1, camera, ways.windows, spheres, sequence, block)
+    sequence = sequences.events[sequences.begin[branch] : sequences.begin[branch + 1]]
+    follow_sequence(1, camera, sequences.windows, spheres, sequence, block)
     inverse = -1.0 / block[DZ]
     t = block[PZ] * inverse
     tu, tv = (block[FZ] + t * block[UZ]) * inverse, (block[GZ] + t * block[VZ]) * inverse

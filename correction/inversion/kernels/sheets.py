@@ -18,17 +18,18 @@ Pixels behind glass get FLAGS, others 0:
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from correction.inversion.kernels.newton import Ways, slopes_along, stretch
+from correction.inversion.kernels.newton import BranchSequences, slopes_along, stretch
 from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.rays import trace_pixel_tangents
 from tracer.kernels.world import RECOVERED, Tables
 
 SIGN, USEFUL, NEAR, BENT, GLASS, EDGE, BORDER = 1, 2, 4, 8, 16, 32, 64
 KIND = SIGN | GLASS
-LONELY = 0xFF
+ISOLATED = 0xFF
 HALF = 0.55  # first order is right to 0.05 px halfway to the next pixel, unless BENT
 MOST_BENT = 0.2  # change of the derivatives a pixel: an eighth of it is the error halfway
 RUN = 4  # row, first column, last column + 1, 2 branch + (det < 0)
@@ -64,15 +65,37 @@ def slopes(plane: Array, branch: Array, up: int, row: int, down: int, i: int) ->
     return xu, xv, yu, yv, xuu, xvv, yuu, yvv
 
 
-@kernel_inlined
-def flags_of(
-    c: float, r: float, xu: float, xv: float, yu: float, yv: float, per_mm: float, longest: float, box: Array
-) -> int:
-    """Flags but for BENT of a pixel that sees node coordinates c, r.
+class Sensor(NamedTuple):
+    """Plane points (H, 2 W), branch, flags (H, W) of the sensor; ``taken`` (h, w): stamps of nodes with starts."""
 
-    ``longest`` [mm] is the largest singular value of a useful pixel's derivatives, ``box`` (2,) the last column
-    and row of the nodes.
+    plane: Array
+    branch: Array
+    flags: Array
+    taken: Array
+
+
+class NodeScale(NamedTuple):
+    """Grid (3,) of the nodes, last column and row of its ``box`` (2,), and what makes a pixel useful.
+
+    Parameters
+    ----------
+    longest : float
+        Largest singular value [mm] of the derivatives of a useful pixel.
+    least : int
+        First branch that is sought.
     """
+
+    grid: Array
+    box: Array
+    longest: float
+    least: int
+
+
+@kernel_inlined
+def flags_of(x: float, y: float, derivatives: tuple[float, float, float, float], scale: NodeScale) -> int:
+    """Flags but for BENT of a pixel that sees the plane point x, y."""
+    (xu, xv, yu, yv), box, per_mm = derivatives, scale.box, 1.0 / scale.grid[2]
+    c, r = (x - scale.grid[0]) * per_mm, (scale.grid[1] - y) * per_mm
     _, high = singular_values(xu, xv, yu, yv)
     det, reach = xu * yv - xv * yu, HALF * per_mm
     c_half, r_half = reach * (abs(xu) + abs(xv)), reach * (abs(yu) + abs(yv))
@@ -83,36 +106,24 @@ def flags_of(
     several = (left != right) | (top != bottom)
     ex, ey, most = left - c, r - top, reach * abs(det)
     near &= several | ((abs(yv * ex - xv * ey) <= most) & (abs(xu * ey - yu * ex) <= most))
-    useful = high <= longest
+    useful = high <= scale.longest
     flags = GLASS | (SIGN if det < 0.0 else 0)
     return flags | (USEFUL if useful else 0) | (NEAR if useful & near else 0)
 
 
 @kernel
 def flag_rows(
-    tables: Tables,
-    grid: Array,
-    box: Array,
-    longest: float,
-    least: int,
-    first: int,
-    last: int,
-    plane: Array,
-    branch: Array,
-    status: Array,
-    ways: Ways,
-    block: Array,
-    flags: Array,
-    counts: Array,
-) -> None:
-    """Flags (H, W) uint8 of rows first..last-1 and the number of runs in each, counts (H,) int64.
+    tables: Tables, scale: NodeScale, first: int, last: int, sensor: Sensor, status: Array,
+    sequences: BranchSequences, scratch: tuple[Array, Array],
+) -> None:  # fmt: skip
+    """Flags (H, W) uint8 of rows first..last-1 and the number of runs in each.
 
-    Branches below `least` are left out.  ``plane`` (H, 2 W) holds x and y in turn.  The outermost columns stay
-    without flags.  ``block`` (NEWTON_NUMBERS,) is scratch.
+    Branches below `scale.least` are left out.  The outermost columns stay without flags.  `scratch`: a block
+    (NEWTON_NUMBERS,) and the counts (H,) int64, which are written.
     """
-    known, camera, spheres = ways.begin.shape[0] > 0, tables[0], tables[1].spheres
+    (plane, branch, flags, _), (block, counts), least = sensor, scratch, scale.least
+    known, camera, spheres = sequences.begin.shape[0] > 0, tables[0], tables[1].spheres
     height, width = branch.shape
-    x0, y0, per_mm = grid[0], grid[1], 1.0 / grid[2]
     for row in range(first, last):
         up, down = max(0, row - 1), min(height - 1, row + 1)
         begin, end = width, 0
@@ -122,33 +133,31 @@ def flag_rows(
             begin, end = min(begin, i if glass else width), max(end, i + 1 if glass else 0)
         begin, end = max(begin, 1), min(end, width - 1)
         counts[row] = 0
-        lonely = 0
+        isolated = 0
         for j in range(end - begin):
             i = begin + j
             xu, xv, yu, yv, xuu, xvv, yuu, yvv = slopes(plane, branch, up, row, down, i)
-            c, r = (plane[row, 2 * i] - x0) * per_mm, (y0 - plane[row, 2 * i + 1]) * per_mm
-            own = flags_of(c, r, xu, xv, yu, yv, per_mm, longest, box)
+            own = flags_of(plane[row, 2 * i], plane[row, 2 * i + 1], (xu, xv, yu, yv), scale)
             bend_u = abs(yv * xuu - xv * yuu) + abs(yv * xvv - xv * yvv)
             bend_v = abs(xu * yuu - yu * xuu) + abs(xu * yvv - yu * xvv)
             straight = max(bend_u, bend_v) <= MOST_BENT * abs(xu * yv - xv * yu)
             own |= 0 if straight else BENT
             alone = xu * xv * yu * yv * 0.0 != 0.0
             here = (branch[row, i] >= least) & (status[row, i] == RECOVERED)
-            own = LONELY if alone else own
+            own = ISOLATED if alone else own
             flags[row, i] = own if here else 0
-            lonely += alone & here
-        if lonely != 0:
+            isolated += alone & here
+        if isolated != 0:
             for i in range(begin, end):
-                if flags[row, i] == LONELY:
+                if flags[row, i] == ISOLATED:
                     s, x, y = float(RECOVERED), plane[row, 2 * i], plane[row, 2 * i + 1]
                     if known:
                         xu, xv, yu, yv = slopes_along(
-                            float(i), float(row), branch[row, i], ways, camera, spheres, block
+                            float(i), float(row), branch[row, i], sequences, camera, spheres, block
                         )
                     else:
                         s, x, y, xu, xv, yu, yv, _, _, _ = trace_pixel_tangents(float(i), float(row), *tables)
-                    c, r = (x - x0) * per_mm, (y0 - y) * per_mm
-                    own = flags_of(c, r, xu, xv, yu, yv, per_mm, longest, box)
+                    own = flags_of(x, y, (xu, xv, yu, yv), scale)
                     flags[row, i] = own if s == RECOVERED else 0
         runs = 0
         for j in range(end - begin):

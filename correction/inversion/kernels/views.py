@@ -2,12 +2,13 @@
 
 What a block of Newton has solved is traced once more with all bodies, and only counts if the ray really takes the
 sequence of the sheet: in lockstep where the scene fits it, ray by ray through the cells where it has many bodies.
-Every other node for which there is hope is solved again, patiently.  Where a sequence is not one of spheres alone,
+Every other node that may lie on the sheet is solved again, damped.  Where a sequence is not one of spheres alone,
 every node is solved by itself.  A view is then held against the limits of magnification and sensor, weighed, and
 kept if it is among the best of its node.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,14 +16,15 @@ from correction.inversion.kernels.newton import (
     CONVERGED,
     FAILED,
     GROUP,
-    HOPELESS,
     KEPT,
+    OFF_BRANCH,
     WITHIN,
     WORTH,
     XU,
     XV,
     YU,
     YV,
+    SheetPath,
     U,
     V,
     X,
@@ -30,33 +32,65 @@ from correction.inversion.kernels.newton import (
     inverse_2x2,
     solve_block,
     solve_node,
-    solve_patiently,
     stretch,
 )
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, UNLISTED
-from ground.jit import Array, kernel, kernel_inlined
-from piv.resampling.kernels.bspline import INDEX
+from ground.jit import Array, kernel, kernel_composed, kernel_inlined
+from piv.resampling.kernels.bspline import NON_NEGATIVE
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistort
-from tracer.kernels.chain import (
-    PX,
-    PY,
-    SKIP_LEFT_BEHIND,
-    TRIP,
-    begin_block,
-    follow_block,
-    land_block,
-    whole_vectors,
-)
+from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block
+from tracer.kernels.packets import PX, PY, hit_plane, whole_vectors
 from tracer.kernels.rays import trace_pixel_tangents
 from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
 
-ANOTHER, AGAIN = -2, -3  # trips that no ray takes; the second: of a node that is not given up
+OTHER_PATH, RETRY = -2, -3  # trips that no ray takes; the second: of a node that is solved again
 CLOSE_PX = 2.0  # from its start, which is within a pixel of the node or nearly so
 
 inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defined]
 stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
+
+
+class InverseProblem(NamedTuple):
+    """Camera and bodies, grid (3,), windows (K, 10) in front of all spheres, and what is asked.
+
+    Parameters
+    ----------
+    every : bool
+        Whether nodes are solved again although they cannot lie on the sheet.
+    limits : (4,) float64
+        Smallest and largest magnification, sensor width and height.
+    """
+
+    tables: Tables
+    grid: Array
+    windows: Array
+    every: bool
+    limits: Array
+
+
+class ViewMaps(NamedTuple):
+    """The arrays of a correction map, K views of each node (h, w), best first, and what is masked.
+
+    Parameters
+    ----------
+    status, pixel, jacobian : (h, w), (K, h, w, 2), (K, h, w, 4)
+        Node status, pixel and d pixel / d node.
+    weight, transmittance, branch : (K, h, w) each
+        Of each view.
+    masked_pixels, masked_branches : (H, W), (B,)
+        Status of masked pixels and branches, 0 where they are not; B = 0: nothing is masked.
+    """
+
+    status: Array
+    pixel: Array
+    jacobian: Array
+    weight: Array
+    transmittance: Array
+    branch: Array
+    masked_pixels: Array
+    masked_branches: Array
 
 
 class NodeScratch(NamedTuple):
@@ -64,68 +98,60 @@ class NodeScratch(NamedTuple):
 
     block: Array
     state: Array
+    trips: Array
+    passed: Array
     xy: Array
     spans: Array
     wanted: Array
     rays: Array
-    trips: Array
-    passed: Array
+
+
+@kernel_composed
+def solve_sheet(
+    problem: InverseProblem, path: SheetPath, starts: Array, nodes: Array,
+    verify: Callable[..., None], tracer: Any, scratch: Any, maps: ViewMaps,  # noqa: ANN401
+) -> None:  # fmt: skip
+    """Solve nodes (N, 2) of one sheet in blocks from their starts (N, 4), as from `scatter_sheet`; keep the views.
+
+    `verify` traces the pixels found with all bodies, by its `tracer`: the chain of lockstep or the bed of bundles.
+    What is not found is gathered at the front of both arrays while the first round goes on, and solved damped in
+    the second.
+    """
+    block, state, trips = scratch.block, scratch.state, scratch.trips
+    total, left = nodes.shape[0], 0
+    for damped in (False, True):
+        for low in range(0, total, GROUP):
+            count = min(GROUP, total - low)
+            group, of_group = starts[low : low + count], nodes[low : low + count]
+            begin_group(count, problem.grid, group, of_group, block, state)
+            solve_block(whole_vectors(count), damped, problem.tables, problem.windows, path, block, state)
+            verify(count, problem, path, tracer, scratch)
+            verify_paths(count, path.trip, problem.every, group, trips, block, state)
+            keep_group(count, problem, path, of_group, block, state, maps)
+            left = requeue(low, count, left, starts, nodes, trips)
+        total, left = left, 0
 
 
 @kernel
 def solve_nodes(
-    tables: Tables,
-    grid: Array,
-    balls: Array,
-    windows: Array,
-    sequence: Array,
-    trip: int,
-    solid: bool,
-    every: bool,
-    key: int,
-    number: int,
-    sign: float,
-    limits: Array,
-    starts: Array,
-    nodes: Array,
-    scratch: NodeScratch,
-    maps: tuple[Array, ...],
-) -> None:
+    problem: InverseProblem, path: SheetPath, starts: Array, nodes: Array, balls: Array, scratch: NodeScratch,
+    maps: ViewMaps,
+) -> None:  # fmt: skip
     """Solve nodes of one sheet from their starts and keep the views.
 
-    ``windows`` (K, 10) stand in front of everything, from the camera on.  ``sequence`` (E,) numbers the spheres of
-    the branch in the sphere table, `trip` is the same in the order of ``balls`` (see ``tracer.kernels.chain``), -1
-    where a scene does not fit lockstep: then what a block has solved is verified ray by ray, and where not all
-    spheres of the sequence are `solid`, or stand behind other walls, every node is solved by itself.  `every`:
-    hopeless ones too.  `key` is the branch key of `trace_ray`.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
-    `scatter_sheet`; ``maps`` as in `keep_view`, then what is masked, see `keep_group`.
+    Blocks are verified in lockstep with the chain ``balls``, ray by ray where a scene does not fit it; where not
+    all of a path is `solid`, every node is solved by itself, which verifies it.
     """
-    block, state, xy, spans, wanted, rays, trips, passed = scratch
-    status, pixel, jacobian, weight, transmittance, branch, masked, ways = maps
-    camera, spheres = tables[0], tables[1].spheres
-    kept = status, pixel, jacobian, weight, transmittance, branch, masked, ways
-    total, left, is_block = nodes.shape[0], 0, trip >= 0 or solid
-    for patient in range(2 if is_block else 1):
-        for low in range(0, total, GROUP):
-            count = min(GROUP, total - low)
-            group, of_group = starts[low : low + count], nodes[low : low + count]
-            begin_group(count, grid, group, of_group, block, state)
-            if patient:
-                solve_patiently(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
-            elif is_block:
-                solve_block(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
-            else:
-                solve_carefully(count, key, sign, tables, group, block, state)
-            if trip >= 0:
-                verify(count, camera, balls, windows, xy, spans, wanted, rays, passed, trips, block)
-            elif solid:
-                verify_one_by_one(count, trip, key, tables, state, trips, block)
-            if is_block:
-                judge_trips(count, trip, every, group, trips, block, state)
-            keep_group(count, grid[2], sequence.shape[0], number, limits, of_group, block, state, kept)
-            if is_block:
-                left = put_off(low, count, left, starts, nodes, trips)
-        total, left = left, 0
+    block, state = scratch.block, scratch.state
+    if path.solid:
+        solve_sheet(problem, path, starts, nodes, verify_block, balls, scratch, maps)
+        return
+    for low in range(0, nodes.shape[0], GROUP):
+        count = min(GROUP, nodes.shape[0] - low)
+        group, of_group = starts[low : low + count], nodes[low : low + count]
+        begin_group(count, problem.grid, group, of_group, block, state)
+        solve_carefully(count, path, problem.tables, group, block, state)
+        keep_group(count, problem, path, of_group, block, state, maps)
 
 
 @kernel
@@ -142,10 +168,10 @@ def begin_group(count: int, grid: Array, starts: Array, nodes: Array, block: Arr
 
 
 @kernel
-def judge_trips(
+def verify_paths(
     count: int, trip: int, every: bool, starts: Array, trips: Array, block: Array, state: Array
 ) -> None:
-    """Let only nodes count whose ray takes the trip; mark others, `every` one or those with hope, as AGAIN.
+    """Let only nodes count whose ray takes the trip; mark others, `every` one or those with hope, as RETRY.
 
     There is none where the start is off the sheet, nor where the node has been found close by, but along a ray
     that takes another trip: where derivatives are as good as a start needs, the node is seen only once around it.
@@ -154,16 +180,16 @@ def judge_trips(
         if state[i] == CONVERGED and trips[TRIP + i] == trip:
             continue
         away = max(abs(block[U + i] - starts[i, 0]), abs(block[V + i] - starts[i, 1]))
-        hopeless = state[i] == HOPELESS or (state[i] == CONVERGED and away <= CLOSE_PX)
-        trips[TRIP + i] = AGAIN if every or not hopeless else ANOTHER
+        cannot_be = state[i] == OFF_BRANCH or (state[i] == CONVERGED and away <= CLOSE_PX)
+        trips[TRIP + i] = RETRY if every or not cannot_be else OTHER_PATH
         state[i] = FAILED
 
 
 @kernel
-def put_off(low: int, count: int, left: int, starts: Array, nodes: Array, trips: Array) -> int:
-    """Move what is to be solved AGAIN behind the `left` ones at the front, before low; how many there are now."""
+def requeue(low: int, count: int, left: int, starts: Array, nodes: Array, trips: Array) -> int:
+    """Move what is to be solved again behind the `left` ones at the front, before low; how many there are now."""
     for i in range(count):
-        if trips[TRIP + i] == AGAIN:
+        if trips[TRIP + i] == RETRY:
             for c in range(4):
                 starts[left, c] = starts[low + i, c]
             nodes[left, 0], nodes[left, 1] = nodes[low + i, 0], nodes[low + i, 1]
@@ -173,12 +199,12 @@ def put_off(low: int, count: int, left: int, starts: Array, nodes: Array, trips:
 
 @kernel
 def solve_carefully(
-    count: int, key: int, sign: float, tables: Tables, starts: Array, block: Array, state: Array
+    count: int, path: SheetPath, tables: Tables, starts: Array, block: Array, state: Array
 ) -> None:
-    """Solve each node of a block by itself, where its sequence is not one of spheres alone."""
+    """Solve each node of a block by itself, where its path is not one of spheres alone."""
     for i in range(count):
         done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
-            block[X + i], block[Y + i], starts[i, 0], starts[i, 1], key, sign, tables
+            block[X + i], block[Y + i], starts[i, 0], starts[i, 1], path.key, path.sign, tables
         )
         block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
         state[i] = CONVERGED if done > 0.0 else FAILED
@@ -186,41 +212,17 @@ def solve_carefully(
 
 @kernel
 def keep_group(
-    count: int, pitch: float, events: int, number: int, limits: Array, nodes: Array, block: Array, state: Array,
-    maps: tuple[Array, ...],
-) -> None:  # fmt: skip
-    """Judge the views of a block and keep the best of each node.
-
-    ``maps`` end with why pixels (H, W) and ways (B,) are masked, 0 where they are not; B = 0: nothing is.
-    """
-    status, pixel, jacobian, weight, transmittance, branch, masked, ways = maps
-    judge(count, pitch, events, limits, block, state)
+    count: int, problem: InverseProblem, path: SheetPath, nodes: Array, block: Array, state: Array, maps: ViewMaps
+) -> None:
+    """Judge the views of a block and keep the best of each node."""
+    judge(count, problem.grid[2], path.events.shape[0], problem.limits, block, state)
     for i in range(count):
-        row, column = nodes[i, 0] & INDEX, nodes[i, 1] & INDEX
-        uc, ur, vc, vr = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
-        u, v, light, worth = block[U + i], block[V + i], block[KEPT + i], block[WORTH + i]
-        if state[i] == RECOVERED and ways.shape[0] > 0:
-            state[i] = max(ways[number], masked[int(v + 0.5), int(u + 0.5)])  # RECOVERED where nothing is
-        keep_view(
-            state[i],
-            u,
-            v,
-            uc,
-            ur,
-            vc,
-            vr,
-            light,
-            worth,
-            number,
-            row,
-            column,
-            status,
-            pixel,
-            jacobian,
-            weight,
-            transmittance,
-            branch,
-        )
+        place = nodes[i, 0] & NON_NEGATIVE, nodes[i, 1] & NON_NEGATIVE
+        u, v = block[U + i], block[V + i]
+        if state[i] == RECOVERED and maps.masked_branches.shape[0] > 0:  # RECOVERED where nothing is masked
+            state[i] = max(maps.masked_branches[path.number], maps.masked_pixels[int(v + 0.5), int(u + 0.5)])
+        jacobian = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
+        keep_view(state[i], (u, v), jacobian, (block[WORTH + i], block[KEPT + i]), path.number, place, maps)
 
 
 @kernel
@@ -246,96 +248,70 @@ def judge(count: int, pitch: float, events: int, limits: Array, b: Array, state:
 
 
 @kernel
-def verify(
-    count: int, camera: Array, balls: Array, windows: Array, xy: Array, spans: Array, wanted: Array, rays: Array,
-    passed: Array, trips: Array, b: Array,
-) -> None:  # fmt: skip
-    """Trips that the pixels u, v of a block really take, all bodies asked."""
-    scale, u0, v0 = 1.0 / camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
+def verify_block(count: int, problem: InverseProblem, path: SheetPath, balls: Array, scratch: NodeScratch) -> None:
+    """Trips that the pixels u, v of a block really take, all bodies asked; ray by ray where there is no chain."""
+    b, rays, trips, passed = scratch.block, scratch.rays, scratch.trips, scratch.passed
+    if path.trip < 0:
+        for i in range(count):
+            taken = OTHER_PATH
+            if scratch.state[i] == CONVERGED:
+                s, _, _, _, _, _, _, _, k, _ = trace_pixel_tangents(b[U + i], b[V + i], *problem.tables)
+                taken = path.trip if s == TRACED and k == path.key else OTHER_PATH
+            trips[TRIP + i] = taken
+        return
+    camera, windows, x, y = problem.tables[0], problem.windows, scratch.xy[0], scratch.xy[1]
+    inverse, u0, v0 = 1.0 / camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
     k1, k2, k3, p1, p2 = lens_of(camera)
-    x, y = xy[0], xy[1]
     for i in range(count):
-        a, e, _, _ = undistort((b[U + i] - u0) * scale, (b[V + i] - v0) * scale, k1, k2, k3, p1, p2)
+        a, e, _, _ = undistort((b[U + i] - u0) * inverse, (b[V + i] - v0) * inverse, k1, k2, k3, p1, p2)
         x[i], y[i] = a, e
     begin_block(x[:count], y[:count], camera, rays, trips)
-    if windows.shape[0] == 0:
-        follow_block(0, count, SKIP_LEFT_BEHIND, balls, spans, rays, trips, wanted)
-        return
     for i in range(count):
         passed[i] = OPEN
     for k in range(windows.shape[0]):
         through_window_carefully(count, windows[k], rays, passed)
-    follow_block(0, count, SKIP_LEFT_BEHIND, balls, spans, rays, trips, wanted)
-    land_block(count, rays)
+    follow_block(0, count, SKIP_LEFT_BEHIND, balls, scratch.spans, rays, trips, scratch.wanted)
+    if windows.shape[0] == 0:
+        return
+    hit_plane(count, rays)
     for i in range(count):
         lands = (rays[PX + i] == rays[PX + i]) & (passed[i] == OPEN)
         lands &= not is_before(rays[PX + i], rays[PY + i], windows[windows.shape[0] - 1])
-        trips[TRIP + i] = trips[TRIP + i] if lands else ANOTHER
-
-
-@kernel
-def verify_one_by_one(
-    count: int, trip: int, key: int, tables: Tables, state: Array, trips: Array, b: Array
-) -> None:
-    """As `verify` for scenes of many bodies: `trip` for converged pixels whose ray has the branch key `key`."""
-    for i in range(count):
-        taken = ANOTHER
-        if state[i] == CONVERGED:
-            s, _, _, _, _, _, _, _, k, _ = trace_pixel_tangents(b[U + i], b[V + i], *tables)
-            taken = trip if s == TRACED and k == key else ANOTHER
-        trips[TRIP + i] = taken
+        trips[TRIP + i] = trips[TRIP + i] if lands else OTHER_PATH
 
 
 @kernel_inlined
 def keep_view(
-    verdict: int,
-    u: float,
-    v: float,
-    uc: float,
-    ur: float,
-    vc: float,
-    vr: float,
-    passed: float,
-    worth: float,
-    number: int,
-    row: int,
-    column: int,
-    status: Array,
-    pixel: Array,
-    jacobian: Array,
-    weight: Array,
-    transmittance: Array,
-    branch: Array,
-) -> None:
+    verdict: int, uv: tuple[float, float], slopes: tuple[float, float, float, float], worth: tuple[float, float],
+    number: int, place: tuple[int, int], maps: ViewMaps,
+) -> None:  # fmt: skip
     """Insert one view of a node into its layers, best first, or note why it cannot be kept.
 
-    What is masked stays so unless another view is kept.  Status is (h, w), pixel (K, h, w, 2), Jacobian
-    (K, h, w, 4), weight, transmittance and branch (K, h, w).
+    `worth` is weight and transmittance.  What is masked stays so unless another view is kept.
     """
+    (row, column), (status, pixel, jacobian, weight, transmittance, branch, _, _) = place, maps
     if verdict != RECOVERED:
         if status[row, column] != RECOVERED and status[row, column] < UNLISTED:
             status[row, column] = verdict
         return
-    layers = pixel.shape[0]
-    stored = np.float32(worth)
-    place = 0
-    while place < layers and not stored > weight[place, row, column]:
-        place += 1
-    if place == layers:
+    layers, stored, layer = pixel.shape[0], np.float32(worth[0]), 0
+    while layer < layers and not stored > weight[layer, row, column]:
+        layer += 1
+    if layer == layers:
         return
-    for layer in range(layers - 1, place, -1):
-        for k in range(2):
-            pixel[layer, row, column, k] = pixel[layer - 1, row, column, k]
-        for k in range(4):
-            jacobian[layer, row, column, k] = jacobian[layer - 1, row, column, k]
-        weight[layer, row, column] = weight[layer - 1, row, column]
-        transmittance[layer, row, column] = transmittance[layer - 1, row, column]
-        branch[layer, row, column] = branch[layer - 1, row, column]
-    pixel[place, row, column, 0], pixel[place, row, column, 1] = u, v
-    jacobian[place, row, column, 0], jacobian[place, row, column, 1] = uc, ur
-    jacobian[place, row, column, 2], jacobian[place, row, column, 3] = vc, vr
-    weight[place, row, column], transmittance[place, row, column] = stored, passed
-    branch[place, row, column] = number
+    for k in range(layers - 1, layer, -1):
+        for c in range(2):
+            pixel[k, row, column, c] = pixel[k - 1, row, column, c]
+        for c in range(4):
+            jacobian[k, row, column, c] = jacobian[k - 1, row, column, c]
+        weight[k, row, column] = weight[k - 1, row, column]
+        transmittance[k, row, column] = transmittance[k - 1, row, column]
+        branch[k, row, column] = branch[k - 1, row, column]
+    pixel[layer, row, column, 0], pixel[layer, row, column, 1] = uv
+    jacobian[layer, row, column, 0], jacobian[layer, row, column, 1] = slopes[0], slopes[1]
+    jacobian[layer, row, column, 2], jacobian[layer, row, column, 3] = slopes[2], slopes[3]
+    weight[layer, row, column], transmittance[layer, row, column] = stored, worth[1]
+    branch[layer, row, column] = number
     status[row, column] = RECOVERED
 
 

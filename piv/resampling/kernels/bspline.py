@@ -15,7 +15,7 @@ from ground.jit import Array, kernel
 from piv.resampling.kernels.lanes import WIDE, footprint_sum
 from piv.resampling.kernels.prefilter import mirrored
 
-INDEX = 0x7FFFFFFF  # i & INDEX tells the compiler that i >= 0, which spares the test for negative indices
+NON_NEGATIVE = 0x7FFFFFFF  # i & NON_NEGATIVE tells the compiler that i >= 0: no test for negative indices
 _BEHIND = WIDE - 3  # columns from a position's pixel on that a row of its footprint is read over
 _NAN = np.float32(np.nan)
 _ONE = np.float32(1.0)
@@ -36,8 +36,8 @@ def bilinear_at(image: Array, u: float, v: float) -> np.float32:
     height, width = image.shape
     if not (u >= 0.0 and v >= 0.0 and u <= width - 1.0 and v <= height - 1.0):
         return _NAN
-    i = min(int(u), width - 2) & INDEX
-    j = min(int(v), height - 2) & INDEX
+    i = min(int(u), width - 2) & NON_NEGATIVE
+    j = min(int(v), height - 2) & NON_NEGATIVE
     s = np.float32(u - i)
     t = np.float32(v - j)
     above = np.float32(image[j, i]) * (_ONE - s) + np.float32(image[j, i + 1]) * s
@@ -98,7 +98,7 @@ def quintic_at(coefficients: Array, u: float, v: float) -> np.float32:
     t1, flat = _ONE - t, coefficients.reshape(height * width)
     y0, y1, y2 = weight_outer(t), weight_middle(t), weight_inner(t)
     y3, y4, y5 = weight_inner(t1), weight_middle(t1), weight_outer(t1)
-    return footprint_sum(flat, (j - 2) * width + i - 2, width, s, y0, y1, y2, y3, y4, y5)
+    return footprint_sum(flat, (j - 2) * width + i - 2, width, s, (y0, y1, y2, y3, y4, y5))
 
 
 @kernel

@@ -5,6 +5,8 @@ all of them (vectors across samples), the sums over their pixels (vectors along 
 means.  `to_offset_uint16` makes of them what is stored.
 """
 
+from typing import Any
+
 import numpy as np
 
 from ground.jit import Array, kernel, kernel_inlined
@@ -70,7 +72,7 @@ def spline_values(flat: Array, stride: int, anchor: Array, fraction: Array, scra
     y0, y1, y2, y3, y4, y5 = y[0], y[1], y[2], y[3], y[4], y[5]
     spline_weights(fraction, s, y)
     for k in range(out.shape[0]):
-        out[k] = footprint_sum(flat, anchor[k], stride, s[k], y0[k], y1[k], y2[k], y3[k], y4[k], y5[k])
+        out[k] = footprint_sum(flat, anchor[k], stride, s[k], (y0[k], y1[k], y2[k], y3[k], y4[k], y5[k]))
 
 
 @kernel
@@ -104,27 +106,15 @@ def place_means(values: Array, samples: int, share: np.float32, adds: bool, line
 
 @kernel
 def correct_rows(
-    flat: Array,
-    quintic: bool,
-    stride: int,
-    anchor: Array,
-    fraction: Array,
-    begin: Array,
-    span: Array,
-    share: Array,
-    fill: float,
-    first: int,
-    last: int,
-    scratch: Array,
-    values: Array,
-    out: Array,
-) -> None:
+    image: tuple[Array, int], quintic: bool, footprints: Any, fill: float, first: int, last: int,  # noqa: ANN401
+    scratch: tuple[Array, Array], out: Array,
+) -> None:  # fmt: skip
     """Correct rows first..last-1 into out (h, w) float32; nodes without a span get `fill`.
 
-    ``flat`` holds spline coefficients if `quintic`, else the frame, in rows of `stride`; the next five arrays are
-    those of ``Footprints``.  ``scratch`` is that of `spline_values`, (WEIGHTS, CHUNK), or of
-    `bilinear_values`; ``values`` (CHUNK,) float32.
+    `image` is flat, spline coefficients if `quintic`, else the frame, with the length of its rows; `footprints` a
+    ``Footprints``.  `scratch`: that of `spline_values` or `bilinear_values`, and (CHUNK,) float32.
     """
+    (flat, stride), (anchor, fraction, begin, span, share), (work, values) = image, footprints, scratch
     for row in range(first, last):
         out[row, :] = fill
         for number in range(begin[row], begin[row + 1]):
@@ -138,8 +128,8 @@ def correct_rows(
                 line = out[row, span[number, COLUMN] + low : span[number, COLUMN] + low + nodes]
                 result = line if plain else values[: b - a]
                 if quintic:
-                    spline_values(flat, stride, anchor[a:b], fraction[a:b], scratch, result)
+                    spline_values(flat, stride, anchor[a:b], fraction[a:b], work, result)
                 else:
-                    bilinear_values(flat, stride, anchor[a:b], fraction[a:b], scratch, result)
+                    bilinear_values(flat, stride, anchor[a:b], fraction[a:b], work, result)
                 if not plain:
                     place_means(result, samples, part, adds, line)

@@ -10,6 +10,7 @@ a node with several views is a span of its own for each, the later ones adding t
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -40,28 +41,16 @@ def place_sample(
 
 @kernel
 def lay_rows(
-    position: Array,
-    jacobian: Array,
-    weight: Array,
-    recovered: Array,
-    size: Array,
-    store: bool,
-    first: int,
-    last: int,
-    samples: Array,
-    spans: Array,
-    anchor: Array,
-    fraction: Array,
-    span: Array,
-    share: Array,
-) -> None:
+    views: Any, recovered: Array, size: Array, store: bool, first: int, last: int, samples: Array,  # noqa: ANN401
+    footprints: Any,  # noqa: ANN401
+) -> None:  # fmt: skip
     """Samples and spans of the rows first..last-1: their number, or, if `store`, themselves.
 
-    ``position`` (K, h, w, 2) and ``jacobian`` (K, h, w, 4) of each view of a node, ``weight`` (K, h, w) its share,
-    0 without a view; ``recovered`` (h, w) bool; ``size`` (3,): width and height of the frame and the length of its
-    rows in memory.  ``samples``, ``spans`` (h + 1,) int64 receive the numbers of row r in [r + 1]; if `store` they
-    hold where row r begins in [r].  The rest is that of ``piv.resampling.footprints.Footprints``.
+    `views` and `footprints` are those of ``piv.resampling.footprints``; ``recovered`` (h, w) bool; ``size`` (3,):
+    width and height of the frame and the length of its rows in memory.  ``samples`` and ``footprints.begin``
+    (h + 1,) receive the numbers of row r in [r + 1]; if `store` they hold where row r begins in [r].
     """
+    (position, jacobian, weight), (anchor, fraction, spans, span, share) = views, footprints
     layers, _, columns = weight.shape
     width, height, stride = size[0], size[1], size[2]
     for row in range(first, last):
@@ -97,16 +86,8 @@ def lay_rows(
                         r = (i + 0.5) / n_r - 0.5
                         for j in range(n_c):
                             c = (j + 0.5) / n_c - 0.5
-                            place_sample(
-                                u + uc * c + ur * r,
-                                v + vc * c + vr * r,
-                                width,
-                                height,
-                                stride,
-                                k + i * n_c + j,
-                                anchor,
-                                fraction,
-                            )
+                            x, y, at = u + uc * c + ur * r, v + vc * c + vr * r, k + i * n_c + j
+                            place_sample(x, y, width, height, stride, at, anchor, fraction)
                 k += count
         if not store:
             samples[row + 1], spans[row + 1] = k, number

@@ -27,24 +27,16 @@ def _everywhere(builder: Code, number: Code) -> Code:
 
 @intrinsic
 def footprint_sum_code(
-    typing_context: Code,
-    flat: Code,
-    first: Code,
-    stride: Code,
-    s: Code,
-    y0: Code,
-    y1: Code,
-    y2: Code,
-    y3: Code,
-    y4: Code,
-    y5: Code,
+    typing_context: Code, flat: Code, first: Code, stride: Code, s: Code, weights: Code
 ) -> tuple[Code, Code]:
     """`footprint_sum` in vectors: 6 loads, 12 multiply-adds for rows and weights, one sum across lanes."""
-    signature = types.float32(flat, types.intp, types.intp, *[types.float32] * 7)
+    six = types.UniTuple(types.float32, 6)
+    signature = types.float32(flat, types.intp, types.intp, types.float32, six)
 
     def emit(context: Code, builder: Code, signature: Code, arguments: Code) -> Code:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        first, stride, s, *rows = arguments[1:]
+        first, stride, s, weights = arguments[1:]
+        rows = cgutils.unpack_tuple(builder, weights, 6)  # type: ignore[no-untyped-call]
         kind = ir.FunctionType(_EIGHT, [_EIGHT] * 3)
         multiply_add = cgutils.get_or_insert_function(builder.module, kind, "llvm.fmuladd.v8f32")  # type: ignore[no-untyped-call]
 

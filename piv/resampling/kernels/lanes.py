@@ -44,26 +44,16 @@ TAP_POLYNOMIALS = _tap_polynomials()
 
 
 def footprint_sum(
-    flat: Array,
-    first: int,
-    stride: int,
-    s: np.float32,
-    y0: np.float32,
-    y1: np.float32,
-    y2: np.float32,
-    y3: np.float32,
-    y4: np.float32,
-    y5: np.float32,
+    flat: Array, first: int, stride: int, s: np.float32, weights: tuple[np.float32, ...]
 ) -> np.float32:
     """Weighted sum over a 6 x 6 footprint of flat float32 coefficients.
 
     ``first`` is the index of its top-left coefficient, ``stride`` the length of a row; ``s`` the fraction along
-    a row (its weights are computed here), ``y0`` ... ``y5`` the weights of the rows.  `WIDE` coefficients a row
-    are read.
+    a row (its weights are computed here), `weights` those of the six rows.  `WIDE` coefficients a row are read.
     """
     x = [sum(TAP_POLYNOMIALS[power][lane] * s**power for power in range(TAPS)) for lane in range(TAPS)]
     total = 0.0
-    for row, weight in enumerate((y0, y1, y2, y3, y4, y5)):
+    for row, weight in enumerate(weights):
         begin = first + row * stride
         total += weight * sum(x[lane] * flat[begin + lane] for lane in range(TAPS))
     return np.float32(total)
@@ -78,8 +68,8 @@ def copy_pair(flat: Array, first: int, out: Array, place: int) -> None:
 def _in_lanes(*_: Code) -> Code:
     from piv.resampling.kernels.lane_code import footprint_sum_code
 
-    def compiled(flat, first, stride, s, y0, y1, y2, y3, y4, y5):  # type: ignore[no-untyped-def]  # noqa
-        return footprint_sum_code(flat, first, stride, s, y0, y1, y2, y3, y4, y5)  # type: ignore[call-arg]
+    def compiled(flat, first, stride, s, weights):  # type: ignore[no-untyped-def]  # noqa
+        return footprint_sum_code(flat, first, stride, s, weights)  # type: ignore[call-arg]
 
     return compiled
 

@@ -112,25 +112,26 @@ def sweep(state: Array, previous: Array, line: Array) -> None:
 
 @kernel
 def filter_tile(
-    frame: Array, rim: int, top: int, left: int, bottom: int, right: int, lines: Array, tile: Array, out: Array
+    frame: Array, rim: int, tile: tuple[int, int, int, int], scratch: tuple[Array, Array], out: Array
 ) -> None:
     """Coefficients out[top:bottom, left:right] of frame (H, W), any real dtype.
 
-    ``out`` may be wider than the frame by mirrored pixels, `rim` of them above and to the left.  Scratch, float32:
-    ``lines`` (2, columns + 2 SPREAD) and ``tile`` (rows + 2 REACH + 1, columns), its last row for the state.
+    ``out`` may be wider than the frame by mirrored pixels, `rim` of them above and left; `scratch`, float32:
+    lines (2, columns + 2 SPREAD) and rows (rows + 2 REACH + 1, columns), its last row for the state.
     """
+    (top, left, bottom, right), (lines, kept) = tile, scratch
     height = frame.shape[0]
     rows, columns = bottom - top + 2 * REACH, right - left
     x, y = lines[0, : columns + 2 * SPREAD], lines[1, : columns + 2 * SPREAD]
-    state = tile[rows, :columns]
+    state = kept[rows, :columns]
     for k in range(rows):
         take_line(frame[mirrored(top + k - REACH - rim, height)], left - SPREAD - rim, x)
-        filter_line(x, y, tile[k, :columns])
-    copy_line(tile[0], state)
+        filter_line(x, y, kept[k, :columns])
+    copy_line(kept[0], state)
     for k in range(1, rows):
-        sweep(state, tile[k - 1, :columns], tile[k, :columns])
-    copy_line(tile[rows - 1], state)
+        sweep(state, kept[k - 1, :columns], kept[k, :columns])
+    copy_line(kept[rows - 1], state)
     for k in range(rows - 2, REACH - 1, -1):
-        sweep(state, tile[k + 1, :columns], tile[k, :columns])
+        sweep(state, kept[k + 1, :columns], kept[k, :columns])
     for k in range(bottom - top):
-        copy_line(tile[REACH + k], out[top + k, left:right])
+        copy_line(kept[REACH + k], out[top + k, left:right])

@@ -11,7 +11,7 @@ import scipy
 
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, demo_scene
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 
 BOARD = Chessboard()
 RING = 0.96  # of the radius, within which a ball is grey: nearer to the rim rays graze the glass
@@ -34,7 +34,7 @@ def scene_of(name="pair", size_px=800):
 def moved(scene, *, glass_mm=(0.0, 0.0, 0.0), camera_mm=(0.0, 0.0, 0.0)):
     """The scene with glass and camera elsewhere."""
     x, y, z = np.add(scene.camera.position_mm, camera_mm).tolist()
-    bodies = tuple(body.moved(shifted_by(np.array(glass_mm))) for body in scene.bodies)
+    bodies = tuple(body.moved(translate_by(np.array(glass_mm))) for body in scene.bodies)
     return replace(scene, camera=replace(scene.camera, position_mm=(x, y, z)), bodies=bodies)
 
 

@@ -11,7 +11,7 @@ from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
 from sim.flow.particles import LightSheet, Seeding
 from sim.renderer.render import Aperture
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 
 GAP_MM, DT_S = 4.0, 500e-6
 
@@ -34,7 +34,7 @@ def camera(
         middle = np.subtract(stack.camera.principal_px, 0.5 * (size_px - crop_px))
         lens = replace(stack.camera, principal_px=tuple(middle.tolist()), sensor_px=(crop_px, crop_px))
         stack = stack.with_camera(lens)
-    scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
+    scene = stack.with_bodies([body.moved(translate_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     sheet = LightSheet(thickness_mm, z_mm, *np.tan(np.deg2rad(tilts_deg)))
     lens = {}
     if f_number is not None:  # pictures wider than a particle need more points than the middle and a ring

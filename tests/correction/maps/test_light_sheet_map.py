@@ -11,7 +11,7 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.node_status import NodeStatus
 from sim.flow.view import ParticleView
 from tests.correction.small_scenes import small_scene
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 from tracer.errors import StaleMap
 from tracer.light_sheet import LightSheet
 from tracer.strategies.sensitivity import CAMERA, SPHERE
@@ -106,7 +106,7 @@ def test_the_scenes_own_sigma_turns_with_it(scene):
 def test_a_sheet_that_the_scene_does_not_name_is_unsure_by_half_a_millimetre():
     """Particles 0.25 mm off the target's plane, in a scene known exactly: half a sigma beside their places."""
     scene = small_scene("two_spheres_500", 252)
-    scene = scene.with_bodies([body.moved(shifted_by((0.0, 0.0, 4.0))) for body in scene.bodies])
+    scene = scene.with_bodies([body.moved(translate_by((0.0, 0.0, 4.0))) for body in scene.bodies])
     zero = np.zeros((len(CAMERA) + len(SPHERE) * len(scene.spheres), 1))
     known = SceneSigma(scene.content_hash(), zero)
     view = ParticleView(scene, (-0.6, 0.6), step_px=0.5)

@@ -12,7 +12,7 @@ from sim.demo.scenes import at_size, demo_scene
 from sim.flow.view import ParticleView
 from sim.renderer.render import Aperture
 from tests.correction.small_scenes import small_scene
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 from tracer.errors import StaleMap
 from tracer.pupil import Pupil
 from tracer.strategies.trace import trace
@@ -24,7 +24,7 @@ LENS = Aperture(60.0, 22.0, 440.0)
 def two_balls(pupil=None):
     """Two balls of 50 mm, one behind the other, a little before the plane."""
     scene = at_size(demo_scene("two_spheres_500"), SIDE_PX)
-    moved = scene.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in scene.bodies])
+    moved = scene.with_bodies([body.moved(translate_by((0.0, 0.0, GAP_MM))) for body in scene.bodies])
     return moved if pupil is None else moved.with_camera(replace(moved.camera, pupil=pupil))
 
 
@@ -70,7 +70,7 @@ def test_a_point_that_rises_along_the_slope_stays_where_it_is_seen(aperture):
 @pytest.mark.parametrize("name", ["tilted_pair", "two_spheres_500", "pyramid_500"])
 def test_slopes_are_what_planes_before_and_behind_differ_by(name):
     scene = small_scene(name, 252)
-    scene = scene.with_bodies([body.moved(shifted_by((0.0, 0.0, 1.0))) for body in scene.bodies])
+    scene = scene.with_bodies([body.moved(translate_by((0.0, 0.0, 1.0))) for body in scene.bodies])
     pixels = np.random.default_rng(3).uniform(0.0, 251.0, (400, 2))
 
     def landed(dz_mm):
@@ -80,7 +80,7 @@ def test_slopes_are_what_planes_before_and_behind_differ_by(name):
             scene.camera, position_mm=(*scene.camera.position_mm[:2], scene.camera.position_mm[2] - dz_mm)
         )
         return trace(
-            scene.with_camera(camera).with_bodies([b.moved(shifted_by(at)) for b in scene.bodies]), pixels
+            scene.with_camera(camera).with_bodies([b.moved(translate_by(at)) for b in scene.bodies]), pixels
         )
 
     near, far = landed(0.01), landed(-0.01)

@@ -130,12 +130,12 @@ def test_hand_written_vectors_do_what_their_definitions_say(dtype):
 
     @kernel
     def both(flat, coefficients, w, out, pair):
-        out[0] = lanes.footprint_sum(coefficients, 7, 20, w[0], w[1], w[2], w[3], w[4], w[5], w[6])
+        out[0] = lanes.footprint_sum(coefficients, 7, 20, w[0], (w[1], w[2], w[3], w[4], w[5], w[6]))
         lanes.copy_pair(flat, 11, pair, 1)
 
     found, pair = np.zeros(1, np.float32), np.zeros(4, dtype)
     both(flat, coefficients, weights, found, pair)
-    expected = lanes.footprint_sum(coefficients, 7, 20, *weights)
+    expected = lanes.footprint_sum(coefficients, 7, 20, weights[0], weights[1:])
     assert found[0] == pytest.approx(expected, rel=1e-6)
     assert pair.tolist() == [0, flat[11], flat[12], 0]
     taps = [bspline.weight_outer, bspline.weight_middle, bspline.weight_inner]

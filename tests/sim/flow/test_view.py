@@ -11,7 +11,7 @@ from sim.renderer.kernels.rays import camera_ray, last_way
 from sim.renderer.patterns import Pose
 from sim.renderer.render import Aperture, render_irradiance, tables_of
 from tests.slow_cases import slow
-from tracer.bodies import Rod, shifted_by
+from tracer.bodies import Rod, translate_by
 from tracer.errors import SceneError
 
 GAP_MM = 4.0
@@ -21,7 +21,7 @@ ZOOM = 8
 
 def flow_scene(name="two_spheres_500", size=504):
     scene = at_size(demo_scene(name), size)
-    return scene.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in scene.bodies])
+    return scene.with_bodies([body.moved(translate_by((0.0, 0.0, GAP_MM))) for body in scene.bodies])
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from sim.flow.modes import RandomModes
 from sim.flow.particles import LightSheet
 from sim.flow.truth import window_mean, window_places
 from tests.daq.small_run import about_run, keep_frame, planned
-from tracer.bodies import shifted_by
+from tracer.bodies import translate_by
 from tracer.scene.scene_file import dump_scene
 
 PAIRS, SIDE_PX, DT_S, RATE_HZ, WINDOW_PX = 24, 504, 2e-3, 10.0, 32
@@ -42,7 +42,7 @@ def flow_run(parent, scene, flow):
 def test_the_mean_of_a_jet_is_as_sure_as_it_says_where_the_background_is_taken_off(tmp_path):
     """Errors behind the glass are within their sigma as often as they should be; with reflections, less often."""
     stack = at_size(demo_scene("two_spheres_500"), SIDE_PX)
-    scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
+    scene = stack.with_bodies([body.moved(translate_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     flow = Flow(Jet(), RandomModes(8.0, seed=14))
     run = flow_run(tmp_path, scene, flow)
     error, covered = {}, {}
