@@ -345,7 +345,9 @@ def _print_others(lab: Lab, share: float, lens: bool) -> None:
     ]
     columns = ("--balls", "--arrangement", "--gap-mm", "--lens-mm", "through glass")
     title = "other arrangements of such balls, each where it shows most"
-    console().print(Table(title, columns, rows, left=(1,)))
+    table = Table(title, columns, rows, left=(1,)).__rich__()
+    table.box = None
+    console().print(table)
 
 
 NEXT = (
