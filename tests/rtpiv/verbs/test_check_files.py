@@ -100,7 +100,7 @@ def test_a_board_file_is_looked_at_beside_the_bench_that_names_it(lab):
     )
     for old, new, words in (
         ("step_mm: 1.0", "step_mm: 4.0", r"plate.yaml:.*at most 0.8 of pitch_mm"),
-        ("large_dot_mm: 1.7", "large_dot_mm: 1.1", r"plate.yaml:.*large dots of 1.1 mm cannot be told"),
+        ("large_dot_mm: 1.7", "large_dot_mm: 1.1", r"plate.yaml:.*large dots of 1.1 mm are too like"),
         ("levels: rows", "levels: rings", r"plate.yaml:.*levels"),
     ):
         change(lab / "plate.yaml", old, new)
