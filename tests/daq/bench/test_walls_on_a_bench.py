@@ -101,7 +101,7 @@ def seen(bench, piece):
     judge = Clearances(bench.scene, carried, bench.table.keep_out, dict.fromkeys(carried, 0.0))
     for name, at_mm in piece.others_mm.items():
         judge.put(name, piece.start_mm if name == piece.axis else at_mm)
-    return judge.moved({piece.axis: piece.end_mm}, {piece.axis}, {})
+    return judge.judge_motion({piece.axis: piece.end_mm}, {piece.axis}, {})
 
 
 @pytest.mark.parametrize(

@@ -49,8 +49,8 @@ def ways(bench, plan, rng):
             except StageUsageError:  # said before it is made: nothing moves any more
                 return close, None
             for piece in stage.way(here, move):
-                witness.rested()
-                close += witness.moved({piece.axis: piece.end_mm}, {piece.axis}, {})
+                witness.note_rest()
+                close += witness.judge_motion({piece.axis: piece.end_mm}, {piece.axis}, {})
             here |= move
         glass = np.array(bench.table.offset_mm("glass", here))
         seen = off + glass + bias + rng.uniform(-0.5, 0.5, 3) * PLAY_MM + rng.normal(0.0, 0.002, 3)
@@ -95,4 +95,4 @@ def test_the_witness_sees_what_goes_wrong(bench_and_plan):
         n: Carried(a.carries, "xyz".index(a.along), bench.home_mm[n]) for n, a in bench.table.stages.axes.items()
     }
     witness = Clearances(bench.scene, carried, bench.table.keep_out, dict.fromkeys(carried, PLAY_MM))
-    assert witness.moved({"glass_z": blind["glass_z"]}, {"glass_z"}, {})
+    assert witness.judge_motion({"glass_z": blind["glass_z"]}, {"glass_z"}, {})

@@ -211,11 +211,11 @@ def test_a_target_that_cuts_a_body_is_refused():
         tables_of(scene, Pose((0.0, 0.0, 10.0)), None)
     behind = tables_of(scene, Pose((0.0, 0.0, 50.0)), None)
     assert len(behind.spheres) == 1  # the nearer to the camera; the other is behind the target
-    assert len(tables_of(scene, Pose((0.0, 0.0, -20.0)), None).spheres) == 2
+    assert len(tables_of(scene, Pose((0.0, 0.0, -20.0)), None).world.spheres) == 2
 
 
 def test_index_is_taken_against_the_room():
     camera = demo_scene("one_sphere_500").camera
     ball = Sphere("ball", (0.0, 0.0, 30.0), 20.0, GLASS)
     scene = Scene(camera, (ball,), ambient=ConstantMedium(1.25))
-    assert tables_of(scene, Pose(), None).spheres[0, 4] == pytest.approx(1.2)
+    assert tables_of(scene, Pose(), None).world.spheres[0, 4] == pytest.approx(1.2)

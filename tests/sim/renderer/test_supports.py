@@ -73,7 +73,7 @@ def test_a_support_beside_the_sheet_may_reach_past_it(kind):
         else Sphere("post", (0.0, 50.0, 25.0), 5.0, None)
     )
     pose = Pose().translate(z_mm=25.0)
-    assert len(tables_of(scene_of(body), pose, None, (80.0, 80.0)).bounds) == 1
+    assert len(tables_of(scene_of(body), pose, None, (80.0, 80.0)).world.bounds) == 1
     with pytest.raises(SceneError, match="'post'"):
         tables_of(scene_of(body), pose, None, (80.0, 120.0))
 

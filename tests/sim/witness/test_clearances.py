@@ -65,7 +65,7 @@ def test_one_axis_at_a_time_it_agrees_with_the_guard():
         expected = [
             (one.name, two.name, closest)
             for one, two, closest, begin in other._approaches(piece)
-            if closest < min(other._allowed_mm(one, two), begin) - 1e-6
+            if closest < min(other._limit_mm(one, two), begin) - 1e-6
         ]
         names = {frozenset((one, two)): closest for one, two, closest in expected}
         deep = {pair: mm for pair, mm in names.items() if mm > -20.0}  # in a box the depth is not measured
@@ -149,4 +149,4 @@ def test_contact_is_allowed_to_the_body_that_is_named():
     assert not judge.judge_motion({"glass_z": -30.02}, {"glass_z"}, {})
     judge.note_rest()
     assert judge.judge_motion({"glass_z": -30.1}, {"glass_z"}, {})
-    assert not clearances(0.05, contact=["front"]).moved({"glass_z": -30.1}, {"glass_z"}, {})
+    assert not clearances(0.05, contact=["front"]).judge_motion({"glass_z": -30.1}, {"glass_z"}, {})
