@@ -58,7 +58,7 @@ class Playground:
     def _let_others_in(self):
         """Who has taken the turn may be kept waiting before its first byte."""
         turn, clock = self.bench.stage._turn, self.bench.clock
-        taken = turn.taken
+        taken = turn.take
 
         @contextmanager
         def waits():
@@ -66,7 +66,7 @@ class Playground:
                 clock.sleep_s(0.0)
                 yield
 
-        turn.taken = waits
+        turn.take = waits
 
     def tell(self, seed, length):
         self.glides.clear()

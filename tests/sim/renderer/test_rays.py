@@ -210,7 +210,7 @@ def test_a_target_that_cuts_a_body_is_refused():
     with pytest.raises(SceneError, match="cuts through body 'sphere1'"):
         tables_of(scene, Pose((0.0, 0.0, 10.0)), None)
     behind = tables_of(scene, Pose((0.0, 0.0, 50.0)), None)
-    assert len(behind.spheres) == 1  # the nearer to the camera; the other is behind the target
+    assert len(behind.world.spheres) == 1  # the nearer to the camera; the other is behind the target
     assert len(tables_of(scene, Pose((0.0, 0.0, -20.0)), None).world.spheres) == 2
 
 
