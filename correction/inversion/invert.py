@@ -48,9 +48,7 @@ from tracer.strategies.ray_map import RayMap
 from tracer.strategies.strategy import Kind, Strategy
 
 
-def solve_bed(
-    problem: InverseProblem, maps: ViewMaps, sheets: Sheets, sequences: BranchSequences, balls: Balls
-) -> None:
+def solve_bed(problem: InverseProblem, maps: ViewMaps, sheets: Sheets, balls: Balls) -> None:
     """Solve all sheets, those with few events first.
 
     Parameters
@@ -58,14 +56,12 @@ def solve_bed(
     problem, maps : InverseProblem, ViewMaps
         Scene, grid and limits, and the arrays of the map: a node whose last layer weighs enough takes no view.
     sheets : Sheets
-        Those of the ray map.
-    sequences : BranchSequences
-        Spheres of each branch.
+        Those of the ray map, with the spheres of each branch.
     balls : Balls
         The spheres, as bundles take them.
     """
     every = sheets.ordered()
-    small = _listed(every, sequences, balls, problem.every)
+    small = _listed(every, sheets.sequences, balls, problem.every)
     start = StartScratch(
         np.zeros(3, np.int64),
         np.empty(LANES, np.int64),
@@ -237,13 +233,20 @@ class Inversion:
         least = 0 if walled and self.window is None else 1
         sensor = self.ray_map, self.grid, self.problem, self.longest_mm, least
         if self.way.inverse_kind is Kind.BUNDLES:
-            sequences = self._sequences()
-            solve_bed(self.problem, self.maps, Sheets(*sensor, sequences), sequences, self.way.balls)
+            self._solve_many(Sheets(*sensor, self._sequences()))
             return
         sheets = Sheets(*sensor)
         for sheet in sheets:
-            enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
-            self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
+            self._solve_one(sheet, sheets)
+
+    def _solve_many(self, sheets: Sheets) -> None:
+        """Solve the sheets of a bed."""
+        solve_bed(self.problem, self.maps, sheets, self.way.balls)
+
+    def _solve_one(self, sheet: Sheet, sheets: Sheets) -> None:
+        """Solve a sheet on all cores."""
+        enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
+        self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
 
     def _sequences(self) -> BranchSequences:
         """Spheres of every branch."""

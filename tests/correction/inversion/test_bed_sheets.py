@@ -23,7 +23,7 @@ def one_by_one(where: Scene, ray_map: RayMap, layers: int, monkeypatch: pytest.M
         patched.setattr(
             invert.Inversion,
             "_solve_many",
-            lambda self, sheets, ways: [self._solve_one(sheet, sheets) for sheet in sheets],
+            lambda self, sheets: [self._solve_one(sheet, sheets) for sheet in sheets],
         )
         return build_correction_map(where, ray_map, layers=layers)
 
