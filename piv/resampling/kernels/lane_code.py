@@ -30,7 +30,7 @@ def footprint_sum_code(
     typing_context: Code, flat: Code, first: Code, stride: Code, s: Code, weights: Code
 ) -> tuple[Code, Code]:
     """`footprint_sum` in vectors: 6 loads, 12 multiply-adds for rows and weights, one sum across lanes."""
-    six = types.UniTuple(types.float32, 6)
+    six = types.UniTuple(types.float32, 6)  # type: ignore[no-untyped-call]
     signature = types.float32(flat, types.intp, types.intp, types.float32, six)
 
     def emit(context: Code, builder: Code, signature: Code, arguments: Code) -> Code:
