@@ -151,9 +151,9 @@ class Sums(NamedTuple):
     within_no_slant: Moments
     unresolved: Unresolved
 
-    def merged(self, other: "Sums") -> "Sums":
+    def merge_with(self, other: "Sums") -> "Sums":
         """Of both."""
-        parts: list[Any] = [one.merged(two) for one, two in zip(self, other, strict=True)]
+        parts: list[Any] = [one.merge_with(two) for one, two in zip(self, other, strict=True)]
         return Sums(*parts)
 
 
@@ -192,7 +192,7 @@ def moments(case: Case, numbers: range) -> Sums:
             *(Moments.of(share, field.valid) for share in inside),
             Unresolved.of(uv, field.valid, field.resolution_px, apart),
         )
-        total = one if total is None else total.merged(one)
+        total = one if total is None else total.merge_with(one)
     assert total is not None
     return total
 
@@ -218,7 +218,7 @@ def judged(case: Case, parts: Sequence[Sums]) -> dict[str, Any]:
     """Errors of mean and stresses by region, in pixels."""
     total = parts[0]
     for part in parts[1:]:
-        total = total.merged(part)
+        total = total.merge_with(part)
     found = total.found
     prepared, camera = _correction(case), case.camera
     first = vectors(case, 0)
@@ -288,7 +288,7 @@ def _mean_within(parts: Sequence[Sums], true: Array, use: Array) -> float:
     inside = []
     for part in parts:
         mean, random = part.found.mean_uv, _sigma(part.found)
-        unsure = np.nan_to_num(part.unresolved.shared(mean))[..., None]
+        unsure = np.nan_to_num(part.unresolved.share_of_mean(mean))[..., None]
         inside.append(np.abs(mean - true)[use] < np.hypot(random, unsure)[use])
     return float(np.mean(inside))
 

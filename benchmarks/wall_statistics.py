@@ -224,13 +224,13 @@ def by_vectors(
         field = evaluate_pair(a, b, valid, settings, still=still)
         uv, sigma = (np.stack(p, -1) for p in ((field.u_px, field.v_px), (field.sigma_u_px, field.sigma_v_px)))
         moments = moments.add(uv, field.valid, sigma)
-        missing = missing.merged(Unresolved.of(uv, field.valid, field.resolution_px, 1))
+        missing = missing.merge_with(Unresolved.of(uv, field.valid, field.resolution_px, 1))
         looked += field.asked
         vectors.append((uv, sigma, field.valid))
     often = is_measured_often(moments, looked)
     total = moments.only(often)
     n = np.maximum(total.count, 2)[..., None]
-    shared = missing.shared(total.mean_uv)
+    shared = missing.share_of_mean(total.mean_uv)
     unsure = np.hypot(np.nan_to_num(shared), np.nan_to_num(selection_sigma(total, looked)))[..., None]
     stresses, cov = total.reynolds_stresses, total.covariance
     products = np.stack(

@@ -49,7 +49,7 @@ REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
 CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
 BACK = 1.5  # variances of noise that are put back
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
-EDGE = 2  # blocks at the edge of frames that lack pixels
+EDGE_BLOCKS = 2  # blocks at the edge of frames that lack pixels
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -148,10 +148,13 @@ def _opposite(values: Singles) -> Singles:
     """Sum (rows, columns) of the products of blocks on opposite sides of each, in four directions."""
     total = np.zeros_like(values)
     rows, columns = values.shape
-    inner = slice(EDGE, rows - EDGE), slice(EDGE, columns - EDGE)
+    inner = slice(EDGE_BLOCKS, rows - EDGE_BLOCKS), slice(EDGE_BLOCKS, columns - EDGE_BLOCKS)
     for down, right in OPPOSITE:
         one, other = (
-            values[EDGE + s * down : rows - EDGE + s * down, EDGE + s * right : columns - EDGE + s * right]
+            values[
+                EDGE_BLOCKS + s * down : rows - EDGE_BLOCKS + s * down,
+                EDGE_BLOCKS + s * right : columns - EDGE_BLOCKS + s * right,
+            ]
             for s in (1, -1)
         )
         total[inner] += one * other

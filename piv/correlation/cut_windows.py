@@ -19,7 +19,7 @@ from piv.correlation.resolution import second_differences
 from piv.correlation.windows import WindowGrid
 
 OF_BEND, OF_GRADIENT = 2.0, 0.25
-CELL_PX = 4  # in which a mask is looked at
+CUT_CELL_PX = 4  # in which a mask is looked at
 Floats = NDArray[np.float64]
 
 
@@ -57,13 +57,13 @@ def beside_px(valid: NDArray[np.float32], grid: WindowGrid, side_px: int, window
     """Distance (ny, nx) of the middle of a window's valid weight from its own; 0 where nothing is valid."""
     import cv2
 
-    height, width = (-(-side // CELL_PX) for side in valid.shape)
-    padded = np.zeros((height * CELL_PX, width * CELL_PX), np.float32)
+    height, width = (-(-side // CUT_CELL_PX) for side in valid.shape)
+    padded = np.zeros((height * CUT_CELL_PX, width * CUT_CELL_PX), np.float32)
     padded[: valid.shape[0], : valid.shape[1]] = valid
     cells = cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
     whole = window_weights(side_px, window_sigma)
-    reach = side_px // (2 * CELL_PX)
-    place = np.arange(-reach, reach + 1.0) * CELL_PX
+    reach = side_px // (2 * CUT_CELL_PX)
+    place = np.arange(-reach, reach + 1.0) * CUT_CELL_PX
     bell = np.interp(place, np.arange(side_px) - (side_px - 1) / 2, whole)
     kernels = bell, place * bell
     found = [
@@ -72,7 +72,7 @@ def beside_px(valid: NDArray[np.float32], grid: WindowGrid, side_px: int, window
     ]
     at = np.ix_(
         *(
-            np.clip(np.rint((middle + 0.5) / CELL_PX - 0.5), 0, count - 1).astype(np.int64)
+            np.clip(np.rint((middle + 0.5) / CUT_CELL_PX - 0.5), 0, count - 1).astype(np.int64)
             for middle, count in ((grid.y_px, height), (grid.x_px, width))
         )
     )

@@ -27,7 +27,7 @@ from piv.correlation.planes import smooth_field
 LEVELS = 0.625, 1.25  # of the window's side: standard deviation of the weights of what is smooth
 ORDER = 3
 OWN = 10.0  # times its noise at which a vector's part speaks for itself: chance hardly reaches it
-LARGEST_SIGMA_PX = 0.2  # beyond which correlation statistics mean little
+MAX_TRUSTED_SIGMA_PX = 0.2  # beyond which correlation statistics mean little
 LOWER = 1.4  # times its noise beyond which a part is flow, by more neighbours
 LOUDEST = 5.0  # times its noise: the most that a place says of others
 NEIGHBOURS = 0.8  # of a level's deviation: how far those are asked how strong a part is
@@ -72,7 +72,7 @@ def remove_noise(
     """
     known = good & np.isfinite(sigma_px).all(axis=-1)
     stated = np.where(known[..., None], sigma_px, np.inf)
-    noises = [np.square(np.minimum(stated, LARGEST_SIGMA_PX) * growth[..., None]) for growth in growths]
+    noises = [np.square(np.minimum(stated, MAX_TRUSTED_SIGMA_PX) * growth[..., None]) for growth in growths]
     whole = [np.square(np.where(known[..., None], sigma_px, 0.0) * growth[..., None]) for growth in growths]
     trust = _trust(noises[-1].sum(axis=-1), good, known)
     fields = [np.where(good[..., None], vectors, 0.0)]

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 PROVEN, WEAK = 2.0, 1.5  # highest peak over the second one
-REACH = 0.1  # of the window's side
+NEIGHBOUR_REACH = 0.1  # of the window's side
 BY_CHANCE = 2.3  # standard deviations
 ROWS_OF_THREE = (0, 1), (1, 0), (1, 1), (1, -1)  # steps along rows and columns
 
@@ -54,14 +54,14 @@ def is_supported_by_peak(
     """
     clear = suspects & (peak_ratio > PROVEN)
     rows, columns = np.nonzero(clear)
-    in_rows = _in_rows(vectors, suspects & (peak_ratio > WEAK), REACH * window_px)
+    in_rows = _in_rows(vectors, suspects & (peak_ratio > WEAK), NEIGHBOUR_REACH * window_px)
     if not len(rows):
         return in_rows
     known = np.full((vectors.shape[0] + 2, vectors.shape[1] + 2, 2), np.nan)
     known[1:-1, 1:-1][candidates] = vectors[candidates]
     around = np.stack([known[rows + i, columns + j] for i in range(3) for j in range(3)])
     off_px = np.linalg.norm(vectors[rows, columns] - np.nanmedian(around, axis=0), axis=-1)
-    clear[rows, columns] = off_px <= REACH * window_px
+    clear[rows, columns] = off_px <= NEIGHBOUR_REACH * window_px
     return clear | in_rows
 
 

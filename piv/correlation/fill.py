@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ground.rows import run_rows
 from piv.correlation.kernels.kriging import krige
 
-BLUR_PX = 1.0  # standard deviation of the weights that fill regions
+FILL_BLUR_PX = 1.0  # standard deviation of the weights that fill regions
 AROUND_PX, HOLE = 2.0, 0.5  # by these weights so much around a hole is valid; less beyond the edge of a region
 NEAR_PX2 = 10  # squared distance of the neighbours that a hole learns from
 LEAST_NOISE = 0.007  # of the picture's variance: what sampling alone makes of particle images
@@ -74,9 +74,9 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
         krige(a, b, seen, holes, NEAR, alike, texture.noise, *scratch, first, last, filled)
 
     run_rows(guess, len(holes))
-    share = np.maximum(blur_frame(weight, BLUR_PX), np.float32(0.05))[missing]
+    share = np.maximum(blur_frame(weight, FILL_BLUR_PX), np.float32(0.05))[missing]
     for frame in (a, b):
-        frame[missing] = blur_frame(frame * weight, BLUR_PX)[missing] / share
+        frame[missing] = blur_frame(frame * weight, FILL_BLUR_PX)[missing] / share
     if not len(holes):
         return None
     at = tuple(holes.T)

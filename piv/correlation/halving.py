@@ -60,7 +60,7 @@ CHANCE = (  # variance of a particle image [px^2]; what vectors explain by follo
 )
 PIECES = 3.0  # particle images that the finest windows must hold
 JUDGED = 3  # side of what is judged together, in finest windows
-CELL_PX = 4  # light is added up over cells about as large as a particle image, at least
+LIGHT_CELL_PX = 4  # light is added up over cells about as large as a particle image, at least
 LEFT_PX, LEFT_SHARE = 0.1, 0.03  # more fine vectors than this share moved by more: another pass
 
 Floats = NDArray[np.float64]
@@ -89,7 +89,7 @@ def find_sizes(course: MultipassState, grid: WindowGrid, spread_px2: float, samp
     usual = interpolate_nodes(course.predictor(), course.grid, grid)
     course.run_pass(grid)
     before = match_around(course.found.own, grid, JUDGED * grid.size_px, settings.window_sigma)
-    if not _expected_gain(course.predictor() - usual, before, spread_px2, grid, usual_px):
+    if not _gain_to_expect(course.predictor() - usual, before, spread_px2, grid, usual_px):
         course.read_sizes_again(usual, Sizes((grid.size_px, usual_px), np.ones(grid.shape, np.int64)))
         return Found(0, np.zeros(grid.shape))
     course.run_pass(grid)
@@ -123,7 +123,7 @@ def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, 
     return np.maximum(mean, 0.0) * clear / (1.0 + clear)
 
 
-def _expected_gain(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
+def _gain_to_expect(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
     """Return whether a second trial may gain enough, by the difference (ny, nx, 2) that the first found."""
     most = match * np.square(apart_px).sum(axis=-1) / (4.0 * spread_px2 * np.maximum(1.0 - match, 1e-3))
     around = blur_nodes(most, JUDGED * grid.size_px * WIDE / grid.step_px)
@@ -140,7 +140,7 @@ def effective_particles(
     """
     import cv2
 
-    cell_px = max(CELL_PX, round(4.0 * float(np.sqrt(spread_px2))))
+    cell_px = max(LIGHT_CELL_PX, round(4.0 * float(np.sqrt(spread_px2))))
     height, width = (side // cell_px for side in frame.shape)
     whole = np.square(frame[: height * cell_px, : width * cell_px])
     light = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from piv.correlation.windows import WindowGrid
 
-CELL_PX, ROWS = 16, 4  # side of a cell; one row of so many is read
-BLUR_CELLS = 2.0  # means over about a window: cells hold few particles
+SHAPE_CELL_PX, ROWS = 16, 4  # side of a cell; one row of so many is read
+WINDOW_CELLS = 2.0  # means over about a window: cells hold few particles
 MIN_INCLINATION = 0.1  # median of |k|: of round images 0.01 to 0.05 by chance; they are read as they are
 MAX_INCLINATION = 0.85  # of |k|: beyond it the noise of the fit grows more than passes gain
 MAX_STRETCH = 3.0  # of the two widths over each other
@@ -50,7 +50,7 @@ class Inclination(NamedTuple):
 
     def _at(self, cells: Floats, grid: WindowGrid) -> Floats:
         rows, columns = (
-            np.clip(place.astype(np.int64) // CELL_PX, 0, count - 1)
+            np.clip(place.astype(np.int64) // SHAPE_CELL_PX, 0, count - 1)
             for place, count in zip((grid.y_px, grid.x_px), cells.shape, strict=True)
         )
         return np.asarray(cells[np.ix_(rows, columns)])
@@ -85,6 +85,6 @@ def _in_cells(frame: NDArray[np.float32], first: tuple[int, int], second: tuple[
 
     height, width = frame.shape[0] - 2, frame.shape[1] - 2
     one, other = (frame[row : row + height : ROWS, column : column + width] for row, column in (first, second))
-    cells = max(width // CELL_PX, 1), max(height // CELL_PX, 1)
+    cells = max(width // SHAPE_CELL_PX, 1), max(height // SHAPE_CELL_PX, 1)
     means = cv2.resize(one * other, cells, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(means, (0, 0), BLUR_CELLS), np.float64)
+    return np.asarray(cv2.GaussianBlur(means, (0, 0), WINDOW_CELLS), np.float64)

@@ -363,10 +363,10 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
-        resolution = np.maximum(_modelled_resolution(course, sizes, final, taken, pieces), missed_px)
+        resolution = np.maximum(_resolution_of_sizes(course, sizes, final, taken, pieces), missed_px)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.
-            finer = _missed_short_waves(course, good, noise, added)
+            finer = _short_wave_error(course, good, noise, added)
             resolution = np.where(large, resolution, np.hypot(resolution, finer))
         # 4. Resolution as blocks of the frames show it.
         beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
@@ -473,7 +473,7 @@ def _remove_noise(
     return remove_noise(vectors, good, sigma, growths, levels, settings.denoise)
 
 
-def _missed_short_waves(course: MultipassState, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:
+def _short_wave_error(course: MultipassState, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:
     """Uncertainty (ny, nx) by waves that not even the smallest windows show."""
     settings, grid = course.settings, course.grid
     vectors, noise = (fill_gaps(part, good)[0] for part in (course.found.vectors_px, sigma))
@@ -481,7 +481,7 @@ def _missed_short_waves(course: MultipassState, good: NDArray[np.bool_], sigma: 
     return finer_px(vectors, noise, Evaluated(grid.size_px, grid.step_px, settings.window_sigma, between))
 
 
-def _modelled_resolution(
+def _resolution_of_sizes(
     course: MultipassState, sizes: Sizes, vectors: Floats, taken: Floats, pieces: Floats
 ) -> Floats:
     """Modelled resolution error (ny, nx) of windows, each of its size."""

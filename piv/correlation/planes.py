@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 FILL_SIGMA = 1.5  # grid steps; the fit sees neighbours up to 6 steps away
 LEAST_FILL, LEAST_SMOOTH = 1e-3, 0.02  # of all weights, on valid vectors: with less there is no plane
-REACH = 4.0  # standard deviations at which a Gaussian ends
+GAUSSIAN_REACH = 4.0  # standard deviations at which a Gaussian ends
 RIDGE = 0.02  # steps^2: keeps slopes finite where neighbours stand in one line
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ class PlaneFit:
     """
 
     def __init__(self, weight: Floats, sigma_steps: float) -> None:
-        reach = int(np.ceil(REACH * sigma_steps))
+        reach = int(np.ceil(GAUSSIAN_REACH * sigma_steps))
         place = np.arange(-reach, reach + 1.0)
         bell = np.exp(-0.5 * np.square(place / sigma_steps))
         bell /= bell.sum()

@@ -99,7 +99,7 @@ class Pair:
         return spline
 
     def half_resolution(self) -> "Pair":
-        """The same at half the resolution, for whoever looks for pixels and not for their fractions."""
+        """The same at half the resolution, for a search of whole pixels."""
         import cv2
 
         size = self.a.shape[1] // 2 * 2, self.a.shape[0] // 2 * 2
@@ -226,14 +226,14 @@ def texture_of(frame: Floats, weight: Floats, whole: bool) -> Texture:
     every = slice(None, None, max(1, frame.shape[0] // 256))
     rows, seen = frame[every], weight[every]
 
-    def alike(lag: int) -> float:
+    def match_at(lag: int) -> float:
         end = rows.shape[1] - lag
         mean = float(np.mean(rows[:, lag:] * rows[:, :end], dtype=np.float64))
         return mean if whole else mean / max(float(np.mean(seen[:, lag:] * seen[:, :end])), 1e-6)
 
-    one, two = alike(1), alike(2)
+    one, two = match_at(1), match_at(2)
     if one <= 0.0:
         return Texture(SHARPEST, MOST_NOISE / (1.0 - MOST_NOISE))  # hardly more than single pixels
     fall = max(float(np.log(one / max(two, 1e-3 * one))), 1e-3)
-    noise = float(np.clip(1.0 - one * np.exp(fall / 3.0) / alike(0), 0.0, MOST_NOISE))
+    noise = float(np.clip(1.0 - one * np.exp(fall / 3.0) / match_at(0), 0.0, MOST_NOISE))
     return Texture(0.75 / fall, noise / (1.0 - noise))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piv.correlation.planes import REACH, smooth_field
+from piv.correlation.planes import GAUSSIAN_REACH, smooth_field
 from piv.correlation.refine import Refined, read_windows, window_weights
 from piv.correlation.uncertainty import CorrelationAsymmetry
 from piv.correlation.windows import WindowGrid
@@ -126,7 +126,7 @@ def blur_nodes(values: Floats, sigma_steps: float) -> Floats:
 
     if sigma_steps <= 0.0:
         return values
-    reach = int(np.ceil(REACH * sigma_steps))
+    reach = int(np.ceil(GAUSSIAN_REACH * sigma_steps))
     bell = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1.0) / sigma_steps))
     bell /= bell.sum()
     found: Any = cv2.sepFilter2D(values, -1, bell, bell, borderType=cv2.BORDER_CONSTANT)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from piv.errors import PairError
 
-LEAST_SHARE = 1e-12  # of a node in what is interpolated
+MIN_NODE_SHARE = 1e-12  # of a node in what is interpolated
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def interpolation_matrix(
     format (denormal) make products ten times slower.
     """
     matrix = interpolate(np.eye(len(nodes_px)), 0, nodes_px, target_px, step_px)
-    return np.where(np.abs(matrix) < LEAST_SHARE, 0.0, matrix).astype(np.float32)
+    return np.where(np.abs(matrix) < MIN_NODE_SHARE, 0.0, matrix).astype(np.float32)
 
 
 def around(

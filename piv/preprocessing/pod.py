@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from piv.errors import FrameError, SeriesError
 from piv.preprocessing.series_light import same_kind
 
-FEWEST = 12  # frames, for a spectrum with a flat part
+POD_MIN_FRAMES = 12  # frames, for a spectrum with a flat part
 LARGEST_SHARE = 4  # at most one pattern for so many frames: else the spectrum is not flat anywhere
 BLOCK = 16  # frames held at once, twice
 TILE_PX = 1 << 18  # 2^16 2^16 2^18 = 2^50: sums of products of 16 bit counts are exact in float64
-EDGE = 3.0
+POD_EDGE = 3.0
 
 Frame = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -58,8 +58,10 @@ def pod_patterns(read: Callable[[int], Frame], count: int) -> NDArray[np.float32
     SeriesError
         Too few frames, or a spectrum that is nowhere flat.
     """
-    if count < FEWEST:
-        raise SeriesError(f"patterns of a background need {FEWEST} frames, there are {count}; take its minimum")
+    if count < POD_MIN_FRAMES:
+        raise SeriesError(
+            f"patterns of a background need {POD_MIN_FRAMES} frames, there are {count}; take its minimum"
+        )
     gram = _gram(read, count)
     values, vectors = np.linalg.eigh(gram / max(float(gram.diagonal().max()), 1.0))
     values, vectors = values[::-1], vectors[:, ::-1]
@@ -82,7 +84,7 @@ def pod_patterns(read: Callable[[int], Frame], count: int) -> NDArray[np.float32
 def rank_before_flat(values: Floats) -> int:
     """Eigenvalues, falling, that stand before the flat part of their spectrum."""
     middle = float(np.median(values))
-    return int(np.count_nonzero(values > middle + EDGE * (middle - float(values[-1]))))
+    return int(np.count_nonzero(values > middle + POD_EDGE * (middle - float(values[-1]))))
 
 
 def without_patterns(frame: Frame, patterns: NDArray[np.float32]) -> NDArray[np.float32]:

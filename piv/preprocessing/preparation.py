@@ -193,7 +193,7 @@ class Preparation:
         """Description of each step, a sentence."""
         return [(RAW | CORRECTED)[name] for name in self.steps]
 
-    def finished(self, corrected: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
+    def apply(self, corrected: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
         """Corrected frame (h, w), NaN where not `valid`, after the steps for corrected frames."""
         for name in self.steps:
             if name == "min-max":

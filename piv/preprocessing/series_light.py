@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piv.errors import FrameError, SeriesError
 
-FEWEST = 2
+SERIES_MIN_PAIRS = 2
 
 
 def series_minimum(frames: Iterable[NDArray[Any]]) -> NDArray[Any]:
@@ -84,7 +84,7 @@ def same_kind(frame: NDArray[Any], first: NDArray[Any]) -> NDArray[Any]:
 
 
 def _enough(found: NDArray[Any] | None, count: int) -> NDArray[Any]:
-    if found is None or count < FEWEST:
+    if found is None or count < SERIES_MIN_PAIRS:
         raise SeriesError(
             f"a background is what several frames share, and there are {count}; take more pairs or none"
         )

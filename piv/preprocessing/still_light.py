@@ -38,8 +38,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-CELL_PX = 4
-LEVEL_PX = 11  # side of the surroundings: larger than a particle image, so that a wall's edge does not reach far
+STILL_CELL_PX = 4
+STILL_LEVEL_PX = (
+    11  # side of the surroundings: larger than a particle image, so that a wall's edge does not reach far
+)
 BLUR_CELLS = 1.0  # one cell holds too few particles
 MOVES, LEAST_MOVING = 0.5, 0.1  # r below which light moves; share of the cells that must, for a usual brightness
 SEEN = 0.05  # of the median of E: cells with less show nothing
@@ -180,14 +182,14 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     found = np.asarray(scipy.ndimage.binary_dilation(found, np.ones((3, 3), bool)))
     at = np.ix_(
         *(
-            np.minimum(np.arange(side) // CELL_PX, count - 1)
+            np.minimum(np.arange(side) // STILL_CELL_PX, count - 1)
             for side, count in zip(valid.shape, found.shape, strict=True)
         )
     )
-    still = np.asarray(found[at]) | _ruled_lines(darkest, valid)
+    still = np.asarray(found[at]) | _find_ruled_lines(darkest, valid)
     if quick:
         ground = float(np.median(cells.floor[moves])) * counts / count
-        still |= _writing(plateaus, valid, ground, moves[at])
+        still |= _find_writing(plateaus, valid, ground, moves[at])
     return still if still.any() else None
 
 
@@ -278,7 +280,7 @@ def _still(
     return np.asarray(still | (between & rest) | beside)
 
 
-def _writing(
+def _find_writing(
     plateaus: tuple[NDArray[Any], ...], valid: NDArray[np.bool_], ground: float, moves: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach; see `_plateaus`."""
@@ -309,7 +311,7 @@ def _writing(
     return np.asarray(cv2.dilate(bright * kept[parts], reach) > 0)
 
 
-def _ruled_lines(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_ruled_lines(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) in and beside bright lines along rows or columns, such as those of a graticule or a sensor.
 
     No row of particles is so long and nowhere dark in all frames.
@@ -348,7 +350,7 @@ def _share_of_cells(valid: NDArray[np.bool_], shape: tuple[int, ...]) -> Floats:
 
     if valid.all():
         return np.ones(shape, np.float32)
-    part = valid[: shape[0] * CELL_PX, : shape[1] * CELL_PX].astype(np.float32)
+    part = valid[: shape[0] * STILL_CELL_PX, : shape[1] * STILL_CELL_PX].astype(np.float32)
     return np.asarray(cv2.resize(part, (shape[1], shape[0]), interpolation=cv2.INTER_AREA))
 
 
@@ -370,7 +372,7 @@ def _remove_level(frame: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, Floa
 
     whole = bool(valid.all())
     values = frame if whole else np.where(valid, frame, np.float32(0.0))
-    size = (LEVEL_PX, LEVEL_PX)
+    size = (STILL_LEVEL_PX, STILL_LEVEL_PX)
     mean: Any = cv2.blur(values, size, borderType=cv2.BORDER_REFLECT)
     if not whole:
         mean /= np.maximum(cv2.blur(valid.astype(np.float32), size, borderType=cv2.BORDER_REFLECT), 1e-6)
@@ -384,7 +386,7 @@ def _floor(a: Floats, b: Floats, shape: tuple[int, ...]) -> Floats:
     """Level of cells (ny, nx) between particles, and without any: of the darker of both frames."""
     import cv2
 
-    half_cell = CELL_PX // 2
+    half_cell = STILL_CELL_PX // 2
     height, width = (half_cell * cells for cells in shape)
     darker = np.minimum(a, b)
     lacking = (max(2 * whole - side, 0) for whole, side in zip((height, width), a.shape, strict=True))
@@ -421,8 +423,8 @@ def _cells(values: Floats) -> Floats:
     """Means over whole cells and those around them, of every second row of a frame."""
     import cv2
 
-    deep = CELL_PX // 2
-    height, width = max(values.shape[0] // deep, 1), max(values.shape[1] // CELL_PX, 1)
-    part = values[: height * deep, : width * CELL_PX]
+    deep = STILL_CELL_PX // 2
+    height, width = max(values.shape[0] // deep, 1), max(values.shape[1] // STILL_CELL_PX, 1)
+    part = values[: height * deep, : width * STILL_CELL_PX]
     mean = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(mean, (0, 0), BLUR_CELLS), np.float32)

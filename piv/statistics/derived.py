@@ -234,18 +234,18 @@ def rim_steps(
         x, y = (grid_x[both] - place[0]) / reach, (grid_y[both] - place[1]) / reach
         terms = [x**k * y**m for m in range(DEGREE + 1) for k in range(DEGREE + 1 - m)]
         model = np.stack((two[both].astype(float), *terms), axis=-1)
-        parts = [_weighted_sum(model, field.uv[both][:, k], field.sigma[both][:, k]) for k in range(2)]
+        parts = [_sum_weighted(model, field.uv[both][:, k], field.sigma[both][:, k]) for k in range(2)]
         sigma = np.array([sigma for _, sigma in parts])
         if field.through is not None:
             slope, spread = np.nan_to_num(field.through.slope[both]), field.sigma[both]
-            jump = np.array([_weighted_sum(model, slope[:, k], spread[:, k])[0] for k in range(2)])
+            jump = np.array([_sum_weighted(model, slope[:, k], spread[:, k])[0] for k in range(2)])
             sigma = np.hypot(sigma, jump * np.nanmedian(field.through.sigma_w[both]))
         found.append((place, np.array([step for step, _ in parts]), sigma))
     places, steps, sigmas = (np.array([each[k] for each in found]).reshape(-1, 2) for k in range(3))
     return RimStep(places, steps, sigmas)
 
 
-def _weighted_sum(model: Floats, values: Floats, sigma: Floats) -> tuple[float, float]:
+def _sum_weighted(model: Floats, values: Floats, sigma: Floats) -> tuple[float, float]:
     """First parameter of a weighted fit and its sigma, not less than what the residuals say."""
     weight = 1.0 / sigma
     inverse = np.linalg.pinv(model * weight[:, None])

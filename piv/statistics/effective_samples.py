@@ -34,10 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piv.errors import SeriesError
-from piv.statistics.moments import Moments, checked
+from piv.statistics.moments import Moments, check_arrays
 
-LEAST_BLOCKS = 31  # of a level: sigma is then known to 13 %
-ENOUGH_PAIRS = 2 * LEAST_BLOCKS  # of which the means of pairs of pairs can be compared with the pairs themselves
+MIN_INDEPENDENT_BLOCKS = 31  # of a level: sigma is then known to 13 %
+ENOUGH_PAIRS = (
+    2 * MIN_INDEPENDENT_BLOCKS
+)  # of which the means of pairs of pairs can be compared with the pairs themselves
 LEAST_TIMES = 20.0  # T that a series must hold: the mean taken off it hides T/n of its autocorrelation
 RISE = 0.04  # of the field's average from one level to any longer one that counts as a plateau
 Floats = NDArray[np.float64]
@@ -143,7 +145,7 @@ class Levels(NamedTuple):
     mean: Floats
     squares: Floats
 
-    def merged(self, other: "Levels") -> "Levels":
+    def merge_with(self, other: "Levels") -> "Levels":
         """Blocks of both, level by level; levels that only one has stay as they are."""
         longer, shorter = (self, other) if len(self.blocks) >= len(other.blocks) else (other, self)
         both = len(shorter.blocks)
@@ -203,7 +205,7 @@ class Blocking:
         count, mean = one.count.astype(np.float64), one.mean
         return cls(1, count, mean, _block(count, mean))
 
-    def merged(self, other: "Blocking") -> "Blocking":
+    def merge_with(self, other: "Blocking") -> "Blocking":
         """These pairs and those that follow.
 
         Raises
@@ -216,7 +218,7 @@ class Blocking:
         count = self.count + other.count
         share = (other.count / np.maximum(count, 1.0))[..., None]
         mean = np.where(share == 1.0, other.mean, self.mean + (other.mean - self.mean) * share)
-        levels = self.levels.merged(other.levels)
+        levels = self.levels.merge_with(other.levels)
         pairs = self.pairs + other.pairs
         if self.pairs == other.pairs and pairs & (pairs - 1) == 0:  # both whole: a block of the next level
             whole = _block(count, mean)
@@ -229,7 +231,7 @@ class Blocking:
         blocks = self.levels.blocks[:, several]
         usable = 1
         if several.any():
-            enough = np.median(blocks, axis=1) >= LEAST_BLOCKS
+            enough = np.median(blocks, axis=1) >= MIN_INDEPENDENT_BLOCKS
             usable = max(1, int(np.argmin(enough)) if not enough.all() else len(enough))
         variance = self.levels.variance(self.mean)[:usable]
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -262,7 +264,7 @@ class Blocking:
         depth = np.shape(arrays.get("blocks", ()))[-1:]
         tails: dict[str, tuple[int, ...]] = {"count": (), "mean_of_all": (2,), "blocks": depth, "samples": depth}
         tails |= {"weight": depth, "mean": (2, *depth), "squares": (2, *depth)}
-        found = checked(arrays, tails, ())
+        found = check_arrays(arrays, tails, ())
         pairs = int(arrays["pairs"]) if "pairs" in arrays and np.ndim(arrays["pairs"]) == 0 else 0
         if pairs < 1 or not depth or depth[0] != pairs.bit_length() or not _sound(found):
             raise SeriesError("sums over blocks are not finite or too many; the file is damaged")

@@ -94,7 +94,7 @@ from piv.statistics.kernels.cell_planes import CUBIC, TEMPLATES, cell_products, 
 from piv.statistics.sweep import LEAST_REACH_PX, MOST_REACH_PX, Sweep
 
 SPLINE_DEGREE = 5
-FRACTIONS = 33  # of a pixel that are tabulated
+SHIFT_FRACTIONS = 33  # of a pixel that are tabulated
 CARDINAL_PX = 20  # pixels to each side after which a cardinal spline is none any more
 
 
@@ -130,8 +130,8 @@ def _mix(parts: Floats, spread_px2: float) -> Floats:
 
 def _noise_parts(field_px: Floats, lags: NDArray[np.int64]) -> Floats:
     """Parts (3, L, ny, nx) of K: of the cardinal spline, of both splines (twice), of the B-spline."""
-    place = (0.5 * field_px) % 1.0 * (FRACTIONS - 1)
-    first = np.minimum(place.astype(np.int64), FRACTIONS - 2)
+    place = (0.5 * field_px) % 1.0 * (SHIFT_FRACTIONS - 1)
+    first = np.minimum(place.astype(np.int64), SHIFT_FRACTIONS - 2)
     rest = place - first
     own, across, smooth = _spline_tables(int(np.abs(lags).max()))
     result = np.zeros((3, len(lags), *field_px.shape[:2]))
@@ -156,8 +156,8 @@ def _spline_tables(reach: int) -> tuple[Floats, Floats, Floats]:
         np.arange(SPLINE_DEGREE + 2.0) - 0.5 * (SPLINE_DEGREE + 1), extrapolate=False
     )
     at = np.arange(-CARDINAL_PX, CARDINAL_PX + 1.0)
-    tables = np.empty((3, FRACTIONS, 2 * reach + 1))
-    for n, fraction in enumerate(np.linspace(0.0, 1.0, FRACTIONS)):
+    tables = np.empty((3, SHIFT_FRACTIONS, 2 * reach + 1))
+    for n, fraction in enumerate(np.linspace(0.0, 1.0, SHIFT_FRACTIONS)):
         b = np.nan_to_num(basis(at + fraction))
         c = np.convolve(cardinal, b, mode="same")
         for table, (one, two) in zip(tables, ((c, c), (c, b), (b, b)), strict=True):
@@ -310,7 +310,7 @@ class EnsembleSums:
         for i in range(2):
             self.cells["mixed"][i * len(by_template) : (i + 1) * len(by_template)] += off[i] * by_template
 
-    def merged(self, other: "EnsembleSums") -> "EnsembleSums":
+    def merge_with(self, other: "EnsembleSums") -> "EnsembleSums":
         """Sums of both.
 
         Raises

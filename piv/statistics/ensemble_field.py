@@ -142,17 +142,17 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     )
     valid &= ~outliers(np.where(valid[..., None], mean, 0.0), valid, THRESHOLD, EPSILON_PX)
 
-    def kept(values: Floats) -> Floats:
+    def where_valid(values: Floats) -> Floats:
         return np.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, np.nan)
 
     return EnsembleField(
         grid,
-        kept(mean),
-        kept(covariance - own_covariance + _of_fields(sums, window_px, back, covariance, fluid)),
-        kept(sigma),
-        kept(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
-        kept(_resolution(mean, valid, grid, _visible(sums, fluid))),
-        kept(volume),
+        where_valid(mean),
+        where_valid(covariance - own_covariance + _of_fields(sums, window_px, back, covariance, fluid)),
+        where_valid(sigma),
+        where_valid(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
+        where_valid(_resolution(mean, valid, grid, _visible(sums, fluid))),
+        where_valid(volume),
         valid,
         sums.pairs,
         sums.sweep.solid | ~fluid,

@@ -18,7 +18,7 @@ from piv.errors import SeriesError
 class Mergeable(Protocol):
     """Statistics that can be merged with more of their kind, itself first."""
 
-    def merged(self: "T", other: "T", /) -> "T":
+    def merge_with(self: "T", other: "T", /) -> "T":
         """Both together."""
         ...
 
@@ -46,7 +46,7 @@ class MergeTree(Generic[T]):
         self._last = max(self._last, number)
         level = 0
         while (partner := self._waiting.pop((level, number ^ 1), None)) is not None:
-            part = part.merged(partner) if number % 2 == 0 else partner.merged(part)
+            part = part.merge_with(partner) if number % 2 == 0 else partner.merge_with(part)
             level, number = level + 1, number >> 1
         self._waiting[level, number] = part
 
@@ -69,12 +69,12 @@ class MergeTree(Generic[T]):
             for key in sorted(key for key in nodes if key[0] == level):
                 part = nodes.pop(key)
                 above = (level + 1, key[1] >> 1)
-                nodes[above] = nodes[above].merged(part) if above in nodes else part
+                nodes[above] = nodes[above].merge_with(part) if above in nodes else part
             level += 1
         return next(iter(nodes.values()))
 
 
-def merged_in_order(parts: Iterable[tuple[int, T]]) -> T:
+def merge_in_order(parts: Iterable[tuple[int, T]]) -> T:
     """All numbered parts merged by their tree.
 
     Raises

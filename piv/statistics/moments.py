@@ -103,11 +103,11 @@ class Moments:
         grid = vectors.shape[:2]
         good: NDArray[np.bool_] = np.asarray(np.isfinite(vectors).all(axis=-1), np.bool_)
         if valid is not None:
-            good = good & shaped("valid", np.asarray(valid, np.bool_), grid)
+            good = good & require_shape("valid", np.asarray(valid, np.bool_), grid)
         has_sigma: NDArray[np.bool_] = np.zeros(grid, np.bool_)
         squares = np.zeros((*grid, 2))
         if sigma is not None:
-            sigma = shaped("sigma", np.asarray(sigma, np.float64), (*grid, 2))
+            sigma = require_shape("sigma", np.asarray(sigma, np.float64), (*grid, 2))
             has_sigma = good & (np.isfinite(sigma) & (sigma >= 0.0)).all(axis=-1)
             squares = np.where(has_sigma[..., None], np.square(np.where(has_sigma[..., None], sigma, 0.0)), 0.0)
         here = good[..., None]
@@ -127,9 +127,9 @@ class Moments:
         self, vectors: Floats, valid: NDArray[np.bool_] | None = None, sigma: Floats | None = None
     ) -> "Moments":
         """These moments with one field more, see `of`."""
-        return self.merged(Moments.of(vectors, valid, sigma))
+        return self.merge_with(Moments.of(vectors, valid, sigma))
 
-    def merged(self, other: "Moments") -> "Moments":
+    def merge_with(self, other: "Moments") -> "Moments":
         """Moments of both sets; `self` comes first where order shows in the last bits.
 
         Raises
@@ -224,7 +224,7 @@ class Moments:
             An array is missing, has another shape or kind, or holds what no moment can be.
         """
         ints = ("count", "sigma_count")
-        found = checked(arrays, TAILS, ints)
+        found = check_arrays(arrays, TAILS, ints)
         if any((found[name] < 0).any() for name in ints) or (found["sigma_count"] > found["count"]).any():
             raise SeriesError(
                 "statistics with counts that cannot be; the file is damaged, evaluate its pairs again"
@@ -242,14 +242,14 @@ def _two_sum(a: Floats, b: Floats) -> tuple[Floats, Floats]:
     return total, (a - (total - part)) + (b - part)
 
 
-def shaped(name: str, values: Some, shape: tuple[int, ...]) -> Some:
+def require_shape(name: str, values: Some, shape: tuple[int, ...]) -> Some:
     """The same array; SeriesError if it has another shape."""
     if values.shape != shape:
         raise SeriesError(f"{name} is {values.shape} where {shape} is needed; both must lie on one grid")
     return values
 
 
-def checked(
+def check_arrays(
     arrays: Mapping[str, NDArray[Any]], tails: Mapping[str, tuple[int, ...]], whole: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
     """Arrays of one grid by name, from a file, of the shapes and kinds that they must have.
@@ -276,6 +276,6 @@ def checked(
     for name, values in found.items():
         if values.dtype.kind not in ("iu" if name in whole else "f"):
             raise SeriesError(f"{name} holds {values.dtype}; the file is damaged or from another version")
-        shaped(name, values, (*first.shape[:2], *tails[name]))
+        require_shape(name, values, (*first.shape[:2], *tails[name]))
         found[name] = values.astype(np.int64 if name in whole else np.float64)
     return found

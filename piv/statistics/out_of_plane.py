@@ -65,7 +65,9 @@ CORRELATED = 0.4  # of sqrt(R_uu R_ww): u'v' of shear layers, jets and walls
 UNSURE = 0.5  # of R_ww where it is assumed: w'w' over (u'u' + v'v')/2 is 0.6 to 1 in jets, layers and channels
 REACH_WINDOWS = 1.0  # standard deviation of the neighbourhood: less lacks eddies, more takes in the mean's shear
 FAR_BELOW = -10.0  # times its standard uncertainty that a variance may come out below 0 by chance, and far more
-FEWEST = 4.0  # vectors in it that say how much the field varies; where there are fewer, it is as elsewhere
+MIN_NEIGHBOUR_WEIGHT = (
+    4.0  # vectors in it that say how much the field varies; where there are fewer, it is as elsewhere
+)
 NotNegative = Annotated[float, Interval(ge=0.0)]
 Floats = NDArray[np.float64]
 
@@ -116,12 +118,12 @@ class OutOfPlane:
             1 m/s in their unit; NaN where the time between the frames is not known, and no speed is known.
         """
         given = None if self.sigma_w_m_s is None else self.sigma_w_m_s * per_m_s
-        varying = field.varied() if given is None or np.isnan(given) else np.full(field.shape, given)
+        varying = field.variation() if given is None or np.isnan(given) else np.full(field.shape, given)
         return np.asarray(np.hypot(varying, 0.0 if self.w_over_u is None else self.w_over_u * field.speed))
 
     def of_mean(self, field: "SlantedField") -> Floats:
         """Sigma of the steady part of w (ny, nx), in the unit of the mean."""
-        return field.varied() if self.w_over_u is None else self.w_over_u * field.speed
+        return field.variation() if self.w_over_u is None else self.w_over_u * field.speed
 
     def of_stresses(self, stresses: Floats, slope: Floats) -> "SlantedStresses":
         """Return the share of w' in measured Reynolds stresses R_uu, R_vv, R_uv (ny, nx, 3) [m2/s2]."""
@@ -187,16 +189,16 @@ class SlantedField:
 
     def through_sheet(self, sigma_w: Floats) -> "ThroughSheet":
         """Return the uncertainty by w of this size (ny, nx), and that of derivatives of the field."""
-        varied = self.varied()
+        varied = self.variation()
         with np.errstate(invalid="ignore", divide="ignore"):
             per_change = np.where(varied > 0.0, sigma_w / varied, 0.0)
-        return ThroughSheet(self.slope, sigma_w, self.changed() * per_change[..., None])
+        return ThroughSheet(self.slope, sigma_w, self.gradient_scale() * per_change[..., None])
 
-    def varied(self) -> Floats:
+    def variation(self) -> Floats:
         """Isotropic share (ny, nx) of what the field varies by around each place; NaN where nothing tells."""
         return self._share(self.uv, np.square(self.noise), self.slope)
 
-    def changed(self) -> Floats:
+    def gradient_scale(self) -> Floats:
         """The same of what w changes by over two vectors, along x and along y (ny, nx, 2)."""
         alike = np.exp(-4.0 / self.windows**2)  # noise of windows that share a part, see `piv.statistics.derived`
         parts = []
@@ -226,7 +228,7 @@ class SlantedField:
         with np.errstate(invalid="ignore", divide="ignore"):  # of so many windows that do not overlap
             unsure = measured / np.sqrt(2.0 * columns * np.pi * REACH_WINDOWS**2 * count)
         share = _not_negative(varied, unsure) / (columns + mean(np.square(slope)).sum(axis=-1))
-        enough = good & (count * 2.0 * np.pi * (REACH_WINDOWS * self.windows) ** 2 >= FEWEST)
+        enough = good & (count * 2.0 * np.pi * (REACH_WINDOWS * self.windows) ** 2 >= MIN_NEIGHBOUR_WEIGHT)
         usual = float(np.sqrt(np.median(share[enough]))) if enough.any() else np.nan
         return np.where(enough, np.sqrt(share), usual)
 

@@ -18,7 +18,7 @@ where a window holds a shear layer or a core narrower than itself, and which pai
 the flow did in them. So a mean over those that are left is biased, and neither their number nor their scatter
 says so. With p, the share of the pairs that looked at a place and have a vector there:
 
-* below `LEAST_SHARE` there is no mean: most of what it would be of is missing;
+* below `MIN_PAIR_SHARE` there is no mean: most of what it would be of is missing;
 * a place alone among others without a mean has none either: nothing supports it;
 * elsewhere, what was lost may have moved by anything that the mean shows around. With the range D of a component
   over 3 x 3 places, all of it alike, the mean is off by (1 - p) times a number of mean square D^2/3.
@@ -35,15 +35,15 @@ from numpy.typing import NDArray
 from piv.correlation.planes import fill_gaps
 from piv.correlation.resolution import second_differences
 from piv.errors import SeriesError
-from piv.statistics.moments import Moments, shaped
+from piv.statistics.moments import Moments, require_shape
 
-LEAST_SHARE = 0.5
+MIN_PAIR_SHARE = 0.5
 Floats = NDArray[np.float64]
 
 
 def is_measured_often(moments: Moments, looked: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return where (ny, nx) enough of the pairs that looked, `looked` in number, have a vector; none alone."""
-    often = (moments.count > 0) & (moments.count >= LEAST_SHARE * np.maximum(looked, 1))
+    often = (moments.count > 0) & (moments.count >= MIN_PAIR_SHARE * np.maximum(looked, 1))
     here_and_around = scipy.ndimage.convolve(often.astype(np.int64), np.ones((3, 3), np.int64), mode="constant")
     return np.asarray(often & ((here_and_around > 1) | (often.size == 1)))
 
@@ -119,8 +119,8 @@ class Unresolved:
         SeriesError
             Arrays of different grids.
         """
-        valid = shaped("valid", np.asarray(valid, np.bool_), vectors.shape[:2])
-        resolution = shaped("resolution", np.asarray(resolution, np.float64), vectors.shape[:2])
+        valid = require_shape("valid", np.asarray(valid, np.bool_), vectors.shape[:2])
+        resolution = require_shape("resolution", np.asarray(resolution, np.float64), vectors.shape[:2])
         good: NDArray[np.bool_] = np.asarray(valid & np.isfinite(vectors).all(axis=-1) & np.isfinite(resolution))
         if not good.any():
             return cls.nothing((len(valid), len(valid[0])), apart)
@@ -128,7 +128,7 @@ class Unresolved:
         squares = np.square(np.where(good, resolution, 0.0))
         return cls(apart, good.astype(np.int64), squares, np.where(good, np.square(bent), 0.0))
 
-    def merged(self, other: "Unresolved") -> "Unresolved":
+    def merge_with(self, other: "Unresolved") -> "Unresolved":
         """Of both; SeriesError if they belong to different grids."""
         if self.count.shape != other.count.shape or self.apart != other.apart:
             raise SeriesError(
@@ -141,7 +141,7 @@ class Unresolved:
             self.bent_squares + other.bent_squares,
         )
 
-    def shared(self, mean: Floats) -> Floats:
+    def share_of_mean(self, mean: Floats) -> Floats:
         """R (ny, nx): what the mean (ny, nx, 2) of these pairs is unsure of; NaN where no resolution was known."""
         known: NDArray[np.bool_] = np.asarray(np.isfinite(mean).all(axis=-1))
         if not known.any():
@@ -152,7 +152,7 @@ class Unresolved:
             return np.where(self.count > 0, np.sqrt(self.squares / self.count * share), np.nan)
 
     def of_stresses(self, shared: Floats, stresses: Floats) -> Floats:
-        """By how much stresses (ny, nx, 3) may be too small, see the top; `shared` is R."""
+        """By how much stresses (ny, nx, 3) may be too small, see the top; `share_of_mean` is R."""
         with np.errstate(invalid="ignore", divide="ignore"):
             single = np.where(self.count > 0, self.squares / self.count, np.nan)
         f = np.sqrt(np.maximum(single - np.square(shared), 0.0))[..., None]

@@ -67,14 +67,14 @@ def track_particles(
         Fewer than nine particles match.
     """
     if way_a is not None and way_b is not None:
-        a, b = apart(a, b, way_a, way_b)
+        a, b = separate_ways(a, b, way_a, way_b)
     tracks = _proven(match(a, b, _of_field(guide, a.place_px[:, :2]), REACH_PX))
     for _ in range(2):
         tracks = _proven(match(a, b, local_plane(tracks, a.place_px[:, :2]), FINE_PX))
     return tracks
 
 
-def apart(
+def separate_ways(
     a: Particles, b: Particles, way_a: NDArray[np.int64], way_b: NDArray[np.int64]
 ) -> tuple[Particles, Particles]:
     """Give places a third coordinate that keeps those seen in different ways apart."""

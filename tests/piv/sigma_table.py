@@ -94,12 +94,12 @@ def mean_of(pairs):
         apart = max(1, round(0.5 * field.window_px / field.step_px))
         one = Moments.of(vectors, field.valid, sigma)
         part = Unresolved.of(vectors, field.valid, field.resolution_px, apart)
-        moments = one if moments is None else moments.merged(one)
-        missing = part if missing is None else missing.merged(part)
+        moments = one if moments is None else moments.merge_with(one)
+        missing = part if missing is None else missing.merge_with(part)
         looked = field.asked.astype(int) + (0 if looked is None else looked)
     sigma = np.sqrt(moments.covariance[..., :2] / np.maximum(moments.count, 1)[..., None])
     lost = selection_sigma(moments, looked)
-    unsure = np.hypot(missing.shared(moments.mean_uv), np.nan_to_num(lost))
+    unsure = np.hypot(missing.share_of_mean(moments.mean_uv), np.nan_to_num(lost))
     return field, moments, np.hypot(sigma, unsure[..., None])
 
 

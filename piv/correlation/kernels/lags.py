@@ -59,7 +59,7 @@ def down_columns(a: Array, b: Array, valid: Array, row: int, whole: Array, half:
 
 
 @kernel
-def weighted_sum(line: Array, start: int, weights: Array) -> float:
+def sum_weighted(line: Array, start: int, weights: Array) -> float:
     """Sum of line[start + k] weights[k]."""
     total = 0.0
     for k in range(weights.size):
@@ -84,7 +84,7 @@ def lag_sums(
     for i in range(starts.size):
         for n in range(SUMS):
             along = half if n == 1 or n == 2 or n == 6 else whole
-            out[i, n] = weighted_sum(columns[n], starts[i], along)
+            out[i, n] = sum_weighted(columns[n], starts[i], along)
 
 
 @kernel

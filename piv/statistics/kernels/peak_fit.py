@@ -12,7 +12,7 @@ from ground.jit import Array, kernel
 from ground.kernels.cholesky import factorise, solve
 
 PARAMETERS = 7
-STEPS = 60
+MAX_FIT_STEPS = 60
 ENOUGH = 1e-5  # px and relative change after which a fit is done
 
 
@@ -50,7 +50,7 @@ def fit_peak(plane: Array, lags: Array, free: Array, work: Array, p: Array) -> b
     normal, lower, slope, right, step, trial = work[:7], work[7:14], work[14], work[15], work[16], work[17]
     damping = 1e-3
     best = misfit(p, plane, lags, slope)
-    for _ in range(STEPS):
+    for _ in range(MAX_FIT_STEPS):
         for k in range(PARAMETERS):
             right[k] = 0.0
             for m in range(PARAMETERS):

@@ -27,7 +27,7 @@ from ground.plain_words import quantity
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
-from piv.statistics.merge_tree import merged_in_order
+from piv.statistics.merge_tree import merge_in_order
 from piv.statistics.moments import Moments
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
@@ -139,7 +139,7 @@ def merge_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMean
     if len(means) == 1:
         return CampaignMean(first, {names[0]: float("nan")})
     # Sums of moments are exact; what only bounds an error is averaged by squares, with the pairs of each place.
-    moments = merged_in_order(enumerate(mean.moments for mean in means))
+    moments = merge_in_order(enumerate(mean.moments for mean in means))
     weights = np.stack([mean.count for mean in means]).astype(np.float64)
     samples = np.nansum([mean.effective.samples for mean in means], axis=0)
     ways = " and ".join(dict.fromkeys(mean.effective.way for mean in means))

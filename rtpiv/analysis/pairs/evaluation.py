@@ -294,7 +294,7 @@ def correlate_pair(
     if still is None and preparation.steps:
         found = still_light([corrected], seen & np.isfinite(corrected[0]) & np.isfinite(corrected[1]))
         still = np.zeros(seen.shape, bool) if found is None else found
-    ready_a, ready_b = (preparation.finished(each, seen) for each in corrected)
+    ready_a, ready_b = (preparation.apply(each, seen) for each in corrected)
     return Correlated(raw, corrected[0], evaluate_pair(ready_a, ready_b, seen, settings, still=still))
 
 

@@ -120,7 +120,7 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
     pictures.append((PLAIN if tells_a_scale_alone(method.scene) else CORRECTED, corrected))
     for name in method.preparation.steps:
         if name in preparation.CORRECTED:
-            corrected = Preparation((name,)).finished(corrected, corrector.recovered)
+            corrected = Preparation((name,)).apply(corrected, corrector.recovered)
             pictures.append((name, corrected))
     layers = [(name, data_address(grey(picture, _limits(picture)))) for name, picture in pictures]
     named = {**RAW, **preparation.CORRECTED}

@@ -110,7 +110,7 @@ def sum_part(job: PartJob) -> None:
         if exclusion_reason(field, job.usual_share) or isinstance(a, str) or isinstance(b, str):
             continue
         try:
-            one, two = (method.preparation.finished(corrector(frame), corrector.recovered) for frame in (a, b))
+            one, two = (method.preparation.apply(corrector(frame), corrector.recovered) for frame in (a, b))
             sums.add(one, two, seen, _own_field(field, job.sweep, windows))
         except (PairError, FrameError):
             continue  # it gave vectors, so this does not happen; if it does, one pair is not worth the sweep
@@ -251,7 +251,7 @@ def _run_sweep(
         part = part_sums(job)
         if part is None:
             raise SeriesError(f"{job.path}: is not what was written; give the same command again")
-        total = part if total is None else total.merged(part)
+        total = part if total is None else total.merge_with(part)
     assert total is not None
     for job in jobs:
         job.path.unlink(missing_ok=True)
@@ -287,7 +287,7 @@ def _spread_px2(given: SeriesInput, mean: MeanFlow) -> float:
     if isinstance(frames[0], str) or isinstance(frames[1], str):
         raise SeriesError(f"{job.pairs[0].tag}: its frames have changed since they were evaluated; check the run")
     one, two = (
-        job.method.preparation.finished(corrector(frame), corrector.recovered)
+        job.method.preparation.apply(corrector(frame), corrector.recovered)
         for frame in frames
         if not isinstance(frame, str)
     )

@@ -319,7 +319,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
     looked = np.zeros(total.count.shape, np.int64) if looked is None else looked
     often = is_measured_often(total, looked)
     too_few, total = (total.count > 0) & ~often, total.only(often)
-    shared = missing.shared(total.mean_uv)
+    shared = missing.share_of_mean(total.mean_uv)
     lost = selection_sigma(total, looked)
     unsure = np.where(lost > 0.0, np.hypot(np.nan_to_num(shared), lost), shared)
     return MeanFlow(

@@ -77,7 +77,7 @@ def passes_of(pair, monkeypatch, never_ends_early=False):
     with monkeypatch.context() as patch:
         patch.setattr(MultipassState, "run_pass", lambda course, *told: (looks.append(1), look(course, *told))[1])
         if never_ends_early:
-            patch.setattr("piv.correlation.halving._expected_gain", lambda *told: True)
+            patch.setattr("piv.correlation.halving._gain_to_expect", lambda *told: True)
         return evaluate_pair(*pair, settings=FOUND, threads=1), len(looks)
 
 

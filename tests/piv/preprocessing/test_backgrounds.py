@@ -131,7 +131,7 @@ def test_steps_for_corrected_frames_are_the_same_at_every_place(step):
 def test_steps_move_no_vector(step, particle_pair):
     pair = particle_pair(lambda u, v: (2.4 + 0 * u, 0.7 + 0 * u), (256, 256), seed=9)
     everywhere = np.ones((256, 256), bool)
-    frames = [Preparation((step,)).finished(frame.astype(np.float32), everywhere) for frame in pair]
+    frames = [Preparation((step,)).apply(frame.astype(np.float32), everywhere) for frame in pair]
     field = evaluate_pair(*frames, settings=PivSettings(uncertainty=False))
     assert np.mean(field.u_px) == pytest.approx(2.4, abs=0.005)
     assert np.mean(field.v_px) == pytest.approx(0.7, abs=0.005)
@@ -143,7 +143,7 @@ def test_steps_have_an_order_and_one_background():
     assert len(whole.said) == 3
     assert Preparation(()).background is None
     frame = np.ones((3, 3), np.float32)
-    assert Preparation(("pod",)).finished(frame, np.ones((3, 3), bool)) is frame
+    assert Preparation(("pod",)).apply(frame, np.ones((3, 3), bool)) is frame
     for steps, words in (
         (("mean", "pod"), "only one background"),
         (("cap", "mean"), "raw frames come first"),

@@ -5,7 +5,7 @@ import pytest
 
 from piv.errors import SeriesError
 from piv.statistics.effective_samples import ENOUGH_PAIRS, Blocking, from_series, mean_sigma, stress_sigma
-from piv.statistics.merge_tree import MergeTree, merged_in_order
+from piv.statistics.merge_tree import MergeTree, merge_in_order
 from piv.statistics.moments import Moments
 from tests.slow_cases import slow
 
@@ -22,8 +22,8 @@ def autoregressive(rho, count, shape, seed=3):
 
 def both(series):
     fields = list(enumerate(series))
-    moments = merged_in_order((k, Moments.of(x)) for k, x in fields)
-    return moments, merged_in_order((k, Blocking.of(x)) for k, x in fields)
+    moments = merge_in_order((k, Moments.of(x)) for k, x in fields)
+    return moments, merge_in_order((k, Blocking.of(x)) for k, x in fields)
 
 
 @pytest.mark.parametrize(("rho", "lost"), [slow(0.0, 0.0), slow(0.5, 0.0), slow(0.9, 0.0), (0.5, 0.15)])
@@ -117,7 +117,7 @@ def test_damage_is_found():
         with pytest.raises(SeriesError):
             Blocking.from_arrays(arrays | {name: arrays[name] * np.nan if name != "pairs" else np.array(0)})
     with pytest.raises(SeriesError, match="grids"):
-        Blocking.nothing((2, 3)).merged(Blocking.nothing((3, 2)))
+        Blocking.nothing((2, 3)).merge_with(Blocking.nothing((3, 2)))
     with pytest.raises(SeriesError, match="n, ny, nx"):
         from_series(np.zeros((3, 4, 5)))
 

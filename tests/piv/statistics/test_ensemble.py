@@ -400,7 +400,7 @@ def test_parts_add_up_and_come_back_from_arrays():
         for a, b in some:
             part.add(a, b)
         parts.append(EnsembleSums.from_arrays(part.to_arrays()))
-    both = parts[0].merged(parts[1])
+    both = parts[0].merge_with(parts[1])
     assert both.pairs == 6
     arrays = both.to_arrays()
     for name, values in whole.to_arrays().items():
@@ -428,7 +428,7 @@ def test_what_cannot_be_is_refused():
         sums.add(a[:90], b[:90])
     other = EnsembleSums(replace(sums.sweep, reach_px=7))
     with pytest.raises(SeriesError, match="different sweeps"):
-        sums.merged(other)
+        sums.merge_with(other)
     grid = window_grid((96, 96), 32, 0.5)
     nothing = np.full((*grid.shape, 2), np.nan)
     with pytest.raises(SeriesError, match="begins with the mean of vectors"):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from piv.errors import SeriesError
-from piv.statistics.merge_tree import MergeTree, chunks_of, merged_in_order
+from piv.statistics.merge_tree import MergeTree, chunks_of, merge_in_order
 from piv.statistics.moments import Moments
 
 SHAPE = (3, 4)
@@ -118,7 +118,7 @@ def test_bits_do_not_depend_on_order_or_on_chunks():
         tree = MergeTree()
         parts = list(enumerate(chunks_of(100, chunk)))
         for number, pairs in (parts[k] for k in rng.permutation(len(parts))):
-            tree.add(number, merged_in_order((pair - pairs.start, Moments.of(*fields[pair])) for pair in pairs))
+            tree.add(number, merge_in_order((pair - pairs.start, Moments.of(*fields[pair])) for pair in pairs))
         assert bits(tree.result()) == whole
 
 

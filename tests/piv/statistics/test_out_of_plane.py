@@ -108,9 +108,9 @@ def test_holes_and_lonely_vectors_are_told_by_the_others():
     sigma = field.sigma(OutOfPlane().of_pair(field, 1.0))
     known = np.isfinite(uv).all(axis=-1) & np.isfinite(slope).all(axis=-1)
     np.testing.assert_array_equal(np.isfinite(sigma).all(axis=-1), known)
-    assert sigma[30, 30, 0] == pytest.approx(0.3 * np.median(field.varied()[known]), rel=0.2)
+    assert sigma[30, 30, 0] == pytest.approx(0.3 * np.median(field.variation()[known]), rel=0.2)
     still = SlantedField(np.zeros(uv.shape), np.full(uv.shape, 0.1), slope, WINDOWS)
-    assert still.varied().max() == 0.0
+    assert still.variation().max() == 0.0
 
 
 @pytest.mark.parametrize("wrong", [{"sigma_w_m_s": -0.1}, {"w_over_u": np.nan}, {"w_over_u": np.inf}])

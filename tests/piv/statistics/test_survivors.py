@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piv.statistics.moments import Moments
-from piv.statistics.unresolved import LEAST_SHARE, Unresolved, is_measured_often, selection_sigma
+from piv.statistics.unresolved import MIN_PAIR_SHARE, Unresolved, is_measured_often, selection_sigma
 from tests.piv.correlation.flows import shaken_jet
 from tests.piv.fixed_windows import evaluate_pair
 
@@ -70,14 +70,14 @@ def test_the_mean_of_a_steep_jet_is_that_of_the_flow(particle_pair):
         field = evaluate_pair(*particle_pair(flow, (256, 512), seed=100 + seed, ppp=0.03, noise=0.02))
         vectors = np.stack((field.u_px, field.v_px), axis=-1)
         one = Moments.of(vectors, field.valid), Unresolved.of(vectors, field.valid, field.resolution_px, 1)
-        moments = one[0] if moments is None else moments.merged(one[0])
-        unresolved = one[1] if unresolved is None else unresolved.merged(one[1])
+        moments = one[0] if moments is None else moments.merge_with(one[0])
+        unresolved = one[1] if unresolved is None else unresolved.merge_with(one[1])
         looked = 0 * field.flags.astype(np.int64) + 24
         true = true + np.stack(flow(*np.moveaxis(field.grid_px, -1, 0)), axis=-1) / 24
-    assert LEAST_SHARE == 0.5
+    assert MIN_PAIR_SHARE == 0.5
     often = is_measured_often(moments, looked)
     moments = moments.only(often)
-    systematic = np.hypot(unresolved.shared(moments.mean_uv), selection_sigma(moments, looked))
+    systematic = np.hypot(unresolved.share_of_mean(moments.mean_uv), selection_sigma(moments, looked))
     random = np.sqrt(moments.covariance[..., :2] / moments.count[..., None])
     sigma = np.hypot(random, systematic[..., None])
     inner = np.s_[2:-2, 2:-2]

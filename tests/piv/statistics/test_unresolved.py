@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piv.errors import SeriesError
-from piv.statistics.merge_tree import merged_in_order
+from piv.statistics.merge_tree import merge_in_order
 from piv.statistics.moments import Moments
 from piv.statistics.unresolved import Unresolved
 
@@ -27,8 +27,8 @@ def of_fields(fields, missing):
     """Shared resolution, its share in stresses, and moments; each pair misses `missing` of it."""
     fields = list(fields)
     parts = [Unresolved.of(field, ALL, np.full(SHAPE, missing), 1) for field in fields]
-    total, moments = merged_in_order(enumerate(parts)), merged_in_order(enumerate(map(Moments.of, fields)))
-    shared = total.shared(moments.mean_uv)
+    total, moments = merge_in_order(enumerate(parts)), merge_in_order(enumerate(map(Moments.of, fields)))
+    shared = total.share_of_mean(moments.mean_uv)
     return shared, total.of_stresses(shared, moments.covariance), moments
 
 
@@ -56,10 +56,10 @@ def test_vectors_without_a_resolution_do_not_count():
     told[:, :10] = np.nan
     few = Unresolved.of(field, ALL & (X < 25), told, 1)
     assert few.count.sum() == 24 * 15
-    shared = few.merged(few).shared(field)
+    shared = few.merge_with(few).share_of_mean(field)
     assert np.isnan(shared[:, :10]).all()
     assert shared[6:-6, 14:20] == pytest.approx(0.02)
     nothing = Unresolved.of(field, ALL, np.full(SHAPE, np.nan), 1)
-    assert np.isnan(nothing.shared(field)).all()
+    assert np.isnan(nothing.share_of_mean(field)).all()
     with pytest.raises(SeriesError, match="cannot be merged"):
-        few.merged(Unresolved.nothing(SHAPE, 2))
+        few.merge_with(Unresolved.nothing(SHAPE, 2))
