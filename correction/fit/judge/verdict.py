@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.judge.hypotheses import ErrorHypothesis, Evidence, likely_cause, rank_hypotheses
+from correction.fit.judge.candidates import Evidence
+from correction.fit.judge.hypotheses import ErrorHypothesis, likely_cause, rank_hypotheses
 from correction.fit.judge.model_test import MODEL_FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
 from correction.fit.judge.prior_pulls import PriorPull
 from correction.fit.seen.hidden_patches import Hidden, find_hidden_patches
