@@ -155,7 +155,8 @@ class Inversion:
     @property
     def maps(self) -> ViewMaps:
         """The arrays as kernels take them, and what is masked."""
-        return ViewMaps(*self.arrays.values(), *self.masked)
+        pixels, branches = self.masked
+        return ViewMaps(**self.arrays, masked_pixels=pixels, masked_branches=branches)
 
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
