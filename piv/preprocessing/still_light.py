@@ -237,9 +237,14 @@ def _floors(cells: Cells, moves: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.
 
 
 def _around_lines(square: Floats) -> Floats:
-    """E of cells (ny, nx) without lines and letters narrower than `LINES` cells; a bright sheet of light stays."""
+    """E of cells (ny, nx) without lines and letters narrower than `LINES` cells; a bright sheet of light stays.
+
+    Infinite in frames that are not twice as large, where a bright spot of a flow is as narrow as writing.
+    """
     import cv2
 
+    if min(square.shape) < 2 * LINES:
+        return np.full_like(square, np.inf)
     return np.asarray(cv2.morphologyEx(square, cv2.MORPH_OPEN, np.ones((LINES, LINES), np.uint8)))
 
 
