@@ -106,8 +106,7 @@ def test_a_series_says_what_moved_at_places_and_along_a_line(tmp_path, monkeypat
     assert "12 pairs are too few" in page
     capsys.readouterr()
     for words, said in (
-        (["--at", "0"], "say x and y of each place"),
-        ([], "say x and y of each place"),
+        (["--at", "0"], "give x and y of each point"),
         (["--at", "0", "900"], "(0, 900) mm: vectors reach from"),
     ):
         assert main(["mean", "series", *words, "-o", "other"]) == USAGE
