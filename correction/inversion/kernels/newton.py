@@ -17,7 +17,8 @@ Windows in front of everything come first, in the closed form of ``tracer.kernel
 with w^2 = n^2 - 1 + m^2 and w'^2 likewise, D' = (D + (m - w') N)/n' through P' = P + (w' h/m + w' T/w - h - T) N.
 
 Columns of the block, STEP apart in one array (see ``tracer.kernels.chain``): pixel u, v; node x, y; position and
-direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobian d plane / d pixel.
+direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobian d plane / d pixel.  They are
+indexed in the loops that use them: read through another function, such a loop takes twice as long.
 
 The same turns give the derivatives of a pixel that has no neighbour of its branch (`slopes_along`), where
 differences need one.  Behind a bed of a thousand balls one pixel in ten has none, and to look for the
@@ -111,18 +112,6 @@ def solve_node(x: float, y: float, u: float, v: float, key: int, sign: float, ta
     return 0.0, u, v, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
-@kernel_inlined
-def column_vector(b: Array, column: int, i: int) -> Vector:
-    """Vector of ray i whose components stand in three columns of the block."""
-    return b[column + i], b[column + STEP + i], b[column + 2 * STEP + i]
-
-
-@kernel_inlined
-def put_vector(b: Array, column: int, i: int, v: Vector) -> None:
-    """Write the vector of ray i into three columns of the block."""
-    b[column + i], b[column + STEP + i], b[column + 2 * STEP + i] = v
-
-
 @kernel
 def aim(count: int, camera: Array, b: Array) -> None:
     """Rays of the pixels u, v with their derivatives."""
@@ -140,12 +129,12 @@ def aim(count: int, camera: Array, b: Array) -> None:
         d = (c3 * a + c6 * e + c9) * unit, (c4 * a + c7 * e + c10) * unit, (c5 * a + c8 * e + c11) * unit
         by_u = c3 * xx + c6 * xy, c4 * xx + c7 * xy, c5 * xx + c8 * xy
         by_v = c3 * xy + c6 * yy, c4 * xy + c7 * yy, c5 * xy + c8 * yy
-        put_vector(b, PX, i, eye)
-        put_vector(b, DX, i, d)
-        put_vector(b, UX, i, unit_tangent_inlined(d, unit, by_u))
-        put_vector(b, VX, i, unit_tangent_inlined(d, unit, by_v))
-        put_vector(b, FX, i, ORIGIN)
-        put_vector(b, GX, i, ORIGIN)
+        b[PX + i], b[PY + i], b[PZ + i] = eye
+        b[DX + i], b[DY + i], b[DZ + i] = d
+        b[UX + i], b[UY + i], b[UZ + i] = unit_tangent_inlined(d, unit, by_u)
+        b[VX + i], b[VY + i], b[VZ + i] = unit_tangent_inlined(d, unit, by_v)
+        b[FX + i], b[FY + i], b[FZ + i] = ORIGIN
+        b[GX + i], b[GY + i], b[GZ + i] = ORIGIN
         b[LIGHT + i] = 1.0
 
 
@@ -162,12 +151,12 @@ def enter_window(count: int, row: Array, b: Array) -> None:
     gain, gain_behind, inverse = (n - 1.0) * (n + 1.0), (behind - 1.0) * (behind + 1.0), 1.0 / behind
     for i in range(count):
         p, d, f, g = (
-            column_vector(b, PX, i),
-            column_vector(b, DX, i),
-            column_vector(b, FX, i),
-            column_vector(b, GX, i),
+            (b[PX + i], b[PY + i], b[PZ + i]),
+            (b[DX + i], b[DY + i], b[DZ + i]),
+            (b[FX + i], b[FY + i], b[FZ + i]),
+            (b[GX + i], b[GY + i], b[GZ + i]),
         )
-        u, v = column_vector(b, UX, i), column_vector(b, VX, i)
+        u, v = (b[UX + i], b[UY + i], b[UZ + i]), (b[VX + i], b[VY + i], b[VZ + i])
         m, h = -dot(d, normal), dot(subtract(p, start), normal)
         w, w2 = math.sqrt(gain + m * m), math.sqrt(gain_behind + m * m)
         far = h / m + thickness / w
@@ -176,12 +165,12 @@ def enter_window(count: int, row: Array, b: Array) -> None:
         mu, mv, hu, hv = -dot(u, normal), -dot(v, normal), dot(f, normal), dot(g, normal)
         by_m = m / w2 * far - w2 * (h / (m * m) + thickness * m / (w * w * w))
         by_h, by_turn = w2 / m - 1.0, 1.0 - m / w2
-        put_vector(b, PX, i, move(p, moved, normal))
-        put_vector(b, FX, i, move(f, by_m * mu + by_h * hu, normal))
-        put_vector(b, GX, i, move(g, by_m * mv + by_h * hv, normal))
-        put_vector(b, DX, i, scale(inverse, move(d, turned, normal)))
-        put_vector(b, UX, i, scale(inverse, move(u, by_turn * mu, normal)))
-        put_vector(b, VX, i, scale(inverse, move(v, by_turn * mv, normal)))
+        b[PX + i], b[PY + i], b[PZ + i] = move(p, moved, normal)
+        b[FX + i], b[FY + i], b[FZ + i] = move(f, by_m * mu + by_h * hu, normal)
+        b[GX + i], b[GY + i], b[GZ + i] = move(g, by_m * mv + by_h * hv, normal)
+        b[DX + i], b[DY + i], b[DZ + i] = scale(inverse, move(d, turned, normal))
+        b[UX + i], b[UY + i], b[UZ + i] = scale(inverse, move(u, by_turn * mu, normal))
+        b[VX + i], b[VY + i], b[VZ + i] = scale(inverse, move(v, by_turn * mv, normal))
 
 
 @kernel_inlined
@@ -230,22 +219,26 @@ def cross_sphere(count: int, sphere: Array, b: Array) -> None:
     r2, nu = radius * radius, 1.0 / n
     ir2, ir, kt, gk = 1.0 / r2, 1.0 / radius, 1.0 / (n * n * r2), (n - 1.0) * (n + 1.0) / (n * n)
     for i in range(count):
-        d, w = column_vector(b, DX, i), subtract(column_vector(b, PX, i), centre)
+        d, w = (b[DX + i], b[DY + i], b[DZ + i]), subtract((b[PX + i], b[PY + i], b[PZ + i]), centre)
         m, a = foot_inlined(w, d)
         b2 = dot(a, a)
         m = m if (m > 0.0) & (b2 < r2) & (b2 * kt < 1.0) else math.nan
         turn, by_b2, surface = turn_of(b2, (r2, ir2, ir, n, nu, gk, kt))
         b[LIGHT + i] = b[LIGHT + i] * surface * surface
         ray = w, d, m, a, b2
-        f, u = carry_tangent(ray, turn, by_b2, column_vector(b, FX, i), column_vector(b, UX, i))
-        g, v = carry_tangent(ray, turn, by_b2, column_vector(b, GX, i), column_vector(b, VX, i))
+        f, u = carry_tangent(
+            ray, turn, by_b2, (b[FX + i], b[FY + i], b[FZ + i]), (b[UX + i], b[UY + i], b[UZ + i])
+        )
+        g, v = carry_tangent(
+            ray, turn, by_b2, (b[GX + i], b[GY + i], b[GZ + i]), (b[VX + i], b[VY + i], b[VZ + i])
+        )
         a, d = rotate_inlined(a, d, b2, turn)
-        put_vector(b, PX, i, add(centre, a))
-        put_vector(b, DX, i, d)
-        put_vector(b, FX, i, f)
-        put_vector(b, UX, i, u)
-        put_vector(b, GX, i, g)
-        put_vector(b, VX, i, v)
+        b[PX + i], b[PY + i], b[PZ + i] = add(centre, a)
+        b[DX + i], b[DY + i], b[DZ + i] = d
+        b[FX + i], b[FY + i], b[FZ + i] = f
+        b[UX + i], b[UY + i], b[UZ + i] = u
+        b[GX + i], b[GY + i], b[GZ + i] = g
+        b[VX + i], b[VY + i], b[VZ + i] = v
 
 
 class SheetPath(NamedTuple):
