@@ -40,7 +40,7 @@ from typing import Any  # noqa: E402
 
 from rtpiv import neighbours  # noqa: E402
 
-neighbours.make_room()
+neighbours.install_import_hook()
 
 _HOMES = {
     "load_scene": "tracer.scene.scene_file",

@@ -89,7 +89,7 @@ class NeighbourFinder:
         return shared
 
 
-def make_room() -> None:
+def install_import_hook() -> None:
     """Let our packages be found from now on, and below modules of a user that are imported already."""
     if any(isinstance(finder, NeighbourFinder) for finder in sys.meta_path):
         return

@@ -33,7 +33,7 @@ MIN_GLASS_CORNERS = 12  # corners behind glass from which a fit may begin
 ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
 FOLLOW = 1.0
 STRAY_DEPTH_SIGMA_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
-HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
+MIN_PAIRED_SHARE = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
 LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of it may be in each
 AGAIN, STAYS_MM = 6, 0.02  # times that a place is measured, while corners move the ball that stands there
 WORSE, OWN_WORSE = 1.2, 3.0  # times, that corners of others may fit worse than before, and its own than others
@@ -54,7 +54,7 @@ def find_glass(work: Progress) -> None:
     _pair(work, coarse, candidates)
     _fit_glass(work, unknowns, "pass 1", only_behind=True)
     lost = _spheres_lost(work)
-    if lost and (work.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
+    if lost and (work.explained > MIN_PAIRED_SHARE or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
         _find_all_lost(work, unknowns, coarse, candidates)
     _fit_glass(work, unknowns, "pass 2", only_behind=False)
 

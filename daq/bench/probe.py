@@ -1,4 +1,4 @@
-"""Find out which box hangs on a port: questions of every grammar at usual rates, until one is answered.
+"""Identify the device on a port: questions of every grammar at usual rates, until one is answered.
 
     found = probe("/dev/ttyUSB0")       # Found(box, identity, baud, facts, unknown, lines), and the dialogue
 
@@ -115,7 +115,7 @@ class Question:
 
 
 def probe(url: str, clock: Clock = SYSTEM_CLOCK) -> tuple[Found | None, Probe]:
-    """Ask what hangs on a port; nothing moves, nothing fires, nothing is set.
+    """Identify the device on a port; nothing moves, nothing fires, nothing is set.
 
     Parameters
     ----------

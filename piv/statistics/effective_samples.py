@@ -69,8 +69,8 @@ class EffectiveSamples:
             return ""
         if pairs < ENOUGH_PAIRS:
             return (
-                f"{pairs} pairs do not show how long pairs that follow each other stay alike ({ENOUGH_PAIRS} or "
-                "more do): if they were taken so fast, the sigma of the mean is a lower limit"
+                f"{pairs} pairs are too few to estimate the correlation time ({ENOUGH_PAIRS} are enough): if "
+                "consecutive pairs are correlated, the sigma of the mean is a lower limit"
             )
         return "the series is too short for its slowest motion: the sigma of the mean is a lower limit"
 

@@ -72,7 +72,7 @@ def mean(
     Parameters
     ----------
     path : path
-        A flow run, of several of one plan the newest finished one; or frames of others in pairs (a folder, a
+        A flow run, of several of one plan the newest finished one; or external image pairs (a folder, a
         pattern in quotes, a stack, a video), evaluated where that has not been done with these settings; or the
         folder of a series that `evaluate` has made.
     out : path, optional

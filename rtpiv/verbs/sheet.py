@@ -23,7 +23,7 @@ def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = N
     Parameters
     ----------
     paths : path, or list of path
-        The folder of a flow run; frames of others in pairs (a folder, a pattern in quotes, a stack, a video); or
+        The folder of a flow run; external image pairs (a folder, a pattern in quotes, a stack, a video); or
         frames in order: A, B, A, B ...; some 50 pairs.
     scene : path
         Fitted scene.yaml; the search starts from its `sheet`.  With ``fit.npz`` of the fit beside it the

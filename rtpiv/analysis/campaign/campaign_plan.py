@@ -160,7 +160,7 @@ def ask_for(
     folder : CampaignFolder
         Of the campaign.
     runs : sequence of Path
-        Flow runs, or frames of others in pairs.
+        Flow runs, or external image pairs.
     choice : PivChoice
         How pairs are evaluated.
     settings : CampaignSettings
@@ -287,12 +287,12 @@ def _plan_run(folder: CampaignFolder, place: int) -> PlannedRun:
     said = about_series(Path(asked["path"]).name, given.given, given.method, jobs, about["chunk_pairs"])
     series = SeriesFolder(out)
     if differences := series.unlike(said).differences:
-        raise SeriesError(would_be_lost(out, series.unlike(said).lost, differences))
+        raise SeriesError(chunks_to_discard(out, series.unlike(said).lost, differences))
     series.begin(said)
     return PlannedRun(asked["name"], given, tuple(jobs))
 
 
-def would_be_lost(folder: Path, chunks: int, differences: Sequence[str]) -> str:
+def chunks_to_discard(folder: Path, chunks: int, differences: Sequence[str]) -> str:
     """Return the reason to refuse a campaign that would replace finished chunks."""
     return (
         f"{folder}: {quantity(chunks, 'finished chunk')} would be made anew: {'; '.join(differences)};"
@@ -414,4 +414,4 @@ def _require_same(tried: CampaignFolder, used: CampaignFolder) -> None:
                 differences.setdefault(each, []).append(name)
     if differences:
         texts = [f"{', '.join(names)}: {text}" for text, names in differences.items()]
-        raise SeriesError(would_be_lost(used.path, lost, texts))
+        raise SeriesError(chunks_to_discard(used.path, lost, texts))

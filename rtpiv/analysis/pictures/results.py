@@ -104,7 +104,7 @@ def draw_light_sheet(path: Path, found: "SheetFound", size_mm: tuple[float, floa
     save_picture(figure, path, 100)
 
 
-MAX_VIEWS_LABELLED = 12  # of the unbeaten ones, by their number in the table
+MAX_VIEWS_LABELLED = 12  # of the Pareto front, by their number in the table
 
 
 def draw_views(path: Path, views: "Sequence[ViewFigures]", best: "Sequence[ViewFigures]", error_px: float) -> None:
@@ -115,7 +115,7 @@ def draw_views(path: Path, views: "Sequence[ViewFigures]", best: "Sequence[ViewF
     path : Path
         Where to.
     views, best : sequence of ViewFigures
-        All that show something, and the unbeaten among them in the order of their numbers.
+        All that show something, and the Pareto front in the order of their numbers.
     error_px : float
         What was asked for; drawn as a line.
     """

@@ -162,7 +162,7 @@ def candidates_of(labs: Sequence[Lab], f_number: float, error_px: float, sure: i
             found += figures
             refused |= dict.fromkeys(reasons)
         views = sorted(found, key=_merit, reverse=True)
-        best = unbeaten(views)
+        best = pareto_front(views)
         first = min(sure, len(best))
         sigmas = list(progress_if_long(_run_work(with_sigma, best[:first], pool), first, "sigma of their maps"))
         known = {view.lab: view for view in sigmas}
@@ -171,7 +171,7 @@ def candidates_of(labs: Sequence[Lab], f_number: float, error_px: float, sure: i
     )
 
 
-def unbeaten(views: Sequence[ViewFigures]) -> list[ViewFigures]:
+def pareto_front(views: Sequence[ViewFigures]) -> list[ViewFigures]:
     """Those that no other beats, in the order given; of those that are alike the first."""
     first: dict[tuple[int, ...], ViewFigures] = {}
     for view in views:

@@ -7,7 +7,7 @@ import pytest
 
 from correction.maps.correction_map import build_correction_map
 from daq.errors import RunUsageError
-from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of, unbeaten
+from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of, pareto_front
 from rtpiv.analysis.views.figures import ViewFigures, view_figures, with_sigma
 from rtpiv.templates.files import scene_of, scene_text
 from rtpiv.templates.lab import Lab
@@ -102,7 +102,7 @@ def test_the_unbeaten_are_those_that_nobody_beats_and_nothing_is_said_of_what_sh
 
     wide, sharp, bright = made(0.9, 0.1, 1.0), made(0.5, 0.02, 1.0), made(0.5, 0.1, 8.0)
     worse, alike, none = made(0.5, 0.1, 1.0), made(0.9, 0.1001, 1.0), made(0.0, float("nan"), float("nan"))
-    assert unbeaten([wide, alike, sharp, worse, bright, none]) == [wide, sharp, bright]
+    assert pareto_front([wide, alike, sharp, worse, bright, none]) == [wide, sharp, bright]
 
 
 def test_two_balls_in_a_row_come_first_and_what_cannot_be_is_said():
