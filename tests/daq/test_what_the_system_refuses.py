@@ -84,7 +84,7 @@ SMALL_FILES = """
 import importlib, resource, sys
 from rtpiv.command_line.cli import main
 limit, verb = int(sys.argv[1]), sys.argv[2:]
-importlib.import_module("rtpiv.verbs." + verb[0])
+importlib.import_module("rtpiv.verbs." + (verb[1] if verb[0] == "setup" else verb[0]))
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 sys.exit(main(verb))
 """

@@ -328,7 +328,7 @@ def test_a_start_whose_first_answer_is_0_is_switched_off_at_once():
             start(burst)
 
         d.box._start = stopped
-        with pytest.raises(LaserDoubt, match="T0 does not run"):
+        with pytest.raises(LaserDoubt, match="T0 is off"):
             d.laser.fire(50)
         d.clock.sleep_s(10.0)
         assert d.pulses(Role.Q_SWITCH_1) <= 1
@@ -392,8 +392,8 @@ def test_one_fault_at_any_answer(kind, every):
 def test_a_number_without_all_its_digits_is_not_believed(mocker):
     with desk() as d:
         d.to_armed()
-        whole = d.emulator._shown
-        mocker.patch.object(d.emulator, "_shown", lambda *words: whole(*words)[:-4])
+        whole = d.emulator._format_value
+        mocker.patch.object(d.emulator, "_format_value", lambda *words: whole(*words)[:-4])
         with pytest.raises((LaserDoubt, StageError)):
             d.box.confirm(d.laser.schedule, lamps=True)
 

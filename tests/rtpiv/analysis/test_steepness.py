@@ -59,5 +59,5 @@ def test_a_page_says_it_and_shows_what_it_makes_unsure(tmp_path):
     page.write(tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert "0.31 m/s behind glass (0.35 at 90 % of the places)" in text
-    assert "0.2 m/s (told)" in text
+    assert "0.2 m/s (given)" in text
     assert "Uncertainty from oblique viewing" in text

@@ -53,7 +53,7 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
     summary = json.loads((tmp_path / "out" / "calibration.json").read_text())
     assert summary["scene_hash"] == fitted.content_hash()
     page = (tmp_path / "out" / "calibration.html").read_text()
-    assert "is the model right?" in page
+    assert "Calibration: test of the model" in page
     assert "The model is right as far as the corners tell" in page
     header, arrays = load_arrays(tmp_path / "out" / "fit.npz", "scene fit")
     assert arrays["covariance"].shape == (len(header["names"]),) * 2

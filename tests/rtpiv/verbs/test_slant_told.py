@@ -80,7 +80,7 @@ def test_single_pairs_have_slopes_and_their_part_of_sigma_in_every_file(run, tmp
     known = np.isfinite(spread)
     assert known.any()
     assert (spread[known] > steady[known]).all()
-    assert "0.5 m/s (told)" in pair.attributes["out_of_plane"]
+    assert "0.5 m/s (given)" in pair.attributes["out_of_plane"]
     with netcdf_file(folder / "vectors.nc", mmap=False) as file:
         assert file.variables["dxdz"].long_name == b"slope dX/dz of the rays at the plane"
         assert file.variables["dxdz"].units == b"1"

@@ -127,4 +127,4 @@ def test_a_flow_through_the_sheet_stands_beside_it():
     assert of_mean == pytest.approx([0.3 * 0.5, 0.1 * 0.5])  # a tenth of 5 m/s
     of_stresses = [found.fields[f"slant_R_{name}"][0, 0, 0] for name in ("uu", "vv", "uv")]
     assert of_stresses == pytest.approx([0.36, 0.04, -0.12])
-    assert "0.1 of the speed in the plane (told)" in found.attributes["out_of_plane"]
+    assert "0.1 of the speed in the plane (given)" in found.attributes["out_of_plane"]
