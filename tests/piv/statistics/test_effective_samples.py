@@ -125,7 +125,7 @@ def test_damage_is_found():
 def test_few_pairs_are_not_called_a_slow_flow():
     """24 pairs that have nothing to do with each other: nothing shows that they do, or that they do not."""
     few, enough = (both(autoregressive(0.0, count, (8, 8)))[1].effective() for count in (24, 4 * ENOUGH_PAIRS))
-    assert "24 pairs do not show" in few.warning(24)
+    assert "24 pairs are too few" in few.warning(24)
     assert "slowest motion" not in few.warning(24)
     assert not enough.warning(4 * ENOUGH_PAIRS)
     assert "slowest motion" in both(autoregressive(0.98, 128, (8, 8)))[1].effective().warning(128)
