@@ -100,6 +100,7 @@ def test_a_right_camera_names_nothing():
     assert not cause_on_bare(work)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("known", "words"),
     [

@@ -50,6 +50,7 @@ def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_i
     assert largest() > 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [20011, pytest.param(20032, marks=pytest.mark.slow)])
 def test_a_ball_held_off_its_place_is_named_though_others_lean_on_it(seed):
     lab = drawn_lab(seed, "ball off", size=0.2)
@@ -58,6 +59,7 @@ def test_a_ball_held_off_its_place_is_named_though_others_lean_on_it(seed):
     assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8
 
 
+@pytest.mark.slow
 def test_a_lab_known_along_one_way_and_not_at_all_along_another_is_judged_as_well():
     """Its covariance spans seventeen orders: the smallest eigenvalues are rounding, of either sign."""
     lab = drawn_lab(131009, "ball off")

@@ -72,6 +72,7 @@ def test_a_print_whose_scale_is_unsure_takes_it_up_without_an_alarm():
     assert bench.names == fit.names
 
 
+@pytest.mark.slow
 def test_a_right_lab_is_left_alone():
     for seed, name in enumerate(("two_spheres_500", "one_sphere_500", "three_spheres_500")):
         assert not fitted(name, seed=seed)[0].verdict.pulls

@@ -135,6 +135,7 @@ def test_few_pairs_are_refused(three, count):
         find_sheet(scene, lambda: iter(list(pairs())[:count]))
 
 
+@pytest.mark.slow
 def test_sparse_particles_behind_one_ball_do_not_weigh_down_their_own_places():
     """With a few particles in each square of pixels, weights followed them and no sheet was found."""
     flow_camera = camera("one_sphere_500", 504, 0.25)
