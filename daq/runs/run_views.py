@@ -306,9 +306,9 @@ def where_lit(scene: Scene) -> str:
         scale = "No scale is given (--mm-per-px, or --scene), so lengths are pixels of the frame. "
     elif not scene.bodies:
         shown = f"{grid_of(scene.camera).pitch_mm:.4g} mm"
-        scale = f"A pixel was taken to show {shown}, an error of which is in no sigma. "
+        scale = f"The scale is taken as exact ({shown}/px); the uncertainties do not include its error. "
     if tells_a_scale_alone(scene):
-        return f"{scale}How steeply the camera looks at it is not known: what flows through it is in none either."
+        return f"{scale}The viewing direction is not known: no uncertainty includes out-of-plane motion."
     if scene.sheet is not None:
         return f"{scale}Particles were taken to lie in {scene.sheet.summary}; its sigma is in that of the vectors."
     return (

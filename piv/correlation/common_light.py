@@ -21,7 +21,7 @@ place that is not rest, and the less so the more particles are lost, which leave
 sum matches best: frames that are deformed by them and blurred, so that mostly the texture is left, match behind
 that place. So the median over windows of that lag, over the length of their vectors, is minus a part of the share
 that stands still: -0.2 to -0.6 behind textures of 1 to 2 times the light of the particles and a grain of 1.5 to
-5 px, -0.01 to 0.05 in flows before nothing. It says so where nothing can be taken off (`LAGS`). Where a slow flow
+5 px, -0.01 to 0.05 in flows before nothing. A warning says if nothing can be taken off (`LAGS`). Where a slow flow
 has none (`MOVES_WHOLE`), and nearly all of it moves, nothing else is asked; where some windows show the texture
 and others the particles, neither lags.
 """

@@ -23,7 +23,7 @@ from correction.fitted.map_sigma import MapSigma
 from rtpiv.analysis.digits import two_digits
 from rtpiv.analysis.through_glass import ThroughGlass, through_scene
 
-HARMLESS_PX = 0.05  # of the map, at the median: numbers known only together move nothing that vectors would show
+HARMLESS_PX = 0.05  # of the map, at the median: correlated numbers move nothing that vectors would show
 Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]  # title, pixels (N, 2), errors (N, 2) [px]
 
 
@@ -103,7 +103,7 @@ class Calibration:
         """Describe a weakness of the fit, and whether it matters for the map."""
         worth_px = max((values["median"] for values in self.percentiles.values()), default=float("inf"))
         if weakness.together and worth_px < HARMLESS_PX:
-            return f"known only together (worth at most {two_digits(worth_px)} px in the map): {weakness.sentence}"
+            return f"at most {two_digits(worth_px)} px in the map: {weakness.sentence}"
         return f"not determined: {weakness.sentence}"
 
     def costs_nothing(self, weakness: Weakness) -> bool:
@@ -121,8 +121,8 @@ class Calibration:
         largest_px = max(values["largest"] for values in self.percentiles.values())
         what = "group of numbers is" if count == 1 else "groups of numbers are"
         return (
-            f"{count} {what} known only together, or no better than before: that is in the sigma of the map, which"
-            f" is {two_digits(largest_px)} px at most"
+            f"{count} {what} strongly correlated, or known no better than before: that is in the sigma of the map,"
+            f" which is {two_digits(largest_px)} px at most"
         )
 
     def to_dict(self) -> dict[str, Any]:

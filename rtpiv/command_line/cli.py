@@ -50,6 +50,8 @@ def _options(arguments: Sequence[str]) -> dict[str, Any]:
     given, notice = current(arguments)
     if notice:
         print(notice, file=sys.stderr)
+        if not given:
+            raise SystemExit(USAGE)
     words = parser(given)
     known, left = words.parse_known_args(given)
     options = vars(known)

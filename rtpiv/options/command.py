@@ -75,17 +75,15 @@ def current(words: Sequence[str]) -> tuple[list[str], str]:
     Returns
     -------
     list of str, str
-        The words with today's names, and the sentence that says so; "" if nothing was renamed.
+        The words with today's names, none of a removed verb, and the sentence that says so; "" if nothing changed.
     """
     for at, word in enumerate(words):
         if not word.startswith("-") and (at == 0 or words[at - 1] not in WITH_VALUE):
             if word in REMOVED:
-                return list(words), f"rtpiv {word} has been removed: {REMOVED[word]}"
+                return [], f"rtpiv {word} has been removed: {REMOVED[word]}"
             if word not in RENAMED:
                 break
-            notice = (
-                f"rtpiv {word} has been renamed: rtpiv {RENAMED[word]}; the old name goes with the next release"
-            )
+            notice = f"rtpiv {word} is now rtpiv {RENAMED[word]}; the old name goes with the next release"
             return [*words[:at], *RENAMED[word].split(), *words[at + 1 :]], notice
     return list(words), ""
 

@@ -142,7 +142,7 @@ def evaluate(
         if given.alone:
             screen.print(f"{given.alone} frames lost their partner and are in no pair")
         if isinstance(given.sigma, str) and recipe.mm_per_px is None:
-            screen.print(f"no uncertainty of the map: {given.sigma}")
+            screen.print(f"no map uncertainty: {given.sigma}")
         for note in dict.fromkeys(task.note for task in given.tasks if task.note):
             screen.print(note)
         corrections, how = PreparedCorrections(), replace(how, sigma=given.sigma)

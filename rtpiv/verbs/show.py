@@ -152,7 +152,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
         rows.append((name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there)))
     screen.print(Table(f"median where it flows: {above}", ("", "u", "v"), rows))
     if mean.no_map_sigma:
-        screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
+        screen.print(f"no map uncertainty: {mean.no_map_sigma}")
     if doubt := mean.effective.warning(mean.used):
         screen.print(doubt)
     if mean.gaps:

@@ -197,8 +197,8 @@ class Verdict:
             worst = max((way.smooth_px for way in self.ways), default=0.0)
             where = "outside what is masked, " if self.masked else "apart from that, "
             said = (
-                f"{'the model is right as far as the corners tell: ' if self.is_right else where}residuals bend"
-                f" smoothly by no more than {max(worst, 0.001):.3f} px (chance of a false alarm"
+                f"{'the model is right within the accuracy of the corners: ' if self.is_right else where}residuals"
+                f" bend smoothly by no more than {max(worst, 0.001):.3f} px (chance of a false alarm"
                 f" {100 * MODEL_FALSE_ALARMS:.0f} %)"
             )
             if self.cause is None:

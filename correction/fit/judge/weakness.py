@@ -3,7 +3,7 @@
 In units of the prior's sigmas the data's normal matrix N has eigenvalues lambda: along its eigenvector the
 data know a number lambda times as well (in variance) as the prior did.  Where lambda is below LEARNED, the
 answer is the prior's, not the frames'.  Beside that, numbers whose posterior correlation exceeds TIED are
-nearly one unknown; those tied to each other, in a chain, are said together, unless each of them is known
+named as strongly correlated; those tied to each other, in a chain, stand together, unless each of them is known
 well all the same, to LOOSE of what was known before.
 
 Nor do they tell which gas is in a hollow ball (`two_gases`).  A thin shell bends light by so little that 2.8e-4 in
@@ -62,7 +62,7 @@ def _of_light(fit: SceneFit) -> list[Weakness]:
 
 
 def weaknesses(fit: SceneFit) -> list[Weakness]:
-    """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
+    """Directions that the data leave to the prior, then strongly correlated numbers."""
     found = _of_light(fit)
     found += [Weakness((), sentence) for sentence in two_gases(fit.unknowns.scene)]
     wide = with_considered(fit.unknowns)
@@ -95,7 +95,7 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
         members = group == number
         names = tuple(name for name, member in zip(fit.names, members, strict=True) if member)
         if len(names) > 1 and root[members].max() > LOOSE and not set(names) <= unknown:
-            text = f"{_list(fit, names)} are nearly one unknown"
+            text = f"{_list(fit, names)} are strongly correlated"
             found.append(Weakness(names, f"{text}; {_cure(fit, names)}", together=True))
     return found
 

@@ -1,1 +1,1 @@
-"""A campaign: many runs evaluated by whatever computers there are, with the same bytes in the end."""
+"""A campaign: many runs evaluated on any number of computers, with the same bytes."""

@@ -161,8 +161,8 @@ WHITE = ColourSmear(1.0, 0.01, 0.4)
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        ({}, "the model is right as far as the corners tell: residuals bend smoothly by no more than 0.0"),
-        ({"unconfirmed": (WAY,)}, "the model is right as far as the corners tell: residuals bend"),
+        ({}, "the model is right within the accuracy of the corners: residuals bend smoothly by no more than 0.0"),
+        ({"unconfirmed": (WAY,)}, "the model is right within the accuracy of the corners: residuals bend"),
         ({"hidden": (HIDDEN,)}, "outside what is masked, residuals bend smoothly by no more than 0.0"),
         ({"unconfirmed": (BALL,)}, "outside what is masked, residuals bend smoothly by no more than 0.0"),
         ({"smear": WHITE}, "apart from that, residuals bend smoothly by no more than 0.0"),

@@ -54,7 +54,7 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
     assert summary["scene_hash"] == fitted.content_hash()
     page = (tmp_path / "out" / "calibration.html").read_text()
     assert "Calibration: test of the model" in page
-    assert "The model is right as far as the corners tell" in page
+    assert "The model is right within the accuracy of the corners" in page
     header, arrays = load_arrays(tmp_path / "out" / "fit.npz", "scene fit")
     assert arrays["covariance"].shape == (len(header["names"]),) * 2
     number = header["names"].index("sphere1.x")
@@ -80,10 +80,10 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
         < max(grid["nominal glass"]["behind glass"]["rms_px"])
     )
     said = " ".join(out.split())
-    assert "nearly one unknown" in said  # the scale of a print that was not measured, and what is as large as it
+    assert "strongly correlated" in said  # the scale of a print that was not measured, and what is as large as it
     assert "measure its bars and give measured_mm in board.yaml" in said
     assert not re.search(r"print\.stretch_[^|]*add bare target frames", said)
-    assert any("nearly one unknown" in each for each in summary["weak"])
+    assert any("strongly correlated" in each for each in summary["weak"])
     assert "saddles" not in err
     assert "camera on target_clear" in err
 

@@ -51,7 +51,7 @@ def test_two_frames_are_evaluated_in_metres_a_second(day, tmp_path, capsys):
     assert main(["evaluate", *frames, *TOLD, "-o", str(tmp_path / "out"), "--no-pictures"]) == DONE
     assert right(tmp_path / "out")
     said = " ".join(capsys.readouterr().out.split())
-    assert "A pixel was taken to show 0.04 mm, an error of which is in no sigma" in said
+    assert "The scale is taken as exact (0.04 mm/px); the uncertainties do not include its error" in said
     assert "rtpiv calibrate" not in said
 
 
@@ -114,7 +114,7 @@ def test_two_at_once_do_not_mix_their_files(day, tmp_path, verb, capsys):
 WORDS_OF_GLASS = (
     r"\b(glass|scene|camera'?s?|ball|sphere|bod(y|ies)|rim|seen directly|recovered|correction|corrected)\b"
 )
-BY_NAME = r"nothing is known of the camera|How steeply the camera looks at it"  # what is told instead of them
+BY_NAME = r"nothing is known of the camera|The viewing direction is not known"  # what is told instead of them
 
 
 def words_of(page):

@@ -32,7 +32,7 @@ def test_mean_takes_a_run_and_then_its_series(run, monkeypatch, capsys):
     out = run / "series"
     said = capsys.readouterr()
     assert f"{PAIRS} of {PAIRS} pairs have vectors" in said.out
-    assert "no uncertainty of the map: there is no fit" in said.out
+    assert "no map uncertainty: there is no fit" in said.out
     assert f"{PAIRS}/{PAIRS}" in said.err  # progress
     first = (out / "mean.nc").read_bytes()
     with undrawn():  # the report of the run draws it again

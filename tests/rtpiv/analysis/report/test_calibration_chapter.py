@@ -121,16 +121,16 @@ def test_what_is_masked_is_listed_with_its_reason_and_place():
     assert "not confirmed by the target</td><td>all that is seen through sphere2 &gt; sphere1" in said
 
 
-def test_numbers_known_only_together_are_no_fault_where_the_map_is_known():
+def test_correlated_numbers_are_no_fault_where_the_map_is_known():
     """The plain alarm stays for what the frames do not know, and for a map that depends on it."""
-    together = Weakness(("near.z", "far.z"), "near.z and far.z are nearly one unknown", together=True)
+    together = Weakness(("near.z", "far.z"), "near.z and far.z are strongly correlated", together=True)
     alone = Weakness(("near.n",), "near.n: known no better than before")
 
     def found(sigma_px):
         plane = np.full((2, 2, 2), sigma_px)
         return Calibration(None, SimpleNamespace(sigma_px=plane, behind_glass=np.eye(2) > 0), {}, {}, [], [], 1.0)
 
-    said = "known only together (worth at most 0.0027 px in the map): near.z and far.z are nearly one unknown"
+    said = "at most 0.0027 px in the map: near.z and far.z are strongly correlated"
     assert found(0.0027).weakness_sentence(together) == said
     assert found(0.3).weakness_sentence(together) == f"not determined: {together.sentence}"
     assert found(0.0027).weakness_sentence(alone) == f"not determined: {alone.sentence}"
