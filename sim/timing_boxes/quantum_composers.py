@@ -146,6 +146,11 @@ class _Channel:
         return True
 
 
+def _is_off(command: Command) -> bool:
+    """Return whether it switches an output or T0 off."""
+    return command.keyword.upper().endswith(":STAT") and command.value == "0"
+
+
 class QuantumComposersEmulator(PulsingEmulator):
     """A box with a number of outputs.
 
@@ -171,6 +176,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         self.refuses_off: Counter[int] = Counter()  # by output, or `RESET`: how often it still is ?8
         self.refuse = 0  # commands to come that are answered by ?8
         self.refused_off_s = -math.inf  # when an "off" was last
+        self.lost_off_s = -math.inf  # when it was last too busy to hear one
         self._name = f"{variant.model},{serial:05d},1.2.2-1.2.0"
         self._stream = CommandStream()
         self._t0 = _Channel(self._first_words(0))
@@ -291,6 +297,8 @@ class QuantumComposersEmulator(PulsingEmulator):
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
             if self.event_s < self._heard_s + self._variant.needs_s:
+                if isinstance(command, Command) and _is_off(command):
+                    self.lost_off_s = self.event_s
                 continue  # busy with the line before
             self._heard_s = self.event_s
             if self._echo and isinstance(command, Command):
@@ -302,7 +310,7 @@ class QuantumComposersEmulator(PulsingEmulator):
             return "?5" if command.raw[:1] in b":*" else "?1"
         if self.refuse > 0:
             self.refuse -= 1
-            if command.keyword.upper().endswith(":STAT") and command.value == "0":
+            if _is_off(command):
                 self.refused_off_s = self._clock.now_s()
             return "?8"
         if command.keyword.startswith("*"):

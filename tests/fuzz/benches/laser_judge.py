@@ -169,7 +169,12 @@ class JudgedLaser:
             self.judge_end(pulse, knobs)
         elif "RUN" in knobs:
             self.by_knobs += 1
-        elif not (self.is_out_of_reach(state) or self.is_refused(pulse, state) or self.is_mixed_by_keys(pulse)):
+        elif not (
+            self.is_out_of_reach(state)
+            or self.is_refused(pulse, state)
+            or self.is_lost(pulse, state)
+            or self.is_mixed_by_keys(pulse)
+        ):
             self.found.append(f"a pulse on {pulse.output} at {pulse.rises_s:.4f} s while {state.value}")
 
     def judge_end(self, pulse, knobs):
@@ -193,6 +198,12 @@ class JudgedLaser:
         if state is not LaserState.UNKNOWN or self.kind == "oltSync":
             return False
         return pulse.rises_s - self.emulator.refused_off_s <= AGAIN_S
+
+    def is_lost(self, pulse, state):
+        """Whether the program knows, has said off, and the box was too busy with another line to hear it."""
+        if state is not LaserState.UNKNOWN or self.kind == "oltSync":
+            return False
+        return pulse.rises_s - self.emulator.lost_off_s <= AGAIN_S
 
     def is_refused_since(self, time_s):
         """Whether the box has refused an off since then."""
