@@ -1,13 +1,16 @@
 """Off to a Quantum Composers box that refuses it, answers it late, or loses it."""
 
+from contextlib import suppress
+
 import pytest
 
+from daq.errors import DaqError
 from daq.timing.errors import LaserDoubt, TimingUsageError
 from daq.timing.pulses import Q_SWITCHES, LaserHead, PulseTiming, Role
 from daq.timing.states import LaserState
 from sim.emulators.faults import Fault
 from sim.timing_boxes.quantum_composers import RESET
-from stages.errors import CommandRejected
+from stages.errors import CommandRejected, StageError
 from tests.daq.timing.quantum_desk import EXPOSURES, GOOD, PUMPED, desk
 
 
@@ -94,6 +97,26 @@ def test_off_reaches_a_box_that_loses_lines_and_refuses_those_that_it_hears(refu
         last_s = max(pulse.rises_s for pulse in d.emulator.outputs.recent)
         assert told_s - 0.2 < last_s < told_s + 0.4
         assert not d.emulator.is_on_at(0)
+
+
+@pytest.mark.parametrize("kind", ["doubled", "late", "lost", "cut", "garbled"])
+def test_a_burst_made_endless_ends_though_its_off_is_refused_twice_and_the_answer_is_damaged(kind):
+    """Found by the fuzz: off was said twice in 0.3 s, then it was asked who answers, for a second."""
+    pumped = {**PUMPED, Role.MARKER: PUMPED[Role.CAMERA_B]}
+    del pumped[Role.CAMERA_B]
+    with desk(wiring=pumped, head=LaserHead(max_rate_hz=100.0), outputs=4, needs_s=0.04) as d:
+        d.to_armed()
+        d.laser.fire(3)
+        d.emulator.set_inside(1, "CMOD", "NORM")
+        d.emulator.refuses_off.update({1: 2, 3: 2})
+        d.line.faults.strike(Fault(kind, 0))
+        with suppress(DaqError, StageError):
+            d.laser.wait()
+        d.clock.sleep_s(2.0)
+        d.emulator.advance()
+        light_s = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output == "A"]
+        assert len(light_s) > 3
+        assert light_s[-1] - light_s[0] < 0.85  # three periods of the chunk, 0.2 s of grace, and LATE_S
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 4, 5])
