@@ -100,14 +100,19 @@ class Story(JudgedLaser):
         self.line.hooks.after(self.rng.randrange(1, 30), "answer", self.unplug)
 
     def plug_in(self):
-        """Put the plug back; what a diode box answered to an off just now, which alone tells of it, is gone."""
-        if self.kind == "oltSync" and self.foreign_off_s == self.stopped_s == self.clock.now_s():
-            self.stopped_s = math.inf
-            self.unseen += 1
+        """Put the plug back."""
+        self.answers_are_lost()
         self.line.plug_in()
 
     def power(self):
+        self.answers_are_lost()
         self.line.power_cycle(self.rng.choice((0.05, 0.5)))
+
+    def answers_are_lost(self):
+        """What a diode box answered to an off just now, which alone tells of it, is gone."""
+        if self.kind == "oltSync" and self.foreign_off_s == self.stopped_s == self.clock.now_s():
+            self.stopped_s = math.inf
+            self.unseen += 1
 
     def keys(self):
         if self.kind == "oltSync":
