@@ -109,8 +109,9 @@ class Story(JudgedLaser):
         self.line.power_cycle(self.rng.choice((0.05, 0.5)))
 
     def answers_are_lost(self):
-        """What a diode box answered to an off just now, which alone tells of it, is gone."""
-        if self.kind == "oltSync" and self.foreign_off_s == self.stopped_s == self.clock.now_s():
+        """What a diode box answered to an off, which alone tells of it, is gone if it was not read yet."""
+        is_unread = bool(self.line._coming) or self.emulator.has_answers
+        if self.kind == "oltSync" and self.foreign_off_s == self.stopped_s and is_unread:
             self.stopped_s = math.inf
             self.unseen += 1
 
@@ -145,7 +146,7 @@ class Story(JudgedLaser):
         self.emulator.advance()
         was_running = self.runs
         self.emulator.person_stops()
-        if was_running and self.is_in_a_slow_start:
+        if was_running and self.is_in_a_start:
             self.unseen += 1
         elif was_running:
             self.ended()
@@ -173,8 +174,10 @@ class Story(JudgedLaser):
         return self.laser._states._state in EMITS and self.laser._ends_s == math.inf
 
     @property
-    def is_in_a_slow_start(self):
-        """Whether a burst is being started line by line."""
+    def is_in_a_start(self):
+        """Whether a burst is being started line by line, or what a person has started is taken over by `warm`."""
+        if self.warms and self.has_run_key:
+            return True
         is_slow = self.kind != "oltSync" and (
             self.laser.box._pause_s > 0.0 or self.emulator._variant.needs_s > 0.0
         )
@@ -198,7 +201,7 @@ class Story(JudgedLaser):
         for data in self.laser.box.off_bytes():
             self.emulator.feed(data)
         is_off = self.kind == "oltSync" or not self.emulator.is_on_at(0)
-        if was_running and is_off and self.is_in_a_slow_start:
+        if was_running and is_off and self.is_in_a_start:
             self.unseen += 1
         elif was_running and is_off:
             self.ended()
@@ -253,7 +256,11 @@ class Story(JudgedLaser):
         self.stopped_s = math.inf  # a person has released it
 
     def warm(self):
-        self.laser.warm(self.rng.choice((10.0, 10.0, 16.0)))
+        self.warms = True
+        try:
+            self.laser.warm(self.rng.choice((10.0, 10.0, 16.0)))
+        finally:
+            self.warms = False
 
     def wait(self):
         self.laser.wait()

@@ -7,7 +7,8 @@ for; and in UNKNOWN only while no open port leads to the box: nobody can stop th
 **A person ends the light.** The key STOP, an off of another program, `rtpiv laser off`, an open door and `stop`
 end it: no pulse rises more than `LATE_S` after any of them until a person releases it, by `safe` or the key RUN.
 What reaches the box by no word is not meant (a pulled cable, a line that is lost on its way). A STOP that falls
-into the lines by which a box that loses them is started is counted as `unseen` (ADR 42).
+into the lines by which a box that loses them is started, or before that by which `warm` starts what the key RUN
+had started already, is counted as `unseen` (ADR 42); so is an off whose answer, which alone tells of it, is lost.
 
 A box that loses lines, or refuses off, is told off every `AGAIN_S`; what leaves until the next is its own. It is
 told until it reads back as off: by the verb that it has refused, or by the thread that watches a burst.
@@ -122,7 +123,7 @@ class JudgedLaser:
         self.pulses = self.firings = self.by_knobs = 0
         self.stopped_s = math.inf  # when a person ended the light and nobody has released it since
         self.foreign_off_s = -math.inf  # when that was last by another program
-        self.ends, self.has_run_key = 0, False
+        self.ends, self.has_run_key, self.warms = 0, False, False
         self.unseen = 0  # stops that nothing of the box tells of
         self.asked = 0  # pairs of the burst that was asked for last
         self.asks_off, self.door_is_closed = Asked(), Asked()
