@@ -389,8 +389,8 @@ def fuzzed(seed):
                 d.line.plug_in()
             with suppress(DaqError, StageError):
                 VERBS[verb](d)
-            if verb == "safe":
-                d.off_s = None  # a person has released it
+            if verb == "safe" or d.laser.state is LaserState.SAFE:
+                d.off_s = None  # a person has released it, or the off fell into ours: off was read back
             d.emulator.advance()
         d.line.hooks.clear()
         if d.line.dead:
