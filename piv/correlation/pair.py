@@ -15,7 +15,8 @@ windows of the deformed frames, and adds the displacement that is left:
 
 **What stands still** (background, reflections, dirt on the glass) draws every vector to zero, and no uncertainty
 sees it. A wall or a reflection that is far brighter than the flow is found (`piv.preprocessing.still_light`), in
-the two frames or beforehand in a whole series, and belongs to no window. Of the rest, where particles have moved
+the two frames or beforehand in a whole series, and belongs to no window; nor does an area without particles
+(`piv.preprocessing.empty_areas`), unless vectors stand in it all the same. Of the rest, where particles have moved
 by more than their own size, frames that show nothing else do not match at no displacement; what matches there all
 the same, as a share of what the window holds, stands still.
 
@@ -38,6 +39,8 @@ Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 2
 Sign and axis conventions: see `piv.correlation.vector_field`.
 """
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -75,6 +78,7 @@ from piv.correlation.resolution import Window, match_share, mismatch_px, resolut
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, variance_px2
+from piv.correlation.taken_out import is_measured, without_still, without_vectors
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
@@ -85,6 +89,7 @@ from piv.correlation.uncertainty import (
 from piv.correlation.vector_field import TRUSTED_SHARE, VectorField, VectorFlag
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
+from piv.preprocessing.empty_areas import empty_areas
 from piv.preprocessing.still_light import still_light, with_clean_rim
 
 BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
@@ -149,6 +154,7 @@ def evaluate_pair(
     frames, _, seen = check_frames(frame_a, frame_b, valid)
     if still is None:
         still = still_light([(frames[0], frames[1])], seen)
+    empty = empty_areas(frames[0], frames[1], seen)
     given = valid
     if given is not None and not given.all():
         usable = check_frames(frame_a, frame_b, None)[2]
@@ -164,8 +170,27 @@ def evaluate_pair(
         pair = prepare_pair(frame_a, frame_b, valid, sides[-1])
         return pair if rim is None else replace(pair, given=rim.astype(np.float32))
 
-    field = _run_passes(prepare_again(), sides, settings, threads)
-    for side in _larger(sides[0], min(np.shape(frame_a))) if _share(field) < MIN_VALID_SHARE else ():
+    field = _run_trials(prepare_again, sides, settings, threads)
+    if empty is not None and not is_measured(field, empty):
+        valid = ~empty if valid is None else valid & ~empty
+        still = empty if still is None else still | empty
+        with suppress(PairError):  # nothing is left
+            field = _run_trials(prepare_again, sides, settings, threads)
+    field = _without_chance_vectors(field)
+    if still is not None and still.any():
+        field = without_still(field, given, still, settings.min_valid)
+    return replace(field, is_one_picture=_is_one_picture(frame_a, frame_b))
+
+
+def _run_trials(
+    prepare_again: Callable[[], Pair], sides: list[int], settings: PivSettings, threads: int | None
+) -> VectorField:
+    """Make all passes, and again from larger first windows where few places have a vector."""
+    pair = prepare_again()
+    shape = pair.a.shape
+    field = _run_passes(pair, sides, settings, threads)
+    del pair
+    for side in _larger(sides[0], min(shape)) if _share(field) < MIN_VALID_SHARE else ():
         try:
             again = _run_passes(prepare_again(), [side, *sides], settings, threads)
         except PairError:
@@ -175,10 +200,7 @@ def evaluate_pair(
         field = again
         if _share(field) > TRUSTED_SHARE:
             break
-    field = _without_chance_vectors(field)
-    if still is not None and still.any():
-        field = _without_still(field, given, still, settings.min_valid)
-    return replace(field, is_one_picture=_is_one_picture(frame_a, frame_b))
+    return field
 
 
 def _larger(side_px: int, frame_px: int) -> list[int]:
@@ -193,7 +215,7 @@ def _without_chance_vectors(field: VectorField) -> VectorField:
     sigma = field.total_sigma_px[field.valid]
     if np.isfinite(sigma).any() and np.nanmedian(sigma) < UNRELATED_SIGMA_PX:
         return field
-    return _without(field, field.asked, VectorFlag.REJECTED)
+    return without_vectors(field, field.asked, VectorFlag.REJECTED)
 
 
 def _is_one_picture(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
@@ -204,43 +226,6 @@ def _is_one_picture(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
 def _share(field: VectorField) -> float:
     """Share of the windows with something to see that have a vector."""
     return field.counts["valid"] / max(int(np.count_nonzero(field.asked)), 1)
-
-
-def _without_still(
-    field: VectorField, given: NDArray[np.bool_] | None, still: NDArray[np.bool_], min_valid: float
-) -> VectorField:
-    """The field without vectors whose middle stands still; what is masked by that alone says so."""
-    row, column = (
-        np.clip(np.rint(place), 0, side - 1).astype(np.int64)
-        for place, side in zip((field.y_px, field.x_px), still.shape, strict=True)
-    )
-    at = np.ix_(row, column)
-    seen = 1.0 if given is None else _share_around(given, field.window_px)[at]
-    of_still = (field.flags == VectorFlag.MASKED) & (seen >= min_valid)
-    of_still &= _share_around(still, field.window_px)[at] > 0.0
-    return _without(field, still[at] | of_still, VectorFlag.STILL)
-
-
-def _without(field: VectorField, gone: NDArray[np.bool_], flag: VectorFlag) -> VectorField:
-    """The field without some of its vectors (ny, nx), which get a flag instead."""
-    flags = np.where(gone, np.uint8(flag), field.flags)
-    names = (
-        "u_px",
-        "v_px",
-        "sigma_u_px",
-        "sigma_v_px",
-        *(() if field.resolution_px is None else ("resolution_px",)),
-    )
-    without: dict[str, Any] = {name: np.where(gone, np.nan, getattr(field, name)) for name in names}
-    return replace(field, flags=flags, **without)
-
-
-def _share_around(which: NDArray[np.bool_], side_px: int) -> NDArray[np.float32]:
-    """Share (H, W) of pixels within windows around each."""
-    import cv2
-
-    found: Any = cv2.blur(which.astype(np.float32), (side_px, side_px), borderType=cv2.BORDER_REFLECT)
-    return np.asarray(found, np.float32)
 
 
 def _run_passes(
@@ -314,7 +299,7 @@ def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
     beside = scipy.ndimage.binary_dilation(short, np.ones((5, 5), bool)) & (
         length_px < COMMON_LIGHT_MARGIN * common.least_px
     )
-    return _without(field, field.valid & (short | beside), VectorFlag.REJECTED)
+    return without_vectors(field, field.valid & (short | beside), VectorFlag.REJECTED)
 
 
 def _decimate(field: VectorField, every: int) -> VectorField:

@@ -33,7 +33,7 @@ class VectorFlag(IntEnum):
     MASKED = 1  # too few valid pixels in the window: not a vector, NaN
     REPLACED = 2  # rejected as an outlier, the value is interpolated from valid neighbours
     REJECTED = 3  # rejected, or a window without texture, and no neighbour to interpolate from: NaN
-    STILL = 4  # a wall or a reflection, whose light stands still beside a flow: not a vector, NaN
+    STILL = 4  # a wall or a reflection, whose light stands still beside a flow, or no particles: no vector, NaN
 
 
 NOT_ASKED = (VectorFlag.MASKED, VectorFlag.STILL)  # where nothing could be measured

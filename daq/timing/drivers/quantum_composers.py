@@ -45,10 +45,8 @@ T0 = 0
 OUTPUTS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
 PAUSE_S = 0.05  # between lines to a box that loses those that come sooner
-FIRST_OFF_ANSWER_S = (
-    0.1  # without an answer to the first off of a burst, until off is written to all of its outputs
-)
-ROUNDS_AT_END = 2  # of off to the Q-switches of a burst that may have been made endless, before anything is asked
+FIRST_OFF_ANSWER_S = 0.1  # without an answer to the first off of a burst, until off is written to all its outputs
+ROUNDS_AT_END = 2  # of off to Q-switches whose first may have been refused, before anything is asked
 INSISTS = 6  # how often off is said again to such a box, before anything is asked: 0.3 s
 MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
@@ -335,7 +333,6 @@ class QuantumComposersBox(TimingBox):
                 self._set(sent[-1], "STAT", "0", timeout_s=FIRST_OFF_ANSWER_S)
         if not self._suspect:
             return
-        # Q-switches that were not told yet, then all of them again, as the box may have refused the first
         lights = self._numbers(*Q_SWITCHES)
         for number in [*lights[len(sent) :], *ROUNDS_AT_END * lights, *numbers[len(lights) :]]:
             self.clock.sleep_s(self._pause_s)

@@ -1,0 +1,58 @@
+"""Vectors that are taken out of a field: where light stands still, and where there are no particles."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piv.correlation.vector_field import VectorField, VectorFlag
+
+WITHIN, MEASURED_SHARE = 0.99, 0.3  # of a window that lies in an empty area; of such windows with a vector
+
+
+def without_still(
+    field: VectorField, given: NDArray[np.bool_] | None, still: NDArray[np.bool_], min_valid: float
+) -> VectorField:
+    """The field without vectors whose middle stands still; what is masked by that alone says so."""
+    row, column = (
+        np.clip(np.rint(place), 0, side - 1).astype(np.int64)
+        for place, side in zip((field.y_px, field.x_px), still.shape, strict=True)
+    )
+    at = np.ix_(row, column)
+    seen = 1.0 if given is None else _share_around(given, field.window_px)[at]
+    of_still = (field.flags == VectorFlag.MASKED) & (seen >= min_valid)
+    of_still &= _share_around(still, field.window_px)[at] > 0.0
+    return without_vectors(field, still[at] | of_still, VectorFlag.STILL)
+
+
+def is_measured(field: VectorField, empty: NDArray[np.bool_]) -> bool:
+    """Return whether vectors stand in an area all the same: particles there are dim, and it is not empty."""
+    row, column = (np.clip(np.rint(place), 0, None).astype(np.int64) for place in (field.y_px, field.x_px))
+    for side_px in (field.window_px, field.window_px // 2):  # half a window of what is narrower
+        within = (_share_around(empty, side_px)[np.ix_(row, column)] >= WITHIN) & field.asked
+        if within.any():
+            return bool(field.valid[within].mean() > MEASURED_SHARE)
+    return True
+
+
+def without_vectors(field: VectorField, gone: NDArray[np.bool_], flag: VectorFlag) -> VectorField:
+    """The field without some of its vectors (ny, nx), which get a flag instead."""
+    flags = np.where(gone, np.uint8(flag), field.flags)
+    names = (
+        "u_px",
+        "v_px",
+        "sigma_u_px",
+        "sigma_v_px",
+        *(() if field.resolution_px is None else ("resolution_px",)),
+    )
+    without: dict[str, Any] = {name: np.where(gone, np.nan, getattr(field, name)) for name in names}
+    return replace(field, flags=flags, **without)
+
+
+def _share_around(which: NDArray[np.bool_], side_px: int) -> NDArray[np.float32]:
+    """Share (H, W) of pixels within windows around each."""
+    import cv2
+
+    found: Any = cv2.blur(which.astype(np.float32), (side_px, side_px), borderType=cv2.BORDER_REFLECT)
+    return np.asarray(found, np.float32)
