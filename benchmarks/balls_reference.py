@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import mpmath
 from mpmath import mpf
 
-from benchmarks.reference import Vector, along, dot, snell
+from benchmarks.reference import TOUCHES, Vector, along, dot, snell
 from tracer.bodies import Sphere
 from tracer.harmonics import TERMS
 from tracer.scene.scene import Scene
@@ -25,7 +25,7 @@ SEARCHES = 120
 
 @dataclass(frozen=True)
 class End:
-    """What became of a ray: 'recovered', 'tir' or 'missed'; plane point, path, light, branch, steepest sine."""
+    """What became of a ray: 'recovered', 'tir', 'missed' or 'glass'; plane point, path, light, branch, steepest sine."""
 
     status: str
     x: mpf
@@ -153,7 +153,7 @@ def _root(at: Callable[[mpf], mpf], outside: mpf, inside: mpf) -> mpf:
 
 
 def follow_balls(scene: Scene, p: Vector, d: Vector) -> End:
-    """Follow a ray to the plane z = 0."""
+    """Follow a ray to the plane z = 0, which balls may reach through."""
     balls, left = balls_of(scene), -1
     path, passed, steepest = mpf(0), mpf(1), mpf(0)
     branch: list[str] = []
@@ -165,6 +165,8 @@ def follow_balls(scene: Scene, p: Vector, d: Vector) -> End:
         if not ahead:
             break
         t, _, left = min(ahead)
+        if d[2] < 0 and along(p, t, d)[2] < 0:
+            break
         ball = balls[left]
         branch.append(ball.name)
         p, path = along(p, t, d), path + t
@@ -183,6 +185,8 @@ def follow_balls(scene: Scene, p: Vector, d: Vector) -> End:
                 found = chord(ball, p, d)
                 assert found is not None
                 p, path = along(p, found[1], d), path + ball.n * found[1]
+        if p[2] < -TOUCHES:
+            return End("glass", mpf(0), mpf(0), path, mpf(0), tuple(branch), steepest, d)
     if not d[2] < 0:
         return End("missed", mpf(0), mpf(0), path, passed, tuple(branch), steepest, d)
     t = -p[2] / d[2]

@@ -23,6 +23,7 @@ from tracer.scene.scene import Scene
 mpmath.mp.dps = 50
 
 Vector = tuple[mpf, mpf, mpf]
+TOUCHES = mpf("1e-6")  # [mm]: less than that through the plane is contact
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Seen:
     Parameters
     ----------
     status : str
-        "recovered", "tir" or "missed".
+        "recovered", "tir", "missed", or "glass" for what comes to the plane in a sphere.
     x, y : mpf
         Plane point [mm].
     branch : tuple of str
@@ -194,7 +195,7 @@ def cross(o: Vector, d: Vector, ball: Glass) -> Crossed | None:
 
 
 def follow(scene: Scene, o: Vector, d: Vector) -> Seen:
-    """Trace a ray from a point outside all spheres to the plane z = 0.
+    """Trace a ray from a point outside all spheres to the plane z = 0, which spheres may reach through.
 
     The direction is taken as given but for its length, which in float64 is 1 only to rounding.
     """
@@ -212,6 +213,9 @@ def follow(scene: Scene, o: Vector, d: Vector) -> Seen:
         if not ahead:
             break
         t, ball = min(ahead, key=lambda pair: pair[0])
+        reaches_through = ball.centre[2] - ball.radius < -TOUCHES
+        if reaches_through and d[2] < 0 and along(o, t, d)[2] < 0:
+            break
         o = along(o, t, d)
         path += t
         inside = cross(o, d, ball)
@@ -222,6 +226,8 @@ def follow(scene: Scene, o: Vector, d: Vector) -> Seen:
         o, d = inside.o, inside.d
         worst, path, passed = max(worst, inside.worst), path + inside.path, passed * inside.passed
         left = ball
+        if reaches_through and o[2] < 0:
+            return Seen("glass", mpmath.nan, mpmath.nan, tuple(branch), worst, path, mpf(0), d)
     if not d[2] < 0:
         return Seen("missed", mpmath.nan, mpmath.nan, tuple(branch), worst, path, passed, d)
     t = -o[2] / d[2]

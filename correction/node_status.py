@@ -18,7 +18,7 @@ class NodeStatus(IntEnum):
     LOW_MAGNIFICATION = LOW_MAGNIFICATION  # seen too small to be worth anything
     UNSURE = UNSURE  # the map's sigma is beyond the limit that was set
     BLURRED = BLURRED  # the aperture shows it too blurred, or too far from its chief ray
-    IN_GLASS = IN_GLASS  # the light sheet runs through a body there
+    IN_GLASS = IN_GLASS  # the plane runs through a body there
     UNLISTED = UNLISTED  # something that the scene does not list stands before it
     UNCONFIRMED = UNCONFIRMED  # the target did not confirm what the scene shows there
     LEFT_OUT = LEFT_OUT  # a person wants it so

@@ -22,7 +22,7 @@ from typing import Any
 from correction.fitted.map_sigma import SigmaLimit
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.aperture import through_pupil
-from correction.maps.correction_map import CorrectionMap, build_correction_map, code_here, outside_glass
+from correction.maps.correction_map import CorrectionMap, build_correction_map, code_here
 from correction.maps.corrector import Corrector
 from correction.maps.dewarp import Dewarp
 from ground.errors import GroundError
@@ -121,7 +121,7 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    found = outside_glass(through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene), scene)
+    found = through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
     return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid))
 

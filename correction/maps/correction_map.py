@@ -22,12 +22,12 @@ Limits: where the view shrinks below `min_magnification` sensor pixels a node in
 is not worth correcting (LOW_MAGNIFICATION); where it is stretched beyond `max_magnification` two images
 are about to merge (FOLD).
 
-Where the light sheet runs into a body nothing flows, so nothing is recovered there (`outside_glass`).  A ball that
-touches the target's plane is cut by a sheet that lies a little before it: 0.3 mm before the plane, a ball of 25 mm
-radius fills a disc of 3.9 mm radius of the sheet.  The glass of a tube's wall, which may cross the plane, is given
-by the rays that end in it.
+Where the plane runs through a body nothing flows: these nodes are IN_GLASS.  A ball that touches the target's plane
+is cut by a sheet that lies a little before it: 0.3 mm before the plane, a ball of 25 mm radius fills a disc of 3.9 mm
+radius of the sheet.  The glass of a tube's wall, which may cross the plane, is given by the rays that end in it.
 """
 
+import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -349,16 +349,26 @@ def build_correction_map(
         scene_hash=ray_map.scene_hash,
         made_by="",
     )
-    return _outside_outlines(found, scene)
+    return _outside_outlines(_outside_glass(found, scene), scene)
 
 
-def outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
+def _outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     """Return the map with its nodes inside bodies IN_GLASS; the same map where no body reaches through z = 0."""
-    cut = [body.capsule for body in scene.seen if body.lowest_mm < -CONTACT_TOL_MM and not body.may_cross_plane]
+    inside = nodes_in_glass(scene, found.grid)
+    return found if inside is None else found.without(inside, NodeStatus.IN_GLASS)
+
+
+def nodes_in_glass(scene: Scene, grid: PlaneGrid) -> NDArray[np.bool_] | None:
+    """Mask of the nodes (h, w) inside bodies that reach through the plane, but for walls; None if there are none."""
+    cut = [body for body in scene.seen if body.lowest_mm < -CONTACT_TOL_MM and body.room is None]
     if not cut:
-        return found
-    inside = np.any([_inside(capsule, found.grid) for capsule in cut], axis=0) & found.recovered
-    return found.without(inside, NodeStatus.IN_GLASS)
+        return None
+    inside, nodes_mm = np.zeros(grid.shape, np.bool_), grid.nodes_mm()
+    for body in cut:
+        part = _reach(body.capsule, grid)
+        places = np.concatenate((nodes_mm[part], np.zeros((*inside[part].shape, 1))), axis=-1)
+        inside[part] |= body.distance_mm(places) < 0.0
+    return inside
 
 
 def _outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:
@@ -369,11 +379,13 @@ def _outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     return found
 
 
-def _inside(capsule: Capsule, grid: PlaneGrid) -> NDArray[np.bool_]:
-    """Nodes (h, w) inside a capsule."""
-    start, end = np.array(capsule.start_mm), np.array(capsule.end_mm)
-    axis = end - start
-    nodes = np.concatenate((grid.nodes_mm(), np.zeros((*grid.shape, 1))), axis=-1) - start
-    length2 = float(axis @ axis)
-    along = np.clip(nodes @ axis / length2, 0.0, 1.0) if length2 > 0.0 else np.zeros(grid.shape)
-    return np.asarray(np.linalg.norm(nodes - along[..., None] * axis, axis=-1) < capsule.radius_mm)
+def _reach(capsule: Capsule, grid: PlaneGrid) -> tuple[slice, slice]:
+    """Rows and columns of the nodes that a capsule can hold."""
+    ends = np.array([capsule.start_mm, capsule.end_mm])[:, :2]
+    low, high = ends.min(axis=0) - capsule.radius_mm, ends.max(axis=0) + capsule.radius_mm
+    (left, bottom), (right, top) = grid.to_px(low), grid.to_px(high)
+    rows, columns = (
+        slice(*np.clip((math.floor(first), math.ceil(last) + 1), 0, size).tolist())
+        for first, last, size in zip((top, left), (bottom, right), grid.shape, strict=True)
+    )
+    return rows, columns

@@ -68,7 +68,7 @@ def sheet_clearance_mm(bench: Bench, positions_mm: Mapping[str, float]) -> float
     -------
     float
         Below 0 if the sheet is cut; infinity if there is neither glass nor target.  A tube around the sheet does
-        not count: the light goes in through it.
+        not count: the light goes in through it.  Nor does a ball that the scene has in the sheet, as in a bed.
     """
     return min((free_mm for _, free_mm in sheet_clearances_mm(bench, positions_mm)), default=float("inf"))
 
@@ -81,7 +81,8 @@ def sheet_clearances_mm(bench: Bench, positions_mm: Mapping[str, float]) -> list
     for body in bench.scene.bodies:
         off_mm = z_mm.get(body.carried, 0.0)
         gap_mm = max(body.lowest_mm + off_mm, -body.highest_mm - off_mm)
-        if gap_mm > 0.0 or not body.may_cross_plane:
+        is_wall = body.may_cross_plane and body.kind != "sphere"
+        if gap_mm > 0.0 or not (is_wall or body in bench.scene.crossing):
             distances.append((GLASS if body.carried == GLASS else body.name, gap_mm))
     if bench.table.axes_of(TARGET):
         front_mm = bench.table.offset_mm(TARGET, positions_mm)[2]

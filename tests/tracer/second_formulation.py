@@ -84,7 +84,10 @@ def inside(ball: np.ndarray, p: np.ndarray, d: np.ndarray) -> tuple[int, float, 
 
 @register_jitable(error_model="numpy")
 def second(eye: np.ndarray, ways: np.ndarray, spheres: np.ndarray, out: np.ndarray) -> None:
-    """Per ray (N, 6): plane point x, y, number of all events (-1: turned back), room to others, steepest, z."""
+    """Per ray (N, 6): plane point x, y, number of all events, room to others, steepest, z.
+
+    Events are -1 for what is turned back, -2 for what comes to the plane in a sphere that reaches through it.
+    """
     for ray in range(ways.shape[0]):
         p, d = eye.copy(), ways[ray].copy()
         last, events, near, steep = -1, 0, math.inf, 1.0
@@ -99,9 +102,18 @@ def second(eye: np.ndarray, ways: np.ndarray, spheres: np.ndarray, out: np.ndarr
                             best, first = k, root
             if best < 0:
                 break
+            low = spheres[best, 2] - spheres[best, 3] < -1e-6
+            entry = p[2] + first * d[2]
+            near = min(near, abs(entry) / spheres[best, 3]) if low else near
+            if low and d[2] < 0.0 and entry < 0.0:
+                break
             p += first * d
             way, edge, least = inside(spheres[best], p, d)
             near, steep = min(near, edge), min(steep, least)
+            near = min(near, abs(p[2]) / spheres[best, 3]) if low else near
+            if way >= 0 and low and p[2] < 0.0:
+                events = -2
+                break
             if way < 0:
                 events = -1
                 break

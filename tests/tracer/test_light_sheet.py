@@ -7,7 +7,7 @@ import pytest
 
 from ground.errors import ConfigError
 from tests.correction.small_scenes import EXAMPLES, small_scene
-from tracer.bodies import translate_by
+from tracer.bodies import Rod, translate_by
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import dump_scene, load_scene
@@ -80,12 +80,15 @@ def test_what_cannot_be_is_refused_with_its_line(section, said, tmp_path):
     assert [problem.line for problem in refused.value.problems] == [last]
 
 
-def test_glass_may_be_touched_by_the_sheet_and_not_be_cut_in_two():
+def test_the_sheet_may_run_through_balls_and_not_through_a_rod():
     scene = small_scene("two_spheres_500", 252)  # its first ball touches the target's plane
     touching = replace(scene, sheet=LightSheet(0.4)).in_light_sheet()
     assert touching.spheres[0].lowest_mm == pytest.approx(-0.4)
     through = replace(scene, sheet=LightSheet(1.4))
-    with pytest.raises(SceneError, match=r"runs through 'near' \(1.4 mm deep\)"):
-        through.in_light_sheet()
+    (cut,) = through.in_light_sheet().crossing
+    assert (cut.name, cut.lowest_mm) == ("near", pytest.approx(-1.4))
+    rod = Rod("rod", (40.0, 0.0, 2.0), (60.0, 0.0, 2.0), 2.0)
+    with pytest.raises(SceneError, match=r"runs through 'rod' \(1.4 mm deep\)"):
+        through.with_bodies([*through.bodies, rod]).in_light_sheet()
     free = through.with_bodies([body.moved(translate_by((0.0, 0.0, 4.0))) for body in through.bodies])
     assert free.in_light_sheet().spheres[0].lowest_mm == pytest.approx(2.6)

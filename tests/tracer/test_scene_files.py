@@ -108,7 +108,7 @@ BROKEN = {
     "wavelength in um": ("wavelength_nm: 532.0", "wavelength_nm: 0.532", 1, "300 or more"),
     "overlap": ("[0.0, 0.0, 75.0]", "[0.0, 0.0, 72.0]", 12, "overlap by 3 mm"),
     "overlap with the rod": ("start_mm: [60.0", "start_mm: [20.0", 11, "overlap"),
-    "through the plane": ("[0.0, 0.0, 25.0]", "[0.0, 0.0, 24.0]", 11, "through the investigation plane"),
+    "through the plane": ("[60.0, 0.0, 10.0]", "[60.0, 0.0, 3.0]", 15, "a rod may touch z = 0, not cross it"),
     "camera in glass": ("L_mm: 500.0", "L_mm: 99.0", 12, "the camera is inside body 'far'"),
     "camera behind": (
         "sensor_px",

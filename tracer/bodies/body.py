@@ -15,9 +15,8 @@ from pydantic import Field
 
 from ground.config import Table
 from tracer.camera import Vector3
+from tracer.kernels.crossed import CONTACT_TOL_MM as CONTACT_TOL_MM
 from tracer.media import Medium
-
-CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
 
 
 class Capsule(NamedTuple):

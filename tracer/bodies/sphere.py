@@ -216,6 +216,11 @@ class Sphere(Body):
         """Largest z of the sphere."""
         return self.centre_mm[2] + self._reach_mm(1.0)
 
+    @property
+    def may_cross_plane(self) -> bool:
+        """Return whether the body may reach through the investigation plane."""
+        return True
+
     def _reach_mm(self, side: float) -> float:
         """Reach of the ball along z, up (1) or down (-1)."""
         return reach_mm(self.radius_mm, self.shape_um, side) if self.shape_um else self.radius_mm

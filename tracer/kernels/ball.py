@@ -77,6 +77,11 @@ def next_shaped(
     return next_among_shapes(p, d, last, spheres, shapes[0], room, home)
 
 
+def shaped_entry(p: Vector, d: Vector, body: int, spheres: Array, shapes: tuple[Any, ...]) -> Vector:
+    """`entry_point` where there are shapes."""
+    return entry_point(p, d, spheres[body], shapes[0][body]) if len(shapes) else p
+
+
 def cross_shaped(
     p: Vector, d: Vector, body: int, spheres: Array, shapes: tuple[Any, ...]
 ) -> tuple[int, Vector, Vector, float, float]:
@@ -120,6 +125,13 @@ def _next_shaped(p, d, last, spheres, shapes, room, home):  # type: ignore[no-un
     return lambda p, d, last, spheres, shapes, room, home: next_among_shapes(
         p, d, last, spheres, shapes[0], room, home
     )
+
+
+@overload(shaped_entry, jit_options=OVERLOADED)
+def _shaped_entry(p, d, body, spheres, shapes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    if not len(shapes):
+        return lambda p, d, body, spheres, shapes: p
+    return lambda p, d, body, spheres, shapes: entry_point(p, d, spheres[body], shapes[0][body])
 
 
 @overload(cross_shaped, jit_options=OVERLOADED)
@@ -279,6 +291,15 @@ def meets_ball(p: Vector, d: Vector, ball: Array, shape: Array) -> float:
     _, far, _ = intersect_surface(a, d, far, 1.0, shape)
     t = m + 0.5 * (near + far)
     return t if t > 0.0 else math.inf
+
+
+@kernel
+def entry_point(p: Vector, d: Vector, ball: Array, shape: Array) -> Vector:
+    """Point at which a ray enters a ball that it meets."""
+    centre, around2 = vector_at(ball, 0), ball[RADIUS] * ball[RADIUS]
+    _, a = foot(subtract(p, centre), d)
+    _, s, _ = intersect_surface(a, d, -math.sqrt(max(around2 - dot(a, a), 0.0)), -1.0, shape)
+    return add(centre, move(a, s, d))
 
 
 @kernel

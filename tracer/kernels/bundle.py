@@ -25,6 +25,7 @@ import math
 from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.candidates import (
+    BALL_R,
     BALL_X,
     BALL_Y,
     BALL_Z,
@@ -35,6 +36,7 @@ from tracer.kernels.candidates import (
     list_from_box,
     narrow_list,
 )
+from tracer.kernels.crossed import enters_behind, leaves_behind
 from tracer.kernels.lanes import (
     BALL_GK,
     BALL_IR,
@@ -87,10 +89,11 @@ from tracer.kernels.packets import DX, DY, DZ, LANES, PX, PY, PZ, STEP, VECTOR, 
 from tracer.kernels.rooms import OUTERMOST
 from tracer.kernels.sphere import foot
 from tracer.kernels.vectors import Vector, dot, move, subtract
-from tracer.kernels.world import BLOCKED, RECOVERED, TIR, TOO_MANY_EVENTS, next_in_bed
+from tracer.kernels.world import BLOCKED, IN_GLASS, RECOVERED, TIR, TOO_MANY_EVENTS, next_in_bed
 
 MANY, LONG = 16, 4  # rays of a group and balls of its list from which it pays to narrow it
 foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
+LEFT_BEHIND = 2  # LOST: behind the investigation plane; 1: totally reflected
 FACTOR = 6364136223846793005  # of the hash of a trail, modulo 2^64 (Knuth's MMIX generator)
 
 
@@ -347,13 +350,39 @@ def refract_bundle(count: int, bed: Bed, rays: Array, marks: Array) -> int:
 
 
 @kernel
-def end_reflected(count: int, events: int, bundle: Bundle) -> int:
-    """End the rays that were totally reflected; return how many are left."""
+def stop_at_plane(count: int, balls: Array, rays: Array, marks: Array) -> None:
+    """Let rays that reach the investigation plane before their sphere meet nothing."""
+    for i in range(count):
+        k = marks[PICK + i]
+        if k != NOTHING:
+            p = rays[PX + i], rays[PY + i], rays[PZ + i]
+            d = rays[DX + i], rays[DY + i], rays[DZ + i]
+            if enters_behind(p, d, (balls[BALL_X, k], balls[BALL_Y, k], balls[BALL_Z, k]), balls[BALL_R, k]):
+                marks[PICK + i] = NOTHING
+
+
+@kernel
+def lose_in_glass(count: int, balls: Array, rays: Array, marks: Array) -> int:
+    """Mark rays that left their sphere, LAST, behind the investigation plane; return how many."""
+    lost = 0
+    for i in range(count):
+        k = marks[LAST + i] & NON_NEGATIVE
+        a = rays[PX + i] - balls[BALL_X, k], rays[PY + i] - balls[BALL_Y, k], rays[PZ + i] - balls[BALL_Z, k]
+        d = rays[DX + i], rays[DY + i], rays[DZ + i]
+        if marks[LOST + i] == 0 and leaves_behind(a, d, balls[BALL_Z, k], balls[BALL_R, k]):
+            marks[LOST + i] = LEFT_BEHIND
+            lost += 1
+    return lost
+
+
+@kernel
+def end_lost(count: int, events: int, bundle: Bundle) -> int:
+    """End the rays that were totally reflected, or are behind the plane; return how many are left."""
     rays, marks, ends, fates = bundle.rays, bundle.marks, bundle.ends, bundle.fates
     i = 0
     while i < count:
         if marks[LOST + i] != 0:
-            end_ray(i, TIR, events, rays, marks, ends, fates)
+            end_ray(i, IN_GLASS if marks[LOST + i] == LEFT_BEHIND else TIR, events, rays, marks, ends, fates)
             count -= 1
             move_ray(i, count, rays, marks)
             continue
@@ -381,13 +410,18 @@ def follow_bundle(count: int, most: int, bed: Bed, bundle: Bundle) -> bool:
     while True:
         groups = group_lanes(count, bundle)
         intersect_groups(groups, bed, bundle)
+        if bed.is_crossed:
+            stop_at_plane(count, bed.balls, rays, marks)
         count = compact_active_rays(count, events, most, bed, bundle)
         if count == 0:
             return True
         full = fill_lanes(count, rays, marks)
         events += 1
-        if refract_bundle(full, bed, rays, marks) != 0:
-            count = end_reflected(count, events, bundle)
+        lost = refract_bundle(full, bed, rays, marks)
+        if bed.is_crossed:
+            lost += lose_in_glass(full, bed.balls, rays, marks)
+        if lost != 0:
+            count = end_lost(count, events, bundle)
             if count == 0:
                 return True
         point_cells(count, rays, marks)

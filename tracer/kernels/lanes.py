@@ -36,7 +36,7 @@ class Bed(NamedTuple):
 
     ``spheres`` (N, 6) as ``Scene.sphere_table`` in the order of ``balls``; ``frame``, ``begin``, ``items`` their
     cells, see ``tracer.kernels.world``; ``home`` (0,).  ``alike``: all are of one radius and one index; ``clear``:
-    none is opaque.
+    none is opaque; ``is_crossed``: some reach through the investigation plane, where rays end.
     """
 
     balls: Array
@@ -49,6 +49,7 @@ class Bed(NamedTuple):
     home: Array
     alike: bool
     clear: bool
+    is_crossed: bool
 
 
 class Bundle(NamedTuple):

@@ -8,8 +8,9 @@ most).  Three facts replace every tolerance:
 * The chords that disjoint convex bodies cut from a line are disjoint, so their order is the order of any
   points inside them: foot points decide which body comes first; no entry point is computed.
   A ray that leaves a sphere is taken from its foot point in that sphere, which lies before every later chord.
-* All bodies lie in front of the plane, so every hit comes before the plane.  The plane is asked last, by the
-  caller, and only whether the ray goes down; a sphere that touches the plane needs no special care.
+* Bodies that lie in front of the plane are all met before it.  The plane is asked last, by the caller, and only
+  whether the ray goes down; a sphere that touches the plane needs no special care.  Spheres that reach through it
+  are asked on which side they are entered and left (``tracer.kernels.crossed``).
 
 A sphere is chosen by b^2 < R^2 with the foot point at hand, and b^2 is then taken from a foot point corrected
 once more (`foot`).  Where that one says b >= R the ray is a tangent to rounding, and PASSES.  At 50 digits a third
@@ -28,6 +29,7 @@ from ground.jit import Array, kernel, kernel_composed, kernel_inlined
 from tracer.kernels.ball import BENT, BESIDE, cross_shaped, is_shaped, shape_rates
 from tracer.kernels.branches import DIRECT, FIRST_OTHER, NOTHING, next_key, other_event
 from tracer.kernels.camera import eye_of, pixel_ray, pixel_ray_tangents
+from tracer.kernels.crossed import CONTACT_TOL_MM, ends_before, leaves_behind
 from tracer.kernels.rooms import IN, OFF, OUT, OUTERMOST, THROUGH
 from tracer.kernels.sphere import (
     OPAQUE,
@@ -51,6 +53,7 @@ from tracer.kernels.vectors import Vector, add, dot, subtract, vector_at
 from tracer.kernels.world import (
     BLOCKED,
     ENTERED,
+    IN_GLASS,
     MISSED_PLANE,
     OFF_INSIDE,
     RECOVERED,
@@ -173,8 +176,8 @@ def trace_ray(
 ) -> tuple[Any, ...]:  # fmt: skip
     """Take a ray from p along d through the bodies.
 
-    Returns status (RECOVERED: behind all bodies, wherever it goes), point and direction of the last straight
-    piece, key, events, what was kept, and n / n_ambient of the room in which the ray ends.
+    Returns status (RECOVERED: behind all bodies, wherever it goes, or at the plane), point and direction of the last
+    straight piece, key, events, what was kept, and n / n_ambient of the room in which the ray ends.
     """
     key, events, last = DIRECT, 0, NOTHING
     spheres, rooms = world.spheres, world.rooms
@@ -185,6 +188,8 @@ def trace_ray(
         index = rooms.n[room]
     while True:
         body = next_body(p, d, last, room, world)
+        if world.is_crossed and body > NOTHING and ends_before(p, d, body, world):
+            return RECOVERED, p, d, key, events, kept, index
         if body == NOTHING and (len(world.others) == 0 or room == OUTERMOST):
             return RECOVERED, p, d, key, events, kept, index
         if len(world.others) > 0 and body <= NOTHING:
@@ -237,6 +242,8 @@ def trace_ray(
             if kind == REFLECTED:
                 return TIR, p, d, key, events, kept, index
             p, d, last = q, e, body
+            if world.is_crossed and kind == SHAPED and q[2] < -CONTACT_TOL_MM:
+                return IN_GLASS, p, d, key, events, kept, index
             continue
         m, a = foot(w, d)
         b2 = dot(a, a)
@@ -259,6 +266,8 @@ def trace_ray(
             )  # fmt: skip
             kept = record(kept, crossing, world)
             a, d = rotate(a, d, b2, turn)
+            if world.is_crossed and leaves_behind(a, d, centre[2], radius):
+                return IN_GLASS, add(centre, a), d, key, events + 1, kept, index
         else:
             kind = REFLECTED if b2 < radius * radius else PASSED
             ids = kind, events, event, body, way

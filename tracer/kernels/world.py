@@ -35,8 +35,8 @@ from tracer.kernels.sphere import OPAQUE, RADIUS
 from tracer.kernels.vectors import Vector, dot, move, subtract, vector_at
 
 GROW = 1e-6  # cells; the walk is off by a few 1e-16 of the distance walked
-RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS = 0, 1, 2, 3, 4  # RayStatus, as plain integers
-ENTERED, OFF_INSIDE = 5, 6  # of a ray at a body: in another room now; behind it, totally reflected by its inside
+RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS, IN_GLASS = range(6)  # RayStatus, as plain integers
+ENTERED, OFF_INSIDE = 6, 7  # of a ray at a body: in another room now; behind it, totally reflected by its inside
 Crossed = tuple[
     int, Vector, Vector, float, float
 ]  # status, point, direction, path, share of the light; see `Kind`
@@ -132,6 +132,8 @@ class World(NamedTuple):
         Rates of a row that does not change: zeros.
     shapes : tuple of (N, SHAPE_NUMBERS) float64
         Which spheres are out of round (``tracer.kernels.ball``); empty where none is.
+    is_crossed : bool
+        Whether spheres reach through the investigation plane, where rays then end.
     """
 
     spheres: Array
@@ -142,6 +144,7 @@ class World(NamedTuple):
     rooms: Rooms = ONE_ROOM
     still: Array = STILL
     shapes: tuple[Any, ...] = ()
+    is_crossed: bool = False
 
 
 Tables = tuple[Array, World]  # of a scene: camera and bodies

@@ -1,8 +1,8 @@
 """The scene: camera, bodies, ambient medium, wavelength.
 
-The investigation plane is z = 0 and the camera looks at it from z > 0.  Bodies may touch each other, the
-plane, and nothing more: contact is legal, overlap is refused.  Bodies wholly behind the plane are legal
-and never seen.
+The investigation plane is z = 0 and the camera looks at it from z > 0.  Bodies may touch each other and nothing
+more: contact is legal, overlap is refused.  Spheres, tubes and domes may reach through the plane, which is seen in
+the gas between them.  Bodies wholly behind the plane are legal and never seen.
 
 A scene is a value: frozen, comparable, with a content hash over every number that changes a ray (names
 and the order of the bodies do not).  The hash travels into every map and every corrected frame.
@@ -71,14 +71,16 @@ class Scene:
         Where particles are lit, as far as that was measured (`lit`).  No ray to the target depends on it, so the
         content hash does not; see `in_light_sheet`.
     cut_mm : float
-        How far bodies may reach through the plane: not through the target's, a little through a light sheet.
+        How far rods, windows and meshes may reach through the plane: not through the target's, a little through a
+        light sheet.
     masked : tuple of MaskedPart
         Parts of the view that no map is to use.  Rays do not depend on them, so the content hash does not.
 
     Raises
     ------
     SceneError
-        Bodies overlap, one reaches through the plane, the camera is inside one, n < 1, or two share a name.
+        Bodies overlap, one reaches through the plane that may not, the camera is inside one, n < 1, or two share
+        a name.
     """
 
     camera: Camera
@@ -110,6 +112,11 @@ class Scene:
     def spheres(self) -> tuple[Sphere, ...]:
         """The spheres in front of the plane, in file order."""
         return Sphere.among(self.seen)
+
+    @cached_property
+    def crossing(self) -> tuple[Sphere, ...]:
+        """The spheres that reach through the plane, in file order."""
+        return tuple(sphere for sphere in self.spheres if sphere.lowest_mm < -CONTACT_TOL_MM)
 
     def with_bodies(self, bodies: Sequence[Body]) -> "Scene":
         """Return the same scene with other bodies."""
@@ -296,7 +303,7 @@ class Scene:
             through = body.lowest_mm < -CONTACT_TOL_MM - self.cut_mm and body.highest_mm > CONTACT_TOL_MM
             if through and not body.may_cross_plane:
                 text = f"body {body.name!r} reaches {-body.lowest_mm:.6g} mm through the investigation plane"
-                problems.append((body.name, f"{text}; it may touch z = 0, not cross it"))
+                problems.append((body.name, f"{text}; a {body.kind} may touch z = 0, not cross it; end it there"))
         return problems
 
     def _overlap_problems(self) -> list[tuple[str, str]]:

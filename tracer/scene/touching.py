@@ -3,7 +3,8 @@
 A ruler knows a centre to 0.2 mm, so balls that touch are written down as overlapping.  Each pair is moved apart
 along its line of centres and each ball off the plane, round by round (Gauss-Seidel), every ball by its share of
 the variance of the centres: the least sum of squares in their sigmas, to first order.  Where a ball would have to
-move by more than the sigma of its centre, none is moved, and the scene is refused as it is.
+move by more than the sigma of its centre, none is moved, and the scene is refused as it is.  A ball that reaches
+through the plane by more than its sigma is meant to: it is not moved off the plane.
 """
 
 from collections.abc import Sequence
@@ -36,10 +37,11 @@ def separate_touching(bodies: Sequence[Body], priors: FitTable) -> tuple[tuple[B
     low = np.array([ball.centre_mm[2] - ball.lowest_mm for ball in balls])
     widest = max(ball.radius_mm + ball.uneven_mm for ball in balls)
     variance = np.array([priors.sphere(ball.name).centre_mm ** 2 * (ball.medium is not None) for ball in balls])
+    rests = (start[:, 2] >= low - np.sqrt(variance)) & (variance > 0.0)  # on this side of the plane
     centre = start.copy()
     for _ in range(ROUNDS):
         clean = True
-        for sunk in np.flatnonzero((centre[:, 2] < low - CONTACT_TOL_MM) & (variance > 0.0)):
+        for sunk in np.flatnonzero((centre[:, 2] < low - CONTACT_TOL_MM) & rests):
             centre[sunk, 2], clean = low[sunk] + CLEARANCE_MM, False
         for one, other in _near_pairs(centre, 2.0 * widest):
             way = centre[other] - centre[one]

@@ -52,6 +52,12 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
     if (share := distortion(camera)) > MOST_DISTORTED:
         text = f"the lens terms move a corner of the picture by {100.0 * share:.3g} %, which no lens does"
         problems.append(("", f"{text}; they belong to radii in units of the focal length"))
+    bodies = tuple(bodies)
+    corners = None if angle_deg <= 0.0 else _corners_mm(camera)
+    for body in bodies if corners is not None else ():
+        if body.may_cross_plane and body.room is None and (body.distance_mm(corners) < 0.0).all():
+            text = f"all that the camera sees of the investigation plane lies inside body {body.name!r}"
+            problems.append((body.name, f"{text}; let the plane cut the gas beside it"))
     for body in bodies:
         if float(np.abs([body.capsule.start_mm, body.capsule.end_mm]).max()) > FARTHEST_MM:
             problems.append((body.name, f"body {body.name!r} is farther than {FARTHEST_MM:g} mm away; um for mm?"))
@@ -64,10 +70,7 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
                 " exact normals or, for a scan, fit a smooth shape to it"
             )
             problems.append((body.name, text))
-        if body.highest_mm <= REACHES_MM:
-            text = f"body {body.name!r} lies behind the investigation plane, which no ray passes; is its z right?"
-            problems.append((body.name, text))
-        elif angle_deg > 0.0 and _is_behind(pinhole_mm, axis, body):
+        if angle_deg > 0.0 and _is_behind(pinhole_mm, axis, body):
             text = f"body {body.name!r} lies behind the camera, which cannot see through it; move one of them"
             problems.append((body.name, text))
     return problems
@@ -93,6 +96,15 @@ def surface_error_px(camera: Camera, body: Body) -> float:
     turned = (body.media[0][1].n(NM) - 1.0) * body.slope_rad
     px_per_mm = camera.focal_px / max(abs(camera.position_mm[2]), REACHES_MM)
     return turned * math.hypot(body.highest_mm, body.lowest_mm) * px_per_mm
+
+
+def _corners_mm(camera: Camera) -> "np.typing.NDArray[np.float64] | None":
+    """Points (4, 3) of the plane z = 0 that the corners of the frame would see without glass; None beside it."""
+    width, height = camera.sensor_px
+    rays = camera.directions(np.array([(u, v) for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)]))
+    if not (rays[:, 2] < 0.0).all():
+        return None
+    return np.asarray(np.array(camera.position_mm) - (camera.position_mm[2] / rays[:, 2:]) * rays)
 
 
 def _is_behind(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ground.rows import run_rows
 from tracer.kernels.bundle import fill_alike
 from tracer.kernels.candidates import BINS, CLUSTER, Lists, Neighbours, count_neighbours
+from tracer.kernels.crossed import CONTACT_TOL_MM
 from tracer.kernels.lanes import (
     BALL_ROWS,
     END_NUMBERS,
@@ -73,7 +74,15 @@ class Balls:
         clusters = spheres_around(balls)
         near = neighbours(balls, clusters)
         self.bed = Bed(
-            balls, near, clusters, table, *cells_of(table), ONE_ROOM.home, bool(alike), not opaque.any()
+            balls,
+            near,
+            clusters,
+            table,
+            *cells_of(table),
+            ONE_ROOM.home,
+            bool(alike),
+            not opaque.any(),
+            bool((table[:, CENTRE_Z] - radius < -CONTACT_TOL_MM).any()),
         )
 
     def bundle(self) -> Bundle:

@@ -150,7 +150,10 @@ def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) 
     -------
     Landings
     """
-    rays = landings_through(scene.camera, world_of(scene), pixels, target or TargetPose(), scene.n_ambient)
+    world = world_of(scene)
+    if target is not None:
+        world = world._replace(is_crossed=False)
+    rays = landings_through(scene.camera, world, pixels, target or TargetPose(), scene.n_ambient)
     return replace(rays, names=parameter_names(scene))
 
 

@@ -4,7 +4,7 @@ A scene goes the quickest way that serves it:
 
     lockstep   a few solid transparent spheres, nowhere thinner than what is around them, behind windows or not
     occluders  the same among opaque rods, but for the rays that may meet one
-    bundles    any number of solid or opaque spheres, behind windows or not
+    bundles    any number of solid or opaque spheres, behind windows or not; all that reach through the plane
     rays       everything else (supports, hollow balls, tubes, meshes ...), pixel by pixel
 
 All give the same map to rounding; tests hold them together.  A way is added as a kind, with what it asks of a
@@ -157,7 +157,7 @@ def choose(scene: Scene) -> Strategy:
     kind, rods = Kind.RAYS, [type(table) for table in scene.other_tables()] == [Rods]
     if (windows is not None or rods) and spheres.shape[1] == SOLID and not scene.shapes():
         clear = not spheres[:, OPAQUE].any() and bool((spheres[:, REFRACTIVE_INDEX] >= 1.0).all())
-        few = clear and len(spheres) <= MAX_CHAIN
+        few = clear and len(spheres) <= MAX_CHAIN and not scene.crossing
         kind = (Kind.LOCKSTEP if few else Kind.BUNDLES) if not rods else Kind.OCCLUDERS if few else Kind.RAYS
     open_room = scene.arrangement.is_one_room
     in_blocks = open_room or (windows is not None and is_usual(scene, windows))

@@ -53,11 +53,13 @@ class RayStatus(IntEnum):
     TIR = 2  # totally reflected at a body of lower index
     MISSED_PLANE = 3  # left the bodies level or away from the plane
     TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.rays.MAX_EVENTS
+    IN_GLASS = 5  # was inside a body where it reached the investigation plane
 
 
 def world_of(scene: Scene) -> World:
-    """Bodies of a scene as the kernels take them."""
-    return world_from(scene.sphere_table(), scene.other_tables(), scene.rooms(), scene.shapes())
+    """Bodies of a scene as the kernels take them; rays end at the investigation plane."""
+    world = world_from(scene.sphere_table(), scene.other_tables(), scene.rooms(), scene.shapes())
+    return world._replace(is_crossed=bool(scene.crossing))
 
 
 def world_from(
@@ -66,7 +68,7 @@ def world_from(
     rooms: Rooms = ONE_ROOM,
     shapes: Mapping[int, NDArray[np.float64]] | None = None,
 ) -> World:
-    """The same for bare tables; shapes (45,) [mm] by the spheres' numbers, as `Scene.shapes`."""
+    """The same for bare tables, and rays end behind all bodies; shapes (45,) [mm] by number, as `Scene.shapes`."""
     if not shapes:
         return World(spheres, *cells_of(spheres), others, rooms)
     around, rows = np.array(spheres), np.zeros((len(spheres), SHAPE_NUMBERS))

@@ -30,8 +30,10 @@ from tracer.kernels.camera import (
     undistort,
 )
 from tracer.kernels.chain import PICK, begin_block, clear_picks, glass_span, insert_span, intersect, place_row
+from tracer.kernels.crossed import ends_before, reaches_through
 from tracer.kernels.packets import LANES, STEP
 from tracer.kernels.rooms import OUTERMOST
+from tracer.kernels.sphere import CENTRE_Z, RADIUS
 from tracer.kernels.world import Tables, is_stopped, next_body
 
 MAX_STEPS = 25
@@ -152,7 +154,8 @@ def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
     """Note in ``hidden`` what hides the nodes of a row from the pinhole: FREE, BEHIND_GLASS, ...
 
     Only nodes in shadows are asked for, and where all bodies are round and of glass only those at the shadows'
-    rims: what is deeper in one is behind glass, whatever else stands there.
+    rims: what is deeper in one is behind glass, whatever else stands there, unless the sphere reaches through the
+    plane and so may stand behind the node.
     """
     place, tables, discs, lockstep, glass_only, _, _ = view
     x, y, spans, rays, trips, hidden, _ = scratch
@@ -171,7 +174,8 @@ def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
         if low < high:
             count = insert_span(joined, count, low, high)
             below = place[EYE_Z] - discs[k, 2]
-            if glass_only and below > 0.0 and below * below > discs[k, 3]:
+            crossed = world.is_crossed and reaches_through(world.spheres[k, CENTRE_Z], world.spheres[k, RADIUS])
+            if glass_only and below > 0.0 and below * below > discs[k, 3] and not crossed:
                 for i in range(low + WITHIN, high - WITHIN):
                     hidden[i] = BEHIND_GLASS
     if len(world.others) > 0:
@@ -200,6 +204,8 @@ def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
                     unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
                     d, eye = (dx * unit, dy * unit, -unit), eye_of(camera)
                     body = next_body(eye, d, NOTHING, OUTERMOST, world)
+                    if world.is_crossed and body > NOTHING and ends_before(eye, d, body, world):
+                        body = NOTHING  # it stands behind the node
                     if body != NOTHING:
                         opaque = is_stopped(eye, d, body, world)
                         hidden[i] = BEHIND_BODY if opaque else BEHIND_GLASS

@@ -94,11 +94,13 @@ def field_of_view(scene: Scene) -> FieldOfView:
     Raises
     ------
     SceneError
-        The scene has no sphere before the camera, one is off the line, out of round or has a core, other glass
-        stands in it, or the centre sees no plane point.
+        The scene has no sphere before the camera, one is off the line, out of round, has a core or reaches through
+        the plane, other glass stands in it, or the centre sees no plane point.
     """
     spheres = _row(scene)
     for sphere in spheres:
+        if sphere in scene.crossing:
+            raise SceneError(f"sphere {sphere.name!r} reaches through the plane, whose gaps no radius describes")
         if sphere.cores:
             raise SceneError(f"sphere {sphere.name!r} has a core; a radial field of view is for solid spheres")
     curve = _curve(scene)
