@@ -11,7 +11,7 @@ so a thousand pairs can be made on all cores by `benchmarks.flow`.  Defaults are
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.flow.fields import Flow
-from sim.flow.particles import LightSheet, ParticlePair, Seeding, particle_pair
+from sim.flow.particles import LightSheet, ParticlePair, Seeding, outside, particle_pair
 from sim.flow.reflections import Reflections
 from sim.flow.view import STEP_PX, ParticleView
 from sim.renderer.render import Aperture
 from sim.renderer.sensor import Sensor
+from tracer.bodies import Sphere
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 
@@ -129,7 +130,7 @@ class FlowCamera:
     def particles(self, number: int, dt_s: float, time_s: float) -> ParticlePair:
         """The particles of a pair."""
         low, high = self._view.corners_mm
-        return particle_pair(
+        found = particle_pair(
             self.flow,
             self.sheet,
             self.seeding,
@@ -139,6 +140,13 @@ class FlowCamera:
             dt_s=dt_s,
             rng=np.random.default_rng(self._seed(number, 2)),
         )
+        if self._cut:  # no particle is in glass
+            first, second = (
+                light * outside(self._cut, places)
+                for light, places in zip(found.light, found.places_mm, strict=True)
+            )
+            found = replace(found, light=(first, second))
+        return found
 
     def slopes(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Slopes dx/dz, dy/dz (N, 2) of the rays of pixels (N, 2) where they cross the plane; NaN for none."""
@@ -172,11 +180,21 @@ class FlowCamera:
         low, high = self.sheet.offset_mm - reach, self.sheet.offset_mm + reach
         return ParticleView(
             self.scene,
-            (min(low, -0.01), max(high, 0.01)),
+            (low, high) if self._cut else (min(low, -0.01), max(high, 0.01)),
+            plane_mm=self.sheet.offset_mm if self._cut else 0.0,
             aperture=self.aperture,
             points_of_pupil=self.points_of_pupil,
             spot_px=self.spot_px,
             step_px=self.step_px,
+        )
+
+    @cached_property
+    def _cut(self) -> tuple[Sphere, ...]:
+        """The balls that the sheet runs through; one that it only grazes counts as beside it."""
+        return tuple(
+            ball
+            for ball in Sphere.among(self.scene.bodies)
+            if abs(ball.centre_mm[2] - self.sheet.offset_mm) < ball.radius_mm - self.sheet.thickness_mm
         )
 
     @cached_property

@@ -11,12 +11,14 @@ optics counts it.  The two pulses may differ in energy and place: two cavities n
 scattered by a particle of diameter d goes like d^2, and droplets of a nebuliser are spread log-normally.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.flow.fields import Flow
+from tracer.bodies import Sphere
 from tracer.errors import SceneError
 
 Float64 = NDArray[np.float64]
@@ -99,6 +101,14 @@ class ParticlePair:
 
     places_mm: tuple[Float64, Float64]
     light: tuple[Float64, Float64]
+
+
+def outside(balls: Sequence[Sphere], points_mm: Float64) -> NDArray[np.bool_]:
+    """Points (N, 3) in none of some balls, which count as round."""
+    free = np.ones(len(points_mm), np.bool_)
+    for ball in balls:
+        free &= np.square(points_mm - ball.centre_mm).sum(axis=1) > ball.radius_mm**2
+    return free
 
 
 def advect(flow: Flow, points_mm: Float64, time_s: float, dt_s: float) -> Float64:

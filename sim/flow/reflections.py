@@ -57,7 +57,7 @@ class Reflections:
 
     def light(self, scene: Scene, sheet: LightSheet, pulse: int) -> NDArray[np.float32]:
         """Counts (H, W) that pulse 0 (A) or 1 (B) adds to every frame."""
-        world = tables_of(scene, Pose(), None).world
+        world = tables_of(scene, Pose(), None, is_light=True).world
         height, width = scene.camera.shape
         out = np.empty((height, width, 2), np.float32)
         x, y, z = self.slit_mm

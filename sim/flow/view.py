@@ -107,7 +107,9 @@ class ParticleView:
     scene : Scene
         Camera and glass.
     heights_mm : (float, float)
-        Lowest and highest z of the points; the plane z = 0 lies between them.
+        Lowest and highest z of the points; the plane lies between them.
+    plane_mm : float
+        Height of the plane: a ray that is in glass there shows no point, and none shows what glass hides behind.
     aperture : Aperture, optional
         A finite pupil; None is a pinhole.
     points_of_pupil : int
@@ -120,7 +122,7 @@ class ParticleView:
     Raises
     ------
     SceneError
-        A body crosses z = 0, or is of a kind that the renderer has no optics for.
+        A body other than a ball or a wall crosses the plane, or is of a kind that the renderer has no optics for.
     MemoryShort
         The rays of all points of the pupil do not fit into memory.
     """
@@ -130,6 +132,7 @@ class ParticleView:
         scene: Scene,
         heights_mm: tuple[float, float],
         *,
+        plane_mm: float = 0.0,
         aperture: Aperture | None = None,
         points_of_pupil: int = 7,
         step_px: float = STEP_PX,
@@ -141,7 +144,7 @@ class ParticleView:
         self.shape = scene.camera.shape
         self.heights_mm = heights_mm
         self._step_px = step_px
-        self._tables = tables_of(scene, Pose(), aperture)
+        self._tables = tables_of(scene, Pose((0.0, 0.0, plane_mm)), aperture, is_light=True)
         self._spots = _spot_table(0.25 * spot_px)
         radius_mm = aperture.pupil_radius_mm if aperture is not None else 0.0
         places = radius_mm * pupil_points(points_of_pupil if aperture is not None else 1)

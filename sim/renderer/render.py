@@ -200,7 +200,12 @@ def _pupil_order(n: int) -> NDArray[np.int64]:
 
 
 def tables_of(
-    scene: Scene, pose: Pose, aperture: Aperture | None, sheet_mm: tuple[float, float] | None = None
+    scene: Scene,
+    pose: Pose,
+    aperture: Aperture | None,
+    sheet_mm: tuple[float, float] | None = None,
+    *,
+    is_light: bool = False,
 ) -> SceneTables:
     """Translate scene, place of the sheet and aperture into arrays.
 
@@ -215,6 +220,8 @@ def tables_of(
     sheet_mm : (float, float), optional
         Width and height of the sheet about its origin: beside it bodies may cross its plane, such as glass that
         was driven out, or a support.  Without it the sheet has no end.
+    is_light : bool
+        Whether it is a sheet of light, which may run through balls, and no board.
 
     Raises
     ------
@@ -223,7 +230,7 @@ def tables_of(
     """
     camera, lens = scene.camera, scene.camera.lens
     plane = pose.axes()
-    bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm)]
+    bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm, is_light)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
     walls = [body for body in bodies if type(body) in WALLS]
     if unknown := [body for body in bodies if body not in (*spheres, *rods, *walls)]:
@@ -244,7 +251,9 @@ def tables_of(
     return SceneTables(world, away_mm / camera.focal_px)
 
 
-def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, float] | None) -> bool:
+def _in_front(
+    body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, float] | None, is_light: bool
+) -> bool:
     """True if a body lies before the sheet or reaches past it beside it, False if it is behind.
 
     Raises
@@ -252,7 +261,7 @@ def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, flo
     SceneError
         The sheet cuts the body.
     """
-    if body.may_cross_plane:
+    if body.may_cross_plane and not isinstance(body, Sphere):
         return True
     ends, radius_mm = body.outline_mm
     radius_mm -= 2.0 * body.uneven_mm  # the least it can be: that a ball is not in the sheet, its scene says
@@ -261,7 +270,7 @@ def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, flo
         return True
     if max(heights) + radius_mm <= CONTACT_TOL_MM:
         return False
-    if sheet_mm is not None and _beside(body, plane, sheet_mm):
+    if (sheet_mm is not None and _beside(body, plane, sheet_mm)) or (is_light and isinstance(body, Sphere)):
         return True
     raise SceneError(f"the target cuts through body {body.name!r}; move the target back or the body away")
 
