@@ -18,6 +18,7 @@ from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pairs.slanted import viewing_slopes
 from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.analysis.report.kept_page import PAGE, is_current, note_page, page_key
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
@@ -136,11 +137,18 @@ def mean(
         motion = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
         view = SeriesView(folder, None if series is not None or motion == NOTHING_TOLD else motion)
         found = mean_of_series(view)
+        key = None
+        if output.files:
+            run = path if series is not None and is_run(path) else None
+            rest = (output.figures, ensemble, None if series is None else series[1].failed)
+            key = page_key(view, rest, run)
+        is_drawn = key is not None and is_current(folder, key) and ensemble is None
         check = None
         if output.files:
-            check, said_of_spheres = spheres_checked(folder, series[0] if series else None)
+            check, said_of_spheres = spheres_checked(folder, series[0] if series and not is_drawn else None)
             found = replace(found, spheres=said_of_spheres)
-            write_mean(view, found)
+            if not is_drawn:
+                write_mean(view, found)
         by_ensemble = None
         if series is not None and ensemble is not None:
             given = series[0]
@@ -154,16 +162,17 @@ def mean(
             found = replace(found, by_ensemble=vectors)
             if output.files:
                 write_statistics(folder / "mean_ensemble.nc", vectors)
-        if output.files:
+        if key is not None and not is_drawn:
             from rtpiv.analysis.report.mean import write_mean_page
 
-            write_mean_page(folder / "mean.html", view, found, output.figures, by_ensemble, series, check)
+            write_mean_page(folder / PAGE, view, found, output.figures, by_ensemble, series, check)
+            note_page(folder, key)
         show_through(screen, view.scene)
         screen.print(where_lit(view.standing))
         show_mean(
             screen,
             found,
-            folder / "mean.html" if output.files else None,
+            folder / PAGE if output.files else None,
             () if series is None else series[1].failed,
         )
     return found

@@ -76,3 +76,30 @@ def test_two_frames_of_a_video_are_a_pair_as_they_are(tmp_path):
     assert np.median(field.u_px[field.valid]) == pytest.approx(MOVED_PX, abs=0.05)
     with pytest.raises(rtpiv.ERRORS, match="frames 1 to 2, and no 3"):
         evaluate([names[0], video.with_name("run.mp4@3")], out=tmp_path / "t", recipe=PLAIN)
+
+
+def test_a_page_that_would_show_the_same_is_not_drawn_again(tmp_path, folder, monkeypatch):
+    from rtpiv.analysis.report import mean as page
+
+    drawn, write = [], page.write_mean_page
+    monkeypatch.setattr(page, "write_mean_page", lambda *given: (drawn.append(1), write(*given)))
+    out = tmp_path / "s"
+
+    def again(**options):
+        with terminal.silence():
+            found = mean(folder, out=out, recipe=PLAIN, dt_us=DT_US, workers=1, **options)
+        assert right(found)
+        return len(drawn), (out / "mean.html").read_bytes()
+
+    count, first = again()
+    assert (count, again()) == (1, (1, first))
+    assert again(sigma_w_m_s=0.3)[0] == 2  # another sigma
+    assert again()[0] == 3
+    (out / "mean.html").write_text("cut")
+    assert again()[0] == 4
+    (out / "mean.json").write_text("{")
+    assert again()[0] == 5
+    tifffile.imwrite(folder / "im0.tif", pair(9)[0])
+    tifffile.imwrite(folder / "im1.tif", pair(9)[1])
+    assert again()[0] == 6  # other vectors
+    assert again()[0] == 6
