@@ -25,7 +25,7 @@ SEARCHES = 120
 
 @dataclass(frozen=True)
 class End:
-    """What became of a ray: 'recovered', 'tir', 'missed' or 'glass'; plane point, path, light, branch, steepest sine."""
+    """What became of a ray: 'recovered', 'tir', 'missed' or 'glass'; plane point, path, light, branch, sine."""
 
     status: str
     x: mpf

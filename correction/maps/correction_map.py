@@ -22,9 +22,9 @@ Limits: where the view shrinks below `min_magnification` sensor pixels a node in
 is not worth correcting (LOW_MAGNIFICATION); where it is stretched beyond `max_magnification` two images
 are about to merge (FOLD).
 
-Where the plane runs through a body nothing flows: these nodes are IN_GLASS.  A ball that touches the target's plane
-is cut by a sheet that lies a little before it: 0.3 mm before the plane, a ball of 25 mm radius fills a disc of 3.9 mm
-radius of the sheet.  The glass of a tube's wall, which may cross the plane, is given by the rays that end in it.
+Where the plane runs through a body nothing flows: these nodes are IN_GLASS.  A ball that touches the target's
+plane is cut by a sheet that lies a little before it: 0.3 mm before the plane, a ball of 25 mm radius fills a disc
+of 3.9 mm radius of the sheet.  The glass of a tube's wall is given by the rays that end in it.
 """
 
 import math
@@ -359,7 +359,7 @@ def _outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
 
 
 def nodes_in_glass(scene: Scene, grid: PlaneGrid) -> NDArray[np.bool_] | None:
-    """Mask of the nodes (h, w) inside bodies that reach through the plane, but for walls; None if there are none."""
+    """Mask of the nodes (h, w) inside bodies that reach through the plane, walls aside; None without any."""
     cut = [body for body in scene.seen if body.lowest_mm < -CONTACT_TOL_MM and body.room is None]
     if not cut:
         return None

@@ -48,7 +48,7 @@ def test_all_at_once_whatever_found_it(tmp_path):
         + "  - {name: c, kind: ball, centre_mm: [90, 0, 20], radius_mm: 20, material: BK7}\n"
         + "  - {name: d, kind: sphere, centre_mm: [0, 0, 5e1], radius_mm: 20, material: [1]}\n"
         + "  - {name: e, kind: sphere, centre_mm: [0, 0, 25], radius_mm: 20, material: BK7}\n"  # overlaps a
-        + "  - {name: f, kind: sphere, centre_mm: [0, 0, -25], radius_mm: 20, material: BK7}\n"  # never seen, and legal
+        + "  - {name: f, kind: sphere, centre_mm: [0, 0, -25], radius_mm: 20, material: BK7}\n"  # legal
         + "  - 7\n"
     )
     found = problems(tmp_path, text)

@@ -13,7 +13,7 @@ import math
 
 from ground.jit import Array, kernel_inlined
 from tracer.kernels.ball import is_shaped, shaped_entry
-from tracer.kernels.sphere import CENTRE_Z, RADIUS, foot
+from tracer.kernels.sphere import RADIUS, foot
 from tracer.kernels.vectors import Vector, dot, subtract, vector_at
 from tracer.kernels.world import World
 
@@ -24,7 +24,7 @@ foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
 @kernel_inlined
 def reaches_through(z: float, radius: float) -> bool:
     """Return whether a sphere reaches through the plane from above."""
-    return z - radius < -CONTACT_TOL_MM
+    return bool(z - radius < -CONTACT_TOL_MM)
 
 
 @kernel_inlined
@@ -33,7 +33,7 @@ def enters_behind(p: Vector, d: Vector, centre: Vector, radius: float) -> bool:
     if not (d[2] < 0.0 and reaches_through(centre[2], radius)):
         return False
     _, a = foot_inlined(subtract(p, centre), d)
-    return centre[2] + a[2] - math.sqrt(max(radius * radius - dot(a, a), 0.0)) * d[2] < 0.0
+    return bool(centre[2] + a[2] - math.sqrt(max(radius * radius - dot(a, a), 0.0)) * d[2] < 0.0)
 
 
 @kernel_inlined
@@ -41,7 +41,7 @@ def leaves_behind(a: Vector, d: Vector, z: float, radius: float) -> bool:
     """Return whether a ray leaves a sphere behind the plane: foot point and direction behind, z of the centre."""
     if not reaches_through(z, radius):
         return False
-    return z + a[2] + math.sqrt(max(radius * radius - dot(a, a), 0.0)) * d[2] < 0.0
+    return bool(z + a[2] + math.sqrt(max(radius * radius - dot(a, a), 0.0)) * d[2] < 0.0)
 
 
 @kernel_inlined
@@ -49,5 +49,5 @@ def ends_before(p: Vector, d: Vector, body: int, world: World) -> bool:
     """Return whether a ray reaches the plane before the sphere or ball that it meets next."""
     ball: Array = world.spheres[body]
     if len(world.shapes) > 0 and is_shaped(world.shapes, body):
-        return d[2] < 0.0 and shaped_entry(p, d, body, world.spheres, world.shapes)[2] < 0.0
+        return bool(d[2] < 0.0 and shaped_entry(p, d, body, world.spheres, world.shapes)[2] < 0.0)
     return enters_behind(p, d, vector_at(ball, 0), ball[RADIUS])

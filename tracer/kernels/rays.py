@@ -176,8 +176,8 @@ def trace_ray(
 ) -> tuple[Any, ...]:  # fmt: skip
     """Take a ray from p along d through the bodies.
 
-    Returns status (RECOVERED: behind all bodies, wherever it goes, or at the plane), point and direction of the last
-    straight piece, key, events, what was kept, and n / n_ambient of the room in which the ray ends.
+    Returns status (RECOVERED: behind all bodies, wherever it goes, or at the plane), point and direction of the
+    last straight piece, key, events, what was kept, and n / n_ambient of the room in which the ray ends.
     """
     key, events, last = DIRECT, 0, NOTHING
     spheres, rooms = world.spheres, world.rooms

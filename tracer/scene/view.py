@@ -54,7 +54,9 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
         problems.append(("", f"{text}; they belong to radii in units of the focal length"))
     bodies = tuple(bodies)
     corners = None if angle_deg <= 0.0 else _corners_mm(camera)
-    for body in bodies if corners is not None else ():
+    for body in bodies:
+        if corners is None:
+            break
         if body.may_cross_plane and body.room is None and (body.distance_mm(corners) < 0.0).all():
             text = f"all that the camera sees of the investigation plane lies inside body {body.name!r}"
             problems.append((body.name, f"{text}; let the plane cut the gas beside it"))

@@ -1,4 +1,4 @@
-"""A sheet of light between balls: the simulator's rays end as the tracer's do, and its frames are measured right."""
+"""A sheet of light between balls: the simulator's rays end as the tracer's do, its frames are measured."""
 
 from dataclasses import replace
 
