@@ -76,6 +76,7 @@ class Story(JudgedLaser):
             self.clock.sleep_s(0.05)
 
     def fault(self):
+        self.answers_are_lost()
         self.line.faults.strike(Fault(self.rng.choice(KINDS[:-1]), 0, delay_s=self.rng.choice((0.01, 0.7, 2.0))))
 
     def later_fault(self):
