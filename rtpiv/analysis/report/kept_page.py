@@ -30,7 +30,7 @@ def page_key(view: SeriesView, shown: Iterable[object], run: Path | None = None)
     view : SeriesView
         Of the series.
     shown : iterable
-        What else decides what is on the page; each is told by its `repr`.
+        What else decides what is on the page; each by its `repr`.
     run : Path, optional
         Folder of the run whose records it shows.
     """
