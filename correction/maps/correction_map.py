@@ -365,7 +365,7 @@ def nodes_in_glass(scene: Scene, grid: PlaneGrid) -> NDArray[np.bool_] | None:
         return None
     inside, nodes_mm = np.zeros(grid.shape, np.bool_), grid.nodes_mm()
     for body in cut:
-        part = _reach(body.capsule, grid)
+        part = _window_of(body.capsule, grid)
         places = np.concatenate((nodes_mm[part], np.zeros((*inside[part].shape, 1))), axis=-1)
         inside[part] |= body.distance_mm(places) < 0.0
     return inside
@@ -379,7 +379,7 @@ def _outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     return found
 
 
-def _reach(capsule: Capsule, grid: PlaneGrid) -> tuple[slice, slice]:
+def _window_of(capsule: Capsule, grid: PlaneGrid) -> tuple[slice, slice]:
     """Rows and columns of the nodes that a capsule can hold."""
     ends = np.array([capsule.start_mm, capsule.end_mm])[:, :2]
     low, high = ends.min(axis=0) - capsule.radius_mm, ends.max(axis=0) + capsule.radius_mm

@@ -82,7 +82,7 @@ def sheet_clearances_mm(bench: Bench, positions_mm: Mapping[str, float]) -> list
         off_mm = z_mm.get(body.carried, 0.0)
         gap_mm = max(body.lowest_mm + off_mm, -body.highest_mm - off_mm)
         is_wall = body.may_cross_plane and body.kind != "sphere"
-        if gap_mm > 0.0 or not (is_wall or body in bench.scene.crossing):
+        if gap_mm > 0.0 or not (is_wall or body in bench.scene.spheres_in_plane):
             distances.append((GLASS if body.carried == GLASS else body.name, gap_mm))
     if bench.table.axes_of(TARGET):
         front_mm = bench.table.offset_mm(TARGET, positions_mm)[2]

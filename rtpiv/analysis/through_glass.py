@@ -3,6 +3,7 @@
 A node of the corrected image stands for pitch^2 of the plane.  It is HIDDEN if its straight line to the pinhole
 would be stopped by a ball, as if light were not refracted.  A part of the hidden nodes is recovered, because some
 pixel sees them through the glass; that part, by area, is the share that every verb and every page begins with.
+Nodes inside a ball that reaches through the plane are no part of it.
 Walls that part the world (windows, tubes, domes) cover whole views and hide nothing; what opaque bodies hide alone
 is not counted either.
 
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
-from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.maps.correction_map import CorrectionMap, build_correction_map, nodes_in_glass
 from correction.node_status import NodeStatus
 from rtpiv.analysis.kernels.behind import mark_behind
 from tracer.bodies import Body, Sphere
@@ -104,6 +105,8 @@ def through_glass(scene: Scene, grid: PlaneGrid, recovered: NDArray[np.bool_]) -
     """
     glass = hiding(scene)
     hidden = behind(glass, scene, grid, ((0, grid.shape[0]), (0, grid.shape[1])))
+    if (inside := nodes_in_glass(scene, grid)) is not None:
+        hidden &= ~inside
     count = int(np.count_nonzero(hidden))
     if not count:
         return None

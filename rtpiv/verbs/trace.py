@@ -14,6 +14,7 @@ from correction.node_status import MEANING, NodeStatus
 from daq.bench.scene_plausibility import scene_questions
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
+from rtpiv.analysis.gaps import Gaps, gap_share
 from rtpiv.analysis.pictures.drawing_process import Draw, drawing
 from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.report.table import Table
@@ -54,6 +55,8 @@ class Traced:
         How well frames of a flow will tell where the light sheet is; None if it runs through a body.
     pictures : tuple of Path
         What was drawn.
+    gaps : Gaps or None
+        Share of the gaps that is seen, where the plane cuts two balls or more.
     """
 
     share: PlaneShare
@@ -61,6 +64,7 @@ class Traced:
     steepness: Steepness
     sheet: SheetForecast | None
     pictures: tuple[Path, ...] = field(repr=False)
+    gaps: Gaps | None = None
 
 
 def trace(
@@ -114,7 +118,10 @@ def trace(
             view: FieldOfView | None = field_of_view(loaded)
         except SceneError:  # not in a row: the areas say it all
             view = None
-        if share.through is not None:
+        gaps = gap_share(loaded, correction_map)
+        if gaps is not None:
+            screen.print(gaps.sentence, style="bold")
+        elif share.through is not None:
             screen.print(share.through.sentence, style="bold")
             if advice := little(loaded, share.through.share):
                 screen.print(advice, style="bold red")
@@ -145,7 +152,7 @@ def trace(
         names = [name for name in DRAWN if pictures and not lacking.get(name)]
         if pictures:
             screen.print(f"{', '.join(names)} are in {out}")
-        return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names))
+        return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names), gaps)
 
 
 def _draw_plane(

@@ -140,9 +140,9 @@ class FlowCamera:
             dt_s=dt_s,
             rng=np.random.default_rng(self._seed(number, 2)),
         )
-        if self._cut:  # no particle is in glass
+        if self._spheres_in_sheet:  # no particle is in glass
             first, second = (
-                light * outside(self._cut, places)
+                light * outside(self._spheres_in_sheet, places)
                 for light, places in zip(found.light, found.places_mm, strict=True)
             )
             found = replace(found, light=(first, second))
@@ -180,8 +180,8 @@ class FlowCamera:
         low, high = self.sheet.offset_mm - reach, self.sheet.offset_mm + reach
         return ParticleView(
             self.scene,
-            (low, high) if self._cut else (min(low, -0.01), max(high, 0.01)),
-            plane_mm=self.sheet.offset_mm if self._cut else 0.0,
+            (low, high) if self._spheres_in_sheet else (min(low, -0.01), max(high, 0.01)),
+            plane_mm=self.sheet.offset_mm if self._spheres_in_sheet else 0.0,
             aperture=self.aperture,
             points_of_pupil=self.points_of_pupil,
             spot_px=self.spot_px,
@@ -189,7 +189,7 @@ class FlowCamera:
         )
 
     @cached_property
-    def _cut(self) -> tuple[Sphere, ...]:
+    def _spheres_in_sheet(self) -> tuple[Sphere, ...]:
         """The balls that the sheet runs through; one that it only grazes counts as beside it."""
         return tuple(
             ball

@@ -347,8 +347,8 @@ def test_balls_may_touch_where_they_are_thin_and_not_where_they_are_thick() -> N
     Scene(CAMERA, (high, low))
     with pytest.raises(SceneError, match="overlap"):
         Scene(CAMERA, (replace(high, centre_mm=(0.0, 0.0, 75.0 - 3.0 * thin - 1e-4)), low))
-    assert not Scene(CAMERA, (low,)).crossing
-    assert Scene(CAMERA, (replace(low, centre_mm=(0.0, 0.0, 25.0 - thin - 1e-4)),)).crossing
+    assert not Scene(CAMERA, (low,)).spheres_in_plane
+    assert Scene(CAMERA, (replace(low, centre_mm=(0.0, 0.0, 25.0 - thin - 1e-4)),)).spheres_in_plane
 
 
 def test_a_tilted_light_sheet_turns_the_shape() -> None:

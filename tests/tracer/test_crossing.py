@@ -89,7 +89,7 @@ def compare(count: int, seed: int, of_a_scene: int, second: Callable[..., None])
         found["gas"] += int((fate == RayStatus.RECOVERED).sum())
         found["glass"] += int((fate == RayStatus.IN_GLASS).sum())
         points = np.column_stack((out[:, :2], np.zeros(len(out))))
-        near = [one.distance_mm(points) < 0.5 * one.radius_mm for one in where.crossing]
+        near = [one.distance_mm(points) < 0.5 * one.radius_mm for one in where.spheres_in_plane]
         found["before"] += int((np.any(near, axis=0) & (fate == RayStatus.RECOVERED)).sum() if near else 0)
         made += of_a_scene
     return found
@@ -149,7 +149,7 @@ def test_a_sensor_has_the_bits_of_its_rays(seed: int) -> None:
     where = where.with_bodies(
         [replace(one, medium=None) if k % 5 == 4 else one for k, one in enumerate(where.spheres)]
     )
-    if not where.crossing:
+    if not where.spheres_in_plane:
         where = where.with_bodies([*where.bodies, ball("cut", 200.0, 0.0, 0.0, 30.0)])
     where = where.with_camera(where.camera.with_width(160))
     assert choose(where).kind is Kind.BUNDLES

@@ -85,7 +85,7 @@ def test_the_sheet_may_run_through_balls_and_not_through_a_rod():
     touching = replace(scene, sheet=LightSheet(0.4)).in_light_sheet()
     assert touching.spheres[0].lowest_mm == pytest.approx(-0.4)
     through = replace(scene, sheet=LightSheet(1.4))
-    (cut,) = through.in_light_sheet().crossing
+    (cut,) = through.in_light_sheet().spheres_in_plane
     assert (cut.name, cut.lowest_mm) == ("near", pytest.approx(-1.4))
     rod = Rod("rod", (40.0, 0.0, 2.0), (60.0, 0.0, 2.0), 2.0)
     with pytest.raises(SceneError, match=r"runs through 'rod' \(1.4 mm deep\)"):

@@ -114,7 +114,7 @@ class Scene:
         return Sphere.among(self.seen)
 
     @cached_property
-    def crossing(self) -> tuple[Sphere, ...]:
+    def spheres_in_plane(self) -> tuple[Sphere, ...]:
         """The spheres that reach through the plane, in file order."""
         return tuple(sphere for sphere in self.spheres if sphere.lowest_mm < -CONTACT_TOL_MM)
 

@@ -157,7 +157,7 @@ def choose(scene: Scene) -> Strategy:
     kind, rods = Kind.RAYS, [type(table) for table in scene.other_tables()] == [Rods]
     if (windows is not None or rods) and spheres.shape[1] == SOLID and not scene.shapes():
         clear = not spheres[:, OPAQUE].any() and bool((spheres[:, REFRACTIVE_INDEX] >= 1.0).all())
-        few = clear and len(spheres) <= MAX_CHAIN and not scene.crossing
+        few = clear and len(spheres) <= MAX_CHAIN and not scene.spheres_in_plane
         kind = (Kind.LOCKSTEP if few else Kind.BUNDLES) if not rods else Kind.OCCLUDERS if few else Kind.RAYS
     open_room = scene.arrangement.is_one_room
     in_blocks = open_room or (windows is not None and is_usual(scene, windows))

@@ -59,7 +59,7 @@ class RayStatus(IntEnum):
 def world_of(scene: Scene) -> World:
     """Bodies of a scene as the kernels take them; rays end at the investigation plane."""
     world = world_from(scene.sphere_table(), scene.other_tables(), scene.rooms(), scene.shapes())
-    return world._replace(is_crossed=bool(scene.crossing))
+    return world._replace(is_crossed=bool(scene.spheres_in_plane))
 
 
 def world_from(

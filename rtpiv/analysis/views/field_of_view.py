@@ -99,7 +99,7 @@ def field_of_view(scene: Scene) -> FieldOfView:
     """
     spheres = _row(scene)
     for sphere in spheres:
-        if sphere in scene.crossing:
+        if sphere in scene.spheres_in_plane:
             raise SceneError(f"sphere {sphere.name!r} reaches through the plane, whose gaps no radius describes")
         if sphere.cores:
             raise SceneError(f"sphere {sphere.name!r} has a core; a radial field of view is for solid spheres")
