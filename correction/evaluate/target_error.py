@@ -166,7 +166,7 @@ def _error_of(
     nearest = np.clip(np.rint(expected).astype(int), 0, np.array(grid.shape[::-1]) - 1)
     seen = inner[nearest[:, 1], nearest[:, 0]] > 0
     expected, nearest = expected[seen], nearest[seen]
-    if board.is_plain:
+    if board.is_plain and board.dots is None:
         board = _as_lit(board, soft, index[seen], expected, square)
     now = _Measured(soft, usable, {})
     nodes = [(int(i), int(j)) for i, j in index[seen]]

@@ -170,6 +170,11 @@ def _fit_camera(
         number = work.height_number(frame)
         found, work.board = bare_frame(frame, work.board, _predict_view(work, frame, work.full), number, reach)
         work.bare.append(found)
+        if found.origin_basis and reach is not None and work.board.dots is not None:
+            basis = (
+                f"rests on {found.origin_basis}, as no mark is in view: an error of whole pitches would not show"
+            )
+            work.note(FitStep(f"the origin of the target {basis}"))
         solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
         work.full = unknowns.full(solution.x)
         work.note(work.fits.step(f"camera on {frame.name}", unknowns, solution.x, work.bare[-1:]))

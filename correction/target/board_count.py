@@ -1,11 +1,15 @@
 """Place of a patch of lattice on a board without marks: by its edges, its size, and the view.
 
-A plain chessboard looks the same wherever it is moved by whole squares.  Of all such places those are left where
+A plain chessboard, or a grid of dots that are all alike, looks the same wherever it is moved by whole squares.  Of
+all such places those are left where
 
 * the patch is turned as the camera is believed to be,
 * its corners are corners of the board, which has so many squares,
 * an end that is seen (`board_ends`) is an edge of the board,
 * it lies no farther from where it is expected than the camera may be off.
+
+Of a grid of dots no end is looked for: it has one place where all of its rows and columns are in view, where the
+camera is known to less than a pitch, or where `origin_px` points at the dot at the origin.
 
 One place left is the place.  Several are refused, and what is missing is said; the nearest of them would be right
 often, and else wrong by a whole square with nothing to show for it.
@@ -21,7 +25,7 @@ from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
 from correction.target.board_ends import Ends, ends_of
-from correction.target.board_origin import Placing
+from correction.target.board_origin import Placing, dot_diameters
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.corners import ARM_LENGTH, LARGEST_RESIDUAL, CornerSearch, refine_corners
 from correction.target.lattice_growth import Patch
@@ -31,6 +35,8 @@ UPRIGHT = 0.8  # cosine between an axis of the board and where it is expected: 3
 LEAST_LINE = 3  # corners on a line of the lattice that count it as one of the board
 ASKED = 25  # corners of a patch that say how far it lies from where it is expected
 HALF_SQUARE = 0.5  # squares
+NEAREST_DOT = 0.7  # pitches: one dot within this distance of a point is nearer to it than any other by far
+POINTED = 0.35  # pitches from a dot, within which origin_px points at it
 COUNTED_PX = 16.0  # half window of corners that are only counted: they are measured once their place is known
 
 
@@ -60,6 +66,52 @@ def place_by_count(
     TargetNotFound
         Several places are possible, or none.
     """
+    corners = patch if board.dots is not None else _measured_corners(frame, patch, board)
+    turn, expected = as_expected(corners, *view)
+    if board.dots is not None:
+        dot_diameters(frame, corners, board)
+        ends = Ends((None, None), (None, None))
+    else:
+        ends = ends_of(frame, corners)
+    if board.origin_px is not None and reach is not None:
+        expected, reach = -(_pointed_dot(corners, board.origin_px) @ turn).astype(np.float64), 0.0
+    else:
+        reach = max(reach or 0.0, HALF_SQUARE if board.dots is None else NEAREST_DOT)
+    found = _possible(corners, board, ends, turn, expected, reach)
+    if len(found) != 1:
+        raise TargetNotFound(_why(found, corners, board, ends.ends_along(turn), turn, reach))
+    if board.is_plain and board.dots is None:
+        board = replace(board, odd_bright=_odd_bright(corners, found[0]))
+    return board, found[0]
+
+
+def origin_basis(board: Chessboard, index: NDArray[np.int64], reach: float | None) -> str:
+    """Say what the origin of a board that `place_by_count` has placed rests on, by the marks (N, 2) in view."""
+    lines = board.outer_lines
+    if board.origin_px is not None and reach is not None:
+        return "origin_px of the board file"
+    if lines is not None and (np.ptp(index, axis=0) >= np.diff(lines, axis=0)[0] - 2).all():
+        return "the number of its rows and columns"
+    if lines is not None and board.dots is None:
+        return "its edges"
+    return "the camera as described"
+
+
+def _pointed_dot(patch: Patch, origin_px: tuple[float, float]) -> NDArray[np.int64]:
+    """Relative index (2,) of the dot at which a user has pointed."""
+    off = patch.position_px - np.array(origin_px)
+    nearest = int(np.linalg.norm(off, axis=1).argmin())
+    if np.abs(np.linalg.solve(patch.axes_px[nearest], off[nearest])).max() > POINTED:
+        u, v = patch.position_px[nearest].round(1).tolist()
+        raise TargetNotFound(
+            f"origin_px {list(origin_px)} points at no dot that is found; the nearest is at [{u}, {v}]: give that,"
+            " or the place of another in the bare frame at z = 0"
+        )
+    return np.asarray(patch.index[nearest])
+
+
+def _measured_corners(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Patch:
+    """Corners of a patch between four squares, measured; TargetNotFound where they are few."""
     fit = refine_corners(
         frame,
         patch.position_px,
@@ -80,18 +132,10 @@ def place_by_count(
         is_noisy = len(residual) and np.median(residual) > LARGEST_RESIDUAL
         cause, cure = ("noisy", "bring more light") if is_noisy else ("blurred", "check focus")
         raise TargetNotFound(f"the corners of the board are too {cause} to be measured; {cure}")
-    turn, expected = _as_expected(corners, *view)
-    ends = ends_of(frame, corners)
-    reach = max(reach or 0.0, HALF_SQUARE)
-    found = _possible(corners, board, ends, turn, expected, reach)
-    if len(found) != 1:
-        raise TargetNotFound(_why(found, corners, board, ends.ends_along(turn), turn, reach))
-    if board.is_plain:
-        board = replace(board, odd_bright=_odd_bright(corners, found[0]))
-    return board, found[0]
+    return corners
 
 
-def _as_expected(
+def as_expected(
     patch: Patch, index: NDArray[np.int64], predicted: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Turn (2, 2) of a patch, relative = turn @ board, and where its corner (0, 0) is expected (2,), as index."""
@@ -149,6 +193,8 @@ def _possible(
     places = [
         Placing(((a, b), (c, d)), (-(a * x + b * y), -(c * x + d * y))) for x, y in itertools.product(*moves)
     ]
+    if board.dots is not None:
+        return places
     return [one for one in places if not board.discs or _odd_bright(patch, one) == board.odd_bright]
 
 
@@ -180,6 +226,8 @@ def _why(
     """Say why a patch has no place, or several."""
     across, up = (np.abs(np.diff(_extent(patch) @ turn, axis=0)[0]) + 1).tolist()
     seen = f"a lattice of {across} x {up} corners is in the frame"
+    if board.dots is not None:
+        return _why_no_dot_place(len(found), (across, up), board, reach)
     if found and board.discs:
         return f"{seen}, but not the {len(board.discs)} discs that mark the origin; bring them into view"
     if board.squares is None:
@@ -201,4 +249,23 @@ def _why(
     return (
         f"{' and '.join([seen, *apart])}, and no such place on a board of {columns} x {rows} squares lies within"
         f" {reach:.2g} squares of where the camera should see it; count the squares again, or correct the camera"
+    )
+
+
+def _why_no_dot_place(places: int, seen: tuple[int, int], board: Chessboard, reach: float) -> str:
+    """Say why a grid of dots without large ones has no place, or several."""
+    grid = "the grid"
+    if board.squares is not None:
+        columns, rows = board.squares
+        grid = f"a grid of {columns - 1} x {rows - 1}"
+    words = f"{seen[0]} x {seen[1]} dots are in the frame, all alike"
+    if not places:
+        return (
+            f"{words}, which is no part of {grid} within {reach:.2g} pitches of where the camera should see it;"
+            " count its dots again (squares: one more than dots, each way), or correct the camera"
+        )
+    return (
+        f"{words}, which may be any of {places} places on {grid}, as the camera is known to {reach:.2g} pitches"
+        " only: point at the dot at the origin (origin_px: [u, v] in board.yaml), show all rows and columns and"
+        " say how many there are (squares), or use a grid with large dots (large_dot_mm)"
     )

@@ -12,6 +12,12 @@
     dot_mm: 1.4
     large_dot_mm: 2.3            # of three: the origin, the next one to the right, and the second above
 
+    kind: dots                   # without large dots: see `correction.target.board_count` for where the origin is
+    pitch_mm: 5.0
+    dot_mm: 2.0
+    squares: [12, 10]            # of 11 x 9 dots
+    origin_px: [803.0, 611.0]    # or so: the dot at the origin in the bare frame at z = 0
+
     kind: dots                   # a plate, machined, with two levels of dots
     pitch_mm: 5.0
     dot_mm: 1.5
@@ -47,7 +53,7 @@ DEEPEST = 0.8  # pitches: a step beyond hides dots at oblique viewing
 SIZES = {
     "chessboard": ("square_mm",),
     "charuco": ("square_mm", "marker_mm", "squares", "dictionary", "origin_corner"),
-    "dots": ("pitch_mm", "dot_mm", "large_dot_mm"),
+    "dots": ("pitch_mm", "dot_mm"),
     "particles": ("particles", "particle_mm", "seed", "size_mm"),
 }
 HEAD = "# What was printed, by `rtpiv setup target`; measured_mm: the bars in the margin on paper, along x and y\n"
@@ -80,6 +86,8 @@ class PrintedBoard(Table):
         Of dots: from one to the next, and diameters of the usual and of the large ones.
     large_dots, bright_dots : optional
         Which are large, columns and rows from the origin, and whether dots are bright on dark.
+    origin_px : (float, float), optional
+        Of dots without large ones: u and v of the one at the origin, in the bare frame at z = 0.
     levels, step_mm : optional
         Of a plate: which dots are on another level than the origin (``rows``: every second row), and how far it
         lies behind; negative, before.
@@ -103,6 +111,7 @@ class PrintedBoard(Table):
     large_dot_mm: Positive | None = None
     large_dots: list[Annotated[list[int], Field(min_length=2, max_length=2)]] | None = None
     bright_dots: bool | None = None
+    origin_px: Pair | None = None
     levels: Literal["rows", "columns", "alternating"] | None = None
     step_mm: Annotated[float, Field(ge=-1e3, le=1e3)] | None = None
     step_sigma_mm: Positive | None = None
@@ -130,6 +139,12 @@ class PrintedBoard(Table):
                 f"step_mm is not 0 and at most {DEEPEST:g} of pitch_mm; a deeper level is hidden at"
                 " oblique viewing"
             )
+        if self.large_dots is not None and self.large_dot_mm is None:
+            raise ValueError("large_dots say which dots are large; say large_dot_mm, their diameter, as well")
+        if self.levels is not None and self.large_dot_mm is None:
+            raise ValueError("a plate with levels needs large_dot_mm: large dots say which level is which")
+        if self.origin_px is not None and (self.kind != "dots" or self.large_dot_mm is not None):
+            raise ValueError("origin_px is the origin of dots without large ones; leave it out")
         if self.layout is not None and self.kind != "charuco":
             raise ValueError("layout is that of the markers of a charuco board; leave it out")
         if self.measured_mm is not None and self.bars_mm is None:
@@ -155,10 +170,13 @@ class PrintedBoard(Table):
         board = Chessboard(side, discs=(), scale=self.scale, scale_sigma=self.scale_sigma)
         if self.kind == "dots":
             assert self.dot_mm is not None
-            assert self.large_dot_mm is not None
             large = tuple((i, j) for i, j in self.large_dots) if self.large_dots is not None else LARGE_DOTS
             dots = Dots(self.dot_mm, bool(self.bright_dots), self.levels or "", self.step_mm or 0.0)
-            board = replace(board, disc_mm=self.large_dot_mm, discs=large, dots=dots)
+            if self.large_dot_mm is None:
+                origin = None if self.origin_px is None else (self.origin_px[0], self.origin_px[1])
+                board = replace(board, disc_mm=self.dot_mm, dots=dots, origin_px=origin)
+            else:
+                board = replace(board, disc_mm=self.large_dot_mm, discs=large, dots=dots)
             if self.levels is not None:
                 board = replace(board, step_sigma_mm=self.step_sigma_mm or MACHINED_MM)
         elif self.disc_mm is not None:

@@ -48,8 +48,12 @@ class Placing:
         return axes @ np.array(self.turn, dtype=np.float64)
 
 
-def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Placing | None:
+def place_by_discs(
+    frame: NDArray[Any], patch: Patch, board: Chessboard, turn: NDArray[np.int64] | None = None
+) -> Placing | None:
     """Placing of a patch from the discs in it; None if the discs are not all in the patch.
+
+    Marks that look the same after a turn need the `turn` (2, 2) to expect (relative = turn @ board).
 
     Raises
     ------
@@ -64,6 +68,12 @@ def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Plac
     if len(fits) > 1 and board.dots is None:  # squares that something covers in part look like discs
         cells, bright, diameter = find(frame, _crossings(frame, patch, board), board)
         fits = _matches(cells, bright, board, wanted, shades)
+    if board.is_turn_symmetric and turn is None:
+        raise TargetNotFound(
+            f"the {board.origin_marks} of the board look the same after a turn; give a prediction of its view"
+        )
+    if board.is_turn_symmetric and turn is not None:
+        fits = [fit for fit in fits if np.array_equal(fit[0].turn, turn)]
     if len(fits) > 1:
         raise TargetNotFound(
             f"the pattern of {len(wanted)} {board.origin_marks} fits the frame {len(fits)} times; clean the board"
@@ -239,25 +249,26 @@ def _disc_squares(
 def _large_dots(
     frame: NDArray[Any], patch: Patch, board: Chessboard
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Large dots (N, 2) of a patch, their shade (N,), which is one, diameter in pitches (N,).
+    """Large dots (N, 2) of a patch, their shade (N,), which is one, diameter in pitches (N,)."""
+    assert board.dots is not None
+    diameter = dot_diameters(frame, patch, board)
+    chosen = diameter > 0.5 * (board.dots.dot_mm + board.disc_mm) / board.square_mm
+    return patch.index[chosen], np.zeros(np.count_nonzero(chosen), bool), diameter[chosen]
 
-    Raises
-    ------
-    TargetNotFound
-        The usual dots are of another size than described.
-    """
+
+def dot_diameters(frame: NDArray[Any], patch: Patch, board: Chessboard) -> NDArray[np.float64]:
+    """Diameters (N,) of dots in pitches; TargetNotFound if the usual ones are of another size than described."""
     assert board.dots is not None
     points = patch.position_px[:, None, None] + np.einsum("rak,nck->nrac", _AROUND, patch.axes_px)
     diameter = _diameters(_rings(frame, points))
-    usual, large = board.dots.dot_mm / board.square_mm, board.disc_mm / board.square_mm
+    usual = board.dots.dot_mm / board.square_mm
     seen = float(np.median(diameter))
     if abs(seen - usual) > RATIO_TOLERANCE * usual:
         raise TargetNotFound(
             f"the dots measure {seen:.2f} of the way from one to the next, those of the board described"
             f" {usual:.2f}; put the described board into the frame, or describe this one"
         )
-    chosen = diameter > 0.5 * (usual + large)
-    return patch.index[chosen], np.zeros(np.count_nonzero(chosen), bool), diameter[chosen]
+    return diameter
 
 
 _RADII = np.linspace(0.02, 0.42, 21)  # squares

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
-from correction.target.board_count import place_by_count
+from correction.target.board_count import as_expected, origin_basis, place_by_count
 from correction.target.board_origin import Placing, discs_elsewhere, place_by_discs, place_by_prediction
 from correction.target.chessboard import Chessboard
 from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_mirrored, why_no_codes
@@ -127,21 +127,29 @@ def track_board(
         raise TargetNotFound("the prediction puts no corner of the board into the frame; check the nominal camera")
     view = index, predicted
     board, placed = _with_codes(frame, patches, markers, board, view, reach)
-    marked = _with_discs(frame, patches, board) if board.discs else None
+    marked = _with_discs(frame, patches, board, view) if board.discs else None
     if marked is not None and not _plausible(board, view, *marked):
         marked = None
     if placed:
         _plausible(board, view, *placed[0])
     if board.codes is not None and not placed and reach is not None:
         raise TargetNotFound(why_no_codes(frame, board, markers, patches[0]))
-    if board.dots is not None and marked is None and reach is not None:
+    if marked is not None and board.is_turn_symmetric:
+        off, most = squares_off(view, *marked), max(reach or 0.0, HALF_SQUARE)
+        if off > most:
+            raise TargetNotFound(
+                f"the {board.origin_marks} in the frame are {off:.1f} pitches from where the camera should see"
+                f" them, and it is known to {most:.2g}; correct the camera, or clean spots off the board"
+            )
+    if board.dots is not None and board.discs and marked is None and reach is not None:
         raise TargetNotFound(
             _why_another_size(frame, patches[0], view, board)
             or f"a grid of {len(patches[0].index)} dots is in the frame, but not the {len(board.discs)} large"
             " dots that mark the origin, whole and as large as the camera should see them; bring them into view,"
             " or correct pitch and camera"
         )
-    if marked is None and not placed and (reach is not None or board.is_plain):
+    counted = marked is None and not placed and (reach is not None or board.is_plain)
+    if counted:
         try:
             board, place = place_by_count(frame, patches[0], board, view, reach)
         except TargetNotFound as error:
@@ -167,7 +175,8 @@ def track_board(
                 predicted = _correct_prediction(index, predicted, patch, placing)
     if not placed:
         raise TargetNotFound(_why_not_placed(frame, patches[0], (index, predicted), board))
-    return measure_lattice(frame, board, placed, mask)
+    found = measure_lattice(frame, board, placed, mask)
+    return replace(found, origin_basis=origin_basis(board, found.index, reach)) if counted else found
 
 
 def _is_mirrored(board: Chessboard, predict: Predict) -> bool:
@@ -267,7 +276,9 @@ def _why_no_lattice(frame: NDArray[Any], board: Chessboard, seen: int) -> str:
     )
 
 
-def _with_discs(frame: NDArray[Any], patches: list[Patch], board: Chessboard) -> tuple[Patch, Placing] | None:
+def _with_discs(
+    frame: NDArray[Any], patches: list[Patch], board: Chessboard, view: View | None = None
+) -> tuple[Patch, Placing] | None:
     """Patch that holds the discs and its placing, if it is a main part of what is seen.
 
     Discs in a small patch apart from the main lattice are seen through something, or on another board.
@@ -275,7 +286,8 @@ def _with_discs(frame: NDArray[Any], patches: list[Patch], board: Chessboard) ->
     for patch in patches:
         if 2 * len(patch.index) < len(patches[0].index):
             break
-        placing = place_by_discs(frame, patch, board)
+        turn = as_expected(patch, *view)[0] if view is not None and board.is_turn_symmetric else None
+        placing = place_by_discs(frame, patch, board, turn)
         if placing is not None:
             return patch, placing
     return None

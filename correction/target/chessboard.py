@@ -62,15 +62,19 @@ class Chessboard(Board):
         Standard deviations of its scale on paper; 0 takes the squares to be as large as they are said to be.
     step_sigma_mm : float
         Standard deviation of the step between two levels of dots.
+    origin_px : (float, float), optional
+        Pixel of a frame at z = 0 at which the origin of a grid of dots without large ones is seen.
 
     Raises
     ------
     BoardError
-        A size is not positive, a disc does not leave room for the edges, or the discs look the same after a turn.
+        A size is not positive, a disc does not leave room for the edges, or the discs look the same after a turn
+        (of dots on one level they may: the camera then shows how the grid is turned).
     """
 
     scale_sigma: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
     step_sigma_mm: float = field(default=0.0, kw_only=True)
+    origin_px: tuple[float, float] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         if not (self.square_mm > 0.0 and self.disc_mm > 0.0):
@@ -96,10 +100,10 @@ class Chessboard(Board):
                 f"discs of {self.disc_mm:g} mm leave no clear edge in squares of {self.square_mm:g} mm;"
                 f" use {0.6 * self.square_mm:g} mm or less"
             )
-        if len(set(self.discs)) != len(self.discs) or len(self.discs) < 2:
+        least = 1 if self._is_flat_grid else 2
+        if len(set(self.discs)) != len(self.discs) or len(self.discs) < least:
             raise BoardError("the origin needs at least two discs, each in a square of its own, or none")
-        shapes = {self._shape(turn) for turn in QUARTER_TURNS}
-        if len(shapes) < len(QUARTER_TURNS):
+        if self.is_turn_symmetric and not self._is_flat_grid:
             raise BoardError(
                 "the discs look the same after a turn of the board; place them so that no turn repeats"
             )
@@ -110,15 +114,15 @@ class Chessboard(Board):
             raise BoardError(f"levels {dots.levels!r} are not known; say one of {', '.join(LEVEL_BY)}")
         if bool(dots.levels) != (dots.step_mm != 0.0):
             raise BoardError("a plate has levels, and a step_mm from one to the other which is not 0; say both")
-        if self.codes is not None or not self.discs:
-            raise BoardError("a grid of dots has large dots at its origin, and no markers")
-        least, most = SMALLEST_DOT * self.square_mm, WIDEST_DOT * self.square_mm / LARGER
+        if self.codes is not None or (dots.levels and not self.discs):
+            raise BoardError("a plate with levels has large dots at its origin, and no grid of dots has markers")
+        least, most = SMALLEST_DOT * self.square_mm, WIDEST_DOT * self.square_mm / (LARGER if self.discs else 1.0)
         if not least <= dots.dot_mm <= most:
             raise BoardError(
                 f"dots of {dots.dot_mm:g} mm every {self.square_mm:g} mm are too small, or leave no room for"
                 f" larger ones; use {least:.3g} to {most:.3g} mm"
             )
-        if not LARGER * dots.dot_mm <= self.disc_mm <= WIDEST_DOT * self.square_mm:
+        if self.discs and not LARGER * dots.dot_mm <= self.disc_mm <= WIDEST_DOT * self.square_mm:
             raise BoardError(
                 f"large dots of {self.disc_mm:g} mm are too like those of {dots.dot_mm:g} mm, or touch the"
                 f" next; use {LARGER * dots.dot_mm:.3g} to {WIDEST_DOT * self.square_mm:.3g} mm"
@@ -126,6 +130,15 @@ class Chessboard(Board):
 
     def _shape(self, turn: tuple[Square, Square]) -> frozenset[tuple[int, int, bool]]:
         return _turn_discs(self.discs, self.odd_bright if self.dots is None else None, turn)
+
+    @property
+    def _is_flat_grid(self) -> bool:
+        return self.dots is not None and not self.dots.levels
+
+    @property
+    def is_turn_symmetric(self) -> bool:
+        """True if its marks look the same after a quarter turn or a half one, as one large dot does."""
+        return len({self._shape(turn) for turn in QUARTER_TURNS}) < len(QUARTER_TURNS)
 
     @property
     def is_mirror_symmetric(self) -> bool:

@@ -40,6 +40,7 @@ START_PX = 0.7  # blur
 DOTS_AT_ONCE = 96
 RIM_MARGIN_PX = 1.5  # beyond the rim of a dot that must be seen
 SIZE = 0.6, 1.6  # area of a dot as found over that of the dot which should be there
+MIN_CONTRAST = 1e-3  # of the span of the frame: saturated paper is fitted perfectly by a dot of no contrast
 BLURRED = 1.5  # of the variance of the blur, that the edge of a small dot may lie elsewhere
 
 
@@ -101,7 +102,8 @@ def refine_dots(
     with np.errstate(invalid="ignore", divide="ignore"):
         residual, sigma = 2.0 * out[:, 5] / np.abs(amplitude), np.sqrt(out[:, 2:4])
         fitted = verdict == CornerReason.OK
-        verdict[fitted & ~(sigma.max(axis=1) <= LARGEST_SIGMA_PX)] = CornerReason.UNSURE
+        is_flat = ~(np.abs(amplitude) > MIN_CONTRAST * np.ptp(pixels))
+        verdict[fitted & (is_flat | ~(sigma.max(axis=1) <= LARGEST_SIGMA_PX))] = CornerReason.UNSURE
         size = 4.0 * out[:, 10] / (share**2 * np.abs(np.linalg.det(axes_px)))
         rough = BLURRED * out[:, 8] ** 2 / (share**2 * np.abs(np.linalg.det(axes_px)))
         misfit = ~(residual <= LARGEST_RESIDUAL) | ~((size > SIZE[0] - rough) & (size < SIZE[1] + rough))

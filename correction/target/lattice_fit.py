@@ -48,6 +48,8 @@ class BoardDetection:
         Standard deviation of the spread of the edges along the board's +x and +y, pixel integration included.
     refused : dict
         Corners that were seen and not used: reason -> count.
+    origin_basis : str
+        What the origin rests on, if no mark shows it.
     """
 
     board: Chessboard
@@ -57,6 +59,7 @@ class BoardDetection:
     axes_px: NDArray[np.float64]
     blurs_px: NDArray[np.float64]
     refused: dict[str, int]
+    origin_basis: str = ""
 
     @property
     def plane_mm(self) -> NDArray[np.float64]:

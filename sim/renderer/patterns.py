@@ -134,8 +134,8 @@ class DotGrid(PrintedBoard):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.dots is None or not 0.0 < self.dots.dot_mm < self.disc_mm < self.square_mm:
-            raise SceneError("a grid of dots has dots, smaller than the large ones, and these than the pitch")
+        if self.dots is None or not 0.0 < self.dots.dot_mm <= self.disc_mm < self.square_mm:
+            raise SceneError("a grid of dots has dots, no larger than the large ones, and these than the pitch")
 
     def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
         """Reflectance (N,) at points (N, 2) of the grid [mm]."""

@@ -124,6 +124,8 @@ class MeasuredFrame:
         deviation.
     bent_px : (N, 2) float64
         The same of the bending of the view, alike on every way (`bent_view`).
+    origin_basis : str
+        What the origin of the bare target rests on, if no mark shows it.
     """
 
     name: str
@@ -140,6 +142,7 @@ class MeasuredFrame:
     known_smooth_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     smear_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))
     bent_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    origin_basis: str = ""
 
     def __post_init__(self) -> None:
         for name, width in (("known_smooth_px", ()), ("smear_px", (2, 2)), ("bent_px", (2,))):
@@ -239,6 +242,7 @@ def bare_frame(
         {},
         dict(found.refused),
         spread=EdgeSpread(found.blurs_px**2, nothing, nothing),
+        origin_basis=found.origin_basis,
     )
     return measured, found.board
 

@@ -107,8 +107,8 @@ def test_a_chessboard_is_not_taken_for_dots_nor_dots_for_a_chessboard():
         {"dots": Dots(0.1)},
         {"disc_mm": 0.45 * PITCH_MM},
         {"disc_mm": 0.9 * PITCH_MM},
-        {"discs": ()},
-        {"discs": ((0, 0), (1, 0), (0, 1), (1, 1))},
+        {"discs": ((0, 0), (0, 0))},
+        {"discs": (), "dots": Dots(0.9 * PITCH_MM)},
     ],
 )
 def test_dots_that_cannot_tell_the_origin_are_refused(wrong):
