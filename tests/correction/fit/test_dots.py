@@ -12,7 +12,7 @@ from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import expect, measure
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, demo_scene, misalign
-from sim.renderer.patterns import DotGrid
+from sim.renderer.patterns import DotGrid, Pose, place
 from sim.renderer.render import render, render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
@@ -92,3 +92,21 @@ def test_the_map_behind_two_balls_is_right_by_dots(seed):
     assert compared > 0.99
     assert np.sqrt(np.mean(error**2)) < 0.01
     assert fit.board == replace(board, scale=fit.board.scale)
+
+
+def test_dots_that_are_all_alike_fit_a_camera_by_the_origin_pointed_at_in_the_first_of_three_heights():
+    nominal = at_size(demo_scene("two_spheres_500"), 504)
+    truth = misalign(nominal, 3).with_bodies(())
+    words = {"discs": (), "dots": Dots(2.0)}
+    paper = DotGrid(5.0, 2.0, **words)
+    frames = [
+        TargetFrame(
+            f"z{z:g}", render(truth, place(paper, Pose((0.0, 0.0, z))), Sensor(), samples=4, seed=1), False, z
+        )
+        for z in (0.0, 12.0, -12.0)
+    ]
+    pointed = tuple((truth.camera.project(np.zeros(3)) + np.array((3.0, -2.0))).tolist())
+    fit = fit_scene(nominal.with_bodies(()), frames, Chessboard(5.0, 2.0, **words, origin_px=pointed))
+    assert any("rests on origin_px" in str(step) for step in fit.history)
+    corners = np.array([(x, y, z) for x in (-20.0, 20.0) for y in (-20.0, 20.0) for z in (-12.0, 12.0)])
+    assert np.abs(fit.scene.camera.project(corners) - truth.camera.project(corners)).max() < 0.05

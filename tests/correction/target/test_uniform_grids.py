@@ -119,6 +119,39 @@ def test_one_large_dot_is_the_origin_of_a_grid_that_is_partly_out_of_view(name, 
     assert not found.origin_basis
 
 
+def placed_at_random(seed):
+    """Rms error [px] of a grid in a frame drawn by its number, placed by one of four means in turn."""
+    rng, means = np.random.default_rng(seed), ("number", "large dot", "pointed", "camera")[seed % 4]
+    tilt, towards = np.deg2rad(rng.uniform(0.0, 30.0)), rng.uniform(0.0, 2.0 * np.pi)
+    place = rng.uniform(-1.0, 1.0, 2) * ((10.0, 8.0) if means == "number" else (55.0, 40.0))
+    turn = tilt * np.cos(towards), tilt * np.sin(towards), rng.uniform(-0.3, 0.3)
+    true, bright = View(turn, tuple(place)), bool(rng.integers(2))
+    light = {"noise": rng.uniform(1.0, 6.0), "blur_px": rng.uniform(0.5, 2.2), "uneven": rng.uniform(-1.0, 1.0)}
+    large = ((0, 0),) if means == "large dot" else ()
+    frame, centres = drawn(true, large, bright, **light, seed=seed)
+    board, reach = replace(GRID, dots=Dots(DOT_MM, bright)), REACH
+    nominal = View(place_mm=tuple(place + rng.uniform(-20.0, 20.0, 2)))
+    if means == "pointed":
+        board = replace(board, origin_px=tuple(centres[0, 0] + rng.uniform(-5.0, 5.0, 2)))
+    elif means != "number":
+        board = replace(board, disc_mm=LARGE_MM, discs=large, squares=None, origin_corner=None)
+    if means == "camera":
+        reach, nominal = 0.5, replace(true, place_mm=tuple(place + 0.25 * PITCH_MM * rng.uniform(-1.0, 1.0, 2)))
+    found = track_board(frame, board, nominal.project, reach=reach)
+    off = found.position_px - np.array([centres[tuple(index)] for index in found.index.tolist()])
+    assert np.abs(off).max() < 0.5, seed
+    return np.sqrt(np.mean(off**2))
+
+
+def test_of_eight_grids_drawn_at_random_all_are_right():
+    assert np.median([placed_at_random(seed) for seed in range(8)]) < 0.03
+
+
+@pytest.mark.slow
+def test_of_240_grids_drawn_at_random_all_are_right():
+    assert np.median([placed_at_random(seed) for seed in range(240)]) < 0.02
+
+
 def test_a_grid_of_which_rows_are_out_of_view_is_refused_until_its_origin_is_pointed_at():
     true, nominal = View((0.3, 0.0, 0.05), (60.0, 8.0)), View((0.0, 0.0, 0.0), (50.0, 0.0))
     frame, centres = drawn(true)
