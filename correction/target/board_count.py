@@ -66,7 +66,7 @@ def place_by_count(
     TargetNotFound
         Several places are possible, or none.
     """
-    corners = patch if board.dots is not None else _measured_corners(frame, patch, board)
+    corners = patch if board.dots is not None else _corners_of_dots(frame, patch, board)
     turn, expected = as_expected(corners, *view)
     if board.dots is not None:
         dot_diameters(frame, corners, board)
@@ -74,7 +74,7 @@ def place_by_count(
     else:
         ends = ends_of(frame, corners)
     if board.origin_px is not None and reach is not None:
-        expected, reach = -(_pointed_dot(corners, board.origin_px) @ turn).astype(np.float64), 0.0
+        expected, reach = -(_dot_at_origin_px(corners, board.origin_px) @ turn).astype(np.float64), 0.0
     else:
         reach = max(reach or 0.0, HALF_SQUARE if board.dots is None else NEAREST_DOT)
     found = _possible(corners, board, ends, turn, expected, reach)
@@ -97,7 +97,7 @@ def origin_basis(board: Chessboard, index: NDArray[np.int64], reach: float | Non
     return "the camera as described"
 
 
-def _pointed_dot(patch: Patch, origin_px: tuple[float, float]) -> NDArray[np.int64]:
+def _dot_at_origin_px(patch: Patch, origin_px: tuple[float, float]) -> NDArray[np.int64]:
     """Relative index (2,) of the dot at which a user has pointed."""
     off = patch.position_px - np.array(origin_px)
     nearest = int(np.linalg.norm(off, axis=1).argmin())
@@ -110,7 +110,7 @@ def _pointed_dot(patch: Patch, origin_px: tuple[float, float]) -> NDArray[np.int
     return np.asarray(patch.index[nearest])
 
 
-def _measured_corners(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Patch:
+def _corners_of_dots(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Patch:
     """Corners of a patch between four squares, measured; TargetNotFound where they are few."""
     fit = refine_corners(
         frame,

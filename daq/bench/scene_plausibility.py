@@ -132,6 +132,12 @@ def _bodies_asked(scene: Scene) -> Asked:
             picture_mm = _field_of_view_mm(camera)
             text = f"{widest.name} is {share:.3g} times as large as the picture, {picture_mm:.3g} mm: {sizes}"
             yield ("bodies", places[widest.name]), text
+    if lenses and all(body.highest_mm <= 0.0 for body in lenses):
+        yield ("bodies",), "bodies: all stand behind the plane z = 0, where none is seen: is the sign of z right?"
+    crossing = scene.spheres_in_plane
+    if len(crossing) == 1 < len(scene.spheres):
+        text = f"reaches {-crossing[0].lowest_mm:.4g} mm through the plane, and no other ball: is its z right?"
+        yield ("bodies", places[crossing[0].name]), f"{crossing[0].name}: {text}"
     radii = [body.radius_mm for body in Sphere.among(scene.bodies)]
     middle_mm = float(np.median(radii)) if radii else 0.0
     for body in lenses:

@@ -77,7 +77,7 @@ def next_shaped(
     return next_among_shapes(p, d, last, spheres, shapes[0], room, home)
 
 
-def shaped_entry(p: Vector, d: Vector, body: int, spheres: Array, shapes: tuple[Any, ...]) -> Vector:
+def entry_of_shape(p: Vector, d: Vector, body: int, spheres: Array, shapes: tuple[Any, ...]) -> Vector:
     """`entry_point` where there are shapes."""
     return entry_point(p, d, spheres[body], shapes[0][body]) if len(shapes) else p
 
@@ -127,8 +127,8 @@ def _next_shaped(p, d, last, spheres, shapes, room, home):  # type: ignore[no-un
     )
 
 
-@overload(shaped_entry, jit_options=OVERLOADED)
-def _shaped_entry(p, d, body, spheres, shapes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@overload(entry_of_shape, jit_options=OVERLOADED)
+def _entry_of_shape(p, d, body, spheres, shapes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     if not len(shapes):
         return lambda p, d, body, spheres, shapes: p
     return lambda p, d, body, spheres, shapes: entry_point(p, d, spheres[body], shapes[0][body])

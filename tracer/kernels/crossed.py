@@ -12,7 +12,7 @@ A sphere that touches the plane to CONTACT_TOL_MM does not reach through it and 
 import math
 
 from ground.jit import Array, kernel_inlined
-from tracer.kernels.ball import is_shaped, shaped_entry
+from tracer.kernels.ball import entry_of_shape, is_shaped
 from tracer.kernels.sphere import RADIUS, foot
 from tracer.kernels.vectors import Vector, dot, subtract, vector_at
 from tracer.kernels.world import World
@@ -49,5 +49,5 @@ def ends_before(p: Vector, d: Vector, body: int, world: World) -> bool:
     """Return whether a ray reaches the plane before the sphere or ball that it meets next."""
     ball: Array = world.spheres[body]
     if len(world.shapes) > 0 and is_shaped(world.shapes, body):
-        return bool(d[2] < 0.0 and shaped_entry(p, d, body, world.spheres, world.shapes)[2] < 0.0)
+        return bool(d[2] < 0.0 and entry_of_shape(p, d, body, world.spheres, world.shapes)[2] < 0.0)
     return enters_behind(p, d, vector_at(ball, 0), ball[RADIUS])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from correction.maps.correction_map import build_correction_map
+from daq.bench.scene_plausibility import scene_questions
 from rtpiv.analysis.gaps import gap_share
 from rtpiv.verbs.trace import trace
 from tests.correction.small_scenes import EXAMPLES
@@ -15,9 +16,7 @@ from tracer.strategies.ray_map import build_ray_map
 R, CELL = 20.0, 46.2
 
 
-@pytest.mark.parametrize(
-    ("name", "low", "high"), [("inside_a_bed", 0.999, 1), ("inside_a_bed_deeper", 0.08, 0.1)]
-)
+@pytest.mark.parametrize(("name", "low", "high"), [("inside_a_bed", 0.999, 1), ("inside_a_bed_deeper", 0.08, 0.1)])
 def test_by_hand_all_of_the_top_layer_and_nine_per_cent_below_it(name, low, high, capsys):
     traced = trace(load_scene(EXAMPLES / f"{name}.yaml"), pictures=False)
     assert traced.gaps is not None
@@ -40,3 +39,22 @@ def test_one_ball_and_balls_before_the_plane_have_no_gaps():
     for z in (0.0, 20.0):
         scene = Scene(camera_at(focal_px=1000.0, sensor_px=(64, 64)), (ball("one", 0.0, 0.0, z, R),))
         assert gap_share(scene, build_correction_map(scene, build_ray_map(scene))) is None
+
+
+def asked(tmp_path, *heights_mm):
+    """Questions of `check` about balls of 10 mm in a row, at these heights."""
+    balls = [
+        f"  - {{name: b{n}, kind: sphere, centre_mm: [{25.0 * n}, 0.0, {z}], radius_mm: 10.0, material: N-BK7}}"
+        for n, z in enumerate(heights_mm)
+    ]
+    camera = "camera: {f_mm: 100.0, L_mm: 900.0, pixel_pitch_um: 11.0, sensor_px: [1008, 1008]}"
+    (tmp_path / "scene.yaml").write_text("\n".join(["wavelength_nm: 532.0", camera, "bodies:", *balls]))
+    return " ".join(scene_questions(tmp_path / "scene.yaml"))
+
+
+def test_a_wrong_sign_of_z_is_asked_about(tmp_path):
+    assert "all stand behind the plane z = 0" in asked(tmp_path, -10.0, -10.0)
+    assert "b1: reaches 15 mm through the plane, and no other ball: is its z" in asked(tmp_path, 10.0, -5.0)
+    assert "plane" not in asked(tmp_path, 10.0, 10.0)
+    assert "plane" not in asked(tmp_path, 0.0, 0.0)
+    assert "plane" not in asked(tmp_path, 2.0)
