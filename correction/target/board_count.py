@@ -66,7 +66,7 @@ def place_by_count(
     TargetNotFound
         Several places are possible, or none.
     """
-    corners = patch if board.dots is not None else _corners_of_dots(frame, patch, board)
+    corners = patch if board.dots is not None else _refine_patch(frame, patch, board)
     turn, expected = as_expected(corners, *view)
     if board.dots is not None:
         dot_diameters(frame, corners, board)
@@ -110,7 +110,7 @@ def _dot_at_origin_px(patch: Patch, origin_px: tuple[float, float]) -> NDArray[n
     return np.asarray(patch.index[nearest])
 
 
-def _corners_of_dots(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Patch:
+def _refine_patch(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Patch:
     """Corners of a patch between four squares, measured; TargetNotFound where they are few."""
     fit = refine_corners(
         frame,

@@ -110,7 +110,7 @@ def broken(bench):
     tifffile.imwrite(bench / "small.tif", np.zeros((90, 96), np.uint16))
     tifffile.imwrite(bench / "mask.tif", np.zeros((96, 96), np.uint16))
     (bench / "unknown_key.yaml").write_text(SMALL.replace("radius_mm", "radius_cm"))
-    (bench / "overlap.yaml").write_text(SMALL.replace("0.0, 25.0]", "0.0, 20.0]"))
+    (bench / "inside.yaml").write_text(SMALL.replace("0.0, 25.0]", "0.0, 500.0]"))
     (bench / "number.yaml").write_text(SMALL.replace("500.0", "5e2"))
     (bench / "nan.yaml").write_text(SMALL.replace("500.0", ".nan"))
 
@@ -125,7 +125,7 @@ def broken(bench):
         ("mask.tif", "scene.yaml", (), ["mask", "name"]),
         ("good.tif", "missing.yaml", (), ["missing.yaml", "cannot be read"]),
         ("good.tif", "unknown_key.yaml", (), ["unknown_key.yaml:3", "radius_mm"]),
-        ("good.tif", "overlap.yaml", (), ["overlap.yaml:3", "ball"]),
+        ("good.tif", "inside.yaml", (), ["inside.yaml", "ball"]),
         ("good.tif", "number.yaml", (), ["number.yaml:2", "decimal point"]),
         ("good.tif", "nan.yaml", (), ["nan.yaml:2", "finite"]),
         ("good.tif", "scene.yaml", ("--target-clear", "good.tif"), ["good.tif", "no chessboard"]),

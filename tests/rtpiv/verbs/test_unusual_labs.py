@@ -137,7 +137,7 @@ def test_what_no_lab_can_be_is_refused_with_the_slip(tmp_path, capsys, old, new,
     [
         ("radius_mm: 25.0, material: {n: 1.53}", "radius_mm: 0.02, material: {n: 1.53}", "near: is it .* diam"),
         ("centre_mm: [4.0, -5.0, 77.0]", "centre_mm: [23000.0, -5.0, 77.0]", r"far: is it outside .*um for mm\?"),
-        ("sheet: {z_mm: 0.8", "sheet: {z_mm: 25.0", "the light sheet at z = 25 mm runs through 'near'"),
+        ("sheet: {z_mm: 0.8", "sheet: {z_mm: 25.0", r"is z_mm 25 right, .* of what the camera sees\?"),
         ("pixel_pitch_um: 11.0", "pixel_pitch_um: 110.0", r"is 110 right\? Usual are 1.4 to 30; ten times too"),
         ("f_mm: 60.0", "f_mm: 6.0", "all bodies together fill .* focal length, the distance, the pixels"),
         ("k1: 0.01", "k1: 3.0", "do its terms move the corner of the picture by"),
