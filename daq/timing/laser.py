@@ -12,6 +12,11 @@
 The states are in `states`, what must hold in `conditions`. Every verb asks the box what it has, not its own
 memory: a box that was restarted, or used by its keys, is found out before it is armed.
 
+Every verb goes in one order: require a state, refuse what breaks a limit (nothing was sent so far), take a token
+of the latch, load the box, enter the next state, switch on. The state comes before the bytes that switch on, and
+these pass the latch's gate with the token: a stop at any moment either makes the token void, or finds a state in
+which there is light to end.
+
 Light ends in many ways: on request, a condition is lost, the burst ends, the bench is left (`shutdown`).
 After a stop the laser is UNKNOWN until it reads back as off, and a fault from then on until `safe`.
 
@@ -21,7 +26,6 @@ that is weaker, and a bench file has to say `uncounted: true` to have it.
 """
 
 import math
-import threading
 from contextlib import suppress
 
 from daq.timing.box import UNREADABLE, TimingBox
@@ -40,7 +44,7 @@ from daq.timing.pulses import (
     schedule_of,
 )
 from daq.timing.shutdown import LaserShutdown
-from daq.timing.states import EMITS, Event, LaserState, LaserStateMachine, Movers
+from daq.timing.states import EMITS, Event, LaserState
 from daq.timing.switches import OFF, Switches
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
@@ -50,7 +54,7 @@ BURST_POLL_S = 0.01  # between two looks of `wait`
 ARMED_S = 10.0  # how long conditions that were stated at arming may be believed
 
 
-class Laser:
+class Laser(LaserShutdown):
     """A laser and the box that triggers it; safe for several threads.
 
     Parameters
@@ -70,16 +74,11 @@ class Laser:
     def __init__(
         self, name: str, box: TimingBox, head: LaserHead, rules: Rules, clock: Clock = SYSTEM_CLOCK
     ) -> None:
-        self.name = name
-        self.box = box
+        super().__init__(name, box, clock)
         self.head = head
         self.rules = rules
         self.schedule: Schedule | None = None  # what the box was loaded with, as it says itself
         self.pairs = 0  # of the burst that goes on, or of the last one
-        self._clock = clock
-        self._lock = threading.RLock()  # one verb at a time
-        self._states = LaserStateMachine(name, box.latch, clock)
-        self._shutdown = LaserShutdown(box, self._states, self._lock, clock)
         self._exposures: PairExposures | None = None
         self._rate_hz: float | None = None  # of lamps that run
         self._ends_s = math.inf  # of the burst that goes on
@@ -91,26 +90,6 @@ class Laser:
     # ---- how it stands ---------------------------------------------------------------------------
 
     @property
-    def state(self) -> LaserState:
-        """Present state; WARM becomes READY by the clock."""
-        return self._states.state
-
-    @property
-    def emits(self) -> bool:
-        """True if light is meant to leave now; asks no lock, so a signal handler may ask it."""
-        return self._states.emits
-
-    @property
-    def why(self) -> str:
-        """Reason of the last change to UNKNOWN."""
-        return self._states.why
-
-    @property
-    def challenge(self) -> str:
-        """Code that a person has to type before anything can be armed; another one after every `safe`."""
-        return self._states.challenge
-
-    @property
     def dt_us(self) -> float | None:
         """Commanded dt, from the numbers that the box says it has; None if none was set."""
         return None if self.schedule is None else self.schedule.dt_us
@@ -118,16 +97,12 @@ class Laser:
     @property
     def warm_in_s(self) -> float:
         """Time until the lamps have run for long enough."""
-        return max(0.0, self._states.heated_s - self._clock.now_s())
+        return max(0.0, self.heated_s - self._clock.now_s())
 
     @property
     def most_pairs(self) -> int:
         """Largest chunk at the rate that was set; 0 if none was."""
         return 0 if self.schedule is None else int(self.rules.chunk_s * self.schedule.rate_hz + 1e-9)
-
-    def add_motion_interlock(self, movers: Movers) -> None:
-        """Let nothing of `movers` move while light may leave, and no light leave while something of it moves."""
-        self._states.add_motion_interlock(movers)
 
     # ---- light begins ----------------------------------------------------------------------------------
 
@@ -142,8 +117,8 @@ class Laser:
         with self._lock:
             self.box.connect(url, baud)
             with suppress(*UNREADABLE):
-                self._shutdown.read_back()
-                self._states.enter(Event.OFF)
+                self._read_back()
+                self._enter(Event.OFF)
                 self._ask_anew()
 
     def warm(self, rate_hz: float | None = None) -> None:
@@ -159,24 +134,24 @@ class Laser:
         NotNow, PulsesRefused, LaserDoubt, StageError
             It is not SAFE, cannot run at this rate, or the box does not do it.
         """
-        with self._lock, self._shutdown.off_on_error():
-            self._states.require(LaserState.SAFE)
+        with self._lock, self._off_on_error():
+            self._require(LaserState.SAFE)
             if why := self.switches.objection():
                 raise NotArmed(f"{self.name} does not warm up: {why}")
             rate_hz = rate_hz or self.head.lamp_rate_hz or self.head.max_rate_hz
             self.head.require_rate(rate_hz)
-            self.box.token = self._states.token()
+            self.box.token = self._token()
             if self.head.lamp_to_q_switch_us is None:
-                self._states.heated_s, self._rate_hz = self._clock.now_s(), None
-                self._states.enter(Event.WARM_UP)
+                self.heated_s, self._rate_hz = self._clock.now_s(), None
+                self._enter(Event.WARM_UP)
                 self.box.stand_by()
                 return
             lamps = {role: Pulse(0.0, TRIGGER_US) for role in LAMPS if role in self.box.wiring}
             self.box.load(Schedule(1e6 / rate_hz, lamps))
-            self._states.heated_s, self._rate_hz = math.inf, rate_hz
-            self._states.enter(Event.WARM_UP)  # before the lamps run: a stop in between finds them to end
+            self.heated_s, self._rate_hz = math.inf, rate_hz
+            self._enter(Event.WARM_UP)  # before the lamps run: a stop in between finds them to end
             self.box.start_lamps()
-            self._states.heated_s = self._clock.now_s() + self.rules.warmup_s
+            self.heated_s = self._clock.now_s() + self.rules.warmup_s
 
     def set(self, timing: PulseTiming, exposures: PairExposures) -> Schedule:
         """Load dt and exposures while no Q-switch is on; return what the box says it has.
@@ -189,8 +164,8 @@ class Laser:
             The box does not take them.
         """
         schedule = schedule_of(timing, self.head, exposures)
-        with self._lock, self._shutdown.off_on_error():
-            self._states.require(LaserState.READY)
+        with self._lock, self._off_on_error():
+            self._require(LaserState.READY)
             if self._rate_hz is not None and not math.isclose(timing.rate_hz, self._rate_hz, rel_tol=1e-6):
                 raise PulsesRefused(
                     f"the lamps run at {self._rate_hz:g} Hz, and changing that bends the beam; {timing.rate_hz:g} "
@@ -198,7 +173,7 @@ class Laser:
                 )
             self.schedule = None
             self._exposures = exposures
-            self.box.token = self._states.token()
+            self.box.token = self._token()
             self.schedule = self.box.load(schedule)
             if not math.isclose(self.schedule.dt_us, timing.dt_us, abs_tol=1.01 * self.box.least_step_us):
                 raise LaserDoubt(f"{self.name} was set to dt = {timing.dt_us} us and says {self.schedule.dt_us}")
@@ -221,23 +196,23 @@ class Laser:
         LaserDoubt, StageError
             The box does not hold what it was loaded with.
         """
-        with self._lock, self._shutdown.off_on_error():
-            self._states.require(LaserState.READY)
+        with self._lock, self._off_on_error():
+            self._require(LaserState.READY)
             schedule, exposures = self.schedule, self._exposures
             if schedule is None or exposures is None:
                 raise NotNow(f"{self.name} has no dt yet; set() comes first")
-            self._states.require_code(code)
+            self._require_code(code)
             missing = conditions.missing(1, self.rules.clear_mm) or self.switches.objection()
             missing = missing or exposure_problem(schedule, exposures, self.rules.dark_us)
             if missing is not None:
                 raise NotArmed(f"{self.name} is not armed: {missing}")
             self._require_count()
-            self.box.token = self._states.token()
+            self.box.token = self._token()
             self.box.confirm(schedule, lamps=self._rate_hz is not None)
             self._conditions, self._armed_s = conditions, self._clock.now_s()
-            self._states.enter(Event.ARM)
-            if moves := self._states.what_moves():  # asked when nothing can begin to move any more
-                self._states.enter(Event.DISARM)
+            self._enter(Event.ARM)
+            if moves := self.what_moves():  # asked when nothing can begin to move any more
+                self._enter(Event.DISARM)
                 raise NotArmed(f"{self.name} is not armed: {moves}")
 
     def renew(self, conditions: Conditions) -> None:
@@ -252,17 +227,17 @@ class Laser:
             It is not ARMED, or a condition is not met (any more); nothing was sent.
         """
         with self._lock:
-            self._states.require(LaserState.ARMED)
+            self._require(LaserState.ARMED)
             if missing := conditions.missing(1, self.rules.clear_mm) or self.switches.objection():
-                self._states.enter(Event.DISARM)
+                self._enter(Event.DISARM)
                 raise NotArmed(f"{self.name} is not armed: {missing}")
             self._conditions, self._armed_s = conditions, self._clock.now_s()
 
     def disarm(self) -> None:
         """Go back to READY."""
         with self._lock:
-            self._states.require(LaserState.ARMED)
-            self._states.enter(Event.DISARM)
+            self._require(LaserState.ARMED)
+            self._enter(Event.DISARM)
 
     def fire(self, pairs: int) -> None:
         """Give that many pairs of pulses; returns when they have begun.
@@ -279,8 +254,8 @@ class Laser:
         LaserDoubt, StageError
             The box did not take it; it was switched off.
         """
-        with self._lock, self._shutdown.off_on_error():
-            self._states.require(LaserState.ARMED)
+        with self._lock, self._off_on_error():
+            self._require(LaserState.ARMED)
             assert self.schedule is not None
             most = self.most_pairs
             if not 1 <= pairs <= most:
@@ -291,15 +266,11 @@ class Laser:
                 raise NotArmed(f"{self.name} was armed {old_s:.0f} s ago; state the conditions anew (disarm, arm)")
             if missing := self._conditions.missing(pairs, self.rules.clear_mm) or self.switches.objection():
                 raise NotArmed(f"{self.name} does not fire: {missing}")
-            self.box.token = self._states.token()
+            self.box.token = self._token()
             self.pairs = pairs
             self._ends_s = math.inf
-            self._states.enter(Event.FIRE)  # before the box: a stop in between finds light to end
-            begun_s = self._clock.now_s()
-            self.box.begin(pairs)
-            if self.box.counts:  # it counts from when the last output was switched on
-                begun_s = self._clock.now_s() + SPARE_S
-            self._ends_s = begun_s + pairs / self.schedule.rate_hz
+            self._enter(Event.FIRE)  # before the box: a stop in between finds light to end
+            self._begin(self.schedule.rate_hz)
 
     def align(self, code: str, rate_hz: float, for_s: float) -> None:
         """Give weak pulses to see the sheet by, counted by the box; entered from SAFE, left through `safe`.
@@ -316,29 +287,25 @@ class Laser:
         NotNow, NotArmed, PulsesRefused
             It is not SAFE, the bench has no such mode, or a limit is broken; nothing was sent.
         """
-        with self._lock, self._shutdown.off_on_error():
-            self._states.require(LaserState.SAFE)
+        with self._lock, self._off_on_error():
+            self._require(LaserState.SAFE)
             schedule, pulses = self.low_energy_burst(rate_hz, for_s)
-            self._states.require_code(code)
-            if why := self._states.what_moves() or self.switches.objection():
+            self._require_code(code)
+            if why := self.what_moves() or self.switches.objection():
                 raise NotArmed(f"{self.name} gives no light: {why}")
-            self.box.token = self._states.token()
+            self.box.token = self._token()
             self.schedule = None
             self.box.load(schedule)
             self.pairs = pulses
             self._ends_s = math.inf
-            self._states.enter(Event.ALIGN)
-            if moves := self._states.what_moves():
+            self._enter(Event.ALIGN)
+            if moves := self.what_moves():
                 raise LaserStopped(f"{self.name} gives no light: {moves}")
             if self.head.lamp_to_q_switch_us is not None:
                 self.box.start_lamps()
             else:
                 self.box.stand_by()
-            begun_s = self._clock.now_s()
-            self.box.begin(self.pairs, camera=False)
-            if self.box.counts:
-                begun_s = self._clock.now_s() + SPARE_S
-            self._ends_s = begun_s + self.pairs / rate_hz
+            self._begin(rate_hz, camera=False)
 
     def low_energy_burst(self, rate_hz: float, for_s: float) -> tuple[Schedule, int]:
         """Return where the weak pulses of `align` lie, and how many they are; nothing is sent.
@@ -368,37 +335,10 @@ class Laser:
         with suppress(StageError):
             self.box.drop()  # first, and without the lock that another verb may hold
         with self._lock:
-            self._shutdown.make_safe()
+            self._make_safe()
             self.off_request.close()
             self.switches.look(OFF)
             self._ask_anew()
-
-    def stop(self, why: str = "stopped on request") -> None:
-        """Switch off now, from any thread; waits for no lock and no answer, and holds until `safe`.
-
-        Raises
-        ------
-        DeviceLost
-            The box could not be reached.
-        """
-        self._shutdown.send_off(why)
-
-    def confirm_off(self) -> bool:
-        """After a stop: try to read back that everything is off; True if the laser is not UNKNOWN (any more).
-
-        The supervisor calls it until it returns True. A port that was lost is opened again for it.
-        """
-        return self._shutdown.confirm()
-
-    def close(self) -> None:
-        """Switch off, read back, and give the port back.
-
-        Raises
-        ------
-        LaserDoubt
-            Something was switched on, and does not read back as off.
-        """
-        self._shutdown.leave()
 
     # ---- while it fires --------------------------------------------------------------------------------
 
@@ -408,7 +348,7 @@ class Laser:
         A switch that was open for a moment between two bursts holds the laser until `safe` as well.
         """
         if self.state not in (LaserState.SAFE, LaserState.UNKNOWN, LaserState.FAULT):
-            self._shutdown.try_send_off(why)
+            self._try_stop(why)
         if not self.off_request.is_closed() and not self.off_request.is_confirmed() and self.confirm_off():
             self.off_request.confirm()
 
@@ -423,7 +363,7 @@ class Laser:
         if self.state is not LaserState.FIRING:
             return
         if missing := conditions.missing(0, self.rules.clear_mm, fires=True) or self.switches.objection():
-            self._shutdown.try_send_off(missing)
+            self._try_stop(missing)
             raise LaserStopped(f"{self.name} was switched off: {missing}")
 
     def look(self) -> bool:
@@ -437,21 +377,21 @@ class Laser:
             It could not be asked; it was switched off as far as that was possible.
         """
         if (open_switch := self.switches.objection()) and self.emits:
-            self._shutdown.try_send_off(open_switch)
+            self._try_stop(open_switch)
         if self.state in EMITS and self._clock.now_s() < self._ends_s:
             return True  # without the lock: the supervisor must not wait for another verb
         with self._lock:
             state = self.state
             if state not in EMITS or self._clock.now_s() < self._ends_s:
                 return state in EMITS
-            with self._shutdown.off_on_error():
+            with self._off_on_error():
                 self.box.end()
                 if state is LaserState.FIRING:
                     self.box.require_lamps(self._rate_hz is not None)  # a restart ends bursts too
-                    self._states.enter(Event.DONE)
+                    self._enter(Event.DONE)
                 else:
-                    self._shutdown.read_back()
-                    self._states.enter(Event.OFF)
+                    self._read_back()
+                    self._enter(Event.OFF)
                 return False
 
     def wait(self) -> None:
@@ -469,8 +409,16 @@ class Laser:
 
     # ---- inside ----------------------------------------------------------------------------------
 
+    def _begin(self, rate_hz: float, camera: bool = True) -> None:
+        """Let the box begin its burst of `pairs`, and note when its time is over."""
+        begun_s = self._clock.now_s()
+        self.box.begin(self.pairs, camera)
+        if self.box.counts:  # it counts from when the last output was switched on
+            begun_s = self._clock.now_s() + SPARE_S
+        self._ends_s = begun_s + self.pairs / rate_hz
+
     def _ask_anew(self) -> None:
-        self._states.ask_anew()
+        super()._ask_anew()
         self.schedule = self._exposures = self._rate_hz = None
         self._ends_s = math.inf
 

@@ -1,10 +1,10 @@
 """Shutdown of a laser: off is sent first and believed last.
 
-`send_off` writes off past every lock and answer, from any thread.  From then on the laser is UNKNOWN until every
-output reads back as off (`confirm`), and a fault from then on until a person has looked at it (`make_safe`).
-`off_on_error` sends it whenever a verb that has begun to talk with the box does not come to its end.
+`stop` writes off past every lock and answer, from any thread.  From then on the laser is UNKNOWN until every
+output reads back as off (`confirm_off`), and a fault from then on until a person has looked at it (`_make_safe`).
+`_off_on_error` sends it whenever a verb that has begun to talk with the box does not come to its end.
 
-Leaving the bench sends it too (`leave`), and ends only when it reads back, or when nothing can be done.
+Leaving the bench sends it too (`close`), and ends only when it reads back, or when nothing can be done.
 """
 
 import threading
@@ -21,44 +21,45 @@ CONFIRM_INTERVAL_S = 0.2  # between two attempts to read back that everything is
 LEAVING_S = 10.0  # time for these attempts when the bench is left; a loose cable is mostly put back by then
 
 
-class LaserShutdown:
-    """The end of one laser's light; safe for several threads.
+class LaserShutdown(LaserStateMachine):
+    """The states of one laser and every end of its light; safe for several threads.
 
     Parameters
     ----------
+    name : str
+        The laser's, for messages.
     box : TimingBox
-        What gives the pulses.
-    states : LaserStateMachine
-        How the laser stands.
-    lock : RLock
-        Held while a verb talks with the box; one at a time.
+        What gives the pulses; its latch is the laser's.
     clock : Clock
-        Clock of its patience.
+        Clock of its warm-up and of its patience.
     """
 
-    def __init__(self, box: TimingBox, states: LaserStateMachine, lock: threading.RLock, clock: Clock) -> None:
-        self._box, self._states, self._lock, self._clock = box, states, lock, clock
+    def __init__(self, name: str, box: TimingBox, clock: Clock) -> None:
+        super().__init__(name, box.latch, clock)
+        self.box = box
+        self._lock = threading.RLock()  # held while a verb talks with the box; one at a time
 
-    def send_off(self, why: str) -> None:
-        """Send off now, from any thread; waits for no lock and no answer, and holds until `make_safe`.
+    def stop(self, why: str = "stopped on request") -> None:
+        """Switch off now, from any thread; waits for no lock and no answer, and holds until `safe`.
 
         Raises
         ------
         DeviceLost
             The box could not be reached.
         """
-        self._box.latch.stop(why)
+        # The latch before the bytes: what another thread is about to switch on finds the gate shut.
+        self._latch.stop(why)
         try:
-            self._box.drop()
+            self.box.drop()
         finally:
-            self._states.mark_unknown(why)
+            self._mark_unknown(why)
 
-    def try_send_off(self, why: str) -> None:
-        """Send it; a box that cannot be reached is no error."""
+    def _try_stop(self, why: str) -> None:
+        """Switch off; a box that cannot be reached is no error."""
         with suppress(StageError):
-            self.send_off(why)
+            self.stop(why)
 
-    def read_back(self) -> None:
+    def _read_back(self) -> None:
         """Write everything off and read it back.
 
         Raises
@@ -66,28 +67,31 @@ class LaserShutdown:
         LaserDoubt, StageError
             Something is on, or could not be read.
         """
-        self._box.silence()
-        self._box.may_be_on = False
-        if self._box.watchdog is not None:
-            self._box.watchdog.rests(self._box.name)
+        self.box.silence()
+        self.box.may_be_on = False
+        if self.box.watchdog is not None:
+            self.box.watchdog.rests(self.box.name)
 
-    def confirm(self) -> bool:
-        """After a stop: try to read back that everything is off; True if it is not UNKNOWN (any more)."""
-        if self._states.state is not LaserState.UNKNOWN:
+    def confirm_off(self) -> bool:
+        """After a stop: try to read back that everything is off; True if the laser is not UNKNOWN (any more).
+
+        The supervisor calls it until it returns True. A port that was lost is opened again for it.
+        """
+        if self.state is not LaserState.UNKNOWN:
             return True
         with self._lock:
             try:
                 self._reach()
-                self.read_back()
+                self._read_back()
             except (StageError, LaserDoubt):
                 with suppress(StageError):
-                    self._box.drop()
+                    self.box.drop()
                 return False
             with suppress(LaserStopped, NotNow):
-                self._states.enter(Event.STILL)
+                self._enter(Event.STILL)
             return True
 
-    def make_safe(self) -> None:
+    def _make_safe(self) -> None:
         """Off, read back, and nothing holds any more: a person has looked at it.
 
         Raises
@@ -98,21 +102,20 @@ class LaserShutdown:
             A stop came meanwhile.
         """
         with self._lock:
-            latch = self._box.latch
-            latch.clear()
-            count = latch.count  # a stop that comes while outputs are read back changes it
+            self._latch.clear()
+            count = self._latch.count  # a stop that comes while outputs are read back changes it
             try:
                 self._reach()
-                self.read_back()
+                self._read_back()
             except BaseException as error:
-                self._states.mark_unknown(str(error))
+                self._mark_unknown(str(error))
                 raise
-            if latch.count != count:
-                raise LaserStopped(f"{self._states.name}: {self._states.why}")
-            self._states.enter(Event.OFF)
+            if self._latch.count != count:
+                raise LaserStopped(f"{self.name}: {self.why}")
+            self._enter(Event.OFF)
 
-    def leave(self) -> None:
-        """Say off, read it back, and give the port back.
+    def close(self) -> None:
+        """Switch off, read back, and give the port back.
 
         What was switched on and cannot be reached is tried for `LEAVING_S` more, on a port that is opened again:
         a box that does not count goes on for as long as it is not reached, and the watchdog gives a device up
@@ -123,42 +126,42 @@ class LaserShutdown:
         LaserDoubt
             Something was switched on, and does not read back as off.
         """
-        box = self._box
+        box = self.box
         try:
             if not box.is_lost or box.may_be_on:
-                self.try_send_off("the program has left the bench")
+                self._try_stop("the program has left the bench")
                 end_s, tries = self._clock.now_s() + LEAVING_S, 1
-                while not self.confirm():
+                while not self.confirm_off():
                     if tries >= 3 and not (box.may_be_on and self._clock.now_s() < end_s):
                         break
                     tries += 1
                     self._clock.sleep_s(CONFIRM_INTERVAL_S)
             if box.may_be_on:
                 raise LaserDoubt(
-                    f"{self._states.name} may still give light: it does not read back as off "
-                    f"({self._states.why}); turn its key, then see to the cable"
+                    f"{self.name} may still give light: it does not read back as off "
+                    f"({self.why}); turn its key, then see to the cable"
                 )
         finally:
             box.may_be_on = False  # was reported; it is not waited for twice
             box.close()
 
     @contextmanager
-    def off_on_error(self) -> Iterator[None]:
+    def _off_on_error(self) -> Iterator[None]:
         """Say off if something comes between; what was refused before anything was sent is nothing."""
         try:
             yield
         except TimingUsageError:
             raise
         except BaseException as error:
-            was_stopped = self._box.latch.is_held
-            self.try_send_off(str(error) or type(error).__name__)
+            was_stopped = self._latch.is_held
+            self._try_stop(str(error) or type(error).__name__)
             if isinstance(error, CommandRejected):  # it may refuse off as well: said until it reads back, at once
-                self.confirm()
+                self.confirm_off()
             if was_stopped and isinstance(error, LaserDoubt):  # the box has only shown what the stop did
-                raise LaserStopped(f"{self._states.name} was switched off: {self._states.why}") from error
+                raise LaserStopped(f"{self.name} was switched off: {self.why}") from error
             raise
 
     def _reach(self) -> None:
         """Open a port again that was lost."""
-        if self._box.is_lost:
-            self._box.reconnect()
+        if self.box.is_lost:
+            self.box.reconnect()

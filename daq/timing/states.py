@@ -20,6 +20,9 @@ look at. A laser without lamps is warm at once.
 confirmation code.  Every verb of a laser requires a state and enters another one; what a stop from another thread
 has made of the state meanwhile wins over what the verb would have made of it.  What can move on the bench is kept
 still from arming until the light reads back as off.
+
+A laser is one object around one latch, written in three files: its states (here), every end of its light
+(`shutdown.LaserShutdown`), and every beginning (`laser.Laser`).  Each is the base class of the next.
 """
 
 import math
@@ -135,14 +138,14 @@ class LaserStateMachine:
         self.heated_s = math.inf  # when the lamps have run for long enough
         self._latch = latch
         self._clock = clock
-        self._lock = threading.Lock()
+        self._state_lock = threading.Lock()  # held for an assignment, never while anything is sent
         self._state = LaserState.UNKNOWN
         self._movers: list[Movers] = []
 
     @property
     def state(self) -> LaserState:
         """Present state; WARM becomes READY by the clock."""
-        with self._lock:
+        with self._state_lock:
             if self._state is LaserState.WARM and self._clock.now_s() >= self.heated_s:
                 self._state = after(self._state, Event.HEATED)
             return self._state
@@ -154,20 +157,20 @@ class LaserStateMachine:
 
     # ---- verbs ---------------------------------------------------------------------------------
 
-    def require(self, wanted: LaserState) -> None:
+    def _require(self, wanted: LaserState) -> None:
         """Raise NotNow, with the way, in any other state."""
         if (state := self.state) is not wanted:
             raise NotNow(f"{self.name} is {state.value}, not {wanted.value}: {_WAYS[state]} ({self.why})")
 
-    def token(self) -> int:
+    def _token(self) -> int:
         """Return what bytes that switch on have to show; LaserStopped while a stop holds."""
         if self._latch.is_held:
             raise LaserStopped(f"{self.name} is held: {self.why}; look at it, then safe()")
         return self._latch.count
 
-    def enter(self, event: Event) -> None:
+    def _enter(self, event: Event) -> None:
         """Go on by the table; what a stop has made of the state meanwhile wins."""
-        with self._lock:
+        with self._state_lock:
             try:
                 self._state = after(self._state, event)
             except ValueError as error:
@@ -175,9 +178,9 @@ class LaserStateMachine:
                     raise LaserStopped(f"{self.name} was switched off: {self.why}") from None
                 raise NotNow(f"{self.name}: {error}") from None
 
-    def mark_unknown(self, why: str) -> None:
+    def _mark_unknown(self, why: str) -> None:
         """Change to UNKNOWN; the first reason stays."""
-        with self._lock:
+        with self._state_lock:
             if self._state is not LaserState.UNKNOWN:
                 self.why = why
             self._state = after(self._state, Event.BAD)
@@ -185,12 +188,12 @@ class LaserStateMachine:
 
     # ---- the confirmation code ------------------------------------------------------------------------------
 
-    def ask_anew(self) -> None:
+    def _ask_anew(self) -> None:
         """Make another code up, so that no plan, script or habit can hold it."""
         self.challenge = str(1000 + secrets.randbelow(9000))
         self.heated_s = math.inf
 
-    def require_code(self, code: str) -> None:
+    def _require_code(self, code: str) -> None:
         """Raise NotArmed unless it is the one that is asked for."""
         if not self.challenge or not secrets.compare_digest(code.strip().encode(), self.challenge.encode()):
             raise NotArmed(f"{self.name} is not armed: type the code that it asks for ({self.challenge})")

@@ -70,7 +70,7 @@ def test_lamps_are_off_while_somebody_reaches_in():
     assert asked == [("b", LaserState.SAFE, False), ("a", LaserState.SAFE, False)]
     assert laser.challenge != code  # whoever wants light again is asked anew
     box.unreadable = True
-    laser._states.enter(Event.BAD)
+    laser._enter(Event.BAD)
     with pytest.raises(MotionBarred):
         stage.move({"a": 30.0})
     assert len(asked) == 2

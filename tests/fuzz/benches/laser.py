@@ -164,15 +164,15 @@ class Story(JudgedLaser):
     def runs(self):
         """Whether there is something that a person can stop."""
         if self.kind == "oltSync":
-            return self.laser._states._state in (*EMITS, *BETWEEN)
-        if self.laser._states._state is LaserState.SAFE:  # T0 runs by the key RUN; stopped, all is as after `safe`
+            return self.laser._state in (*EMITS, *BETWEEN)
+        if self.laser._state is LaserState.SAFE:  # T0 runs by the key RUN; stopped, all is as after `safe`
             return False
         return self.emulator.is_on_at(0) or self.begins
 
     @property
     def begins(self):
         """Whether the program is about to begin a burst, for which it may have stopped T0."""
-        return self.laser._states._state in EMITS and self.laser._ends_s == math.inf
+        return self.laser._state in EMITS and self.laser._ends_s == math.inf
 
     @property
     def is_in_a_start(self):
@@ -224,7 +224,7 @@ class Story(JudgedLaser):
 
     def opens(self, name):
         """What the thread does that reads a switch."""
-        was_on = self.laser._states._state in (*EMITS, *BETWEEN)
+        was_on = self.laser._state in (*EMITS, *BETWEEN)
         self.laser.switch_opened(self.laser.switches.look(name))
         if was_on and self.line.is_reached:
             self.ended()
@@ -327,9 +327,9 @@ class Story(JudgedLaser):
             getattr(self, name)()
         except (DaqError, StageError) as error:
             self.log[-1] += f" -> {type(error).__name__}: {error}"
-        if self.laser._states._state is LaserState.UNKNOWN and self.is_refused_since(begun_s):
+        if self.laser._state is LaserState.UNKNOWN and self.is_refused_since(begun_s):
             self.laser.confirm_off()  # as the supervisor of a burst does, at once
-        is_over = self.laser._states._state in EMITS and self.clock.now_s() > self.laser._ends_s
+        is_over = self.laser._state in EMITS and self.clock.now_s() > self.laser._ends_s
         if name in LOOKS and self.line.is_reached and is_over:
             self.found.append("it goes on although its time is over, and was looked at")
 

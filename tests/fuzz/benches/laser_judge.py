@@ -156,7 +156,7 @@ class JudgedLaser:
         if pulse.output not in self.q_switches:
             return
         self.pulses += 1
-        state = self.laser._states._state  # without its clock
+        state = self.laser._state  # without its clock
         self.left[pulse.output] -= 1
         if pulse.rises_s > self.stopped_s + LATE_S and not self.is_refused(pulse, state):
             after_s = pulse.rises_s - self.stopped_s
@@ -188,7 +188,7 @@ class JudgedLaser:
 
     def is_mixed_by_keys(self, pulse):
         """Whether somebody has mixed the output with a lamp that runs, and the box was not asked since."""
-        return self.laser._states._state in BETWEEN and (pulse.output, "MUX") in self.turned
+        return self.laser._state in BETWEEN and (pulse.output, "MUX") in self.turned
 
     def is_out_of_reach(self, state):
         """Whether the program knows that light may leave, and no word of it can reach the box."""

@@ -65,7 +65,7 @@ class LightStory(laser.Story):
         if pulse.output not in self.q_switches or self.is_mixed_by_keys(pulse):
             return
         self.lit_s.append(pulse.rises_s)
-        if self.laser._states._state is LaserState.ALIGNING:  # to see the sheet on what stands in it
+        if self.laser._state is LaserState.ALIGNING:  # to see the sheet on what stands in it
             return
         true_mm = self.bench.world.true_mm
         ball_mm = abs(BALL_MM + true_mm("glass_z")) - BALL_RADIUS_MM

@@ -74,7 +74,7 @@ def ends_late(box, end=QuantumComposersBox.end):
 
 def ends_early(laser):
     if laser.state is LaserState.FIRING:
-        laser._states.enter(Event.DONE)
+        laser._enter(Event.DONE)
     return False
 
 
