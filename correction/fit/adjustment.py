@@ -3,7 +3,8 @@
 Corners weigh by their own sigma, times one factor for each region (direct, behind glass) that makes the
 median residual agree with it: behind glass ghosts and curved edges add errors that no single window shows.
 Corners beyond OUTLIER sigmas are rejected and reported; those beyond CAUCHY_SIGMAS weigh less and less.  The
-covariance is (N + 1)^-1 in units of the prior's sigmas, N the normal matrix of the corners used.
+covariance is (N + P)^-1 in units of the prior's sigmas, N the normal matrix of the corners used and P the
+identity, or less where priors have failed their joint test.  Errors that corners have in common are added to it.
 """
 
 from collections import Counter

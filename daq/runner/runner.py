@@ -1,7 +1,8 @@
 """The runner: a list of steps, one after the other, with a journal.
 
     for each step that the journal does not have:
-        route to its positions -> settle -> read positions back -> frames -> all on the disk -> journal
+        route to its positions -> settle -> read positions back -> gauges -> frames -> read positions again
+        -> all on the disk -> journal
 
 A step is finished when every frame of it is on the disk; only then it enters the journal.  Whatever comes between
 (Ctrl-C, a lost camera, kill -9) leaves a run that `rtpiv acquire --resume` continues: frames of an unfinished step
@@ -122,6 +123,7 @@ class Runner:
             present = frame_entries(self._first.folder.entries())
             missing = [sum(number not in present for number in step.numbers) for step in left]
             self.progress.expect(left, missing, self._forecast_s(left))
+            # Live vectors need pairs (group 2) that are corrected; their kernels are compiled before any frame.
             if self._first.corrects and any(step.group == 2 and step.on_plane for step in left):
                 warm_up()
             with self.interrupts:
@@ -139,7 +141,7 @@ class Runner:
 
     @property
     def _closing_order(self) -> list[RunCamera]:
-        """The cameras in the order of their last words: what the first one says is true of all."""
+        """The cameras in the order in which they complete a step: the first one, which speaks for all, at last."""
         return [*self._cameras[1:], self._first]
 
     # ---- a session -----------------------------------------------------------------------------

@@ -19,8 +19,8 @@ position. Boards that do not keep it are judged by banner and state alone.
 **Stops at the board.** A feed hold (button, pendant) ends a jog like a cancel: the board is Idle again, short of
 the target. So an axis that rests elsewhere than where it was sent has been stopped by a person. A feed hold at
 rest (the same button, or noise on its wire) leaves the board in Hold: it reads no line any more, but reports when
-it is asked by ``?`` (real firmware; interface.md, "Hold:0"). So whatever stays unanswered is followed by that
-question. Nothing here resumes what a person may have held.
+it is asked by ``?`` (state "Hold:0" of the interface description of Grbl 1.1). So whatever stays unanswered is
+followed by that question. Nothing here resumes what a person may have held.
 
 All input goes through one decoder, so a line that comes in two pieces is one line, whatever reads the second
 piece.

@@ -139,6 +139,9 @@ def solve_nodes(
 ) -> None:  # fmt: skip
     """Solve nodes of one sheet from their starts and keep the views.
 
+    Solved is X(u, v) = node, X the point of the plane that the ray of pixel (u, v) meets along the path of the
+    sheet, by Newton's method: (u, v) += (dX/d(u, v))^-1 (node - X(u, v)).  ``starts`` (N, 4): u, v, squared
+    distance [px2] from the traced pixel that gave them, `WITHIN` of that ray; ``nodes`` (N, 2): row, column.
     Blocks are verified in lockstep with the chain ``balls``, ray by ray where a scene does not fit it; where not
     all of a path is `solid`, every node is solved by itself, which verifies it.
     """

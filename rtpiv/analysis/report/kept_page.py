@@ -8,6 +8,7 @@ and the sources of the program. A file that was changed or removed since is made
 import hashlib
 import json
 from collections.abc import Iterable
+from importlib.metadata import version
 from pathlib import Path
 
 from daq.atomic_write import write_json
@@ -16,6 +17,7 @@ from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE
 from rtpiv.analysis.series.series_folder import FILE, MEAN
 from rtpiv.analysis.series.series_view import SeriesView
 
+STYLE = Path(__file__).with_name("page.css")
 NOTE, PAGE = "mean.json", "mean.html"
 WRITTEN = (".html", ".nc", ".png", ".svg", ".css")  # by a page, and the statistics themselves
 RECORDS = (".json", ".jsonl", ".yaml")  # of a run: notes, readings, journal
@@ -34,8 +36,9 @@ def page_key(view: SeriesView, shown: Iterable[object], run: Path | None = None)
     run : Path, optional
         Folder of the run whose records it shows.
     """
-    digest = hashlib.sha256(repr((code_digest(*PACKAGES), view.out_of_plane, *shown)).encode())
-    files = [view.folder / name for name in (FILE, SCENE_FILE, FIT_FILE)]
+    versions = [version(name) for name in ("rtpiv", "matplotlib", "numpy", "scipy")]
+    digest = hashlib.sha256(repr((code_digest(*PACKAGES), versions, view.out_of_plane, *shown)).encode())
+    files = [STYLE, *(view.folder / name for name in (FILE, SCENE_FILE, FIT_FILE))]
     files += [] if run is None else sorted(each for each in run.iterdir() if each.suffix in RECORDS)
     for file in files:
         digest.update(f"\0{file.name}\0".encode() + (file.read_bytes() if file.is_file() else b""))
