@@ -58,7 +58,8 @@ FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
 FEW = ((r"\bpairs: (20|1000)\b", "pairs: 10"), (r"chunk: \d+", "chunk: 10"), (r"{pairs: \d+}", "{pairs: 4}"))
 CALM = {"calibrate": "fit.light", "correct": "Traceback"}  # what must not be said
 OTHER_PROGRAMS = {  # of a page, each with the test that does the same
-    "README.md": ("cd", "python3"),  # below; tests/wheel/test_installed.py
+    "README.md": ("cd", "python3"),
+    "install.md": ("python3",),  # below; tests/wheel/test_installed.py
     "first-lab.md": ("cd",),  # tests/system/test_tutorials.py
     "own-frames.md": ("cd", "python"),
     "plain-piv.md": ("cd", "python"),
