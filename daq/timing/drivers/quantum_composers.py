@@ -86,8 +86,8 @@ class QuantumComposersBox(TimingBox):
     def drop(self) -> None:
         """Write everything off now; again and again, pauses apart, to a box that is known to lose lines.
 
-        Of each write such a box hears its first line, and may be too busy even for that one: every second time a
-        Q-switch comes first, for a box that refuses T0.  Asking who answers may take a second, so it comes later.
+        Of each write such a box hears its first line at most: every second time that is a Q-switch's, for a box
+        that refuses T0; a refusal ends in a reset.
         """
         super().drop()
         if self._pause_s > 0.0:
@@ -95,6 +95,9 @@ class QuantumComposersBox(TimingBox):
                 self.clock.sleep_s(self._pause_s)
                 first = 0 if again % 2 else again // 2 % (1 + len(self._numbers(*Q_SWITCHES)))
                 self._write_off([self._off_string(first)])
+            if b"?8" in self.port.pending():  # refused: it may go on to refuse for longer than this
+                self.clock.sleep_s(self._pause_s)
+                self._write_off([Command("*RST").to_bytes()])
 
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts.
@@ -413,8 +416,6 @@ class QuantumComposersBox(TimingBox):
                 was = f"was set to {seconds} s and reads {before_s} s"
                 raise LaserDoubt(f"{self.name}: {_name(number)} {keyword} {was}")
         return before_s
-
-    # ---- words -------------------------------------------------------------------------------------
 
     def _flag(self, number: int, keyword: str) -> bool:
         """A boolean that two answers agree on."""

@@ -5,6 +5,7 @@ from contextlib import suppress
 import pytest
 
 from daq.errors import DaqError
+from daq.timing.drivers.quantum_composers import OUTPUTS
 from daq.timing.errors import LaserDoubt, TimingUsageError
 from daq.timing.pulses import Q_SWITCHES, LaserHead, PulseTiming, Role
 from daq.timing.states import LaserState
@@ -68,6 +69,24 @@ def test_a_slow_box_that_refuses_t0_loses_its_q_switches_though_no_answer_comes(
         light_s = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output in plugs]
         assert light_s
         assert max(light_s) - stopped_s < 0.3
+
+
+@pytest.mark.parametrize("role", Q_SWITCHES)
+@pytest.mark.parametrize("times", [3, 5, 99])
+def test_a_slow_box_that_refuses_t0_and_a_q_switch_is_reset_before_anything_is_asked(role, times):
+    """Found by the fuzz: light left for a second more while it was asked what it is, and what is on."""
+    with desk(needs_s=0.04) as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(0.5)
+        number = 1 + OUTPUTS.index(d.box.wiring[role])
+        d.emulator.refuses_off.update({0: 99, number: times})
+        stopped_s = d.clock.now_s()
+        d.laser.stop("now")
+        d.clock.sleep_s(5.0)
+        d.emulator.advance()
+        last_s = max(pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output == d.box.wiring[role])
+        assert stopped_s - 0.2 < last_s < stopped_s + 0.4
 
 
 def test_off_is_said_twice_to_a_box_that_refuses_it():
