@@ -214,8 +214,6 @@ class QuantumComposersBox(TimingBox):
             if not self._flag(T0, "STAT"):
                 raise LaserDoubt(f"{self.name} has not run to the end of its burst: it {STOPPED}")
 
-    # ---- inside ------------------------------------------------------------------------------------
-
     _clock_word = "ICL:MOD"
     _pause_s = 0.0  # between lines; longer for a box that loses them
     _wrote_s = -math.inf
