@@ -118,8 +118,9 @@ def test_off_reaches_a_box_that_loses_lines_and_refuses_those_that_it_hears(refu
         assert not d.emulator.is_on_at(0)
 
 
+@pytest.mark.parametrize("refuse", [0, 5])
 @pytest.mark.parametrize("kind", ["doubled", "late", "lost", "cut", "garbled"])
-def test_a_burst_made_endless_ends_though_its_off_is_refused_twice_and_the_answer_is_damaged(kind):
+def test_a_burst_made_endless_ends_though_its_off_is_refused_and_the_answer_is_damaged(kind, refuse):
     """Found by the fuzz: off was said twice in 0.3 s, then it was asked who answers, for a second."""
     pumped = {**PUMPED, Role.MARKER: PUMPED[Role.CAMERA_B]}
     del pumped[Role.CAMERA_B]
@@ -127,7 +128,8 @@ def test_a_burst_made_endless_ends_though_its_off_is_refused_twice_and_the_answe
         d.to_armed()
         d.laser.fire(3)
         d.emulator.set_inside(1, "CMOD", "NORM")
-        d.emulator.refuses_off.update({1: 2, 3: 2})
+        d.emulator.refuses_off.update({1: 2, 3: 2} if refuse == 0 else {})
+        d.emulator.refuse = refuse
         d.line.faults.strike(Fault(kind, 0))
         with suppress(DaqError, StageError):
             d.laser.wait()
@@ -135,7 +137,7 @@ def test_a_burst_made_endless_ends_though_its_off_is_refused_twice_and_the_answe
         d.emulator.advance()
         light_s = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output == "A"]
         assert len(light_s) > 3
-        assert light_s[-1] - light_s[0] < 0.85  # three periods of the chunk, 0.2 s of grace, and LATE_S
+        assert light_s[-1] - light_s[0] < (1.05 if refuse else 0.85)  # 0.3 s, grace, LATE_S; refused
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 4, 5])

@@ -183,7 +183,9 @@ class JudgedLaser:
         if self.looks_s is None or not self.line.is_reached or "MUX" in knobs:
             return
         late_s = pulse.rises_s - max(self.laser._ends_s, self.looks_s)
-        if late_s > LATE_S:
+        # What leaves until the next off is its own; two Q-switches are told in turn.
+        is_just_refused = self.is_refused_since(pulse.rises_s - 2 * AGAIN_S)
+        if late_s > LATE_S and not is_just_refused:
             self.found.append(f"a pulse on {pulse.output} {late_s:.3f} s after the time of its chunk")
 
     def is_mixed_by_keys(self, pulse):
