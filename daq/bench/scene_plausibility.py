@@ -136,7 +136,7 @@ def _bodies_asked(scene: Scene) -> Asked:
         yield ("bodies",), "bodies: all stand behind the plane z = 0, where none is seen: is the sign of z right?"
     crossing = scene.spheres_in_plane
     if len(crossing) == 1 < len(scene.spheres):
-        text = f"reaches {-crossing[0].lowest_mm:.4g} mm through the plane, and no other ball: is its z right?"
+        text = f"reaches {-crossing[0].lowest_mm:.4g} mm through the plane, as no other ball does: is z right?"
         yield ("bodies", places[crossing[0].name]), f"{crossing[0].name}: {text}"
     radii = [body.radius_mm for body in Sphere.among(scene.bodies)]
     middle_mm = float(np.median(radii)) if radii else 0.0
