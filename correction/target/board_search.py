@@ -19,8 +19,14 @@ from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
 from correction.target.board_count import as_expected, origin_basis, place_by_count
-from correction.target.board_origin import Placing, discs_elsewhere, place_by_discs, place_by_prediction
-from correction.target.chessboard import Chessboard
+from correction.target.board_origin import (
+    MIN_VOTE_SHARE,
+    Placing,
+    discs_elsewhere,
+    place_by_discs,
+    place_by_prediction,
+)
+from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_mirrored, why_no_codes
 from correction.target.evidence import View, squares_off, turn_and_scale, wrong_size
 from correction.target.lattice_fit import (
@@ -86,6 +92,34 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
         f"a lattice of {len(patches[0].index)} corners is in the frame, but not the {len(board.discs)}"
         f" {board.origin_marks} that mark the origin; bring them into view, or give a prediction of the view"
     )
+
+
+def find_lattice(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None = None) -> BoardDetection:
+    """Find the marks of a board whose place and turn do not matter, as of one that is held by hand.
+
+    Marks that show the origin are used where they are seen, and required where the print is stretched along one of
+    its directions only. Otherwise the corner at the origin is any one.
+
+    Parameters
+    ----------
+    image, board, mask
+        As in `find_board`.
+
+    Raises
+    ------
+    FrameError
+        Not a frame.
+    TargetNotFound
+        No lattice, or another board; the message says which and the cure.
+    """
+    turns_matter = board.scale[0] != board.scale[1] or len(board.depths_mm) > 1
+    if board.codes is not None or turns_matter:
+        return find_board(image, board, mask)
+    endless = replace(board, discs=(), squares=None, origin_corner=None)
+    frame, patches, _ = _patches(image, endless, mask)
+    exchanged = float(np.mean(patches[0].sign == endless.corner_sign(patches[0].index))) < MIN_VOTE_SHARE
+    place = Placing(QUARTER_TURNS[0], (int(exchanged), 0))  # one square on, bright and dark are exchanged
+    return measure_lattice(frame, endless, [(patches[0], place)], mask)
 
 
 def track_board(

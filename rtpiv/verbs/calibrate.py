@@ -11,6 +11,7 @@ from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fitted.map_sigma import map_sigma
 from correction.fitted.scene_sigma import save_fit
+from correction.lens.lens_fit import LensFit
 from daq.atomic_write import write_json, write_text
 from daq.runs.acquired import read_acquired
 from daq.runs.names import is_run
@@ -23,6 +24,7 @@ from piv.files.frame_file import FRAME_ENDINGS
 from rtpiv.analysis.calibration import Calibration, calibration_of
 from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.options.numbers import Positive
+from rtpiv.verbs.calibrate_lens import calibrate_lens, poses_in
 from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_calibration
@@ -34,6 +36,7 @@ PICTURES = "rtpiv.analysis.pictures"
 FITTED = ("scene.yaml", "fit.npz", "map_sigma.npz", "calibration.json")
 DRAWN = ("map_sigma.png", "convergence.png", "smooth_residuals.png", "residuals.png", "calibration.html")
 NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm)?")
+OR_BY_HAND = "; or give three or more of a board held by hand, without glass, for the lens alone"
 WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear_z+10mm.tif and so on"
 
 
@@ -47,8 +50,8 @@ def calibrate(
     board: Named | None = None,
     pictures: bool = True,
     overwrite: bool = False,
-) -> SceneFit:
-    """Fit a scene to frames of its target.
+) -> SceneFit | LensFit:
+    """Fit a scene to frames of its target, or a lens to frames of a board held by hand.
 
     Parameters
     ----------
@@ -56,6 +59,8 @@ def calibrate(
         A target run, of several the newest finished one;
         or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
         (through the glass) and, for other heights, ``target_clear_z+10mm.tif`` ...
+        Or a folder with three or more other frames, without glass, of a board held by hand and tilted to all
+        sides: they show lens and focal length alone.
     scene : path, optional
         Nominal scene.yaml, with the priors in its section ``fit``; default for a run the scene of its bench at the
         start of the run.
@@ -63,7 +68,8 @@ def calibrate(
         Folder, default ``fit`` (or ``fit-2`` ... where that has results): ``scene.yaml`` fitted, ``fit.npz``
         (covariance, corners), ``map_sigma.npz`` and ``.png``, ``residuals.png``, ``smooth_residuals.png`` (for the
         test of the model), ``convergence.png``, ``calibration.html`` (verdict and numbers),
-        ``calibration.json``.
+        ``calibration.json``. Of a board held by hand ``lens``: ``lens.json``, ``residuals.png`` and, of a scene
+        given, ``scene.yaml`` with this lens and its uncertainty as prior.
     square_mm, disc_mm : float, optional
         Square and disc of the board (default 2.5, and 0.4 of a square); runs store their own.
     board : path, optional
@@ -77,6 +83,8 @@ def calibrate(
     -------
     SceneFit
         The scene found (`scene`), its numbers with sigma, and what the frames leave open.
+    LensFit
+        Of a board held by hand: lens, focal length, covariance.
 
     Raises
     ------
@@ -90,6 +98,9 @@ def calibrate(
     progress = error_console()
     began = time.monotonic()
     folder = one_of(folder)
+    if not is_run(folder) and (poses := poses_in(folder)):
+        held = board_of([folder], square_mm, disc_mm, path_of(board))
+        return calibrate_lens(poses, held, path_of(scene), path_of(out), pictures, overwrite)
     nominal, priors = nominal_scene(folder, path_of(scene))
     target = board_of([folder], square_mm, disc_mm, path_of(board))
     frames = target_frames(folder, nominal.camera.shape)
@@ -177,7 +188,7 @@ def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
         raise ViewsMissing("is no folder", place=folder, cure=f"give a run, or the folder with {WANTED}")
     views = target_views(folder) if is_run(folder) else _views_by_name(folder)
     if not views:
-        raise ViewsMissing("holds no frame of the target", place=folder, cure=f"name them {WANTED}")
+        raise ViewsMissing("holds no frame of the target", place=folder, cure=f"name them {WANTED}{OR_BY_HAND}")
     return [TargetFrame(view.tag, read_acquired(view.path, shape), view.glass, view.height_mm) for view in views]
 
 

@@ -1,0 +1,148 @@
+"""Lens and focal length from a folder of hand-held boards, for `rtpiv calibrate`."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from correction.errors import TargetNotFound, ViewsMissing
+from correction.lens.lens_fit import LEAST_POSES, SHARED, LensFit, SeenBoard, fit_lens
+from correction.target.board_search import find_lattice
+from correction.target.chessboard import Chessboard
+from daq.atomic_write import write_json, write_text
+from daq.runs.acquired import read_acquired
+from ground.plain_words import quantity
+from ground.terminal import console, error_console
+from piv.files.frame_file import FRAME_ENDINGS
+from rtpiv.analysis.digits import with_sigma
+from rtpiv.analysis.pictures.drawing_process import drawing
+from rtpiv.analysis.report.table import Table
+from rtpiv.verbs.results import results_in
+from tracer.errors import SceneError
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene, load_priors, load_scene
+
+FOCUS = "Focal length and lens terms hold for this zoom and focus; leave both rings alone from now on."
+
+
+def poses_in(folder: Path) -> list[Path]:
+    """Frames of a folder that shows hand-held boards: three or more, and none named as one of a target run."""
+    if not folder.is_dir():
+        return []
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in FRAME_ENDINGS)
+    files = [path for path in files if not path.name.startswith(".")]
+    named = any(path.stem.startswith("target_") for path in files)
+    return [] if named or len(files) < LEAST_POSES else files
+
+
+def calibrate_lens(
+    files: list[Path], board: Chessboard, scene: Path | None, out: Path | None, pictures: bool, overwrite: bool
+) -> LensFit:
+    """Fit lens and focal length to frames of a hand-held board; arguments and results as of `calibrate`.
+
+    Raises
+    ------
+    ViewsMissing
+        Fewer than three frames show the board, or they do not determine the focal length.
+    FrameError, SceneError
+        A frame cannot be read, or scene and frames are of cameras of different size.
+    """
+    began = time.monotonic()
+    progress = error_console()
+    progress.print(f"{quantity(len(files), 'frame')}, none named target_...: a board held by hand, without glass")
+    nominal = None if scene is None else (load_scene(scene), load_priors(scene))
+    first = read_acquired(files[0])
+    if nominal is not None and nominal[0].camera.shape != first.shape:
+        (rows, columns), (height, width) = nominal[0].camera.shape, first.shape
+        raise SceneError(
+            f"{scene}: the camera has {columns} x {rows} px, the frames {width} x {height}; give the scene of the"
+            " camera that took them"
+        )
+    made_from = dict.fromkeys(("lens.json", *(("scene.yaml",) if nominal else ())), files[0].parent)
+    with results_in(out, "lens", overwrite=overwrite, made_from=made_from) as out:
+        seen: list[SeenBoard] = []
+        missed: dict[str, str] = {}
+        for number, path in enumerate(files):
+            took = time.monotonic() - began
+            left = f", {took / number * (len(files) - number):.0f} s left" if number else ""
+            progress.print(f"{took:6.1f} s  {path.name} ({number + 1} of {len(files)}{left})")
+            try:
+                found = find_lattice(read_acquired(path, first.shape), board)
+            except TargetNotFound as error:
+                missed[path.name] = str(error)
+                continue
+            seen.append(SeenBoard(path.name, found.plane_mm, found.position_px, found.sigma_px))
+        if not seen:
+            name, why = next(iter(missed.items()))
+            raise ViewsMissing(f"no frame shows the board; {name}: {why}")
+        fit = fit_lens(seen, (first.shape[1], first.shape[0]))
+        fit = replace(fit, refused={**missed, **fit.refused})
+        write_json(out / "lens.json", _facts(fit))
+        if nominal is not None:
+            write_text(out / "scene.yaml", _with_lens(*nominal, fit))
+        _show(fit)
+        if pictures:
+            with drawing() as draw:
+                at = np.concatenate([fit.seen[tag].position_px for tag in fit.residual_px])
+                off = np.concatenate(list(fit.residual_px.values()))
+                used = np.isfinite(off[:, 0])
+                title = f"found minus computed, {quantity(len(fit.poses), 'board')}"
+                panels = [(title, at[used], off[used])]
+                draw(
+                    "rtpiv.analysis.pictures.calibration:draw_residuals",
+                    out / "residuals.png",
+                    panels,
+                    first.shape,
+                )
+            console().print(f"look at {out / 'residuals.png'}", style="bold")
+        and_scene = "" if nominal is None else ", and scene.yaml with this lens and its uncertainty,"
+        console().print(f"lens.json{and_scene} {'is' if nominal is None else 'are'} in {out}")
+        return fit
+
+
+def _with_lens(scene: Scene, priors: FitTable, fit: LensFit) -> str:
+    """Text of a scene file with the lens found, and its uncertainty as what is known of it before a fit."""
+    found = fit.camera
+    camera = replace(scene.camera, focal_px=found.focal_px, principal_px=found.principal_px, lens=found.lens)
+    known = dict(zip(SHARED, fit.sigma.tolist(), strict=True))
+    known["principal_px"] = max(known.pop("principal_u_px"), known.pop("principal_v_px"))
+    known_camera = priors.camera.model_copy(update=known)
+    return dump_scene(replace(scene, camera=camera), priors.model_copy(update={"camera": known_camera}))
+
+
+def _facts(fit: LensFit) -> dict[str, object]:
+    ratio, sigma = fit.pixel_ratio
+    return {
+        "sensor_px": list(fit.camera.sensor_px),
+        "numbers": dict(zip(SHARED, fit.numbers.tolist(), strict=True)),
+        "sigma": dict(zip(SHARED, fit.sigma.tolist(), strict=True)),
+        "covariance": fit.covariance.tolist(),
+        "rms_px": fit.rms_px,
+        "board_sigma_px": fit.board_sigma_px,
+        "pixel_height_over_width": {"value": ratio, "sigma": sigma},
+        "rms_px_of_frames": {
+            tag: float(np.sqrt(np.nanmean((off**2).sum(axis=1)))) for tag, off in fit.residual_px.items()
+        },
+        "left_out": fit.refused,
+        "warnings": fit.warnings,
+    }
+
+
+def _show(fit: LensFit) -> None:
+    screen = console()
+    rows = [
+        (name, with_sigma(value, sigma))
+        for name, value, sigma in zip(SHARED, fit.numbers.tolist(), fit.sigma.tolist(), strict=True)
+    ]
+    screen.print(Table(f"lens from {quantity(len(fit.poses), 'board')}", ("number", "value"), rows))
+    screen.print(
+        f"marks lie {fit.rms_px:.3f} px (rms) from where this lens puts them; {fit.board_sigma_px:.3f} px of it"
+        " (boards that are not flat, blur) are more than their noise"
+    )
+    for name, why in fit.refused.items():
+        screen.print(f"{name} is left out: {why}", style="bold red")
+    for warning in fit.warnings:
+        screen.print(warning, style="bold red")
+    screen.print(FOCUS)
