@@ -8,8 +8,11 @@ import textwrap
 from pathlib import Path
 from string import Template
 
+from correction.target import board_file
+from rtpiv.analysis.prints.pages import bars_on
 from rtpiv.templates.lab import Lab, medium_of_glass
 from rtpiv.templates.room import CLEARANCE_MM, GLASS_HEIGHTS_MM, SHEET_OFF_MM, Room, bare_heights_mm
+from tracer.board import CHIRAL
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at, thin_lens_distance_mm
 from tracer.media import MEDIA, ConstantMedium, media_names
@@ -88,6 +91,7 @@ def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
     conditions = {"hands" if lab.by_hand else "motors", "flow" if laser else "frames"}
     conditions |= {"touching"} if touching else set()
     conditions |= {"lift"} if lifts else set()
+    conditions |= {"own_board" if lab.square_mm else "printed"}
     out, rail, top = room.glass_out_mm, room.rail_homed_mm, room.retract_mm
     lengths = {
         "out_mm": out, "glass_mm": out - 10.0, "glass_low_mm": out - 5.0, "glass_travel_mm": 25.0 - out,
@@ -105,6 +109,20 @@ def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
         touching=textwrap.fill(", ".join(touching), 100, subsequent_indent=" " * 12),
         square_mm=f"{lab.board_mm:g}",
         disc_mm=f"{0.4 * lab.board_mm:g}",
+    )
+
+
+def board_text(lab: Lab) -> str:
+    """Return board.yaml: the chessboard that `rtpiv setup target board.yaml` prints."""
+    discs = [list(square) for square in CHIRAL]
+    return board_file.board_text(
+        board_file.PrintedBoard(
+            kind="chessboard",
+            square_mm=lab.board_mm,
+            disc_mm=round(0.4 * lab.board_mm, 9),
+            discs=discs,
+            bars_mm=list(bars_on("A4")),
+        )
     )
 
 

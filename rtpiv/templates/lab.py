@@ -13,6 +13,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from daq.errors import RunUsageError
 from ground.config import Name
 from ground.plain_words import slip
+from rtpiv.analysis.prints.pages import whole_dots
 from rtpiv.templates.arrangement import (
     ALIASES,
     ARRANGEMENTS,
@@ -217,9 +218,9 @@ class Lab:
 
     @property
     def board_mm(self) -> float:
-        """Square of the board: the lab's, or one that this camera resolves well."""
-        return self.square_mm or next(
-            (side for side in SQUARES_MM if side * self.px_per_mm >= LEAST_SQUARE_PX), SQUARES_MM[-1]
+        """Square of the board: the lab's, or one to print that this camera resolves well."""
+        return self.square_mm or whole_dots(
+            next((side for side in SQUARES_MM if side * self.px_per_mm >= LEAST_SQUARE_PX), SQUARES_MM[-1])
         )
 
 

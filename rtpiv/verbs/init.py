@@ -3,7 +3,7 @@
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from ground.terminal import console
 from rtpiv.analysis.report.table import Table
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.templates.arrangement import ARRANGEMENTS, Arrangement, most_balls, usual
-from rtpiv.templates.files import bench_text, flow_plan, scene_text, shift_plan, target_plan
+from rtpiv.templates.files import bench_text, board_text, flow_plan, scene_text, shift_plan, target_plan
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.room import room_of
 from rtpiv.verbs.check import check_files
@@ -27,6 +27,7 @@ FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at
 SHOWN_ARRANGEMENTS = 8  # other arrangements
 SAID = {"behind": ", one behind the other", "beside": " beside each other"}
 FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
+BOARD = "board.yaml"  # where the lab has no board of its own
 YES, NO = ("yes", "y"), ("no", "n")
 Words = dict[str, Any]
 
@@ -178,7 +179,8 @@ def init(
     room = room_of(full)
     dt_us = max(20.0, round(1e6 * FLOW_PX / full.px_per_mm / FLOW_MM_S, -1))
     flow = bench_text(full, room, laser=True), flow_plan(full, dt_us)
-    texts = scene_text(full), bench_text(full, room), target_plan(full, room), shift_plan(full), *flow
+    each = scene_text(full), bench_text(full, room), target_plan(full, room), shift_plan(full), *flow
+    texts = dict(zip(FILES, each, strict=True)) | ({} if full.square_mm else {BOARD: board_text(full)})
     with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
         _write(Path(trial), texts)
         _check(Path(trial))
@@ -187,7 +189,7 @@ def init(
         _write(folder, texts)
         write_schemas(folder / "schemas")
     _print(full, folder, "lens_mm" not in given)
-    return [folder / file for file in FILES]
+    return [folder / file for file in texts]
 
 
 def _first(several: Sequence[Any]) -> Any:  # noqa: ANN401 - of any kind
@@ -218,9 +220,9 @@ def _lab(given: Words, placed: bool = False) -> Lab:
     return lab if "lens_mm" in given else lab.with_usual_lens()
 
 
-def _write(folder: Path, texts: Iterable[str]) -> None:
+def _write(folder: Path, texts: Words) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    for file, text in zip(FILES, texts, strict=True):
+    for file, text in texts.items():
         write_text(folder / file, text)
 
 
@@ -237,7 +239,7 @@ def _check(folder: Path) -> None:
 def _refuse_existing(folder: Path, overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise RunUsageError("is a file", place=folder, cure="give a folder")
-    there = [file for file in FILES if (folder / file).exists()]
+    there = [file for file in (*FILES, BOARD) if (folder / file).exists()]
     if there and not overwrite:
         raise RunUsageError(
             f"{', '.join(there)} is there already", place=folder, cure="give another folder, or --overwrite"
@@ -253,8 +255,8 @@ def _answers(given: Words) -> Words:
         known = _lab(answers, placed=question.key == "gap_mm")
         if question.key == "balls" and len(most_balls(known.arrangement)) == 1:
             continue
-        usually = getattr(known, question.usual or question.key)
-        shown = _answer_text(usually)
+        usually = getattr(known, question.key)
+        shown = _answer_text(getattr(known, question.usual or question.key))
         while question.key not in answers:
             said = _line(f"{question.text} [{shown}]: ")
             try:
@@ -296,9 +298,11 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     balls = f"{quantity(lab.balls, 'ball')} of {sizes} mm {glasses}{stand if lab.balls > 1 else ''}"
     field = f"{width:.0f} x {height:.0f} mm of the plane, {lab.px_per_mm:.1f} px/mm"
     screen.print(f"{balls}, {span} mm; a lens of {lab.lens_mm:g} mm sees {field}", soft_wrap=True)
-    board = f"board: squares of {lab.board_mm:g} mm, {lab.board_mm * lab.px_per_mm:.0f} px"
+    board = f"board: squares of {lab.board_mm:.4g} mm, {lab.board_mm * lab.px_per_mm:.0f} px"
+    where = f"{BOARD}; print it with rtpiv setup target {BOARD}, or give the squares of yours with --square-mm"
+    where = "square_mm of target in both bench files" if lab.square_mm else where
     screen.print(
-        f"{board} (square_mm of target in bench.yaml and bench-flow.yaml, or --square-mm)", soft_wrap=True
+        f"{board} ({'square_mm of target in both bench files' if lab.square_mm else where})", soft_wrap=True
     )
     if (shown := through_scene(scene)) is not None:
         screen.print(shown.sentence, style="bold")

@@ -54,7 +54,8 @@ def target(
     ----------
     scene : path or Scene, optional
         scene.yaml: squares are chosen for its glass and camera, and the number of corners seen through each ball
-        is printed.  Without it, squares of 2.5 mm.  With `measured_mm` the board.yaml of the print instead.
+        is printed.  Without it, squares of 2.5 mm.  Or board.yaml, of `rtpiv init` for example: that chessboard is
+        printed, and with `measured_mm` the size of the print recorded.
     measured_mm : (float, float), optional
         Measured lengths of the bars along x and y in the margin: recorded in the board file, nothing is drawn.
     kind : {"chessboard", "charuco", "charuco-legacy", "dots", "particles"}
@@ -95,7 +96,12 @@ def target(
         raise RunUsageError("particles have no squares", cure="leave --square-mm out, or choose another --kind")
     if measured_mm is not None:
         return _record_measure(scene, measured_mm)
-    screen, loaded = console(), scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
+    screen = console()
+    described = None if scene is None or isinstance(scene, Scene) else _board_in(file_of(scene))
+    drawn_from = Path() if described is None or scene is None else file_of(scene)
+    if described is not None:
+        kind, square_mm, scene = described.kind, described.square_mm, None
+    loaded = scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
     size = size_mm or pages.room_on(paper)
     with results_in(out, "target") as folder:
         if kind == "particles":
@@ -119,18 +125,50 @@ def target(
             else:
                 sheet = (sheets.dots if kind == "dots" else sheets.chessboard)(size, square_mm)
             words = f"rtpiv {kind}, {square_mm:.4g} mm."
+        if described is not None and any(
+            getattr(described, key) != sheet.about[key] for key in ("disc_mm", "discs")
+        ):
+            raise RunUsageError(
+                "describes other discs than are printed here",
+                place=drawn_from,
+                cure="print it with the program that made it, or leave it out for a new board",
+            )
         path = folder / "target.pdf"
         printed = pages.write_pages(path, sheet, paper, words)
-        board = PrintedBoard(kind=sheet.kind, bars_mm=list(printed.bars_mm), **sheet.about)
-        write_board(folder / "board.yaml", board)
+        if described is None:
+            kept, board = folder / "board.yaml", PrintedBoard(kind=sheet.kind, **sheet.about)
+        else:  # what it leaves open, such as the number of squares, stays open
+            kept, board = drawn_from, described.model_copy(update={"measured_mm": None})
+        board = board.model_copy(update={"bars_mm": list(printed.bars_mm)})
+        write_board(kept, board)
         columns, rows = printed.pages
         many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
         screen.print(
             f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and record them:"
-            f" rtpiv setup target {folder / 'board.yaml'} --measured-mm X Y",
+            f" rtpiv setup target {kept} --measured-mm X Y",
             soft_wrap=True, highlight=False,
         )  # fmt: skip
+        if described is None and kind != "particles":
+            screen.print(
+                f"the line for a bench file: target: {{board: {kept.absolute()}}}", soft_wrap=True, highlight=False
+            )
         return Target(board, printed.pages, path)
+
+
+def _board_in(path: Path) -> "PrintedBoard | None":
+    """Return the chessboard that a file describes; None of the file of a scene."""
+    from correction.target.board_file import PrintedBoard
+    from ground.config import open_document, validate
+
+    document = open_document(path)
+    if not isinstance(document.tree, dict) or "kind" not in document.tree:
+        return None
+    board = validate(document, PrintedBoard)
+    if board.kind != "chessboard":
+        raise RunUsageError(
+            f"is a board of kind {board.kind}", place=path, cure=f"draw a new one with --kind {board.kind}"
+        )
+    return board
 
 
 def _record_measure(file: Named | Scene | None, measured_mm: tuple[float, float]) -> Target:

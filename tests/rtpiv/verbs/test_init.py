@@ -15,7 +15,10 @@ import pytest
 import yaml
 
 from correction.maps.correction_map import build_correction_map
+from daq.bench.bench_file import load_bench
+from daq.errors import RunUsageError
 from ground.config import load_yaml
+from rtpiv.analysis.prints.pages import whole_dots
 from rtpiv.analysis.through_glass import coarse_map, percent, through_glass
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.templates.arrangement import centres_mm, rods_mm, usual
@@ -25,7 +28,8 @@ from rtpiv.templates.room import room_of
 from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import FileCheck, check
-from rtpiv.verbs.init import FILES, QUESTIONS, GivenLab, init
+from rtpiv.verbs.init import BOARD, FILES, QUESTIONS, GivenLab, init
+from rtpiv.verbs.target import target
 from tests.loops import loop_over
 from tests.slow_cases import slow
 from tracer.light_table import LightTable
@@ -66,7 +70,7 @@ def no_others(monkeypatch):
 @pytest.mark.parametrize("lab", FEW)
 def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
     files = init(tmp_path / "lab", GivenLab(**lab))
-    assert [file.name for file in files] == list(FILES)
+    assert [file.name for file in files] == [*FILES, BOARD]
     checks = check(tmp_path / "lab")
     assert all(isinstance(found, FileCheck) for found in checks)
     assert sum("steps" in found.said for found in checks) == 3
@@ -104,7 +108,7 @@ def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_
 )
 def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
     schemas = {}  # some files share one, and each is looked through once
-    for file in init(tmp_path, GivenLab(**lab)):
+    for file in init(tmp_path, GivenLab(**lab))[: len(FILES)]:
         name = file.read_text().splitlines()[0].partition("$schema=")[2]
         if name not in schemas:
             schemas[name] = jsonschema.Draft202012Validator(json.loads((tmp_path / name).read_text()))
@@ -245,7 +249,24 @@ def test_every_question_has_a_usual_answer():
 def test_the_board_is_the_one_that_the_lab_has():
     lab = Lab(square_mm=3.0)
     assert "target: {square_mm: 3, disc_mm: 1.2}" in bench_text(lab, room_of(lab))
-    assert Lab().board_mm == 1.5
+    assert Lab().board_mm == whole_dots(1.5)
+
+
+@pytest.mark.usefixtures("no_others")
+def test_the_print_is_the_board_that_the_bench_hangs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    init(".", GivenLab())
+    hung = load_bench("bench.yaml").board
+    made = target("board.yaml", out="print")
+    assert "rtpiv setup target board.yaml --measured-mm" in capsys.readouterr().out
+    assert made.path.stat().st_size > 1000
+    assert not (tmp_path / "print" / "board.yaml").exists()
+    assert load_bench("bench.yaml").board == hung
+    target("board.yaml", measured_mm=(189.5, 279.9))
+    assert load_bench("bench.yaml").board.scale == pytest.approx((189.5 / 190.0, 279.9 / 280.0))
+    (tmp_path / "board.yaml").write_text("kind: chessboard\nsquare_mm: 2.5\ndisc_mm: 0.9\n")
+    with pytest.raises(RunUsageError, match="print it with the program that made it"):
+        target("board.yaml", out="another")
     assert GivenLab(square_mm=3.0).words == {"square_mm": 3.0}
 
 
