@@ -33,7 +33,6 @@ class Opened(Protocol):
 
     def fileno(self) -> int:
         """Its descriptor."""
-        ...
 
 
 def hold(file: Opened | int, wait: bool = False) -> None:

@@ -9,11 +9,9 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Seconds since an arbitrary start."""
-        ...
 
     def sleep_s(self, duration_s: float) -> None:
         """Return after `duration_s` on this clock."""
-        ...
 
 
 class SystemClock:

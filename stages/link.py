@@ -34,11 +34,9 @@ class Stream(Protocol):
     @property
     def rest(self) -> bytes:
         """Bytes that are no whole answer yet."""
-        ...
 
     def feed(self, chunk: bytes) -> Sequence[object]:
         """Add bytes; return what is complete."""
-        ...
 
 
 class Link(ABC):

@@ -20,4 +20,3 @@ class Guard(Protocol):
 
     def check(self, way: Sequence[Piece]) -> None:
         """Raise `Obstructed` if the way must not be driven."""
-        ...

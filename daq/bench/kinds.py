@@ -61,11 +61,9 @@ class Kind(Protocol):
         Entering moves nothing and switches nothing on; leaving stops what moves, switches off what radiates, and
         closes it, whatever has happened.  What is not there is a DaqError or StageError that says so.
         """
-        ...
 
     def places(self, section: Any) -> Iterator[str]:  # noqa: ANN401 - each kind has a section of its own
         """Say where another program finds it: ports, addresses, files."""
-        ...
 
 
 def kind_of(name: str) -> Kind:

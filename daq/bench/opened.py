@@ -38,48 +38,37 @@ class Simulation(Protocol):
     @property
     def sections(self) -> Mapping[str, Table]:
         """Section of every device by name, with simulated ports and addresses."""
-        ...
 
     @property
     def clock(self) -> Clock:
         """Clock of the simulated world."""
-        ...
 
     def true_mm(self) -> dict[str, float]:
         """True position of every axis in its own coordinate, which a real bench cannot know."""
-        ...
 
     def secrets(self) -> dict[str, str]:
         """Files that tell the truth, by name, to score a run by; nothing that works on the run may read them."""
-        ...
 
     def place(self, positions_mm: Mapping[str, float]) -> None:
         """Let axes stand elsewhere, where no command has moved them: of a page that moves nothing."""
-        ...
 
     def seed(self, is_open: bool) -> None:
         """Open or close the seeding of a simulated flow, which at a real bench a person does."""
-        ...
 
     def turns(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Turn an axis by a simulated hand, and type what that reads; see `stages.scale_question.Person`."""
-        ...
 
     def step_begins(self, number: int) -> None:
         """Hear that a step of a run begins, 1 first."""
-        ...
 
     def rendering_s(self) -> float:
         """Seconds in which its pictures were drawn, up to now; no camera's time, so no timeout counts them."""
-        ...
 
     def event_log(self) -> Any:  # noqa: ANN401 - `sim.event_log.EventLog`, which stands above us
         """Events of the simulated world, if they are recorded; `text()` is "" if not."""
-        ...
 
     def close(self) -> None:
         """Take the simulated hardware down."""
-        ...
 
 
 @dataclass(frozen=True)

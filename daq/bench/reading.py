@@ -89,7 +89,6 @@ class Gauge(Protocol):
 
     def reading(self) -> Reading:
         """Return what it shows now; whatever goes wrong is a missing reading, never an error."""
-        ...
 
 
 def reading_of(section: ReadingSection, text: str, when: datetime) -> Reading:

@@ -74,12 +74,10 @@ class Camera(Protocol):
     @property
     def info(self) -> CameraInfo:
         """Vendor, model, serial number; CameraUsageError before `open`."""
-        ...
 
     @property
     def counters(self) -> Counters:
         """Counters since the last `arm`."""
-        ...
 
     def open(self) -> None:
         """Take control of the camera.
@@ -95,7 +93,6 @@ class Camera(Protocol):
         CameraUsageError
             It is open already; close it first.
         """
-        ...
 
     def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set SFNC features in a safe order and return what the camera reads back.
@@ -116,19 +113,15 @@ class Camera(Protocol):
         CameraUsageError
             The camera is closed, or armed; open or disarm it first.
         """
-        ...
 
     def verify(self) -> None:
         """Read the configured settings back once more; SettingsChanged if the camera lost any."""
-        ...
 
     def settings(self) -> dict[str, Setting]:
         """Every readable feature with its value, to be saved with the run."""
-        ...
 
     def read(self, names: Sequence[str]) -> dict[str, Setting]:
         """Values of a few features, also while it is armed; those that the camera has not are left out."""
-        ...
 
     def arm(self, buffers: int = 24) -> None:
         """Allocate `buffers` frames of memory and start the acquisition; counters begin at zero.
@@ -138,11 +131,9 @@ class Camera(Protocol):
         CameraUsageError
             The camera is closed, or armed already; open or disarm it first.
         """
-        ...
 
     def clock_ns(self) -> int | None:
         """The camera's own clock now, the one that stamps its frames; None if it cannot be read."""
-        ...
 
     def trigger(self) -> int | None:
         """Send one software trigger; return `clock_ns` of the moment right before.
@@ -154,7 +145,6 @@ class Camera(Protocol):
         CameraError
             It does not take the trigger; look at its TriggerMode and TriggerSource.
         """
-        ...
 
     def poll(self, timeout_s: float) -> Frame | None:
         """Wait for the next complete frame; None if none came.  Asks the camera nothing, 0 s only looks.
@@ -168,11 +158,9 @@ class Camera(Protocol):
         CameraUsageError
             The camera is not armed.
         """
-        ...
 
     def probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers within this time."""
-        ...
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Wait for the next complete frame.
@@ -186,15 +174,12 @@ class Camera(Protocol):
         BadFrame
             A frame is not what the camera announced; it is not used.
         """
-        ...
 
     def disarm(self) -> Counters:
         """Stop the acquisition; frames not fetched are gone and counted as unused."""
-        ...
 
     def close(self) -> None:
         """Give the camera back; harmless when repeated or after a loss."""
-        ...
 
 
 PROBE_MIN_S = 0.5

@@ -54,27 +54,21 @@ class Nodes(Protocol):
 
     def has(self, name: str) -> bool:
         """Return whether the feature exists and is available now."""
-        ...
 
     def get(self, name: str) -> Setting:
         """Value, read from the camera."""
-        ...
 
     def set(self, name: str, value: Setting) -> None:
         """Write a value; SettingRefused if the camera or its description forbids it."""
-        ...
 
     def entries(self, name: str) -> Iterable[str]:
         """Available entries of an enumeration."""
-        ...
 
     def can_execute(self, name: str) -> bool:
         """Return whether the command exists and is available now."""
-        ...
 
     def execute(self, name: str) -> None:
         """Execute a command."""
-        ...
 
 
 def apply_settings(nodes: Nodes, settings: Mapping[str, Setting]) -> dict[str, Setting]:

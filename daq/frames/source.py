@@ -38,23 +38,18 @@ class FrameSource(Protocol):
     @classmethod
     def takes(cls, path: Path) -> bool:
         """Return whether a name is one of this kind; what is wrong with it is said when it is opened."""
-        ...
 
     def __init__(self, path: Path, pairing: Pairing) -> None:
         """Look what there is; PairError or FrameError if there is nothing that could be used."""
-        ...
 
     def pairs(self) -> Sequence[FramePlaces]:
         """Pairs in their order."""
-        ...
 
     def count_unpaired(self) -> int:
         """Frames without a partner."""
-        ...
 
     def file_of(self, place: Path) -> Path:
         """File that a frame lies in: while its size and time stay, so do its pixels."""
-        ...
 
 
 def is_source(path: Path) -> bool:

@@ -38,19 +38,15 @@ class Operator(Protocol):
 
     def confirmation_code(self, challenge: str, watched: str) -> str:
         """Return what was typed when the laser asked for its code; `watched` is shown with it."""
-        ...
 
     def open_seeding(self) -> None:
         """Return when the seeding has been opened; the background is done."""
-        ...
 
     def stands_mm(self, axis: str) -> float:
         """Return where an axis stands that is homed by hand, as read on its scale [mm]."""
-        ...
 
     def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
         """Have an axis turned that has no motor, and return what was typed; see `stages.scale_question.Person`."""
-        ...
 
 
 def no_hands(axes: Sequence[str]) -> str:

@@ -55,19 +55,15 @@ class Helper(Protocol):
 
     def promise_dark(self, challenge: str) -> str:
         """Return what was typed for the code, when no light can leave."""
-        ...
 
     def move_counter(self, output: str, roles: str) -> None:
         """Return when the counter's cable is said to be on that output."""
-        ...
 
     def pull_cable(self) -> None:
         """Ask for the cable between computer and box to be pulled now, and return at once."""
-        ...
 
     def put_back(self) -> None:
         """Ask for it to be put back, and return at once."""
-        ...
 
 
 class BoxTrials:

@@ -46,19 +46,15 @@ class Counter(Protocol):
 
     def begin(self, roles: Collection[Role], period_us: float, pulse: Pulse) -> None:
         """Begin to count at the plug with these roles, whose pulses come one a period."""
-        ...
 
     def mark(self) -> float:
         """End a stretch and begin the next one; return the counter's clock [s], NaN if it has none."""
-        ...
 
     def end(self) -> Counted:
         """Wait for what is still on its way; the last stretch has pulses, unless the plug gives none."""
-        ...
 
     def close(self) -> None:
         """Count no more; harmless when repeated."""
-        ...
 
 
 @dataclass(slots=True)

@@ -29,7 +29,6 @@ class Track(Protocol):
 
     def __call__(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
         """Yield `items`."""
-        ...
 
 
 def no_tracking(items: Iterable[T], total: int, what: str) -> Iterator[T]:

@@ -111,11 +111,9 @@ class Movers(Protocol):
 
     def bar_motion(self, why: Callable[[], str | None]) -> None:
         """Ask before anything moves; a sentence as the answer refuses the motion."""
-        ...
 
     def what_moves(self) -> str | None:
         """Say what moves or is about to, as part of a sentence."""
-        ...
 
 
 class LaserStateMachine:

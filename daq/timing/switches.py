@@ -33,11 +33,9 @@ class Switch(Protocol):
 
     def is_closed(self) -> bool:
         """Return whether the circuit is closed, so that light is allowed; any error counts as open."""
-        ...
 
     def close(self) -> None:
         """Give it back."""
-        ...
 
 
 class SwitchTable(Table):

@@ -32,7 +32,6 @@ class FrameSource(Protocol):
             Grey values in the sensor's bits.  An array that is not writeable is taken as constant and packed
             only once.
         """
-        ...
 
 
 @runtime_checkable
@@ -49,7 +48,6 @@ class LitSource(Protocol):
         start_ns, end_ns : int
             Of the exposure, on the host's monotonic clock.
         """
-        ...
 
 
 def image_of(source: FrameSource, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:

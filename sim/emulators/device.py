@@ -25,7 +25,6 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Seconds."""
-        ...
 
 
 Purpose = Literal["move", "reference", "hand"]  # where it was sent; looking for its reference; turned by a person

@@ -78,11 +78,9 @@ class Listener(Protocol):
 
     def on_edge(self, name: str, upwards: bool) -> None:
         """The carriage crosses an edge: "low", "high", "index", or is "blocked"."""
-        ...
 
     def on_rest(self) -> None:
         """The commanded motion has ended by itself."""
-        ...
 
 
 class Glide(NamedTuple):

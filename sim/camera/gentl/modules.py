@@ -32,20 +32,16 @@ class Port(Protocol):
     @property
     def xml(self) -> bytes:
         """GenApi description."""
-        ...
 
     @property
     def port_name(self) -> str:
         """Name of the port in the description."""
-        ...
 
     def read(self, address: int, length: int) -> bytes:
         """Read bytes; BadAddress outside."""
-        ...
 
     def write(self, address: int, data: bytes) -> None:
         """Write bytes; BadAddress outside."""
-        ...
 
 
 @dataclass
