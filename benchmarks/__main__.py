@@ -2,10 +2,10 @@
 
 Every contender has its own process; rounds are interleaved; medians and the spread (first and third quartile)
 are given for wall clock, and medians for processor time, which neighbours on the machine disturb less.
-Errors are taken against 50 digits (mpmath); a line says what is left out because something is not installed.
+Errors are taken against 50 digits (mpmath) of `--rays` rays a scene; a line says what is left out because
+something is not installed.  `--beds` adds packed beds of 2 to 1000 spheres (minutes).
 """
 
-import argparse
 import importlib.util
 import json
 import os
@@ -22,6 +22,7 @@ from rich.table import Table
 from benchmarks.contenders import IDEAL_LENS, SOLID_BALLS, STACKED, Racer, race, start, stop
 from benchmarks.growth import growth
 from benchmarks.limits import limits, limits_of
+from benchmarks.options import options
 from benchmarks.picture import draw
 from benchmarks.scenes import BENCH_LIKE, PAPER, bench_scene
 from correction.maps.correction_map import build_correction_map
@@ -34,29 +35,25 @@ BEDS = ("bed 2", "bed 16", "bed 128", "bed 1000")
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("-o", "--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--rays", type=int, default=300, help="rays a scene for the 50-digit reference")
-    parser.add_argument("--scenes", nargs="+", default=[*PAPER, BENCH_LIKE], help="which scenes")
-    parser.add_argument("--beds", action="store_true", help="packed beds of 2 to 1000 spheres as well (minutes)")
-    options = parser.parse_args()
+    asked = options(
+        __doc__, out=Path("benchmarks/results"), rounds=9, rays=300, scenes=[*PAPER, BENCH_LIKE], beds=False
+    )
     about: dict[str, Any] = {
         "python": platform.python_version(),
         "machine": platform.machine(),
         "cores": os.cpu_count(),
         "threads": thread_count(),
-        "rounds": options.rounds,
+        "rounds": asked.rounds,
         "limits": limits(),
     }
-    rows = [measure(name, options.rounds, options.rays) for name in options.scenes]
-    for row, name in zip(rows, options.scenes, strict=True):
+    rows = [measure(name, asked.rounds, asked.rays) for name in asked.scenes]
+    for row, name in zip(rows, asked.scenes, strict=True):
         row["limit_ms"] = limits_of(bench_scene(name), about["limits"])
-    rows += [measure(name, 3, 0) for name in BEDS if options.beds]
-    report = {"about": about, "scenes": rows, "growth": growth(bench_scene(options.scenes[-1]))}
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "benchmark.json").write_text(json.dumps(report, indent=1))
-    draw(report, options.out / "benchmark.png")
+    rows += [measure(name, 3, 0) for name in BEDS if asked.beds]
+    report = {"about": about, "scenes": rows, "growth": growth(bench_scene(asked.scenes[-1]))}
+    asked.out.mkdir(parents=True, exist_ok=True)
+    (asked.out / "benchmark.json").write_text(json.dumps(report, indent=1))
+    draw(report, asked.out / "benchmark.png")
     console = Console(width=150)
     for row in rows:
         console.print(table(row))

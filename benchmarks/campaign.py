@@ -15,7 +15,6 @@ chunk.  Said are
 `slurm:N` is submitit's local executor, in which every chunk is a process of its own.
 """
 
-import argparse
 import hashlib
 import json
 import os
@@ -29,7 +28,8 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.series import written_run
+from benchmarks.options import options
+from benchmarks.series import ONE_THREAD, written_run
 from correction.fitted.prepared import prepare
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, plan_runs
@@ -44,34 +44,19 @@ PROVENANCE = {".lock", "slurm"}
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
-    parser.add_argument("--pairs", type=int, default=64)
-    parser.add_argument("--side", type=int, default=1008)
-    parser.add_argument("--executors", nargs="+", default=["local:1", "local:2"])
-    parser.add_argument("--chunks", type=int, nargs="+", default=[16])
-    parser.add_argument("--once", nargs=3, metavar=("FOLDER", "EXECUTOR", "CHUNK"), help=argparse.SUPPRESS)
-    parser.add_argument("-o", "--out", type=Path)
-    options = parser.parse_args()
-    if options.once:
-        _once(Path(options.once[0]), options.once[1], int(options.once[2]))
+    asked = options(__doc__, pairs=64, side=1008, executors=["local:1", "local:2"], chunks=[16], once=[""])
+    if all(asked.once):
+        _once(Path(asked.once[0]), asked.once[1], int(asked.once[2]))
         return
     with TemporaryDirectory() as own:
-        folder = options.out or Path(own)
-        run = next(folder.glob("*_flow"), None) or written_run(folder, options.pairs, options.side)
+        folder = asked.out or Path(own)
+        run = next(folder.glob("*_flow"), None) or written_run(folder, asked.pairs, asked.side)
         _prepare(folder / "warm", run)
-        for chunk in options.chunks:
-            for executor in options.executors:
-                command = [
-                    sys.executable,
-                    "-m",
-                    "benchmarks.campaign",
-                    "--once",
-                    str(folder),
-                    executor,
-                    str(chunk),
-                ]
-                one = {"RTPIV_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-                said = subprocess.run(command, check=True, stdout=subprocess.PIPE, env=os.environ | one).stdout
+        for chunk in asked.chunks:
+            for executor in asked.executors:
+                words = ["benchmarks.campaign", "--once", str(folder), executor, str(chunk)]
+                command, own = [sys.executable, "-m", *words], os.environ | ONE_THREAD
+                said = subprocess.run(command, check=True, stdout=subprocess.PIPE, env=own).stdout
                 print(said.decode().strip().splitlines()[-1], flush=True)
 
 

@@ -1,6 +1,6 @@
 """Whole commands, as a person waits for them: cold and warm, and what the time goes into.
 
-    python -m benchmarks.commands [-o FOLDER] [--size 2016] [--rounds 3] [--cold] [--only correct ...]
+    python -m benchmarks.commands [-o FOLDER] [--size 2016] [--rounds 3] [--cold] [--only correct] [--folder KEPT]
 
 Frames of three spheres are made once, then each command runs in a process of its own, as from a shell; `--cold`
 first runs each once in a cache that is empty at the beginning, so that each compiles what those before it did not.
@@ -9,7 +9,6 @@ kernels, loading compiled ones, drawing (pictures and pages, which come last), w
 Processor time is that of all threads and of the processes that the command started; compare it on a busy machine.
 """
 
-import argparse
 import builtins
 import json
 import os
@@ -27,6 +26,8 @@ from pathlib import Path
 from threading import current_thread, main_thread
 from types import FunctionType, ModuleType
 from typing import Any
+
+from benchmarks.options import keep, options
 
 Times = dict[str, list[float]]  # part -> seconds of wall clock, of processors
 PARTS = ("start", "import", "compile", "load", "work", "draw", "write", "children")
@@ -239,20 +240,12 @@ def said(table: dict[str, Times]) -> str:
 
 def main() -> None:
     """Measure and print."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("-o", "--out", type=Path, help="folder for commands.json")
-    words.add_argument("--size", type=int, default=2016, help="of the sensor in px")
-    words.add_argument("--rounds", type=int, default=3)
-    words.add_argument("--cold", action="store_true", help="first once with nothing compiled")
-    words.add_argument("--only", nargs="*", default=[], help="commands by name, such as correct")
-    words.add_argument("--folder", type=Path, help="keep the frames there, or take those of an earlier run")
-    asked = words.parse_args()
+    asked = options(__doc__, size=2016, rounds=3, cold=False, only=[], folder=Path)
     with frames_of(asked.size, asked.folder) as folder:
         table = measured(folder, asked.only, asked.rounds, asked.cold)
     print(said(table))
     if asked.out is not None:
-        asked.out.mkdir(parents=True, exist_ok=True)
-        (asked.out / "commands.json").write_text(json.dumps(table, indent=1))
+        keep(table, asked.out / "commands.json")
 
 
 if __name__ == "__main__":

@@ -34,9 +34,7 @@ def ours(scene: Scene) -> Tasks:
     """Ray map, correction map and corrector of this project; arrays of the map before are written again."""
     from correction.maps.correction_map import build_correction_map
     from correction.maps.corrector import Corrector
-    from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, trace_lockstep
     from tracer.strategies.ray_map import build_ray_map
-    from tracer.strategies.strategy import Kind, choose
 
     ray_map = build_ray_map(scene)
     cmap = build_correction_map(scene, ray_map)
@@ -44,12 +42,8 @@ def ours(scene: Scene) -> Tasks:
     quintic, bilinear = Corrector(cmap), Corrector(cmap, method="bilinear")
     out = np.empty(cmap.grid.shape, np.float32)
     spare, short = build_correction_map(scene, ray_map), build_ray_map(scene, single=True)
-    arrays = ray_map.plane_mm, ray_map.status, ray_map.branch
-    parts: Tasks = {}
-    if choose(scene).kind is Kind.LOCKSTEP:
-        parts = {"ray_map, no mirror": lambda: trace_lockstep(scene, *arrays, ALL_SKIPS & ~SKIP_MIRRORED)}
     return {
-        **parts,
+        **_without_mirrors(scene, (ray_map.plane_mm, ray_map.status, ray_map.branch)),
         "ray_map": lambda: build_ray_map(scene, ray_map).plane_mm,
         "ray_map, stored as float32": lambda: build_ray_map(scene, short, single=True),
         "ray_map_fresh": lambda: build_ray_map(scene).plane_mm,
@@ -162,6 +156,78 @@ def maps(scene: Scene) -> Tasks:
     }
 
 
+def inverse(scene: Scene) -> Tasks:
+    """Ray and correction maps with and without skips, into the arrays before; and writing those of the latter."""
+    from benchmarks.limits import fill
+    from correction.maps.correction_map import build_correction_map
+    from ground.rows import run_rows
+    from tracer.strategies.ray_map import build_ray_map
+
+    rays, spare_rays = build_ray_map(scene), build_ray_map(scene)
+    spare = build_correction_map(scene, rays)
+    arrays = [value for value in vars(spare).values() if isinstance(value, np.ndarray)]
+    lines = [array.reshape(-1, array.shape[-1]) for array in arrays]
+    return {
+        "ray map": lambda: build_ray_map(scene, spare_rays),
+        **_without_mirrors(scene, (spare_rays.plane_mm, spare_rays.status, spare_rays.branch)),
+        "correction map": lambda: build_correction_map(scene, rays, out=spare),
+        "without skip of views that cannot win": lambda: build_correction_map(scene, rays, out=spare, skip=False),
+        "writing": lambda: [run_rows(lambda a, b, x=x: fill(a, b, x), len(x)) for x in lines],  # type: ignore[misc]
+    }
+
+
+def frames(scene: Scene) -> Tasks:
+    """A frame through one correction map by us, OpenCV and SciPy; a region is a sixteenth of the nodes.
+
+    OpenCV's cubic is a 4 x 4 kernel that does not reproduce a ramp; SciPy's order 5 is the same spline as ours, on
+    one thread.  Errors are measured in tests/piv/resampling/test_sample.py.
+    """
+    import cv2
+    from scipy import ndimage
+
+    from correction.maps.correction_map import build_correction_map
+    from correction.maps.corrector import Corrector, to_uint16
+    from piv.resampling.sample import Method, prefilter
+    from tracer.strategies.ray_map import build_ray_map
+
+    cv2.setNumThreads(thread_count())
+    cmap = build_correction_map(scene, build_ray_map(scene))
+    frame = np.random.default_rng(0).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    rows, columns = cmap.grid.shape
+    region = np.zeros((rows, columns), bool)
+    region[3 * rows // 8 : 5 * rows // 8, 3 * columns // 8 : 5 * columns // 8] = True
+    position = np.nan_to_num(cmap.pixel[0], nan=-1.0)
+    u, v = (np.ascontiguousarray(position[..., k], np.float32) for k in (0, 1))
+    coordinates = np.moveaxis(position[..., ::-1], -1, 0)
+    out, coefficients = np.empty((rows, columns), np.float32), np.empty(frame.shape, np.float32)
+
+    def ours(method: Method, mask: NDArray[np.bool_] | None) -> Callable[[], object]:
+        corrector = Corrector(cmap, method=method, mask=mask)
+        return lambda: corrector(frame, out)
+
+    return {
+        "quintic": ours("quintic", None),
+        "bilinear": ours("bilinear", None),
+        "quintic, region": ours("quintic", region),
+        "bilinear, region": ours("bilinear", region),
+        "prefilter alone": lambda: prefilter(frame, coefficients),
+        "to uint16": lambda: to_uint16(out),
+        "OpenCV cubic": lambda: cv2.remap(frame, u, v, cv2.INTER_CUBIC),
+        "OpenCV linear": lambda: cv2.remap(frame, u, v, cv2.INTER_LINEAR),
+        "SciPy order 5": lambda: ndimage.map_coordinates(frame, coordinates, np.float32, order=5, mode="mirror"),
+    }
+
+
+def _without_mirrors(scene: Scene, arrays: tuple[Any, Any, Any]) -> Tasks:
+    """Ray maps traced without the mirrored half, where the strategy has one."""
+    from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, trace_lockstep
+    from tracer.strategies.strategy import Kind, choose
+
+    if choose(scene).kind is not Kind.LOCKSTEP:
+        return {}
+    return {"ray map, no mirrors": lambda: trace_lockstep(scene, *arrays, ALL_SKIPS & ~SKIP_MIRRORED)}
+
+
 def raysect(scene: Scene) -> Tasks:
     """Raysect, a sample of the rays, float64."""
     from benchmarks.renderers import SAMPLE, raysect_sample
@@ -172,6 +238,8 @@ def raysect(scene: Scene) -> Tasks:
 CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
     "rtpiv": (ours, "numba"),
     "rtpiv, ray maps": (maps, "numba"),
+    "rtpiv, correction maps": (inverse, "numba"),
+    "rtpiv, frames": (frames, "numba"),
     "filling": (filling, "numba"),
     "plain C": (plain, "numpy"),
     "rtpiv, ray by ray": (march, "numba"),

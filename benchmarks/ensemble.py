@@ -7,15 +7,13 @@ of the flow as it was at the times of the pairs (so that neither pays for the ot
 averaged over windows; sheets average over their thickness.
 """
 
-import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.flow import DT_S, RATE_HZ, RIM_FROM, Case, _background, _correction
+from benchmarks.flow import DT_S, RATE_HZ, RIM_FROM, Case, _correction, clean_pair
+from benchmarks.options import keep, options
 from correction.evaluate.regions import Region, regions_of
 from correction.grid import PlaneGrid
 from piv.correlation.pair import evaluate_pair
@@ -29,16 +27,6 @@ from piv.statistics.sweep import sweep_with
 
 Array = NDArray[Any]
 WINDOWS_PX = (32, 16, 8)
-
-
-def clean_pair(case: Case, number: int) -> list[Array]:
-    """Make a pair, take off what stands still, correct."""
-    made = case.camera.pair(number, DT_S, number / RATE_HZ)
-    corrector = _correction(case).corrector
-    return [
-        corrector(np.asarray(frame - background, np.float32))
-        for frame, background in zip(made, _background(case), strict=True)
-    ]
 
 
 def true_mean(case: Case, grid: PlaneGrid, windows: WindowGrid, pairs: int) -> tuple[Array, Array]:
@@ -132,19 +120,8 @@ def compared(case: Case, pairs: int) -> dict[str, Any]:
 
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("case", choices=("two", "three"))
-    parser.add_argument("--pairs", type=int, default=100)
-    parser.add_argument("--size", type=int, default=1008, help="side of the sensor [px]")
-    parser.add_argument("--steady", action="store_true", help="a jet without turbulence")
-    parser.add_argument("--pinhole", action="store_true", help="no aperture: sharp particles")
-    parser.add_argument("-o", "--out", type=Path)
-    given = parser.parse_args()
-    result = compared(Case(given.case, given.size, given.steady, given.pinhole), given.pairs)
-    text = json.dumps(result, indent=1)
-    print(text)
-    if given.out:
-        given.out.write_text(text)
+    given = options(__doc__, case=("two", "three"), pairs=100, size=1008, steady=False, pinhole=False)
+    keep(compared(Case(given.case, given.size, given.steady, given.pinhole), given.pairs), given.out)
 
 
 if __name__ == "__main__":

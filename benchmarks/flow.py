@@ -21,14 +21,15 @@ share of single vectors within one sigma, `vectors_within_no_slant`, the same wi
 mean flow of the jet lies in the sheet, which is told.  `stress_ratio_slant_off` are stresses less what the slant
 is said to add, over the jet's own.
 
+`--found`: each place finds its window, as in `rtpiv evaluate`; `--chunk`: pairs whose mean is judged by itself;
+`--pinhole`: without the lens's blur, three times as fast; `--frames FOLDER`: write frames, evaluate nothing.
+
 Coverage is the share of vectors whose error against the own response is below sigma of the mean.  Vectors within
 an eddy err together and a region behind glass holds few eddies, so each chunk of pairs is a mean of its own as
 well: `covered_in_chunks` is the share over all of them, and `expected_in_chunks` what Student's t says of so few
 pairs.
 """
 
-import argparse
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -41,6 +42,7 @@ from scipy.ndimage import minimum_filter
 from scipy.special import stdtr
 
 from benchmarks.flow_truth import Judge, Seen
+from benchmarks.options import keep, options
 from correction.evaluate.regions import regions_of
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
 from correction.maps.slant import vector_slopes
@@ -126,16 +128,18 @@ def _background(case: Case) -> tuple[Array, Array]:
     return first, second
 
 
-def vectors(case: Case, number: int) -> VectorField:
-    """Make a pair, take off what stands still, correct, correlate."""
-    corrector = _correction(case).corrector
-    clean = [
+def clean_pair(case: Case, number: int) -> list[Array]:
+    """Make a pair, take off what stands still, correct."""
+    made, corrector = case.camera.pair(number, DT_S, number / RATE_HZ), _correction(case).corrector
+    return [
         corrector(np.asarray(frame - background, np.float32))
-        for frame, background in zip(
-            case.camera.pair(number, DT_S, number / RATE_HZ), _background(case), strict=True
-        )
+        for frame, background in zip(made, _background(case), strict=True)
     ]
-    return evaluate_pair(clean[0], clean[1], corrector.recovered, case.settings)
+
+
+def vectors(case: Case, number: int) -> VectorField:
+    """Make a pair, clean and correlate it."""
+    return evaluate_pair(*clean_pair(case, number), _correction(case).corrector.recovered, case.settings)
 
 
 class Sums(NamedTuple):
@@ -318,20 +322,10 @@ def write_frames(case: Case, numbers: range, folder: Path) -> None:
 
 def main() -> None:
     """Make and judge."""
-    parser = argparse.ArgumentParser(description="A known jet behind glass: pairs, vectors, mean, stresses.")
-    parser.add_argument("name", choices=("two", "three"))
-    parser.add_argument("--pairs", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--size", type=int, default=2016, help="pixels across; 2016 is the paper's")
-    parser.add_argument("--window", type=int, default=32)
-    parser.add_argument("--found", action="store_true", help="each place finds its window, as in `rtpiv evaluate`")
-    parser.add_argument("--chunk", type=int, default=CHUNK_PAIRS, help="pairs whose mean is judged by itself")
-    parser.add_argument("--steady", action="store_true", help="without turbulence")
-    parser.add_argument("--pinhole", action="store_true", help="without the lens's blur; three times as fast")
-    parser.add_argument("--sigma-w", type=float, help="what flows through the sheet, from pair to pair [m/s]")
-    parser.add_argument("--frames", type=Path, help="write frames here, evaluate nothing")
-    parser.add_argument("-o", "--out", type=Path, help="write the figures as JSON")
-    asked = parser.parse_args()
+    asked = options(
+        __doc__, name=("two", "three"), pairs=20, workers=2, size=2016, window=32, found=False, chunk=CHUNK_PAIRS,
+        steady=False, pinhole=False, sigma_w=float, frames=Path,
+    )  # fmt: skip
     finest = FOUND_PX if asked.found else None
     case = Case(asked.name, asked.size, asked.steady, asked.pinhole, asked.window, SEED, asked.sigma_w, finest)
     if asked.frames is not None:
@@ -340,11 +334,7 @@ def main() -> None:
             for future in [pool.submit(write_frames, case, part, asked.frames) for part in chunks(asked.pairs, 5)]:
                 future.result()
         return
-    figures = judged(case, measured(case, asked.pairs, asked.workers, asked.chunk))
-    text = json.dumps(figures, indent=1)
-    print(text)
-    if asked.out is not None:
-        asked.out.write_text(text + "\n")
+    keep(judged(case, measured(case, asked.pairs, asked.workers, asked.chunk)), asked.out)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,12 @@
 """A folder of frames corrected by one command: a frame, against reading, correcting and writing in turn.
 
-    python -m benchmarks.folder [--frames 100] [--folder FRAMES]
+    python -m benchmarks.folder [--frames 100] [--folder FRAMES]     # kept there, or of an earlier run
 
 Frames are those of `benchmarks.commands`, one of them under many names, stored as a run stores them.  The time of
 a frame is that of a folder less that of a single frame, over the others; what it is compared with is measured in
 one process right before and after.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -16,6 +15,7 @@ import time
 from pathlib import Path
 
 from benchmarks.commands import frames_of
+from benchmarks.options import options
 from correction.fitted.prepared import prepare
 from correction.maps.corrector import to_uint16
 from daq.runs.acquired import read_acquired
@@ -59,11 +59,7 @@ def by_command(frames: list[Path], scene: Path, out: Path) -> Seconds:
 
 def main() -> None:
     """Measure and print."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--frames", type=int, default=100)
-    words.add_argument("--size", type=int, default=2016, help="of the sensor in px")
-    words.add_argument("--folder", type=Path, help="keep the frames there, or take those of an earlier run")
-    asked = words.parse_args()
+    asked = options(__doc__, frames=100, size=2016, folder=Path)
     with frames_of(asked.size, asked.folder) as kept, tempfile.TemporaryDirectory() as place:
         scene = kept / "frames" / "truth.yaml"
         many = [Path(place) / f"frame_{number:03d}.tif" for number in range(asked.frames)]

@@ -10,7 +10,6 @@ corrected, disk rate, and how many cores each part has used between the first an
 the page when the first frame has come.
 """
 
-import argparse
 import json
 import os
 import re
@@ -18,14 +17,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
+from benchmarks.options import keep, options
 from benchmarks.processor_time import ProcessorTime
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
@@ -116,19 +116,19 @@ class Viewer:
         return dict(json.loads(said))
 
 
-def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+def measure(folder: Path, asked: Namespace) -> dict[str, Any]:
     """Run the stream once; return books, latencies and times."""
-    count = round(options.seconds * options.rate_hz)
-    if options.flow:
-        bench = load_bench(write_flow_bench(folder, options.backend))
+    count = round(asked.seconds * asked.rate_hz)
+    if asked.flow:
+        bench = load_bench(write_flow_bench(folder, asked.backend))
         text = (examples() / "plan-flow.yaml").read_text(encoding="utf-8")
         text = text.replace("pairs: 1000", f"pairs: {count // 2}").replace("background: {pairs: 50}\n", "")
     else:
-        bench = load_bench(write_bench(folder, options.rate_hz, options.backend))
+        bench = load_bench(write_bench(folder, asked.rate_hz, asked.backend))
         text = f"experiment: stream\nview: glass\nframes: {count}\n"
     (folder / "plan.yaml").write_text(text)
     plan = load_plan(folder / "plan.yaml", bench)
-    correction = {"correct": options.correct, "method": options.method, "live_queue": options.live_queue}
+    correction = {"correct": not asked.no_correct, "method": asked.method, "live_queue": asked.live_queue}
     request = Request(bench.path, plan.path, simulate=True, **correction)
     run = begin(request, bench, plan, folder / "runs")
     meter: list[ProcessorTime] = []
@@ -138,8 +138,8 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
 
     def watch(progress: Progress) -> None:
         if progress.frames >= 1 and not meter:
-            if page is not None and options.viewer != "none":
-                viewers.append(Viewer(page.url, options.viewer))
+            if page is not None and asked.viewer != "none":
+                viewers.append(Viewer(page.url, asked.viewer))
             named = {} if page is None else {"page's server": page.server_pid}
             if viewers:
                 named["viewer"] = viewers[0].pid
@@ -148,11 +148,11 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
             carried["cores"] = meter[0].report()
 
     try:
-        with shown(run, bench, options.live) as watched:
+        with shown(run, bench, asked.live) as watched:
             page, run_shown = watched or (None, None)
             watching, show = (watch, None) if run_shown is None else (run_shown.watching(watch), run_shown.show)
-            asked = Run(request, bench, plan, run)
-            run_session(asked, home=True, watcher=watching, operator=ScriptOperator(), show=show)
+            live = Run(request, bench, plan, run)
+            run_session(live, home=True, watcher=watching, operator=ScriptOperator(), show=show)
         carried["ended"] = "finished"
     except DaqError as error:
         carried["ended"] = f"{type(error).__name__}: {error}"
@@ -188,27 +188,18 @@ def main() -> None:
     if not ONE_THREAD.items() <= os.environ.items():  # as the command does before anything is loaded
         command = [sys.executable, "-m", "benchmarks.pipeline", *sys.argv[1:]]
         os.execve(sys.executable, command, os.environ | ONE_THREAD)
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pipeline", description=__doc__)
-    parser.add_argument("-o", "--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--rate-hz", type=float, default=20.0)
-    parser.add_argument("--method", choices=("quintic", "bilinear"), default="quintic")
-    parser.add_argument("--backend", choices=("harvesters", "aravis"), default="harvesters")
-    parser.add_argument("--live-queue", type=int, default=1)
-    parser.add_argument("--flow", action="store_true", help="pairs of a flow instead of a free-running stream")
-    parser.add_argument("--live", action="store_true", help="with a page, whose address is printed")
-    parser.add_argument("--viewer", choices=("none", "browser", "socket"), default="none", help="who looks at it")
-    parser.add_argument("--no-correct", dest="correct", action="store_false")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=options.out) as folder:  # the disk that is measured
+    asked = options(
+        __doc__, out=Path("benchmarks/results"), seconds=60.0, rate_hz=20.0, method="quintic",
+        backend="harvesters", live_queue=1, flow=False, live=False, viewer="none", no_correct=False,
+    )  # fmt: skip
+    asked.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=asked.out) as folder:  # the disk that is measured
         began_s = time.monotonic()
-        found = measure(Path(folder), options)
+        found = measure(Path(folder), asked)
         found["wall_s"] = round(time.monotonic() - began_s, 1)
-    found |= {"method": options.method if options.correct else "raw only", "seconds": options.seconds}
-    found["backend"] = options.backend
-    (options.out / "pipeline.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
-    Console().print(found)
+    found |= {"method": "raw only" if asked.no_correct else asked.method, "seconds": asked.seconds}
+    found["backend"] = asked.backend
+    keep(found, asked.out / "pipeline.json")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """PIV against its open peers: accuracy, speed, and agreement on real pairs, in one run on the same cores.
 
-    python -m benchmarks.piv [-o FOLDER] [--peer openpiv=PYTHON] [--peer fluidimage=...] [--peer pivtools=...]
-    python -m benchmarks.piv --only cases --case 'wave *' --case 'dead *'
+    python -m benchmarks.piv [-o FILE] [--peer openpiv=PYTHON fluidimage=... pivtools=...]
+    python -m benchmarks.piv --only cases --case 'wave *' 'dead *'
 
 PYTHON is the interpreter of an environment in which that peer is installed; a peer without one is skipped by
 name.  Peers run in processes of their own, one thread each, and are tools of this benchmark only.  Every
@@ -12,8 +12,6 @@ are those of the evaluator's tests: waves of 24 to 256 px, turbulence with Kolmo
 images hard.
 """
 
-import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Callable
@@ -21,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.options import keep, options
 from benchmarks.piv_cases import ROOT, Table, Truth, generator, hard_cases
 from benchmarks.piv_contenders import OWN, SCRIPTS, Array, Contenders, Field, Pair, run
 
@@ -124,42 +123,30 @@ def difference(own: Field, other: Field, nodes: dict[tuple[float, float], int]) 
 
 def main() -> None:
     """Run what can be run and print one JSON document."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, help="folder for piv.json")
-    parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON")
-    parser.add_argument("--only", choices=["accuracy", "speed", "real", "cases"], action="append")
-    parser.add_argument(
-        "--case", action="append", metavar="PATTERN", help="of the cases only these, as in 'wave *'"
-    )
-    arguments = parser.parse_args()
-    peers = dict(item.split("=", 1) for item in arguments.peer)
+    asked = options(__doc__, peer=[], only=["speed", "accuracy", "cases", "real"], case=["*"])
+    peers = dict(item.split("=", 1) for item in asked.peer)
     contenders = {"rtpiv": (sys.executable, OWN, "")}
     for name, script in SCRIPTS.items():
         if name.split()[0] in peers:
             contenders[name] = (peers[name.split()[0]], script, "")
         else:
             print(f"skipped: {name}, no --peer {name}=PYTHON given", file=sys.stderr)
-    parts = arguments.only or ["accuracy", "speed", "real", "cases"]
     result = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        if "speed" in parts:
+        if "speed" in asked.only:
             modes = {
                 "rtpiv, 75 % overlap": (sys.executable, OWN, "75"),
                 "rtpiv, live": (sys.executable, OWN, "live"),
             }
             result["speed"] = speed(contenders | modes, folder, generator())
-        if "accuracy" in parts:
+        if "accuracy" in asked.only:
             result["accuracy"] = accuracy(contenders, folder, generator())
-        if "cases" in parts:
-            result["cases"] = hard_cases(contenders, folder, generator(), arguments.case or ["*"])
-        if "real" in parts:
+        if "cases" in asked.only:
+            result["cases"] = hard_cases(contenders, folder, generator(), asked.case)
+        if "real" in asked.only:
             result["real"] = real_pairs(contenders, folder)
-    text = json.dumps(result, indent=2)
-    print(text)
-    if arguments.output:
-        arguments.output.mkdir(parents=True, exist_ok=True)
-        (arguments.output / "piv.json").write_text(text + "\n")
+    keep(result, asked.out)
 
 
 if __name__ == "__main__":

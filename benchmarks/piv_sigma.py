@@ -2,30 +2,32 @@
 
     python -m benchmarks.piv_sigma choose [--seeds 2] [--flow 'turb*'] [--image clean] [-o FILE]
     python -m benchmarks.piv_sigma judge
+    python -m benchmarks.piv_sigma windows [--seeds 1] [--flow 'turb*'] [--evaluator found]
 
 Every flow of a set is photographed in every way, by the generator of the evaluator's tests, which moves images of
 particles and shares nothing with it; and evaluated at 0, 50 and 75 % overlap by fixed windows (`PivSettings()`)
 and by those that places find. The two sets have the same families, but no length, no strength and no seed in
 common. What stands in the evaluator may be chosen by the first; the second is looked at when nothing is chosen any
-more.
+more.  The set `windows` are flows that bend and light that is poor, each photographed in one way, evaluated at
+50 % overlap by windows of one size and by those that places find; strangers there are drawn in three seedings.
 
-Of each case and of all together: median length of the error, share of vectors that are wrong (1 px or more, of all
+Of each case and of all together: median length of the error, mean over all pixels of that of a spline between
+vectors, share of vectors that are wrong (1 px or more, of all
 that are not masked), rms of error over sigma and share within one sigma of valid vectors that are not wrong (a
 component each), and the share of valid vectors whose error is over 5 sigma and over 0.3 px. Strangers are two
 pictures of different particles: of those the share that is called valid.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable, Iterator
 from fnmatch import fnmatch
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 
+from benchmarks.options import keep, options
 from benchmarks.piv_cases import Truth, generator, of_the_tests
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
@@ -42,6 +44,14 @@ IMAGES: dict[str, dict[str, float]] = {
     "lossy": {"ppp": 0.04, "loss": 0.2},
 }
 FIRST_SEED = {"choose": 100, "judge": 9000}
+FIRST_OF_WINDOWS, STRANGERS_OF_WINDOWS = 500, 7000  # seeds
+SEEDINGS = 0.005, 0.02, 0.05  # particles a pixel
+WINDOWS = {
+    "32 px": PivSettings(),
+    "24 px": PivSettings(windows_px=(64, 32, 24, 24)),
+    "16 px": PivSettings(windows_px=(64, 32, 16, 16)),
+    "found": PivSettings(finest_px=16),
+}
 Floats = NDArray[np.float64]
 
 
@@ -88,21 +98,52 @@ def flows_of(which: str) -> dict[str, Callable[[int], Truth]]:
     }
 
 
+def windows_cases() -> dict[str, tuple[Truth, dict[str, float]]]:
+    """Flow and image of each case of the set `windows`."""
+    flows, many, thin, middle = of_the_tests("correlation/flows.py"), {"ppp": 0.05}, {"ppp": 0.005}, SIDE / 2
+    dim = {"ppp": 0.02, "noise": 0.05, "diameter_px": 2.0}
+    return {
+        "turbulence -5/3, 35 px": (flows.turbulence(11, 2.2, 240, 35), many),
+        "turbulence -2.5, 25 px": (flows.turbulence(12, 2.5, 220, 25, slope=-2.5), many),
+        "turbulence -5/3, 60 px": (flows.turbulence(13, 3.0, 350, 60), {}),
+        "turbulence -5/3, 30 px, noise 20 %": (flows.turbulence(14, 2.0, 200, 30), {"noise": 0.2}),
+        "turbulence -5/3, 30 px, loss 40 %": (flows.turbulence(15, 2.0, 200, 30), {"loss": 0.4, "ppp": 0.04}),
+        "turbulence -5/3, 40 px, thin": (flows.turbulence(16, 2.0, 200, 40), thin),
+        "turbulence -3, 30 px, dim": (flows.turbulence(17, 2.0, 200, 30, slope=-3.0), dim),
+        "flat jet of 31 px": (flows.plane_jet(centre_px=middle), {}),
+        "Gaussian jet of 31 px": (flows.gaussian_jet(centre_px=middle), many),
+        "jet that sways": (flows.shaken_jet(5, centre_px=middle), many),
+        "step of 3 px": (flows.shear_layer(3.0, 0.0, 0.8), many),
+        "vortices": (flows.vortices(3, (25.0, 45.0), 14, 0.17), many),
+        "wave of 56 px": (flows.wave(56, 0.8), many),
+        "wave of 200 px": (flows.wave(200, 2.0), {}),
+        "uniform": (flows.uniform(-2.7, 5.4), many),
+        "uniform, 0.02 a px": (flows.uniform(3.3, -1.6), {}),
+        "mix, thin": (flows.mix, thin),
+        "mix, noise 20 %": (flows.mix, {"noise": 0.2}),
+        "mix, loss 40 %": (flows.mix, {"loss": 0.4}),
+        "mix, hard": (flows.mix, {"diameter_px": 2.0, "ppp": 0.015, "loss": 0.2, "noise": 0.08}),
+        "mix, dim": (flows.mix, dim),
+    }
+
+
 class Errors(NamedTuple):
     """What an evaluation has made of a pair, away from the edge of the frames.
 
-    `off` and `sigma` (n, 2) of vectors that are not masked, `valid` (n,), `seconds` of processor time.
+    `off` and `sigma` (n, 2) of vectors that are not masked, `valid` (n,), `seconds` of processor time, and the
+    mean error between vectors [px] of each pair.
     """
 
     off: Floats
     sigma: Floats
     valid: NDArray[np.bool_]
     seconds: float
+    dense_px: tuple[float, ...] = ()
 
     def with_more(self, other: "Errors") -> "Errors":
         """Both together."""
         parts = [np.concatenate(both) for both in zip(self[:3], other[:3], strict=True)]
-        return Errors(parts[0], parts[1], parts[2], self.seconds + other.seconds)
+        return Errors(*parts, self.seconds + other.seconds, self.dense_px + other.dense_px)
 
     def figures(self) -> dict[str, float]:
         """What stands in the table."""
@@ -114,6 +155,7 @@ class Errors(NamedTuple):
         far = known & (size > FAR_PX) & (over.max(axis=-1) > FAR_SIGMAS)
         return {
             "median_px": float(np.median(size[near])) if near.any() else float("nan"),
+            "dense_px": float(np.mean(self.dense_px)) if self.dense_px else float("nan"),
             "rms_px": float(np.sqrt(np.mean(self.off[near] ** 2))) if near.any() else float("nan"),
             "wrong": float(np.mean(~near)),
             "valid": float(np.mean(self.valid)),
@@ -125,16 +167,28 @@ class Errors(NamedTuple):
         }
 
 
+def dense_px(field: VectorField, truth: Truth) -> float:
+    """Mean length over all pixels of the error of a spline through the vectors, guesses among them."""
+    inner = np.arange(MARGIN, SIDE - MARGIN)
+    square = np.zeros((inner.size, inner.size))
+    for seen, true in zip((field.u_px, field.v_px), truth(*np.meshgrid(inner, inner)), strict=True):
+        known = np.where(np.isfinite(seen), seen, np.nanmedian(seen))
+        square += np.square(RectBivariateSpline(field.y_px, field.x_px, known)(inner, inner) - true)
+    return float(np.sqrt(square).mean())
+
+
 def judged(field: VectorField, truth: Truth, seconds: float, side: int = SIDE) -> Errors:
     """Errors of a field."""
     x, y = np.meshgrid(field.x_px, field.y_px)
     inner = (np.minimum(x, y) > MARGIN) & (np.maximum(x, y) < side - MARGIN) & (field.flags != 1)
     off = np.stack([field.u_px, field.v_px], -1) - np.stack(np.broadcast_arrays(*truth(x, y)), -1)
-    return Errors(off[inner], field.total_sigma_px[inner], field.valid[inner], seconds)
+    return Errors(off[inner], field.total_sigma_px[inner], field.valid[inner], seconds, (dense_px(field, truth),))
 
 
-def evaluators(finest_px: int) -> dict[str, PivSettings]:
-    """Settings by name: fixed windows and found ones, each at every overlap."""
+def evaluators(which: str, finest_px: int) -> dict[str, PivSettings]:
+    """Settings by name: fixed windows and found ones, each at every overlap, or those of the set `windows`."""
+    if which == "windows":
+        return WINDOWS
     return {
         f"{name} {100 * overlap:g} %": PivSettings(finest_px=finest, overlap=overlap)
         for name, finest in (("fixed", None), ("found", finest_px))
@@ -142,43 +196,55 @@ def evaluators(finest_px: int) -> dict[str, PivSettings]:
     }
 
 
-def pairs_of(which: str, seeds: int, flow: str, image: str) -> Iterator[tuple[str, str, Truth, list[Any]]]:
-    """Flow, image, truth and frames of each case of a set whose names match, once a seed."""
+def pairs_of(which: str, seeds: int, flow: str, image: str) -> Iterator[tuple[str, Truth, list[Any]]]:
+    """Name, truth and frames of each case of a set whose flow and image match, once a seed."""
     make_pair = generator()
+    if which == "windows":
+        for number, (name, (truth, told)) in enumerate(windows_cases().items()):
+            for count in range(seeds if fnmatch(name, flow) else 0):
+                seed = FIRST_OF_WINDOWS + number + 100 * count
+                yield name, truth, make_pair(truth, (SIDE, SIDE), seed=seed, **told)
+        return
     for number, (name, of_seed) in enumerate(flows_of(which).items()):
         for way, told in IMAGES.items():
             for count in range(seeds if fnmatch(name, flow) and fnmatch(way, image) else 0):
                 seed = FIRST_SEED[which] + 1000 * count + 10 * number + list(IMAGES).index(way)
                 truth = of_seed(seed)
-                yield name, way, truth, make_pair(truth, (SIDE, SIDE), seed=seed, **told)
+                yield f"{name}, {way}", truth, make_pair(truth, (SIDE, SIDE), seed=seed, **told)
 
 
-def strangers(which: str, seeds: int, settings: PivSettings) -> float:
-    """Share of the vectors of two pictures of different particles that are valid."""
-    make_pair, flows = generator(), of_the_tests("correlation/flows.py")
-    shares = []
-    for count in range(2 * seeds):
-        one, other = (
-            make_pair(flows.uniform(2.0, 1.0), (SIDE, SIDE), seed=FIRST_SEED[which] + 7000 + 2 * count + k)
-            for k in range(2)
-        )
-        try:
-            shares.append(float(np.mean(evaluate_pair(one[0], other[1], settings=settings, threads=1).valid)))
-        except PairError:
-            shares.append(0.0)
-    return float(np.mean(shares))
+def strangers(which: str, seeds: int, settings: PivSettings) -> dict[str, float]:
+    """Share of the vectors of two pictures of different particles that are valid, by seeding."""
+    make_pair, truth = generator(), of_the_tests("correlation/flows.py").uniform(2.0, 1.0)
+    cases = {
+        "strangers": ({}, range(FIRST_SEED.get(which, 0) + 7000, FIRST_SEED.get(which, 0) + 7000 + 4 * seeds, 2))
+    }
+    if which == "windows":
+        firsts = range(STRANGERS_OF_WINDOWS, STRANGERS_OF_WINDOWS + 40 * seeds, 10)
+        cases = {f"strangers, {ppp:g} a px": ({"ppp": ppp}, firsts) for ppp in SEEDINGS}
+    found = {}
+    for name, (image, firsts) in cases.items():
+        shares = []
+        for first in firsts:
+            one, other = (make_pair(truth, (SIDE, SIDE), seed=first + k, **image) for k in range(2))
+            try:
+                shares.append(float(np.mean(evaluate_pair(one[0], other[1], settings=settings, threads=1).valid)))
+            except PairError:
+                shares.append(0.0)
+        found[name] = float(np.mean(shares))
+    return found
 
 
 def measured(which: str, seeds: int, flow: str, image: str, settings: dict[str, PivSettings]) -> dict[str, Any]:
     """Figures of every evaluator: of all cases together, of strangers, and of each case."""
     found: dict[str, dict[str, Errors]] = {name: {} for name in settings}
-    for case, way, truth, pair in pairs_of(which, seeds, flow, image):
+    for case, truth, pair in pairs_of(which, seeds, flow, image):
         for name, told in settings.items():
             start = time.process_time()
             field = evaluate_pair(*pair, settings=told, threads=1)
             errors = judged(field, truth, time.process_time() - start)
-            before = found[name].get(f"{case}, {way}")
-            found[name][f"{case}, {way}"] = errors if before is None else before.with_more(errors)
+            before = found[name].get(case)
+            found[name][case] = errors if before is None else before.with_more(errors)
     table: dict[str, Any] = {}
     for name, cases in found.items():
         whole = None
@@ -195,10 +261,21 @@ def measured(which: str, seeds: int, flow: str, image: str, settings: dict[str, 
 
 def show(table: dict[str, Any], details: bool) -> None:
     """Print it, a line an evaluator, and a line a case."""
-    kinds = ("median_px", "rms_px", "wrong", "over_sigma", "rms_over_rms", "within", "far", "valid", "cpu_s")
+    kinds = (
+        "median_px",
+        "dense_px",
+        "rms_px",
+        "wrong",
+        "over_sigma",
+        "rms_over_rms",
+        "within",
+        "far",
+        "valid",
+        "cpu_s",
+    )
     print(" " * 40 + "".join(f"{kind:>13}" for kind in kinds))
     for name, part in table.items():
-        strange = f"  strangers {part['strangers_valid']:.3f}"
+        strange = "".join(f"  {kind} {share:.3f}" for kind, share in part["strangers_valid"].items())
         rows = {name: part["all"]} | (part["cases"] if details else {})
         for case, figures in rows.items():
             numbers = "".join(f"{figures[kind]:13.4f}" for kind in kinds)
@@ -207,21 +284,19 @@ def show(table: dict[str, Any], details: bool) -> None:
 
 def main() -> None:
     """Measure one set, print it and keep it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("set", choices=["choose", "judge"])
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--flow", default="*", metavar="PATTERN")
-    parser.add_argument("--image", default="*", metavar="PATTERN")
-    parser.add_argument("--evaluator", default="*", metavar="PATTERN", help="as in 'found *'")
-    parser.add_argument("--finest-window", type=int, default=16, metavar="PX")
-    parser.add_argument("--cases", action="store_true", help="print each case")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="keep all figures as JSON")
-    told = parser.parse_args()
-    chosen = {name: one for name, one in evaluators(told.finest_window).items() if fnmatch(name, told.evaluator)}
-    table = measured(told.set, told.seeds, told.flow, told.image, chosen)
-    show(table, told.cases)
-    if told.output:
-        told.output.write_text(json.dumps(table, indent=1) + "\n")
+    asked = options(
+        __doc__, set=(*FIRST_SEED, "windows"), seeds=2, flow="*", image="*", evaluator="*", finest_window=16,
+        cases=False,
+    )  # fmt: skip
+    chosen = {
+        name: one
+        for name, one in evaluators(asked.set, asked.finest_window).items()
+        if fnmatch(name, asked.evaluator)
+    }
+    table = measured(asked.set, asked.seeds, asked.flow, asked.image, chosen)
+    show(table, asked.cases)
+    if asked.out is not None:
+        keep(table, asked.out)
 
 
 if __name__ == "__main__":

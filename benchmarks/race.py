@@ -1,11 +1,14 @@
 """Ray maps in turns, as ratios: python -m benchmarks.race [--scenes ...] [--peers ...] [--rounds 15].
 
+    python -m benchmarks.race --ours "rtpiv, correction maps" --peers    # in ray maps and in writings
+    python -m benchmarks.race --ours "rtpiv, frames" --peers             # beside OpenCV and SciPy
+    python -m benchmarks.race --before CHECKOUT                          # raced beside another one
+
 Scenes are as a fit leaves them unless named otherwise: the camera 3 mm aside and tilted.  Every contender has a
 process of its own and takes its turn in every round.  Said are medians and quartiles: of the processor time of
-all threads, and of our own divided by each peer's of the same round.
+all threads, and of our own first task divided by each task of the same round.
 """
 
-import argparse
 import json
 from pathlib import Path
 
@@ -13,11 +16,11 @@ import numpy as np
 
 from benchmarks.__main__ import in_one_row
 from benchmarks.contenders import IDEAL_LENS, STACKED, Racer, race, start, stop
+from benchmarks.options import options
 from benchmarks.scenes import MOVED, bench_scene
 
 SCENES = ("empty", "one_sphere_250", "one_sphere_500", "two_spheres_500", "three_spheres_500", "pyramid_500")
-OURS = "rtpiv, ray maps"
-PEERS = ("filling", "plain C", "drjit", "mitsuba")
+PEERS = ["filling", "plain C", "drjit", "mitsuba"]
 MOST_OF_PLAIN = 16  # spheres that plain.c has room for; more of them no longer come by their heights
 Table = dict[str, dict[str, list[float]]]
 
@@ -34,19 +37,19 @@ def apart(ours: Racer, peer: Racer) -> float:
     return float(1.0 - (near | np.isnan(first + second).any(axis=2) & np.isnan(first).any(axis=2)).mean())
 
 
-def measure(name: str, peers: tuple[str, ...], rounds: int, before: Path | None) -> Table:
-    """One scene: core ms of all tasks; ratios of our map to each; how many pixels differ."""
+def measure(name: str, own: str, peers: list[str], rounds: int, before: Path | None) -> Table:
+    """One scene: core ms of all tasks; ratios of our first one to each; how many pixels differ."""
     scene = bench_scene(name)
     left_out = () if in_one_row(scene) else STACKED
     left_out += () if scene.camera.lens.is_ideal else (*IDEAL_LENS, "plain C")
     left_out += ("plain C",) if len(scene.spheres) > MOST_OF_PLAIN else ()
-    names = [OURS, *(peer for peer in peers if peer not in left_out)]
+    names = [own, *(peer for peer in peers if peer not in left_out)]
     racers = [racer for peer in names if (racer := start(peer, name))]
-    if before is not None and (racer := start(OURS, name, before)):
+    if before is not None and (racer := start(own, name, before)):
         racer.name = "before"
         racers.append(racer)
     race(racers, rounds)
-    ours = np.array(racers[0].cpu["ray_map"])
+    ours = np.array(next(iter(racers[0].cpu.values())))
     core: Table = {}
     for racer in racers:
         for task, taken in racer.cpu.items():
@@ -55,7 +58,7 @@ def measure(name: str, peers: tuple[str, ...], rounds: int, before: Path | None)
                 "ours_through_it": quartiles((ours / np.array(taken)).tolist(), 3),
             }
     for racer in racers[1:]:
-        if racer.name != "filling":
+        if racer.name != "filling" and "ray_map" in racer.cpu:
             core[f"{racer.name}: ray_map"]["share_of_other_pixels"] = [apart(racers[0], racer)]
     stop(racers)
     return core
@@ -63,14 +66,10 @@ def measure(name: str, peers: tuple[str, ...], rounds: int, before: Path | None)
 
 def main() -> None:
     """Measure and print a line of JSON for each task of each scene."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--scenes", nargs="+", default=[name + MOVED for name in SCENES])
-    parser.add_argument("--peers", nargs="+", default=PEERS)
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--before", type=Path, help="another checkout, raced beside this one")
-    options = parser.parse_args()
-    for name in options.scenes:
-        for task, said in measure(name, tuple(options.peers), options.rounds, options.before).items():
+    scenes = [name + MOVED for name in SCENES]
+    asked = options(__doc__, scenes=scenes, ours="rtpiv, ray maps", peers=PEERS, rounds=15, before=Path)
+    for name in asked.scenes:
+        for task, said in measure(name, asked.ours, asked.peers, asked.rounds, asked.before).items():
             print(json.dumps({"scene": name, "task": task, **said}), flush=True)
 
 

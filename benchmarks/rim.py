@@ -8,17 +8,16 @@ vectors with windows of 32 px, and ensemble correlation with 16 px, which begins
 points, at r > 0.75 R and in the shear layer inside that.
 """
 
-import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.options import keep, options
 from benchmarks.piv_cases import of_the_tests
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.prepare import prepare_pair
+from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field
@@ -48,7 +47,7 @@ def compared(pairs: int, per_px: float, lost: float) -> dict[str, float]:
     moments, frames = Moments.nothing(grid.shape), []
     for seed in range(pairs):
         frames.append(drawn(thin_jet, seed, (SIDE, SIDE), ppp=per_px, loss=loss))
-        found = evaluate_pair(*frames[-1], valid)
+        found = evaluate_pair(*frames[-1], valid, PivSettings())
         sigma = np.stack((found.sigma_u_px, found.sigma_v_px), axis=-1)
         moments = moments.add(np.stack((found.u_px, found.v_px), axis=-1), found.valid, sigma)
     mean = np.where(moments.count[..., None] > pairs / 4, moments.mean_uv, np.nan)
@@ -76,19 +75,12 @@ def compared(pairs: int, per_px: float, lost: float) -> dict[str, float]:
 
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pairs", type=int, default=60)
-    parser.add_argument("--per-px", type=float, nargs="+", default=[0.004, 0.008, 0.015, 0.03])
-    parser.add_argument("--lost", type=float, nargs="+", default=[0.0, 0.5, 0.8])
-    parser.add_argument("-o", "--out", type=Path)
-    given = parser.parse_args()
+    given = options(__doc__, pairs=60, per_px=[0.004, 0.008, 0.015, 0.03], lost=[0.0, 0.5, 0.8])
     found = []
     for per_px in given.per_px:
         for lost in given.lost:
             found.append(compared(given.pairs, per_px, lost))
-            print(json.dumps(found[-1]), flush=True)
-    if given.out:
-        given.out.write_text(json.dumps(found, indent=1) + "\n")
+    keep(found, given.out)
 
 
 if __name__ == "__main__":

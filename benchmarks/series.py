@@ -8,7 +8,6 @@ memory of one process as pairs go by, the largest of any process, wall time, and
 on the machine disturb less.  One worker has one thread, as each of several has.
 """
 
-import argparse
 import json
 import os
 import resource
@@ -26,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.options import options
 from daq.runs.journal import Journal
 from daq.runs.pairs import pairs_of
 from daq.runs.raw_frame import checksum, write_raw
@@ -37,6 +37,7 @@ from rtpiv.analysis.series.series_pairs import pairs_of_series
 from sim.demo.scenes import at_size, demo_scene
 from tracer.scene.scene_file import dump_scene
 
+ONE_THREAD = {"RTPIV_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 DIFFERENT = 4  # pairs; what they hold does not matter for time and memory
 PER_PX, COUNTS, FLOOR, NOISE = 0.03, 300.0, 35.0, 3.0
 BENCH = """name: bench
@@ -62,25 +63,20 @@ Floats = NDArray[np.float64]
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.series", description=__doc__)
-    parser.add_argument("--pairs", type=int, default=96)
-    parser.add_argument("--side", type=int, default=2016)
-    parser.add_argument("--chunk", type=int, default=16)
-    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("-o", "--out", type=Path)
-    options = parser.parse_args()
+    asked = options(__doc__, pairs=96, side=2016, chunk=16, workers=[1, 2])
     with TemporaryDirectory() as own:
-        folder = options.out or Path(own)
-        run = next(folder.glob("*_flow"), None) or written_run(folder, options.pairs, options.side)
-        for workers in options.workers:
+        folder = asked.out or Path(own)
+        run = next(folder.glob("*_flow"), None) or written_run(folder, asked.pairs, asked.side)
+        for workers in asked.workers:
             shutil.rmtree(folder / "series", ignore_errors=True)
             series_input(run, folder / "series", piv_choice())  # the scene; its map is made before the clock runs
             command = [sys.executable, "-c", ONCE, str(run), str(folder / "series")]
             for warm in (True, False):
                 if not warm:
                     shutil.rmtree(folder / "series" / "chunks")
-                words = [*command, str(workers), str(options.chunk), "1" if warm else "0"]
-                said = subprocess.run(words, check=True, capture_output=True, text=True, env=_one_thread()).stdout
+                words = [*command, str(workers), str(asked.chunk), "1" if warm else "0"]
+                own = os.environ | ONE_THREAD
+                said = subprocess.run(words, check=True, capture_output=True, text=True, env=own).stdout
             print(f"{workers} workers: {said.strip().splitlines()[-1]}", flush=True)
 
 
@@ -124,10 +120,6 @@ class _Watch(Executor):
         self.pairs.append(sum(self.pairs[-1:]) + len(job.pairs))
         self.resident_mb.append(round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20))
         return future
-
-
-def _one_thread() -> dict[str, str]:
-    return os.environ | {"RTPIV_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def written_run(folder: Path, pairs: int, side: int) -> Path:

@@ -6,8 +6,8 @@
 Ends when the run says that it is over; then it prints what it saw.
 """
 
-import argparse
 import json
+import sys
 import time
 from typing import Any
 
@@ -75,11 +75,8 @@ def by_browser(url: str) -> dict[str, Any]:
 
 def main() -> None:
     """Look until it is over."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.viewer", description=__doc__)
-    parser.add_argument("url")
-    parser.add_argument("kind", choices=("browser", "socket"))
-    options = parser.parse_args()
-    print(json.dumps({"browser": by_browser, "socket": by_socket}[options.kind](options.url)))
+    url, kind = sys.argv[1:]
+    print(json.dumps({"browser": by_browser, "socket": by_socket}[kind](url)))
 
 
 if __name__ == "__main__":

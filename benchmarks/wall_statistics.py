@@ -2,6 +2,10 @@
 
     python -m benchmarks.wall_statistics [--pairs 300] [--told] [--background sliding-minimum] [-o FILE]
 
+`--told`: the wall is given as a mask; `--background`: none, mean, minimum or sliding-minimum; `--vectors`: windows
+of single pairs, 0 where each place finds its own; `--alone`: each pair finds the wall for itself, not the series;
+`--steady`: the ensemble without fields of pairs as well.
+
 A turbulent boundary layer over a solid wall: a mean profile, and waves of random direction whose lengths lie
 partly above and partly below the windows, with a covariance that falls to zero at the wall. Frames have uneven
 light, camera noise, 15 % of the particles without a partner, and a wall with a grain of its own, brighter than
@@ -18,16 +22,14 @@ Distances are of window middles from the wall in sides of the window; "inside" a
 solid.
 """
 
-import argparse
-import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from benchmarks.options import keep, options
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.prepare import prepare_pair
 from piv.correlation.settings import PivSettings
@@ -319,17 +321,10 @@ def shown(name: str, table: dict[str, dict[str, Any]]) -> None:
 
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pairs", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--told", action="store_true", help="the wall is given as a mask")
-    parser.add_argument("--background", default="none", choices=("none", "mean", "minimum", "sliding-minimum"))
-    parser.add_argument("--vectors", type=int, nargs="*", default=[32, 16, 0], help="windows of single pairs")
-    parser.add_argument("--alone", action="store_true", help="each pair finds the wall for itself, not the series")
-    parser.add_argument("--no-ensemble", action="store_true")
-    parser.add_argument("--steady", action="store_true", help="the ensemble without fields of pairs as well")
-    parser.add_argument("-o", "--out", type=Path)
-    given = parser.parse_args()
+    given = options(
+        __doc__, pairs=300, seed=0, told=False, background="none", vectors=[32, 16, 0], alone=False,
+        no_ensemble=False, steady=False,
+    )  # fmt: skip
     series = Series.of(given.pairs, given.seed)
     frames = series.cleaned(given.background)
     valid = (np.arange(SHAPE[0])[:, None] < WALL) & np.ones(SHAPE, bool) if given.told else None
@@ -350,10 +345,7 @@ def main() -> None:
                 name = f"ensemble {size}{'' if own else ', one field for all'}"
                 tables[name] = judged(one, series)
                 shown(name, tables[name])
-    if given.out:
-        given.out.write_text(
-            json.dumps(tables, default=lambda value: np.round(value, 5).tolist(), indent=1) + "\n"
-        )
+    keep(tables, given.out)
 
 
 if __name__ == "__main__":
