@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.cameras.camera import PROBE_MIN_S, CameraInfo, Counters, Setting, wait_for_frame
+from daq.cameras.camera import PROBE_MIN_S, CameraBase, CameraInfo, Counters, Setting
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.gvcp_probe import is_controlled, local_address
@@ -68,7 +68,7 @@ PACKET_SIZE, SMALLEST_PACKET_BYTES = "GevSCPSPacketSize", 576
 PACKET_OVERHEAD_BYTES = 36  # headers of IP, UDP and stream
 
 
-class AravisCamera:
+class AravisCamera(CameraBase):
     """A GigE Vision camera.
 
     Parameters
@@ -92,7 +92,6 @@ class AravisCamera:
         self._packet_bytes = packet_bytes
         self._device = 0
         self._stream = 0
-        self._info: CameraInfo | None = None
         self._configured: dict[str, Setting] = {}
         self._chunks: tuple[str, ...] = ()
         self._parser = 0
@@ -108,13 +107,6 @@ class AravisCamera:
         self._delivered = self._incomplete = self._unused = 0
         self._underrun_in_gaps = self._underrun_before = self._underrun_packets = 0
         self._last = Counters()
-
-    @property
-    def info(self) -> CameraInfo:
-        """Vendor, model, serial number; CameraUsageError before `open`."""
-        if self._info is None:
-            raise CameraUsageError("the camera is closed; open it first")
-        return self._info
 
     @property
     def counters(self) -> Counters:
@@ -177,8 +169,7 @@ class AravisCamera:
         CameraUsageError if it is armed.
         """
         nodes = self._open_nodes()
-        if self._stream:
-            raise CameraUsageError("the camera is armed; disarm it first")
+        self._require_disarmed()
         with self._errors("configure"):
             readback = apply_settings(nodes, settings)
             self._configured.update(readback)
@@ -214,8 +205,7 @@ class AravisCamera:
         CameraUsageError if it is armed already, BadFrame if it announces frames of an impossible size.
         """
         nodes = self._open_nodes()
-        if self._stream:
-            raise CameraUsageError("the camera is armed already; disarm it first")
+        self._require_disarmed()
         warm_up()
         with self._errors("arm"):
             size = int(nodes.get("PayloadSize"))
@@ -293,10 +283,6 @@ class AravisCamera:
         if not self._free:
             raise CameraTimeout("every buffer is held by frames that were not released; release them")
         self._probe(timeout_s)
-
-    def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next complete frame; incomplete ones are counted and put aside."""
-        return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
         """Stop the acquisition; complete frames not fetched count as unused."""
@@ -488,9 +474,9 @@ class AravisCamera:
             raise CameraUsageError("the camera is closed; open it first")
         return AravisNodes(self._device)
 
-    def _require_armed(self) -> None:
-        if not self._stream:
-            raise CameraUsageError("the camera is not armed; call arm first")
+    @property
+    def _is_armed(self) -> bool:
+        return bool(self._stream)
 
 
 def _packets_per_frame(nodes: AravisNodes, payload_bytes: int) -> int:

@@ -20,13 +20,14 @@ Waiting for a frame is the same for every backend: first for the frame, then for
 """
 
 import time
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from daq.cameras.frame import Frame
-from daq.errors import CameraTimeout, FrameIncomplete
+from daq.errors import CameraTimeout, CameraUsageError, FrameIncomplete
 
 Setting = bool | int | float | str
 
@@ -216,3 +217,33 @@ def wait_for_frame(camera: Camera, timeout_s: float) -> Frame:
         if frame is not None:
             return frame
     raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
+
+
+class CameraBase(Camera):
+    """Base of the backends: identity, order of the calls, and the wait for a frame."""
+
+    _info: CameraInfo | None = None  # None while it is closed
+
+    @property
+    def info(self) -> CameraInfo:
+        """Vendor, model, serial number; CameraUsageError before `open`."""
+        if self._info is None:
+            raise CameraUsageError("the camera is closed; open it first")
+        return self._info
+
+    @property
+    @abstractmethod
+    def _is_armed(self) -> bool:
+        """Return whether the acquisition runs."""
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        """Wait for the next complete frame; incomplete ones are left to the counters."""
+        return wait_for_frame(self, timeout_s)
+
+    def _require_armed(self) -> None:
+        if not self._is_armed:
+            raise CameraUsageError("the camera is not armed; call arm first")
+
+    def _require_disarmed(self) -> None:
+        if self._is_armed:
+            raise CameraUsageError("the camera is armed; disarm it first")

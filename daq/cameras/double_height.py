@@ -9,12 +9,12 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from daq.cameras.camera import Camera, CameraInfo, Counters, Setting, wait_for_frame
+from daq.cameras.camera import Camera, CameraBase, CameraInfo, Counters, Setting
 from daq.cameras.frame import Frame
 from daq.errors import BadFrame
 
 
-class DoubleHeightCamera:
+class DoubleHeightCamera(CameraBase):
     """Cuts the buffers of another camera.
 
     Parameters
@@ -22,6 +22,8 @@ class DoubleHeightCamera:
     camera : Camera
         Open or not.
     """
+
+    _is_armed = False  # calls out of order are refused by the camera itself
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
@@ -90,10 +92,6 @@ class DoubleHeightCamera:
                 return None
             self._cut(whole)
         return self._halves.popleft()
-
-    def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next half."""
-        return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
         """Stop the acquisition; halves not fetched count as unused."""

@@ -15,7 +15,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from daq.cameras.camera import CameraInfo, Counters, Setting
+from daq.cameras.camera import CameraBase, CameraInfo, Counters, Setting
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
@@ -30,7 +30,7 @@ CHOICES = {
 RANGES = {"ExposureTime": (1.0, 1e7), "AcquisitionFrameRate": (0.01, 1000.0), "Gain": (0.0, 48.0)}
 
 
-class FilesCamera:
+class FilesCamera(CameraBase):
     """Frames from files.
 
     Parameters
@@ -115,8 +115,7 @@ class FilesCamera:
         CameraUsageError if it is closed or armed already.
         """
         self._require_open()
-        if self._due_ns is not None:
-            raise CameraUsageError("the camera is armed already; disarm it first")
+        self._require_disarmed()
         self._due_ns = deque(maxlen=buffers)
         self._next_file = 0
         self._ids = IdTracker()
@@ -133,7 +132,7 @@ class FilesCamera:
 
         CameraUsageError if TriggerMode is not On.
         """
-        due, before_ns = self._require_armed(), self.clock_ns()
+        due, before_ns = self._due, self.clock_ns()
         if self._values["TriggerMode"] != "On":
             raise CameraUsageError("set TriggerMode to On before sending software triggers")
         if len(due) == due.maxlen:
@@ -159,7 +158,7 @@ class FilesCamera:
 
     def poll(self, timeout_s: float) -> Frame | None:
         """Return the next file's frame when it is due; None if that is later, or there is none."""
-        due = self._require_armed()
+        due = self._due
         if not due or (self._next_file >= len(self._paths) and not self._repeat):
             time.sleep(timeout_s)
             return None
@@ -228,8 +227,14 @@ class FilesCamera:
         if not self._is_open:
             raise CameraUsageError("the camera is closed; open it first")
 
-    def _require_armed(self) -> deque[int]:
+    @property
+    def _is_armed(self) -> bool:
+        return self._due_ns is not None
+
+    @property
+    def _due(self) -> deque[int]:
+        """When the next frames are due; CameraUsageError unless it is armed."""
         self._require_open()
-        if self._due_ns is None:
-            raise CameraUsageError("the camera is not armed; call arm first")
+        self._require_armed()
+        assert self._due_ns is not None
         return self._due_ns

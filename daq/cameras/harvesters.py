@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.cameras import harvesters_process
-from daq.cameras.camera import CameraInfo, Counters, Setting, wait_for_frame
+from daq.cameras.camera import CameraBase, CameraInfo, Counters, Setting
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.harvesters_process import Message, raise_error, receive, send
@@ -30,7 +30,7 @@ CALL_TIMEOUT_S = 5.0
 WATCHDOG = 1.5
 
 
-class HarvestersCamera:
+class HarvestersCamera(CameraBase):
     """A camera behind a GenTL producer.
 
     Parameters
@@ -48,7 +48,6 @@ class HarvestersCamera:
         self._end_process: weakref.finalize[..., HarvestersCamera] | None = None
         self._pipe: Any = None
         self._send_lock = threading.Lock()
-        self._info: CameraInfo | None = None
         self._id_bits = 64
         self._number = 0
         self._waiting: deque[Message] = deque()
@@ -59,13 +58,6 @@ class HarvestersCamera:
         self._delivered = 0
         self._unused = 0
         self._incomplete_told = 0
-
-    @property
-    def info(self) -> CameraInfo:
-        """Vendor, model, serial number; CameraUsageError before `open`."""
-        if self._info is None:
-            raise CameraUsageError("the camera is closed; open it first")
-        return self._info
 
     @property
     def counters(self) -> Counters:
@@ -168,10 +160,6 @@ class HarvestersCamera:
     def probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers within this time."""
         self._call("probe", timeout_s)
-
-    def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next complete frame."""
-        return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
         """Stop the acquisition; frames not fetched count as unused."""
@@ -306,12 +294,11 @@ class HarvestersCamera:
     def _require_armed(self) -> None:
         if self._pipe is not None and self._process is None:  # another call may have found out
             raise self._end_as_lost("its process has ended")
-        if self._ring is None:
-            raise CameraUsageError("the camera is not armed; call arm first")
+        super()._require_armed()
 
-    def _require_disarmed(self) -> None:
-        if self._ring is not None:
-            raise CameraUsageError("the camera is armed; disarm it first")
+    @property
+    def _is_armed(self) -> bool:
+        return self._ring is not None
 
 
 def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:

@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.cameras.camera import CameraInfo, Counters, Setting, wait_for_frame
+from daq.cameras.camera import CameraBase, CameraInfo, Counters, Setting
 from daq.cameras.formats import FORMATS
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
@@ -168,7 +168,7 @@ MAX_IMAGE_BYTES = 1 << 29
 T = TypeVar("T")
 
 
-class MicroManagerCamera:
+class MicroManagerCamera(CameraBase):
     """A camera of one core.
 
     Parameters
@@ -185,6 +185,8 @@ class MicroManagerCamera:
         Of the adapter, set before it is initialised.
     """
 
+    _is_armed = False
+
     def __init__(
         self,
         library: str,
@@ -199,19 +201,10 @@ class MicroManagerCamera:
         self._dotted, self._call_s = core, call_s
         self._calls: Calls | None = None
         self._core: Any = None
-        self._info: CameraInfo | None = None
         self._values: dict[str, Setting] = {}  # what the core does not hold
         self._configured: dict[str, Setting] = {}
-        self._is_armed = False
         self._ids = IdTracker()
         self._triggers, self._counters = 0, Counters()
-
-    @property
-    def info(self) -> CameraInfo:
-        """Adapter and device; CameraUsageError before `open`."""
-        if self._info is None:
-            raise CameraUsageError("the camera is closed; open it first")
-        return self._info
 
     @property
     def counters(self) -> Counters:
@@ -239,9 +232,8 @@ class MicroManagerCamera:
 
     def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set what the core or the adapter knows; what was configured before is put back where one is refused."""
-        self._require_open()
-        if self._is_armed:
-            raise CameraUsageError("the camera is armed; disarm it first")
+        _ = self.info
+        self._require_disarmed()
         if chunks:
             raise SettingRefused("a camera by Micro-Manager sends no chunk data; leave camera.chunks out")
         before = dict(self._values)
@@ -258,26 +250,25 @@ class MicroManagerCamera:
 
     def verify(self) -> None:
         """Read the configured settings back once more; SettingsChanged if the camera lost any."""
-        self._require_open()
+        _ = self.info
         back = self._ask("for its settings", lambda: {name: self._nodes.get(name) for name in self._configured})
         if wrong := differing(self._configured, back, tolerance=1e-6):
             raise SettingsChanged(f"the camera lost its settings ({wrong}); configure it again")
 
     def settings(self) -> dict[str, Setting]:
         """Return what the core has under SFNC names, and every property of the adapter."""
-        self._require_open()
+        _ = self.info
         return self._ask("for its settings", lambda: self._nodes.all())
 
     def read(self, names: Sequence[str]) -> dict[str, Setting]:
         """Those of the settings that the camera has."""
-        self._require_open()
+        _ = self.info
         return self._ask("for values", lambda: {n: self._nodes.get(n) for n in names if self._nodes.has(n)})
 
     def arm(self, buffers: int = 24) -> None:
         """Give the core memory for so many images; start the sequence unless triggers begin each."""
-        self._require_open()
-        if self._is_armed:
-            raise CameraUsageError("the camera is armed already; disarm it first")
+        _ = self.info
+        self._require_disarmed()
         self._ids, self._counters, self._triggers = IdTracker(), Counters(), 0
 
         def prepare() -> None:
@@ -294,7 +285,7 @@ class MicroManagerCamera:
 
     def clock_ns(self) -> int | None:
         """Not known."""
-        self._require_open()
+        _ = self.info
         return None
 
     def trigger(self) -> int | None:
@@ -329,10 +320,6 @@ class MicroManagerCamera:
         """CameraLost unless the adapter answers."""
         self._require_armed()
         self._ask("for its exposure", lambda: self._core.getExposure())
-
-    def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next image."""
-        return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
         """End the sequence; images not fetched count as unused."""
@@ -431,14 +418,9 @@ class MicroManagerCamera:
             said = (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
             raise CameraError(f"asked {words}, Micro-Manager says: {said}") from error
 
-    def _require_open(self) -> None:
-        if self._info is None:
-            raise CameraUsageError("the camera is closed; open it first")
-
     def _require_armed(self) -> None:
-        self._require_open()
-        if not self._is_armed:
-            raise CameraUsageError("the camera is not armed; call arm first")
+        _ = self.info
+        super()._require_armed()
 
 
 def _class_of(dotted: str) -> Any:  # noqa: ANN401 - third-party

@@ -20,7 +20,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from daq.cameras.camera import CameraInfo, Counters, Setting, wait_for_frame
+from daq.cameras.camera import CameraBase, CameraInfo, Counters, Setting
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import CameraClock, IdTracker
@@ -100,7 +100,7 @@ class RegisterNodes:
             self._device.write(self._registers.addresses[name], self._registers.encode(name, 1))
 
 
-class InProcessCamera:
+class InProcessCamera(CameraBase):
     """A simulated camera that has power in this process.
 
     Parameters
@@ -237,10 +237,6 @@ class InProcessCamera:
         """CameraLost unless the camera answers; it answers at once or never."""
         self._nodes.get("Width")
 
-    def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next complete frame."""
-        return wait_for_frame(self, timeout_s)
-
     def disarm(self) -> Counters:
         """Stop the acquisition; frames that were not fetched count as unused."""
         if self._room is not None:
@@ -277,8 +273,7 @@ class InProcessCamera:
         return RegisterNodes(self._device_in_hand)
 
     def _begin_counting(self) -> None:
-        self._ids = IdTracker()
-        self._ignored = None
+        self._ids, self._ignored = IdTracker(), None
         self._delivered = self._incomplete = self._underrun = self._unused = 0
         self._incomplete_told = self._held = 0
 
@@ -319,13 +314,9 @@ class InProcessCamera:
         with self._told:
             self._held -= armed == self._armed
 
-    def _require_armed(self) -> None:
-        if self._room is None:
-            raise CameraUsageError("the camera is not armed; call arm first")
-
-    def _require_disarmed(self) -> None:
-        if self._room is not None:
-            raise CameraUsageError("the camera is armed; disarm it first")
+    @property
+    def _is_armed(self) -> bool:
+        return self._room is not None
 
 
 @contextmanager
