@@ -354,6 +354,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
             finer = _short_wave_error(course, good, noise, added)
             resolution = np.where(large, resolution, np.hypot(resolution, finer))
         # 4. Resolution as blocks of the frames show it.
+        # Clipped: blocks lean in proportion to displacements within a pixel only, and show nothing of longer ones.
         beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         weight = good * large * found.refined.gain
         measured = measure_agreement(blocks, grid, beyond, weight, settings.windows_px[-1])

@@ -85,6 +85,8 @@ class Strategy:
     @property
     def inverse_kind(self) -> Kind:
         """Kind of the inverse: that of the rays where nodes go in blocks and no rod stands, else ray by ray."""
+        # Lockstep knows no rod.  Of pixels, rays that may meet one are traced anew (`trace_with_occluders`); the
+        # ray of a node is what is sought and changes with every step, so beside rods each asks all bodies.
         return self.kind if self.in_blocks and self.kind is not Kind.OCCLUDERS else Kind.RAYS
 
     @cached_property

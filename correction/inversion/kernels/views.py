@@ -247,6 +247,8 @@ def judge(count: int, pitch: float, events: int, limits: Array, b: Array, state:
         verdict = verdict if inside else OUT_OF_FRAME
         state[i] = verdict if state[i] == CONVERGED else FOLD
         b[XU + i], b[XV + i], b[YU + i], b[YV + i] = uc, ur, vc, vr
+        # The best view of a node is bright, covers a pixel (less loses detail, more shows none that is new), and
+        # has met few bodies, as each has an unsure place: transmittance x min(1, px^2 a node) / (1 + bodies).
         b[WORTH + i] = b[KEPT + i] * min(1.0, abs(uc * vr - ur * vc)) * share
 
 
