@@ -1,7 +1,7 @@
 """What a measurement could see of a known flow at one moment: the judge of `benchmarks.flow`.
 
 Four answers at the nodes of the vectors, of the flow between the pulses, averaged across the sheet by what both
-pulses light (`sim.flow.truth`):
+pulses light:
 
     itself     at the node
     window     averaged over the window with the weights that both frames give it: what one correlation sees

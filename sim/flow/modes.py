@@ -122,25 +122,3 @@ class RandomModes:
         waves, _, _, a, _ = self._modes
         energy = np.sum(np.square(a), axis=1).reshape(-1, 3).sum(axis=1)
         return np.linalg.norm(waves[::3], axis=1), energy / energy.sum() * 1.5
-
-    def mean_covariance(self, offsets_mm: Float64, weights: Float64, amplitudes: Float64) -> Float64:
-        """Covariance (N, 3, 3) of weighted sums of A q: what a window of that shape and strength A still sees.
-
-        Parameters
-        ----------
-        offsets_mm : ndarray
-            Places (S, 3) in the window.
-        weights : ndarray
-            (S,), their sum is 1.
-        amplitudes : ndarray
-            A (N, S, 3, 3) at those places of N windows; an N of 1 will do where A is the same everywhere.
-        """
-        waves, _, _, a, b = self._modes
-        angle = offsets_mm @ waves.T  # (S, M)
-        # A mode seen from a window: (a - i b) exp(i(angle + phase)), whose phase is drawn evenly.
-        rotating = weights[:, None] * np.exp(1j * angle)
-        out = np.zeros((len(amplitudes), 3, 3))
-        for m in range(len(waves)):
-            seen = np.einsum("s,nsij,j->ni", rotating[:, m], amplitudes, a[m] - 1j * b[m])
-            out += 0.5 * np.real(seen[:, :, None] * np.conj(seen[:, None, :]))
-        return out

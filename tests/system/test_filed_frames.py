@@ -2,11 +2,12 @@
 
 import pytest
 
-import sim.frame_truth as frame_truth
 from daq.runs.run_folder import frame_entries
 from rtpiv.command_line.cli import DONE, main
-from sim.frame_truth import NoTruth, find_misfiled
+from sim.frame_truth import NoTruth
 from tests.daq.small_bench import SHIFT, write_bench
+from tests.system import misfiled
+from tests.system.misfiled import find_misfiled
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 
@@ -34,7 +35,7 @@ def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypat
             one[key], other[key] = other[key], one[key]
         return found
 
-    monkeypatch.setattr(frame_truth, "frame_entries", swapped)
+    monkeypatch.setattr(misfiled, "frame_entries", swapped)
     assert {wrong.frame for wrong in find_misfiled(run)} == {0, 7}
 
     def doubled(entries):
@@ -42,7 +43,7 @@ def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypat
         found[2] = found[1] | {"frame": 2}
         return found
 
-    monkeypatch.setattr(frame_truth, "frame_entries", doubled)
+    monkeypatch.setattr(misfiled, "frame_entries", doubled)
     assert "the same exposure as frame 1" in "".join(wrong.why for wrong in find_misfiled(run))
 
 

@@ -6,9 +6,9 @@ import pytest
 
 from daq.runs.run_folder import RunFolder, frame_entries
 from rtpiv.command_line.cli import DONE, main
-from sim.frame_truth import find_misfiled
 from tests.daq.cameras.rigs import need_aravis
 from tests.daq.small_bench import write_bench
+from tests.system.misfiled import find_misfiled
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

@@ -23,8 +23,8 @@ from daq.runs.raw_frame import read_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
 from rtpiv.command_line.cli import DEVICE, INTERRUPTED
-from sim.frame_truth import find_misfiled
 from tests.daq.small_bench import write_bench
+from tests.system.misfiled import find_misfiled
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

@@ -10,10 +10,10 @@ import scipy
 from mpmath import mpf
 from numpy.typing import NDArray
 
-from benchmarks.balls_reference import End, follow_balls
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from ground.errors import ConfigError
+from tests.tracer.balls_reference import End, follow_balls
 from tests.tracer.scenes import ball, camera_at
 from tracer.bodies import Sphere
 from tracer.errors import SceneError

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from mpmath import mpf
 
-from benchmarks.balls_reference import follow_balls
 from benchmarks.reference import follow_pixel
 from benchmarks.scenes import aimed_pixels
 from tests.loops import loop_over
+from tests.tracer.balls_reference import follow_balls
 from tests.tracer.scenes import ball, camera_at, hollowed, random_camera
 from tests.tracer.second_formulation import numbered, second
 from tracer.bodies import Body, Mesh, Rod, Sphere, Window

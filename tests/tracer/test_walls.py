@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mpmath import mpf
 
-from benchmarks.walls_reference import Walls, follow_walls, unit, vector
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from rtpiv.analysis.views.field_of_view import field_of_view
@@ -28,6 +27,7 @@ from tests.tracer.drawn_walls import (
     window,
 )
 from tests.tracer.scenes import camera_at, flat, halves
+from tests.tracer.walls_reference import Walls, follow_walls, unit, vector
 from tracer.bodies import Body, Sphere, Window
 from tracer.errors import SceneError
 from tracer.kernels.dome import cross_dome, dome_rates, leave_dome

@@ -8,12 +8,12 @@ is given to a judge of 50 digits, who must find for the tracer.
 import numpy as np
 import pytest
 
-from benchmarks.walls_reference import Walls, follow_walls, vector
 from ground.jit import kernel
 from sim.renderer.kernels.rays import to_plane
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
 from tests.tracer.drawn_walls import aimed, drawn_walls
+from tests.tracer.walls_reference import Walls, follow_walls, vector
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import trace_from
 

@@ -6,6 +6,7 @@ import pytest
 from sim.flow.fields import Flow, LaminarChannel, Shear, TurbulentChannel, Uniform, Vortex, cholesky_of
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
+from tests.sim.flow.windows_of_flow import mean_covariance
 from tracer.errors import SceneError
 
 STRESSES = (900.0, 400.0, 225.0, -300.0, 60.0, 20.0)
@@ -131,7 +132,7 @@ def test_a_window_sees_the_covariance_of_its_own_average():
     rng = np.random.default_rng(0)
     offsets = rng.uniform(-2.0, 2.0, (40, 3))
     weights = np.full(40, 1.0 / 40)
-    seen = modes.mean_covariance(offsets, weights, np.broadcast_to(np.eye(3), (1, 40, 3, 3)))[0]
+    seen = mean_covariance(modes, offsets, weights, np.broadcast_to(np.eye(3), (1, 40, 3, 3)))[0]
     double = np.einsum("s,t,stij->ij", weights, weights, modes.covariance(offsets[None] - offsets[:, None]))
     np.testing.assert_allclose(seen, double, atol=1e-12)
     assert np.trace(seen) < 2.5

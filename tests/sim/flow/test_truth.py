@@ -7,7 +7,7 @@ from sim.flow.fields import Flow, Shear, Vortex
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
 from sim.flow.particles import LightSheet
-from sim.flow.truth import window_mean, window_places, window_stresses
+from tests.sim.flow.windows_of_flow import window_mean, window_places, window_stresses
 
 SHEET = LightSheet()
 

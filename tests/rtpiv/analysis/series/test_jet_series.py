@@ -12,8 +12,8 @@ from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
 from sim.flow.particles import LightSheet
-from sim.flow.truth import window_mean, window_places
 from tests.daq.small_run import about_run, keep_frame, planned
+from tests.sim.flow.windows_of_flow import window_mean, window_places
 from tracer.bodies import translate_by
 from tracer.scene.scene_file import dump_scene
 

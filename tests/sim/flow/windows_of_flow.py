@@ -11,6 +11,7 @@ from numpy.polynomial.hermite import hermgauss
 from numpy.typing import NDArray
 
 from sim.flow.fields import Flow
+from sim.flow.modes import RandomModes
 from sim.flow.particles import LightSheet
 
 Float64 = NDArray[np.float64]
@@ -57,5 +58,30 @@ def window_stresses(flow: Flow, points_mm: Float64, places_mm: Float64, weights:
         part = points_mm[first : first + BLOCK_WINDOWS]
         at = (part[:, None, :] + places_mm[None, :, :]).reshape(-1, 3)
         strengths = flow.base.amplitude(at).reshape(len(part), len(places_mm), 3, 3)
-        out[first : first + BLOCK_WINDOWS] = flow.modes.mean_covariance(places_mm, weights, strengths)
+        out[first : first + BLOCK_WINDOWS] = mean_covariance(flow.modes, places_mm, weights, strengths)
+    return out
+
+
+def mean_covariance(modes: RandomModes, offsets_mm: Float64, weights: Float64, amplitudes: Float64) -> Float64:
+    """Covariance (N, 3, 3) of weighted sums of A q: what a window of that shape and strength A still sees.
+
+    Parameters
+    ----------
+    modes : RandomModes
+        The fluctuations.
+    offsets_mm : ndarray
+        Places (S, 3) in the window.
+    weights : ndarray
+        (S,), their sum is 1.
+    amplitudes : ndarray
+        A (N, S, 3, 3) at those places of N windows; an N of 1 will do where A is the same everywhere.
+    """
+    waves, _, _, a, b = modes._modes
+    angle = offsets_mm @ waves.T  # (S, M)
+    # A mode seen from a window: (a - i b) exp(i(angle + phase)), whose phase is drawn evenly.
+    rotating = weights[:, None] * np.exp(1j * angle)
+    out = np.zeros((len(amplitudes), 3, 3))
+    for m in range(len(waves)):
+        seen = np.einsum("s,nsij,j->ni", rotating[:, m], amplitudes, a[m] - 1j * b[m])
+        out += 0.5 * np.real(seen[:, :, None] * np.conj(seen[:, None, :]))
     return out
