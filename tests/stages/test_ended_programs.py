@@ -33,11 +33,11 @@ class End:
 def begun(bench, driver):
     made = bench(driver)
     made.stage.home()
-    made.stage.move({"a": 40.0, "b": 45.0})
+    made.stage.move({"a": 20.0, "b": 22.0})
     return made
 
 
-DOINGS = {"move": lambda stage: stage.move({"a": 100.0, "b": 90.0}), "home": lambda stage: stage.home()}
+DOINGS = {"move": lambda stage: stage.move({"a": 45.0, "b": 42.0}), "home": lambda stage: stage.home()}
 
 
 def play(bench, driver, doing, how, place, what):

@@ -13,6 +13,7 @@ import time
 import pytest
 
 from daq.timing.switch_off import switch_off
+from tests.slow_cases import slow
 from tests.system.laser_client import table
 
 KILLS = int(os.environ.get("RTPIV_LASER_KILLS", "50"))
@@ -171,13 +172,20 @@ def test_the_watchdog_switches_off_after_kill_9_of_the_program(bench):
     after_the_end(bench, lambda fires: fires.client.kill(), 0.35)
 
 
-@pytest.mark.parametrize(("has_lamps", "box"), [(True, "qc9520"), (False, "qc9520"), (False, "pivlab_oltsync")])
-def test_laser_off_of_another_process_ends_a_program_that_fires_chunk_after_chunk(bench, has_lamps, box):
+BOTH = [0.4, 0.51]  # a chunk takes half a second
+
+
+@pytest.mark.parametrize(
+    ("has_lamps", "box", "after_s"),
+    [(True, "qc9520", BOTH[:1]), (False, "pivlab_oltsync", BOTH[1:]),
+     *map(slow, (True, False, False), ("qc9520", "qc9520", "pivlab_oltsync"), (BOTH,) * 3)],
+)  # fmt: skip
+def test_laser_off_of_another_process_ends_a_program_that_fires_chunk_after_chunk(bench, has_lamps, box, after_s):
     """In a burst, in a pause, while it arms: wherever it falls."""
-    for number in range(2):
-        fires = bench(f"off{number}", has_lamps, box=box)
+    for wait_s in after_s:
+        fires = bench(f"off{wait_s}", has_lamps, box=box)
         fires.wait_for("fires")
-        time.sleep(0.4 + 0.11 * number)  # a chunk takes half a second
+        time.sleep(wait_s)
         said = switch_off(table(str(fires.link), box, has_lamps, RATE_HZ))
         moment_s = time.monotonic()
         assert said.confirmed, said.words

@@ -15,6 +15,7 @@ from sim.renderer.patterns import DotGrid
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import bench
+from tests.slow_cases import slow
 from tracer.board import LARGE_DOTS, Dots
 from tracer.scene.scene_file import load_priors, load_scene
 
@@ -70,7 +71,7 @@ def tank(tmp_path):
     return load_scene(path), load_priors(path)
 
 
-@pytest.mark.parametrize("board", [Chessboard(15.0, 6.0), Chessboard(15.0, discs=(), squares=(9, 8))])
+@pytest.mark.parametrize("board", [Chessboard(15.0, 6.0), slow(Chessboard(15.0, discs=(), squares=(9, 8)))])
 def test_a_board_behind_much_water_is_as_large_as_its_window_shows_it(tank, board):
     """Through 260 mm of water squares look a tenth larger; nothing of the board is to be corrected."""
     nominal, priors = tank

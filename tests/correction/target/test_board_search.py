@@ -1,4 +1,5 @@
 import time
+from functools import cache
 
 import numpy as np
 import pytest
@@ -319,12 +320,17 @@ TURNS = {
 }
 
 
+@cache
+def square_frame(discs):
+    return photographed(soft_board(view(2.0), (440, 440), discs=discs), 0)
+
+
 @pytest.mark.parametrize("how", TURNS)
 @pytest.mark.parametrize("discs", [OLDER, CHIRAL])
 def test_a_turned_or_mirrored_board_is_named(how, discs):
     """Four discs tell a mirror image from a turn; three do not, and a diagonal mirror looks upright to them."""
     board = Chessboard(discs=discs)
-    image = photographed(soft_board(view(2.0), (440, 440), discs=discs), 0)
+    image = square_frame(discs)
     mirrored = "mirror" in how or how == "upside down"
 
     def predict(points):

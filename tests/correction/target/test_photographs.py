@@ -9,7 +9,7 @@ from tests.correction.target.count_degraded import count_degraded
 from tests.correction.target.photographs import BY_HAND, photographs
 
 
-@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [8, pytest.param(1, marks=pytest.mark.slow)])
 def test_every_photograph_is_found_where_opencv_sees_it(every):
     for one in [*photographs(every), *(one for one in photographs() if every > 1 and one.name in BY_HAND)]:
         found = track_board(one.image, one.board, one.predict)
@@ -27,7 +27,7 @@ def test_every_photograph_is_found_where_opencv_sees_it(every):
 
 
 @pytest.mark.parametrize(
-    ("first", "last", "least"), [(31018, 31034, 9), pytest.param(40000, 40500, 340, marks=pytest.mark.slow)]
+    ("first", "last", "least"), [(31018, 31026, 4), pytest.param(40000, 40500, 340, marks=pytest.mark.slow)]
 )
 def test_no_degraded_board_is_put_in_another_place_and_refusals_name_what_was_done(first, last, least):
     count, wrong, untrue = count_degraded(range(first, last))

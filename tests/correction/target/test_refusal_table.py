@@ -85,43 +85,32 @@ def predicted(off_mm=0.0, aside_mm=(0.0, 0.0), px_per_mm=9.0):
     return predict
 
 
-REFUSED_AND_FOLLOWED = {  # words of a refusal: what is given, and what is given as advised
-    "too noisy to be measured; bring more light": (
-        (board_image(noise=1000.0), PLAIN, predicted(), 0.7),
-        (board_image(noise=100.0), PLAIN, predicted(), 0.7),
-    ),
-    "too noisy to be measured": (
-        (board_image(noise=2500.0), PLAIN, predicted(), 0.7),
-        (board_image(noise=100.0), PLAIN, predicted(), 0.7),
-    ),
-    "hangs turned against the camera as described": (
-        (board_image(turn_deg=48.0), PLAIN, predicted(), 0.7),
-        (board_image(), PLAIN, predicted(), 0.7),
-    ),
-    "camera should see too little of the board": (
-        (board_image(), PLAIN, predicted(px_per_mm=400.0), 0.7),
-        (board_image(), PLAIN, predicted(), 0.7),
-    ),
+ASIDE = {"aside_mm": ASIDE_MM}
+REFUSED_AND_FOLLOWED = {  # words of a refusal: the board, what is given (picture and prediction), what as advised
+    "too noisy to be measured; bring more light": (PLAIN, ({"noise": 1000.0}, {}), ({"noise": 100.0}, {})),
+    "too noisy to be measured": (PLAIN, ({"noise": 2500.0}, {}), ({"noise": 100.0}, {})),
+    "hangs turned against the camera as described": (PLAIN, ({"turn_deg": 48.0}, {}), ({}, {})),
+    "camera should see too little of the board": (PLAIN, ({}, {"px_per_mm": 400.0}), ({}, {})),
     "lies more than half a square from its prediction": (
-        (board_image(aside_mm=ASIDE_MM), DISCS, predicted((2.5, 0.0), ASIDE_MM), None),
-        (board_image(aside_mm=ASIDE_MM), DISCS, predicted(0.4, ASIDE_MM), None),
+        DISCS, (ASIDE, ASIDE | {"off_mm": (2.5, 0.0)}), (ASIDE, ASIDE | {"off_mm": 0.4}),
     ),
     "corners could be fitted": (
-        (board_image(aside_mm=ASIDE_MM, blur=10.0), DISCS, predicted(0.1, ASIDE_MM), None),
-        (board_image(aside_mm=ASIDE_MM, blur=1.0), DISCS, predicted(0.1, ASIDE_MM), None),
+        DISCS, (ASIDE | {"blur": 10.0}, ASIDE | {"off_mm": 0.1}), (ASIDE | {"blur": 1.0}, ASIDE | {"off_mm": 0.1}),
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("words", REFUSED_AND_FOLLOWED)
 def test_a_refusal_followed_finds_the_board(words):
-    (image, board, predict, reach), followed = REFUSED_AND_FOLLOWED[words]
+    board, *given = REFUSED_AND_FOLLOWED[words]
+    reach, aside = (None, ASIDE_MM) if board is DISCS else (0.7, (0.0, 0.0))
+
+    def found(picture, prediction):
+        return track_board(board_image(**picture), board, predicted(**prediction), reach=reach)
+
     with pytest.raises(TargetNotFound, match=words):
-        track_board(image, board, predict, reach=reach)
-    image, board, predict, reach = followed
-    found = track_board(image, board, predict, reach=reach)
-    aside = ASIDE_MM if board is DISCS else (0.0, 0.0)
-    assert miss_mm(found, lambda pixels: view(3.0)(pixels) + aside) < 0.02
+        found(*given[0])
+    assert miss_mm(found(*given[1]), lambda pixels: view(3.0)(pixels) + aside) < 0.02
 
 
 def test_shades_that_contradict_the_marks_are_named():

@@ -22,6 +22,7 @@ from tests.daq.cameras.rigs import need_harvesters
 from tests.daq.flow_bench import write_flow
 from tests.daq.runner.wrong_boxes import WRONG
 from tests.daq.timing.quantum_desk import EXPOSURES, PUMPED, WIRING, LaserHead, desk
+from tests.slow_cases import one_in_three, slow
 
 TIMING = PulseTiming(20.0, 10.0)
 
@@ -107,8 +108,7 @@ def is_certified(d, **hands):
 FIRMWARE = [{}, {"arms": "run all"}, {"arms": "state"}, {"echo": True}, {"needs_s": 0.03}, {"model": "BNC,575-8"}]
 
 
-@pytest.mark.parametrize("firmware", FIRMWARE)
-@pytest.mark.parametrize("has_lamps", [True, False])
+@pytest.mark.parametrize(("firmware", "has_lamps"), one_in_three(FIRMWARE, (True, False)))
 def test_a_box_that_keeps_to_its_manual_is_proven_at_every_plug(firmware, has_lamps):
     wires = {role: output for role, output in PUMPED.items() if role is not Role.CAMERA_B}
     head = {} if has_lamps else {"wiring": wires, "head": LaserHead(max_rate_hz=100.0)}
@@ -192,7 +192,7 @@ def test_a_bench_whose_chunks_are_too_short_for_a_hand_is_told_what_to_set():
         assert all(trial.is_right for trial in tried(d))
 
 
-@pytest.mark.parametrize("rate_hz", [0.6, 1.0, 15.0])
+@pytest.mark.parametrize("rate_hz", [0.6, slow(1.0), 15.0])
 def test_a_right_box_is_proven_at_slow_and_fast_rates(rate_hz):
     with desk() as d:
         d.laser.open("sim://desk")

@@ -19,8 +19,8 @@ def require_dark(table):
 @loop_over("box", [box for box in BOXES if "all" not in box and "state" not in box])
 def test_nothing_leaves_after_a_person_has_ended_it(box, how):
     """A few moments of each box and way: together they fall into every phase of a run."""
-    require_dark(listing(box, how, "write", 5))
-    require_dark(listing(box, how, "time", 4))
+    require_dark(listing(box, how, "write", 3))
+    require_dark(listing(box, how, "time", 2))
 
 
 @pytest.mark.slow

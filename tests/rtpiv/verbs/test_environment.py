@@ -17,6 +17,7 @@ from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE
 from rtpiv.verbs.evaluate import EvaluationOutput
 from tests.piv.conftest import make_pair
+from tests.slow_cases import slow
 
 STYLE = "text.usetex: True\naxes.grid: True\nfont.family: NoSuchFont\naxes.facecolor: red\n"
 SETTINGS = (
@@ -64,7 +65,7 @@ def pictures_of(folder):
     return found
 
 
-@pytest.mark.parametrize("environment", SETTINGS, ids=lambda each: " ".join(f"{k}={v}" for k, v in each.items()))
+@pytest.mark.parametrize("environment", [SETTINGS[1], slow(SETTINGS[0])], ids=" ".join)
 def test_a_command_draws_the_same_pictures(day, tmp_path, environment):
     assert command(day, str(tmp_path / "out"), environment) == pictures_of(day / "plain")
     vectors = [read_vectors(folder / "vectors.nc").fields["u"] for folder in (tmp_path / "out", day / "plain")]
@@ -72,9 +73,8 @@ def test_a_command_draws_the_same_pictures(day, tmp_path, environment):
 
 
 @pytest.mark.draws
-@pytest.mark.parametrize("setting", [{"text.usetex": True}, {"axes.grid": True}, {"figure.dpi": 37.0}], ids=str)
-def test_a_script_keeps_its_settings_and_pictures_ours(day, tmp_path, setting):
-    with mpl.rc_context(setting):
+def test_a_script_keeps_its_settings_and_pictures_ours(day, tmp_path):
+    with mpl.rc_context({"text.usetex": True, "axes.grid": True, "figure.dpi": 37.0}):
         before = dict(mpl.rcParams)
         rtpiv.evaluate(
             [day / "im_a.tif", day / "im_b.tif"],

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -27,10 +28,16 @@ EXPORTS = "matlab", "paraview", "tecplot", "csv"
 OPTIONS = ("--mm-per-px", "0.1", "--dt-us", "100", "--final-window", "32", "--workers", "1")
 
 
+# Pictures are drawn of one pair, whose page has all of them, and not a second time of the mean.
 MAIN = """
 import sys
+from contextlib import nullcontext
 from rtpiv.command_line.cli import main
-sys.exit(max(main(words.split("\\n")) for words in sys.argv[1:]))
+from tests.rtpiv.conftest import undrawn
+def run(words):
+    with nullcontext() if "--vtk" in words else undrawn():
+        return main(words)
+sys.exit(max(run(words.split("\\n")) for words in sys.argv[1:]))
 """
 
 
@@ -38,8 +45,9 @@ def run(*commands, **environment):
     """Run commands in one process of their own; what they printed."""
     words = [b"\n".join(map(os.fsencode, command)) for command in commands]
     done = subprocess.run(
-        [sys.executable, "-c", MAIN, *words], capture_output=True, check=False, env=os.environ | environment
-    )
+        [sys.executable, "-c", MAIN, *words], capture_output=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(Path.cwd())} | environment,
+    )  # fmt: skip
     assert done.returncode == DONE, done.stderr.decode("utf-8", "replace")
     assert b"Traceback" not in done.stderr
     return done.stdout

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import tifffile
-import xarray
 
 from ground.map_file import load_arrays
 from rtpiv.analysis.series.shared_file import SharedFile
@@ -25,6 +24,12 @@ def day(tmp_path_factory):
     return folder
 
 
+def open_vectors(path):
+    import xarray  # here, and pandas with it: all processes of the tests would wait for them
+
+    return xarray.open_dataset(path)
+
+
 def kept(out):
     """Mask of a series."""
     header, _ = load_arrays(out / "still.npz", KIND)
@@ -39,7 +44,7 @@ def test_what_flickers_in_both_pulses_has_no_vector_and_no_mean(day, tmp_path):
     assert still.shape == SHAPE
     assert still[WALL + 2 :].mean() > 0.99
     assert not still[: WALL - 16].any()
-    with xarray.open_dataset(out / "chunks" / "00000.nc") as file:
+    with open_vectors(out / "chunks" / "00000.nc") as file:
         solid = file["y"].values < (SHAPE[0] - 1) / 2 * MM - MM * WALL
         assert solid.sum() > 5
         assert (file["flag"].values[:, solid] == 4).all()
@@ -47,7 +52,7 @@ def test_what_flickers_in_both_pulses_has_no_vector_and_no_mean(day, tmp_path):
         assert (file["flag"].values[:, ~solid][:, 6:] == 0).mean() > 0.95
         assert "4 still" in file.attrs["flag_meanings"]
     for name in ("mean.nc", "mean_ensemble.nc"):
-        with xarray.open_dataset(out / name) as file:
+        with open_vectors(out / name) as file:
             solid = file["y"].values < (SHAPE[0] - 1) / 2 * MM - MM * WALL
             assert solid.any()
             assert not file["chc"].values[:, solid].any(), name
