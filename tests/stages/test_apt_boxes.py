@@ -13,15 +13,7 @@ from sim.mechanics.clock import VirtualClock
 from stages.controller import Channel
 from stages.drivers.apt_questions import FAMILIES
 from stages.drivers.thorlabs_apt import AptController
-from stages.errors import (
-    AxisStalled,
-    LimitHit,
-    MotionStopped,
-    NoReply,
-    StageError,
-    StageUsageError,
-    WrongDevice,
-)
+from stages.errors import AxisStalled, LimitHit, MotionStopped, NoReply, StageError, StageUsageError, WrongDevice
 from stages.protocols import thorlabs_apt as apt
 from stages.protocols.apt_words import Kind
 from stages.states import AxisState

@@ -2,10 +2,7 @@
 
 import pytest
 
-from stages.errors import (
-    NotReferenced,
-    StageError,
-)
+from stages.errors import NotReferenced, StageError
 from stages.states import AxisState
 
 

@@ -5,12 +5,7 @@ import pytest
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from stages.controller import Channel, Controller
 from stages.drivers_by_name import driver_class
-from stages.errors import (
-    DeviceError,
-    PortUnavailable,
-    StageError,
-    StageUsageError,
-)
+from stages.errors import DeviceError, PortUnavailable, StageError, StageUsageError
 from stages.stage import Stage
 from stages.states import AxisState
 from tests.loops import loop_over

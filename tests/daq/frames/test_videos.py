@@ -70,8 +70,7 @@ def test_a_cine_of_a_phantom_camera_is_read(tmp_path, kind, bits, flipped):
 
 
 @pytest.mark.parametrize(
-    ("name", "codec", "options"),
-    [("a.avi", "png", {}), ("a.mkv", "ffv1", {"level": 3, "slicecrc": 1, "g": 1})],
+    ("name", "codec", "options"), [("a.avi", "png", {}), ("a.mkv", "ffv1", {"level": 3, "slicecrc": 1, "g": 1})]
 )
 def test_a_damaged_frame_is_refused_and_its_neighbours_are_not(tmp_path, name, codec, options):
     whole = write_video(tmp_path / name, moving(), codec, "gray", **options)

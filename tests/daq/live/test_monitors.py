@@ -90,10 +90,7 @@ def test_which_way_the_focus_goes_is_followed_and_forgotten_with_the_step(monkey
     try:
         for look, blur_px in enumerate([3.0] * 8 + [2.6, 2.2, 1.8, 1.4, 1.8, 2.2, 2.2, 2.2, 2.2]):
             clock[0] = 0.5 * look
-            slot.put(
-                {"run": "r: bare", "shows": "chessboard", "bits": 12},
-                {"raw": board(blur_px, 200, look)},
-            )
+            slot.put({"run": "r: bare", "shows": "chessboard", "bits": 12}, {"raw": board(blur_px, 200, look)})
             quality.look()
             said = quality.said.get("focus", [""])[0]
             if look == 7:

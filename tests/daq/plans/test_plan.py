@@ -87,14 +87,8 @@ def test_bench_hash_ignores_ports_and_nothing_else(tmp_path):
         ("experiment: target\n", "at least one of clear and glass"),
         ("experiment: target\nclear: {z_mm: [0.0]}\nframs: 2\n", "did you mean 'frames'"),
         (ONE_SHIFT.format("{along: [0.0, 0.0, 0.0], mm: 1.0}"), "not be zero"),
-        (
-            ONE_SHIFT.format("{along: [1.0, 0.0, 0.0]}"),
-            "exactly one of mm and px",
-        ),
-        (
-            ONE_SHIFT.format("{along: [1.0, 0.0, 0.0], mm: 1.0}").replace("[glass]", "[glass, glass]"),
-            "twice",
-        ),
+        (ONE_SHIFT.format("{along: [1.0, 0.0, 0.0]}"), "exactly one of mm and px"),
+        (ONE_SHIFT.format("{along: [1.0, 0.0, 0.0], mm: 1.0}").replace("[glass]", "[glass, glass]"), "twice"),
         ("experiment: target\nclear: {z_mm: [.nan]}\n", "not a finite number"),
     ],
 )
@@ -132,10 +126,7 @@ def test_what_a_bench_cannot_do_is_said_before_anything_moves(tmp_path):
 
 def test_forecast_counts_moves_by_hand(bench):
     """One pair: glass in place, target 0.5 mm away along x, approach 0.3 mm from below on the way back."""
-    steps = steps_of(
-        bench,
-        ONE_SHIFT.format("{along: [1.0, 0.0, 0.0], mm: 0.5}") + "settle_s: 2.0\n",
-    )
+    steps = steps_of(bench, ONE_SHIFT.format("{along: [1.0, 0.0, 0.0], mm: 0.5}") + "settle_s: 2.0\n")
     said = forecast(bench, idle_stage(bench), steps)
     assert said.frames == 2
     assert said.violations == ()

@@ -105,10 +105,7 @@ def test_glass_and_camera_come_to_their_places(run):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("follows", "words"),
-    [
-        ((-1.0, 1.0, 1.0), "glass_x was moved by .* the other way"),
-        ((1.0, 0.0, 1.0), "glass_y .* stands still"),
-    ],
+    [((-1.0, 1.0, 1.0), "glass_x was moved by .* the other way"), ((1.0, 0.0, 1.0), "glass_y .* stands still")],
 )
 def test_a_wrong_sign_or_a_loose_coupling_ends_it_after_one_move(run, follows, words):
     carry_out, *_, folder = run(follows)

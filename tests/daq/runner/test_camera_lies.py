@@ -55,11 +55,7 @@ def test_frames_in_another_format_than_read_back_are_refused_at_the_first(rig, s
     ("told", "shape", "said"),
     [
         ({"PixelFormat": "Mono12", "Width": 3, "Height": 2}, (2, 3), ""),
-        (
-            {"PixelFormat": "Mono12p", "Width": 3, "Height": 2},
-            (2, 3),
-            "of 3 x 2 px and reads Mono12p",
-        ),
+        ({"PixelFormat": "Mono12p", "Width": 3, "Height": 2}, (2, 3), "of 3 x 2 px and reads Mono12p"),
         ({"PixelFormat": "Mono12", "Width": 2, "Height": 3}, (2, 3), "reads Mono12 of 2 x 3 px back"),
         ({"Height": 3}, (2, 3), "reads Mono12 of 3 x 3 px back"),
         ({"PixelFormat": "Mono12PackedByUs"}, (2, 3), ""),

@@ -64,10 +64,7 @@ def test_pulses_that_are_too_long_are_not_counted_wrong(width_us):
 
 
 def test_a_firmware_that_is_built_otherwise_is_found():
-    with (
-        counter(busy_is_high=True) as (box, _, _),
-        pytest.raises(WrongDevice, match="DeviceIsBusy = LOW"),
-    ):
+    with counter(busy_is_high=True) as (box, _, _), pytest.raises(WrongDevice, match="DeviceIsBusy = LOW"):
         box.expect(1e5, Pulse(0.0, 10.0))
 
 

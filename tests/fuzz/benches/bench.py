@@ -61,9 +61,7 @@ SCREWS = {
     for name, axis in AXES.items()
 }
 FIRMWARE = {
-    "portal": {
-        "settings": {23: 0, 24: 300.0, 25: 3000.0, 110: 3600.0, 111: 3600.0, 120: 500.0, 121: 500.0},
-    }
+    "portal": {"settings": {23: 0, 24: 300.0, 25: 3000.0, 110: 3600.0, 111: 3600.0, 120: 500.0, 121: 500.0}}
 }
 KEEP_OUT = KeepOutTable(
     clearance_mm=2.0,

@@ -43,8 +43,7 @@ def test_a_folder_of_files(lab, capsys):
         r"bench.yaml  ok  bench: 9 axes on 4 controllers, camera by harvesters; .*can be simulated", said
     )
     assert re.search(
-        r"plan-target.yaml  ok  plan: target, 8 steps, 8 frames, about \d+ s on hardware, \d+ s simulated on",
-        said,
+        r"plan-target.yaml  ok  plan: target, 8 steps, 8 frames, about \d+ s on hardware, \d+ s simulated on", said
     )
     assert re.search(
         r"plan-flow.yaml  ok  plan: flow, 2 steps, 60 frames, about \d+ s on hardware, \d+ s simulated on an idle"

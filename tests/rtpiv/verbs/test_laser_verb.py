@@ -102,8 +102,7 @@ def test_off_without_a_port_says_that_it_was_not_reached(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
-    [(["off", "--name", "other"], "no device 'other'"), (["state"], "choose a laser")],
+    ("words", "said"), [(["off", "--name", "other"], "no device 'other'"), (["state"], "choose a laser")]
 )
 def test_which_one_is_not_clear_is_said(tmp_path, capsys, words, said):
     bench = bench_with(tmp_path)
