@@ -10,6 +10,7 @@ from correction.errors import TargetNotFound
 from correction.target import Chessboard
 from correction.target.board_file import PrintedBoard
 from correction.target.board_search import find_board, track_board
+from tests.slow_cases import one_in_three
 from tracer.board import Dots
 
 SIZE_PX, FOCAL_PX, AWAY_MM = (640, 512), 1600.0, 400.0
@@ -93,8 +94,7 @@ CONDITIONS = {
 TURNS = [(0.0, 0.0, 0.05), (0.5, 0.0, 0.1), (-0.2, 0.48, -0.2)]
 
 
-@pytest.mark.parametrize("turn", TURNS, ids=str)
-@pytest.mark.parametrize("name", CONDITIONS)
+@pytest.mark.parametrize(("turn", "name"), one_in_three(TURNS, [*CONDITIONS]))
 def test_a_grid_in_view_as_a_whole_is_placed_by_its_number_of_dots(name, turn):
     true = View(turn, (9.0, -6.0))  # more than a pitch aside
     about = CONDITIONS[name]
@@ -105,8 +105,7 @@ def test_a_grid_in_view_as_a_whole_is_placed_by_its_number_of_dots(name, turn):
     assert found.origin_basis == "the number of its rows and columns"
 
 
-@pytest.mark.parametrize("turn", TURNS, ids=str)
-@pytest.mark.parametrize("name", CONDITIONS)
+@pytest.mark.parametrize(("turn", "name"), one_in_three(TURNS, [*CONDITIONS]))
 def test_one_large_dot_is_the_origin_of_a_grid_that_is_partly_out_of_view(name, turn):
     true, nominal = View(turn, (57.0, -42.0)), View((0.0, 0.0, 0.0), (42.0, -30.0))
     about = CONDITIONS[name]

@@ -32,13 +32,13 @@ def says_nothing(self, *_):
 
 def test_the_judge_sees_a_stop_that_does_not_switch_off(monkeypatch):
     monkeypatch.setattr(TimingBox, "drop", says_nothing)
-    _, found = play(200, "blind")
+    _, found = play(200, "blind 11")
     assert any("while unknown" in line for line in found)
 
 
 def test_the_judge_sees_a_state_that_goes_ahead_of_the_box(monkeypatch):
     monkeypatch.setattr(Laser, "look", ends_early)
-    _, found = play(200, "early")
+    _, found = play(200, "early 12")
     assert any("while ready" in line for line in found)
 
 
@@ -63,7 +63,7 @@ def endless(number):
 
 def test_the_judge_sees_an_end_that_comes_late(monkeypatch):
     monkeypatch.setattr(QuantumComposersBox, "end", ends_late)
-    _, found = play(300, "late 0")
+    _, found = play(300, "late 27")
     assert any("after the time of its chunk" in line for line in found), found
 
 
@@ -93,5 +93,5 @@ def test_the_judge_sees_a_door_that_holds_the_laser_only_while_it_is_open(monkey
 def test_the_judge_sees_a_burst_that_undoes_a_stop(monkeypatch):
     monkeypatch.setattr(QuantumComposersBox, "require_lamps", says_nothing)
     monkeypatch.setattr(QuantumComposersBox, "_start", QuantumComposersBox._start_slowly)
-    _, found = play(200, "undone")
+    _, found = play(200, "undone 15")
     assert any("after a person has ended the light" in line for line in found), found

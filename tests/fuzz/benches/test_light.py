@@ -39,19 +39,19 @@ def test_nothing_moves_while_light_leaves_in_2_000_sequences():
 
 def test_the_judge_sees_a_laser_that_lets_things_move(monkeypatch):
     monkeypatch.setattr(LaserStateMachine, "objection", lambda self: None)
-    _, found = play(range(120), "moves f")
+    _, found = play(range(120), "moves e")
     assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
 
 
 def test_the_judge_sees_a_laser_that_does_not_look_what_moves(monkeypatch):
     monkeypatch.setattr(LaserStateMachine, "what_moves", lambda self: None)
-    _, found = play(range(50), "looks a")
+    _, found = play(range(50), "looks c")
     assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
 
 
 def test_the_judge_sees_light_near_the_glass(monkeypatch):
     monkeypatch.setattr("daq.runner.laser_session.sheet_clearance_mm", lambda bench, where: 100.0)
-    _, found = play(range(50), "near e")
+    _, found = play(range(50), "near f")
     assert any("off the sheet" in line for line in found), "\n".join(found)
 
 

@@ -43,6 +43,7 @@ def run_of(lab):
     return run
 
 
+@pytest.mark.slow
 def test_the_run_of_a_plate_is_calibrated_by_its_own_board(lab, tmp_path, capsys):
     assert main(["calibrate", str(run_of(lab)), "-o", str(tmp_path / "fit"), "--no-pictures"]) == DONE
     assert "the model is right" in " ".join(capsys.readouterr().out.split())
