@@ -4,6 +4,9 @@
    bright background then stand in no window, and a window needs no mean of its own. Frames are divided by the
    usual deviation within a window, the median over the frame, so that counts of any size (also 1e20) fit a
    float32 and one bright reflection does not make all others small.
+   Where light of coarse structure outshines the particles, as out-of-focus images and bodies do, a median that
+   follows its edges goes off too (`piv.preprocessing.coarse_light`). Before all, pixels of unequal gain are made
+   equal (`piv.preprocessing.colour_mosaic`).
 2. **Masked pixels** are filled from the valid ones around them (`piv.correlation.fill`), so that the spline
 through
    the frame makes no step there, and weigh nothing; single dead pixels as little as their filling is unsure.
@@ -24,6 +27,8 @@ from numpy.typing import NDArray
 
 from piv.correlation.fill import FilledPixels, Texture, blur_frame, without_gaps
 from piv.errors import FrameError, PairError
+from piv.preprocessing.coarse_light import coarse_light, shows_particles, without_coarse_light
+from piv.preprocessing.colour_mosaic import without_mosaic
 from piv.resampling.sample import MIN_SIDE_PX, prefilter
 
 NO_TEXTURE = 0.01  # of the usual deviation in a window; less is no particles, not even noise
@@ -140,6 +145,13 @@ def prepare_pair(
     side_px = window_px | 1
     a = _remove_level(frames[0], weight, whole, side_px, "A")
     b = _remove_level(frames[1], weight, whole, side_px, "B")
+    coarse = coarse_light(a, b, window_px)
+    if coarse is not None:
+        coarse = coarse * weight
+        a, b = (without_coarse_light(frame, coarse, window_px) for frame in (a, b))
+        weight *= shows_particles(a, b, coarse, window_px)
+        whole = bool(weight.all())
+        a, b = a * weight, b * weight
     texture, filled = texture_of(a, weight, whole), None
     if not whole:
         filled = without_gaps(a, b, seen, texture)
@@ -163,7 +175,7 @@ def check_frames(
     seen = mask & usable[0] & usable[1]
     if not seen.any():
         raise PairError("no pixel is valid in both frames; check the mask (True = valid) and the frames for NaN")
-    return frames, mask, seen
+    return without_mosaic(frames, seen), mask, seen
 
 
 def _numbers(frame: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
