@@ -1,12 +1,28 @@
-"""`rtpiv mean --join`: join the means of two runs, focused beside the glass and behind it."""
+"""`rtpiv mean --join`: join several views of one flow: the union of what cameras see, and the third component."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Unpack
 
+from rich.console import Console
+
+from correction.grid import PlaneGrid, grid_of
+from daq.errors import RunUsageError
+from daq.runs.names import CAMERAS
 from ground.terminal import console
-from rtpiv.analysis.series.series_folder import MEAN
+from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
+from rtpiv.analysis.report.kept_page import PAGE
+from rtpiv.analysis.series.joined_views import MAX_SIGMA_W_PX, JoinedViews, join_views
+from rtpiv.analysis.series.run_series import run_series
+from rtpiv.analysis.series.series_folder import FILE, MEAN
+from rtpiv.analysis.series.series_input import SeriesInput, series_input
+from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
-from rtpiv.verbs.paths import Named
+from rtpiv.options.numbers import Count, Positive
+from rtpiv.verbs.paths import Named, paths_of
 from rtpiv.verbs.results import results_in
+from rtpiv.verbs.show import show_series
 
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
 TOO_FAR_APART = (
@@ -14,36 +30,118 @@ TOO_FAR_APART = (
 )
 
 
-def join(beside: Named, behind: Named, /, out: Named | None = None) -> JoinedMean:
-    """Join two series by what each was focused on.
+def join(
+    views: Sequence[Named],
+    /,
+    out: Named | None = None,
+    scene: Sequence[Named] = (),
+    dt_us: Positive | None = None,
+    simultaneous: bool = False,
+    w_limit_px: Positive = MAX_SIGMA_W_PX,
+    workers: Count | None = None,
+    **options: Unpack[PivOptions],
+) -> JoinedMean | JoinedViews:
+    """Join several views of one flow.
+
+    Views from different places are combined by their uncertainty: what any of them sees, and the velocity w
+    through the sheet where their rays differ enough.  Two runs of one camera that differ in focus alone are joined
+    by what each was focused on: the first beside the glass, the second behind it.
 
     Parameters
     ----------
-    beside, behind : path
-        Folders of series (see `evaluate`): the run focused on the plane, the one focused behind the glass.
+    views : path
+        Folders of series (see `evaluate`) on one grid; or runs, or external image pairs, which are evaluated into
+        ``view-1``, ``view-2`` ... on the grid of the first.
     out : path, optional
-        Folder, default ``joined`` (or ``joined-2`` ... where that has results), for the joined ``mean.nc``, in
-        which `source` says where each vector comes from.
+        Folder, default ``joined`` (or ``joined-2`` ... where that has results), for ``mean.nc``, ``mean.html``
+        and, of cameras at the same time, the vectors of pairs in ``chunks``.
+    scene : sequence of path, optional
+        Scene file of each view, in their order; not for series.
+    dt_us : float, optional
+        Time between the frames of a pair, of views that are evaluated.
+    simultaneous : bool
+        The views were recorded at the same time, pair by pair; cameras of one run always are.
+    w_limit_px : float
+        Standard uncertainty of w up to which it is reported [px of the corrected image].
+    workers : int, optional
+        Maximum number of processes; default one per core.
+    **options
+        Correlation of pairs, see `rtpiv.analysis.pairs.piv_file.PivOptions`; not for series.
 
     Returns
     -------
-    JoinedMean
+    JoinedMean or JoinedViews
         The statistics.
 
     Raises
     ------
+    RunUsageError
+        Fewer than two views, or not one scene a view.
     SeriesError, RunUnsuitable, ConfigError, DiskError
-        As `rtpiv.analysis.series.split_focus.join_series`.
+        As `rtpiv.analysis.series.joined_views.join_views` and `rtpiv.analysis.series.split_focus.join_series`.
+    PairError, FrameError, RunDamaged
+        As `evaluate`.
     """
+    paths, scenes, choice = paths_of(views), paths_of(scene), piv_choice(**options)
+    if len(paths) < 2 or len(scenes) not in (0, len(paths)):
+        raise RunUsageError(
+            f"give two views or more, and no scene or one for each, not {len(paths)} and {len(scenes)}"
+        )
+    screen = console()
     with results_in(out, "joined") as out:
-        joined = join_series(Path(beside), Path(behind), out)
-        screen = console()
-        counts = {
-            name: int((joined.source == value).sum()) for name, value in (("first", BESIDE), ("second", BEHIND))
-        }
-        screen.print(f"{counts['first']} vectors from {beside}, {counts['second']} from {behind}")
-        screen.print(f"where both have a mean they differ by {joined.apart_in_sigma:.2f} sigma (rms)")
-        if joined.apart_in_sigma > STRANGERS:
-            screen.print(TOO_FAR_APART, style="bold red")
-        screen.print(f"wrote {out / MEAN}")
+        series, grid = list[SeriesView](), None
+        for number, path in enumerate(paths):
+            if not (path / FILE).is_file():
+                folder, its_scene = out / f"view-{number + 1}", scenes[number] if scenes else None
+                given = series_input(path, folder, choice, its_scene, dt_us=dt_us)
+                show_series(screen, run_series(_on_grid(given, grid), workers))
+                path = folder
+            series.append(SeriesView(path))
+            grid = series[0].grid
+        if _differ_in_focus(series):
+            return _join_focus(screen, series, out)
+        at_once = simultaneous or _is_one_run(paths)
+        joined = join_views(series, out, at_once, w_limit_px)
+        from rtpiv.analysis.report.joined_views import write_views_page  # draws
+
+        write_views_page(out / PAGE, series, joined)
+        for line in joined.sentences:
+            screen.print(line)
+        if joined.warning:
+            screen.print(joined.warning, style="bold red")
+        screen.print(f"look at {out / PAGE}")
         return joined
+
+
+def _on_grid(given: SeriesInput, grid: PlaneGrid | None) -> SeriesInput:
+    """Return the same series on the grid of another view, unless it is its own."""
+    own = grid_of(given.method.scene.camera)
+    return given if grid in (None, own) else replace(given, method=replace(given.method, grid=grid))
+
+
+def _differ_in_focus(series: Sequence[SeriesView]) -> bool:
+    """Return whether two views through glass are those of one camera at one place."""
+    cameras = {replace(each.scene.camera, pupil=None) for each in series}
+    return len(series) == 2 and len(cameras) == 1 and any(each.about["glass"] for each in series)
+
+
+def _is_one_run(paths: Sequence[Path]) -> bool:
+    """Return whether all are cameras of one run, or their series."""
+    runs = set()
+    for path in map(Path.resolve, paths):
+        run = path.parent if (path / FILE).is_file() else path
+        runs.add(run.parents[1] if run.parent.name == CAMERAS else run)
+    return len(runs) == 1
+
+
+def _join_focus(screen: Console, series: Sequence[SeriesView], out: Path) -> JoinedMean:
+    """Join two runs by what each was focused on."""
+    beside, behind = (each.folder for each in series)
+    joined = join_series(beside, behind, out)
+    counts = {name: int((joined.source == value).sum()) for name, value in (("first", BESIDE), ("second", BEHIND))}
+    screen.print(f"{counts['first']} vectors from {beside}, {counts['second']} from {behind}")
+    screen.print(f"where both have a mean they differ by {joined.apart_in_sigma:.2f} sigma (rms)")
+    if joined.apart_in_sigma > STRANGERS:
+        screen.print(TOO_FAR_APART, style="bold red")
+    screen.print(f"wrote {out / MEAN}")
+    return joined

@@ -1,0 +1,96 @@
+"""Two cameras without glass, from frames of another program: u, v and w in one command.
+
+The frames are made here, with a projection of their own: a pinhole at distance D, turned about the y axis.
+"""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from scipy.io import netcdf_file
+
+from rtpiv.command_line.cli import DONE, USAGE, main
+from tests.piv.conftest import draw
+
+SIDE, FOCAL_PX, DISTANCE_MM = 128, 1500.0, 300.0
+PX_MM = DISTANCE_MM / FOCAL_PX
+SPEED_PX = np.array([2.2, -1.1, 1.4])  # y up, z towards the cameras
+PAIRS, DT_US = 3, 200.0
+WINDOWS = ("--first-window", "32", "--final-window", "32", "--workers", "1")
+
+
+def project(points_mm, degrees, sensor_px=SIDE):
+    """Pixels u, v of points: the pinhole stands at D (sin, 0, cos) and looks at the origin."""
+    angle = np.deg2rad(degrees)
+    x, y, z = points_mm.T
+    across = x * np.cos(angle) - z * np.sin(angle)
+    depth = DISTANCE_MM - (x * np.sin(angle) + z * np.cos(angle))
+    middle = 0.5 * (sensor_px - 1)
+    return middle + FOCAL_PX * across / depth, middle - FOCAL_PX * y / depth
+
+
+def write_camera(folder, degrees, rng, speed_px=SPEED_PX, offset_px=(0.0, 0.0)):
+    """Frames of particles in a sheet of 0.5 mm, and the scene of the camera."""
+    (folder / "frames").mkdir(parents=True)
+    angle, noise = np.deg2rad(degrees), np.random.default_rng(int(degrees) + 90)
+    place = [float(DISTANCE_MM * np.sin(angle)), 0.0, float(DISTANCE_MM * np.cos(angle))]
+    (folder / "scene.yaml").write_text(
+        f"camera: {{focal_px: {FOCAL_PX}, sensor_px: [{SIDE}, {SIDE}], position_mm: {place},"
+        " look_at_mm: [0, 0, 0]}\nbodies: []\n"
+    )
+    for pair in range(PAIRS):
+        points = rng.uniform(-1.0, 1.0, (2600, 3)) * (0.75 * SIDE * PX_MM, 0.75 * SIDE * PX_MM, 0.25)
+        light = rng.uniform(200.0, 600.0, len(points))
+        for way, letter in ((-0.5, "a"), (0.5, "b")):
+            u, v = project(points + way * PX_MM * np.asarray(speed_px), degrees)
+            image = draw((SIDE, SIDE), u + offset_px[0], v + offset_px[1], 2.4, light)
+            image += noise.normal(40.0, 3.0, image.shape)
+            name = folder / "frames" / f"{pair:03d}_{letter}.tif"
+            tifffile.imwrite(name, np.clip(np.rint(image), 0, 4095).astype(np.uint16))
+    return folder
+
+
+def join(cameras, out, *more):
+    scenes = [str(camera / "scene.yaml") for camera in cameras]
+    frames = [str(camera / "frames") for camera in cameras]
+    return main(
+        ["mean", "--join", *frames, "--scene", *scenes, "--dt-us", str(DT_US), "-o", str(out), *WINDOWS, *more]
+    )
+
+
+def read(path):
+    with netcdf_file(path, mmap=False) as file:
+        fields = {name: np.array(one[:]) for name, one in file.variables.items()}
+        return fields, {name: getattr(file, name) for name in ("runs", "px_per_mm")}
+
+
+@pytest.mark.slow
+def test_two_cameras_give_three_components(tmp_path, capsys):
+    cameras = [
+        write_camera(tmp_path / f"camera{k}", degrees, np.random.default_rng(1))
+        for k, degrees in enumerate((-20.0, 20.0))
+    ]
+    out = tmp_path / "joined"
+    assert join(cameras, out, "--simultaneous") == DONE
+    assert "residual of the views" in capsys.readouterr().out
+    fields, about = read(out / "chunks" / "00000.nc")
+    assert len(json.loads(about["runs"])) == 2
+    to_px = 1e-3 * DT_US * float(about["px_per_mm"])  # of m/s
+    scale = PX_MM * float(about["px_per_mm"])  # a pixel of the corrected image is one of the first camera's grid
+    inner = (slice(None), slice(1, -1), slice(1, -1))
+    for k, name in enumerate("uvw"):
+        off = (fields[name] * to_px - scale * SPEED_PX[k])[inner]
+        sigma = (fields[f"total_sigma_{name}"] * to_px)[inner]
+        assert np.isfinite(off).mean() > 0.95
+        assert np.sqrt(np.nanmean(off**2)) < (0.035, 0.035, 0.07)[k]
+        assert 0.5 < np.nanmean(np.abs(off) < sigma) < 0.97
+    # w = (u_2 - u_1)/(a_1 - a_2) with slopes of +-tan 20: sigma_w = sigma_u sqrt(2)/(2 tan 20)
+    noise = np.nanmedian(fields["sigma_w"][inner]) / np.nanmedian(fields["sigma_u"][inner])
+    assert noise == pytest.approx(1.0 / np.tan(np.deg2rad(20.0)), rel=0.1)
+    mean, _ = read(out / "mean.nc")
+    assert np.nanmean(mean["w"]) * to_px == pytest.approx(scale * SPEED_PX[2], abs=0.02)
+    assert {"R_uw", "R_vw", "R_ww"} <= set(mean)
+    assert (out / "mean.html").is_file()
+    assert join(cameras[:1] * 2, tmp_path / "twice") == USAGE
+    assert "same vectors" in capsys.readouterr().err
