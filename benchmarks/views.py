@@ -31,7 +31,7 @@ from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow
 from sim.flow.images import FlowCamera
 from sim.flow.modes import RandomModes
-from sim.flow.particles import ParticlePair, particle_pair
+from sim.flow.particles import LightSheet, ParticlePair, particle_pair
 from tracer.bodies import translate_by
 from tracer.camera import look_at
 from tracer.scene.scene import Scene
@@ -119,7 +119,11 @@ def write_frames(said: argparse.Namespace) -> None:
         scene = scene_at(said.name, degrees, said.size)
         other = place if said.moved else 0
         flow = flow_of(said.name, said.size, said.seed + other, said.turbulence)
-        camera = SharedParticles(scene, flow, seed=1000 * said.seed + place, particle_seed=said.seed + other)
+        z_mm, along_x, along_y = said.sheet
+        sheet = LightSheet(offset_mm=z_mm, slope_x=along_x, slope_y=along_y)
+        camera = SharedParticles(
+            scene, flow, sheet, seed=1000 * said.seed + place, particle_seed=said.seed + other
+        )
         folder = said.frames / f"camera{place + 1}"
         (folder / "frames").mkdir(parents=True, exist_ok=True)
         (folder / "scene.yaml").write_text(dump_scene(scene))
@@ -218,6 +222,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--turbulence", type=float, default=0.2, help="px, each component")
     parser.add_argument("--moved", action="store_true", help="one camera that was moved between runs")
+    parser.add_argument("--sheet", type=float, nargs=3, default=[0.0, 0.0, 0.0], help="z [mm], slopes along x, y")
     parser.add_argument("--frames", type=Path)
     parser.add_argument("--judge", type=Path)
     said = parser.parse_args()

@@ -11,6 +11,7 @@ from correction.grid import PlaneGrid, grid_of
 from daq.errors import RunUsageError
 from daq.runs.names import CAMERAS
 from ground.terminal import console
+from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.report.kept_page import PAGE
 from rtpiv.analysis.series.joined_views import MAX_SIGMA_W_PX, JoinedViews, join_views
@@ -18,6 +19,7 @@ from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE, MEAN
 from rtpiv.analysis.series.series_input import SeriesInput, series_input
 from rtpiv.analysis.series.series_view import SeriesView
+from rtpiv.analysis.series.sheet_of_views import set_sheet, sheet_of_views
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.paths import Named, paths_of
@@ -28,6 +30,11 @@ STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of
 TOO_FAR_APART = (
     "that is more than chance: another flow, or a part that is too blurred to be measured in one of them"
 )
+SHEET_ROUNDS = 2
+APART = (
+    "where no light sheet explains it the views are {:.3f} mm apart ({:.1f} sigma): one camera or a ball does not"
+    " stand where it was calibrated"
+)
 
 
 def join(
@@ -37,6 +44,7 @@ def join(
     scene: Sequence[Named] = (),
     dt_us: Positive | None = None,
     simultaneous: bool = False,
+    sheet: bool = False,
     w_limit_px: Positive = MAX_SIGMA_W_PX,
     workers: Count | None = None,
     **options: Unpack[PivOptions],
@@ -61,6 +69,9 @@ def join(
         Time between the frames of a pair, of views that are evaluated.
     simultaneous : bool
         The views were recorded at the same time, pair by pair; cameras of one run always are.
+    sheet : bool
+        Measure the light sheet from the disparity of views at the same time before they are evaluated, and
+        evaluate them with it; not for series.
     w_limit_px : float
         Standard uncertainty of w up to which it is reported [px of the corrected image].
     workers : int, optional
@@ -89,18 +100,33 @@ def join(
         )
     screen = console()
     with results_in(out, "joined") as out:
-        series, grid = list[SeriesView](), None
-        for number, path in enumerate(paths):
-            if not (path / FILE).is_file():
-                folder, its_scene = out / f"view-{number + 1}", scenes[number] if scenes else None
-                given = series_input(path, folder, choice, its_scene, dt_us=dt_us)
-                show_series(screen, run_series(_on_grid(given, grid), workers))
-                path = folder
-            series.append(SeriesView(path))
-            grid = series[0].grid
+        at_once = simultaneous or _is_one_run(paths)
+        folders = [path if (path / FILE).is_file() else out / f"view-{k}" for k, path in enumerate(paths, start=1)]
+
+        def inputs(scenes: Sequence[Path | None]) -> list[SeriesInput]:
+            grid, found = SeriesView(folders[0]).grid if folders[0] == paths[0] else None, list[SeriesInput]()
+            for path, folder, its_scene in zip(paths, folders, scenes, strict=True):
+                if folder != path:
+                    found.append(_on_grid(series_input(path, folder, choice, its_scene, dt_us=dt_us), grid))
+                    grid = grid or grid_of(found[0].method.scene.camera)
+            return found
+
+        given = inputs(scenes or [None] * len(paths))
+        for _ in range(SHEET_ROUNDS if sheet else 0):  # a plane that is nearer changes the slopes
+            if not at_once or len(given) < len(paths):
+                raise RunUsageError(
+                    "--sheet compares frames at the same time: give runs or frames, and --simultaneous"
+                )
+            moved = sheet_of_views(given)
+            at_last, given = set_sheet(given, moved), inputs([folder / SCENE_FILE for folder in folders])
+            screen.print(f"{at_last.summary}, from {moved.places} places")
+            if moved.residual_sigma > STRANGERS:
+                screen.print(APART.format(moved.residual_mm, moved.residual_sigma), style="bold red")
+        for each in given:
+            show_series(screen, run_series(each, workers))
+        series = [SeriesView(folder) for folder in folders]
         if _differ_in_focus(series):
             return _join_focus(screen, series, out)
-        at_once = simultaneous or _is_one_run(paths)
         joined = join_views(series, out, at_once, w_limit_px)
         from rtpiv.analysis.report.joined_views import write_views_page  # draws
 

@@ -12,6 +12,7 @@ from scipy.io import netcdf_file
 
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import draw
+from tracer.scene.scene_file import load_scene
 
 SIDE, FOCAL_PX, DISTANCE_MM = 128, 1500.0, 300.0
 PX_MM = DISTANCE_MM / FOCAL_PX
@@ -30,10 +31,10 @@ def project(points_mm, degrees, sensor_px=SIDE):
     return middle + FOCAL_PX * across / depth, middle - FOCAL_PX * y / depth
 
 
-def write_camera(folder, degrees, rng, speed_px=SPEED_PX, offset_px=(0.0, 0.0)):
-    """Frames of particles in a sheet of 0.5 mm, and the scene of the camera."""
+def write_camera(folder, degrees, sheet=(0.0, 0.0, 0.0), offset_px=(0.0, 0.0)):
+    """Frames of particles in a sheet of 0.5 mm at z = z_0 + s_x x + s_y y, and the scene of the camera."""
     (folder / "frames").mkdir(parents=True)
-    angle, noise = np.deg2rad(degrees), np.random.default_rng(int(degrees) + 90)
+    angle, rng, noise = np.deg2rad(degrees), np.random.default_rng(1), np.random.default_rng(int(degrees) + 90)
     place = [float(DISTANCE_MM * np.sin(angle)), 0.0, float(DISTANCE_MM * np.cos(angle))]
     (folder / "scene.yaml").write_text(
         f"camera: {{focal_px: {FOCAL_PX}, sensor_px: [{SIDE}, {SIDE}], position_mm: {place},"
@@ -41,9 +42,10 @@ def write_camera(folder, degrees, rng, speed_px=SPEED_PX, offset_px=(0.0, 0.0)):
     )
     for pair in range(PAIRS):
         points = rng.uniform(-1.0, 1.0, (2600, 3)) * (0.75 * SIDE * PX_MM, 0.75 * SIDE * PX_MM, 0.25)
+        points[:, 2] += sheet[0] + points[:, :2] @ sheet[1:]
         light = rng.uniform(200.0, 600.0, len(points))
         for way, letter in ((-0.5, "a"), (0.5, "b")):
-            u, v = project(points + way * PX_MM * np.asarray(speed_px), degrees)
+            u, v = project(points + way * PX_MM * SPEED_PX, degrees)
             image = draw((SIDE, SIDE), u + offset_px[0], v + offset_px[1], 2.4, light)
             image += noise.normal(40.0, 3.0, image.shape)
             name = folder / "frames" / f"{pair:03d}_{letter}.tif"
@@ -67,10 +69,7 @@ def read(path):
 
 @pytest.mark.slow
 def test_two_cameras_give_three_components(tmp_path, capsys):
-    cameras = [
-        write_camera(tmp_path / f"camera{k}", degrees, np.random.default_rng(1))
-        for k, degrees in enumerate((-20.0, 20.0))
-    ]
+    cameras = [write_camera(tmp_path / f"camera{k}", degrees) for k, degrees in enumerate((-20.0, 20.0))]
     out = tmp_path / "joined"
     assert join(cameras, out, "--simultaneous") == DONE
     assert "residual of the views" in capsys.readouterr().out
@@ -94,3 +93,28 @@ def test_two_cameras_give_three_components(tmp_path, capsys):
     assert (out / "mean.html").is_file()
     assert join(cameras[:1] * 2, tmp_path / "twice") == USAGE
     assert "same vectors" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_sheet_is_found_where_it_is(tmp_path, capsys):
+    sheet = (0.6, 0.02, -0.015)
+    cameras = [write_camera(tmp_path / f"camera{k}", degrees, sheet) for k, degrees in enumerate((-20.0, 20.0))]
+    out = tmp_path / "joined"
+    assert join(cameras, out, "--simultaneous", "--sheet") == DONE
+    assert "stand where" not in capsys.readouterr().out
+    found = load_scene(out / "view-2" / "scene.yaml").sheet
+    assert found.z_mm == pytest.approx(sheet[0], abs=0.02)  # 3 pairs of 128 px; the sheet is 0.5 thick
+    assert abs(found.z_mm - sheet[0]) < 4.0 * found.sigma_mm
+    for tilt, slope in zip((found.tilt_x_deg, found.tilt_y_deg), sheet[1:], strict=True):
+        assert tilt == pytest.approx(np.rad2deg(np.arctan(slope)), abs=0.15)
+        assert abs(tilt - np.rad2deg(np.arctan(slope))) < 4.0 * found.tilt_sigma_deg
+
+
+@pytest.mark.slow
+def test_a_camera_that_was_moved_is_no_sheet(tmp_path, capsys):
+    cameras = [
+        write_camera(tmp_path / f"camera{k}", degrees, offset_px=offset)
+        for k, (degrees, offset) in enumerate(((-20.0, (0.0, 0.0)), (20.0, (0.0, 0.5))))
+    ]
+    assert join(cameras, tmp_path / "joined", "--simultaneous", "--sheet") == DONE
+    assert "does not stand where it was calibrated" in " ".join(capsys.readouterr().out.split())

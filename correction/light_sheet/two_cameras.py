@@ -1,0 +1,111 @@
+"""The light sheet from two cameras at the same time: disparity of their corrected frames (Wieneke 2005).
+
+Frames are corrected for the plane where the sheet is believed to be.  A particle at the height h over it stands,
+in the frame of a view whose ray has the slope a = dX/dz, at X - a h; so from view 1 to view 2 it is displaced by
+
+    d = -(a_2 - a_1) h,        h = z + s_x x + s_y y
+
+at every place that both views see: two equations a place for three unknowns.  What no h explains, the residual, is
+across the difference of slopes, or changes otherwise than a plane does: a camera or a ball that stands elsewhere
+than calibrated.
+
+B. Wieneke, Stereo-PIV using self-calibration on particle images, Exp. Fluids 39, 267 (2005).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.errors import SheetError
+from tracer.light_sheet import LightSheet
+
+HUBER_SIGMA = 2.0  # residual from which a place counts less: rims, where two pictures meet in one window
+MIN_PLACES = 12
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SheetByViews:
+    """Plane of the sheet over the plane for which frames were corrected.
+
+    Parameters
+    ----------
+    plane : ndarray of float64, shape (3,)
+        z [mm], and the slopes dz/dx and dz/dy.
+    covariance : ndarray of float64, shape (3, 3)
+        Theirs.
+    residual_mm, residual_sigma : float
+        Root mean square of the disparity that no plane explains, robust; and in sigmas of its measurement.
+    places : int
+        Vectors of the disparity.
+    """
+
+    plane: Floats
+    covariance: Floats
+    residual_mm: float
+    residual_sigma: float
+    places: int
+
+    def sheet(self, known: LightSheet) -> LightSheet:
+        """Return the sheet, for frames that were corrected for the known one."""
+        slopes, sigma = np.add(known.slopes, self.plane[1:]), np.sqrt(np.diagonal(self.covariance))
+        tilts, tilt_sigma = np.rad2deg(np.arctan(slopes)), float(np.rad2deg(sigma[1:].max()))
+        c = self.covariance / np.outer(sigma, sigma)
+        # One sigma stands for both tilts: the correlation of the surer one shrinks with it.
+        share = sigma[1:] / sigma[1:].max()
+        correlation = (c[0, 1] * share[0], c[0, 2] * share[1], c[1, 2] * share[0] * share[1])
+        return replace(
+            known, z_mm=known.z_mm + float(self.plane[0]), tilt_x_deg=float(tilts[0]), tilt_y_deg=float(tilts[1]),
+            sigma_mm=float(sigma[0]), tilt_sigma_deg=tilt_sigma,
+            correlation=(float(correlation[0]), float(correlation[1]), float(correlation[2])),
+        )  # fmt: skip
+
+
+def fit_sheet(
+    place_mm: Floats, disparity_mm: Floats, sigma_mm: Floats, slope: Floats, independent: float
+) -> SheetByViews:
+    """Fit the plane of the sheet to disparities.
+
+    Parameters
+    ----------
+    place_mm : ndarray of float64, shape (N, 2)
+        Places x, y.
+    disparity_mm, sigma_mm : ndarray of float64, shape (N, 2)
+        Displacement from the first view to the second, y up, and its standard uncertainty.
+    slope : ndarray of float64, shape (N, 2)
+        Difference a_2 - a_1 of the slopes dX/dz and dY/dz.
+    independent : float
+        Share of the places that are worth an independent one; windows that overlap are not.
+
+    Raises
+    ------
+    SheetError
+        Too few places are known, or their slopes do not differ enough to tell the plane.
+    """
+    good = np.isfinite(disparity_mm * sigma_mm * slope).all(axis=-1) & (sigma_mm > 0.0).all(axis=-1)
+    if np.count_nonzero(good) < MIN_PLACES:
+        raise SheetError("the views have too few places in common to tell the light sheet")
+    x, y = place_mm[good].T
+    height = np.column_stack((np.ones(len(x)), x, y))
+    rows = (-slope[good][..., None] * height[:, None, :]).reshape(-1, 3)
+    data, sigma = disparity_mm[good].ravel(), sigma_mm[good].ravel()
+    design = rows / sigma[:, None]
+    if np.linalg.matrix_rank(design) < 3:
+        raise SheetError("the views look alike: no disparity tells the light sheet")
+    scale = np.linalg.norm(design, axis=0)
+
+    def residual(scaled: Floats) -> Floats:
+        return np.asarray((data - rows @ (scaled / scale)) / sigma)
+
+    # Twice: what is left of the first fit says how far beyond their sigma places scatter.
+    spread = 1.0
+    for _ in range(2):
+        fit = scipy.optimize.least_squares(residual, np.zeros(3), loss="huber", f_scale=HUBER_SIGMA * spread)
+        left = residual(fit.x)
+        spread = max(1.0, float(1.4826 * np.median(np.abs(left))))
+    covariance = np.linalg.inv(design.T @ design) * spread**2 / independent
+    robust = 1.4826 * np.median(np.abs(left * sigma))
+    in_sigma = 1.4826 * float(np.median(np.abs(left)))
+    return SheetByViews(fit.x / scale, covariance, float(robust), in_sigma, int(np.count_nonzero(good)))

@@ -1,0 +1,72 @@
+"""The plane of a light sheet from disparities: a known plane, its sigma, outliers, and what no plane explains."""
+
+import numpy as np
+import pytest
+
+from correction.errors import SheetError
+from correction.light_sheet.two_cameras import fit_sheet
+from tracer.light_sheet import LightSheet
+
+PLANE = np.array([0.4, 0.01, -0.02])
+SIGMA_MM = 0.01
+
+
+def disparity(rng, slope_spread=0.1):
+    """Places, disparities of the plane with noise, sigmas, and slopes that differ from place to place."""
+    place = rng.uniform(-30.0, 30.0, (400, 2))
+    slope = np.array([0.3, 0.0]) + slope_spread * rng.standard_normal((400, 2))
+    height = PLANE[0] + place @ PLANE[1:]
+    sigma = SIGMA_MM * rng.uniform(0.5, 2.0, (400, 2))
+    return place, -slope * height[:, None] + sigma * rng.standard_normal((400, 2)), sigma, slope
+
+
+def test_the_plane_and_its_sigma():
+    off, said = [], []
+    for seed in range(60):
+        found = fit_sheet(*disparity(np.random.default_rng(seed)), 1.0)
+        off.append(found.plane - PLANE)
+        said.append(np.sqrt(np.diagonal(found.covariance)))
+    ratio = np.array(off) / np.array(said)
+    assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1.0, abs=0.15)
+    assert np.abs(ratio.mean(axis=0)).max() < 0.4
+
+
+def test_rims_that_are_wrong_pull_little():
+    place, apart, sigma, slope = disparity(np.random.default_rng(3))
+    apart[:40] += 0.5
+    found = fit_sheet(place, apart, sigma, slope, 1.0)
+    assert found.plane[0] == pytest.approx(PLANE[0], abs=0.01)
+    assert found.residual_sigma < 1.5
+
+
+def test_a_camera_that_stands_elsewhere_is_left_over():
+    place, apart, sigma, slope = disparity(np.random.default_rng(4))
+    apart[:, 1] += 0.1
+    found = fit_sheet(place, apart, sigma, slope, 1.0)
+    assert found.residual_sigma > 2.0
+    assert found.residual_mm > 0.02
+
+
+def test_overlapping_windows_are_worth_less():
+    given = disparity(np.random.default_rng(5))
+    whole, quarter = (fit_sheet(*given, share) for share in (1.0, 0.25))
+    np.testing.assert_allclose(quarter.covariance, 4.0 * whole.covariance)
+
+
+def test_the_sheet_is_over_the_known_one():
+    found = fit_sheet(*disparity(np.random.default_rng(6)), 1.0)
+    sheet = found.sheet(LightSheet(z_mm=1.0, tilt_x_deg=0.5, thickness_mm=0.8))
+    assert sheet.z_mm == pytest.approx(1.0 + found.plane[0])
+    assert sheet.slopes[0] == pytest.approx(np.tan(np.deg2rad(0.5)) + found.plane[1])
+    assert sheet.thickness_mm == 0.8
+    known = sheet.root() @ sheet.root().T
+    assert known[0, 0] == pytest.approx(found.covariance[0, 0])
+    assert known[0, 1] == pytest.approx(found.covariance[0, 1], rel=0.01, abs=1e-12)
+
+
+def test_views_that_are_alike_tell_nothing():
+    place, apart, sigma, slope = disparity(np.random.default_rng(7))
+    with pytest.raises(SheetError, match="alike"):
+        fit_sheet(place, apart, sigma, 0.0 * slope, 1.0)
+    with pytest.raises(SheetError, match="too few places"):
+        fit_sheet(place, np.nan * apart, sigma, slope, 1.0)
