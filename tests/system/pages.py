@@ -20,7 +20,11 @@ COMMANDS = set(all_commands())
 HARDWARE = "opens real devices: no --simulate"
 CLUSTER = "needs a cluster"
 REHEARSED = "in a lab of its own: tests/faces/test_rehearsal_page.py"
+STEREO = "two cameras: tests/rtpiv/verbs/test_stereo.py"
 NOT_RUN = {  # commands that nothing here carries out, and why; all others are run as they stand
+    "mean --join RUN RUN/cameras/behind -o joined": STEREO,
+    "mean --join left right --scene left.yaml right.yaml --simultaneous --dt-us 500 -o joined": STEREO,
+    "mean --join left right --scene left.yaml right.yaml --simultaneous --sheet -o joined": STEREO,
     "demo": "the first hour with a finer camera, step by step: `make demo` at each check of a change",
     "init lab": "asks a person: tests/rtpiv/verbs/test_init.py answers",
     "init . --yes --balls 1 --sensor-px 128 128 --pixel-pitch-um 86": REHEARSED,
@@ -80,7 +84,7 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "acquire --resume runs/<run> --retake": "a run with damage: tests/daq/runs/test_damaged_frames.py",
     "focus RUN": "tests/system/test_focus.py",
     "mean --join week/runs/BESIDE week/runs/BEHIND": "two runs, focused apart: tests/system/test_split_focus.py",
-    "mean --join RUN/series RUN/cameras/behind/series": "two cameras: tests/system/test_split_focus.py",
+    "mean --join RUN RUN/cameras/behind": STEREO,
     "setup mask FRAME": "a page for a person: tests/rtpiv/verbs/test_masks.py",
     "setup target [SCENE]": BOARD,
     "setup target board.yaml --measured-mm X Y": BOARD,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtpiv.analysis.digits import two_digits
-from rtpiv.analysis.pictures.plane_axes import Figure, colour_bar, draw_outlines, plane_panels
+from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, colour_bar, draw_outlines, plane_panels
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Link, Page
 from rtpiv.analysis.report.table import Table
@@ -46,7 +46,7 @@ def write_views_page(path: Path, series: Sequence[SeriesView], joined: JoinedVie
         if np.isfinite(joined.uvw_m_s[..., 2]).any():
             w = _map_figure(joined, joined.uvw_m_s[..., 2], first, f"w [{unit}]")
             page.figure(
-                "mean_w", w, "Mean velocity through the sheet, towards the cameras; white: not known.", dense=True
+                "mean_w", w, "Mean velocity through the sheet, towards the cameras; grey: not known.", dense=True
             )
     with page.row():
         views = _map_figure(joined, joined.views.astype(np.float64), first, "views")
@@ -106,6 +106,7 @@ def _map_figure(joined: JoinedViews, values: NDArray[np.float64], view: SeriesVi
         values, extent=extent, origin="lower", cmap="RdBu_r" if signed else "viridis",
         vmin=-end if signed else 0.0, vmax=end, interpolation="nearest",
     )  # fmt: skip
+    axes.set_facecolor(NOTHING)
     draw_outlines(axes, view.scene, names=False)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
     colour_bar(image, axes, label, "both" if signed else "max")

@@ -71,7 +71,7 @@ class JoinedViews:
         Places.
     uvw_m_s, sigma_m_s, total_sigma_m_s : (ny, nx, 3) float64
         Mean velocity, its random and its whole standard uncertainty; NaN where there is none.
-    views, seen_by : (ny, nx) uint8
+    views, seen_by : (ny, nx) uint8, int32
         Number of views of a place; and which, 1, 2, 4 ... added.
     chi : (ny, nx) float64
         Residual of the views of a place in sigmas; NaN where w is not determined.
@@ -97,7 +97,7 @@ class JoinedViews:
     sigma_m_s: Floats
     total_sigma_m_s: Floats
     views: NDArray[np.uint8]
-    seen_by: NDArray[np.uint8]
+    seen_by: NDArray[np.int32]
     chi: Floats
     residuals: tuple[float, ...]
     shares: tuple[float, ...]
@@ -249,7 +249,7 @@ def join_views(series: Sequence[SeriesView], out: Path, at_once: bool, limit_px:
     joined = JoinedViews(
         first.x_mm, first.y_mm, uvw, np.sqrt(np.where(np.isnan(uvw), np.nan, random)),
         np.sqrt(np.where(np.isnan(uvw), np.nan, random + fit.systematic)), fit.found.views,
-        np.asarray((is_used * bits).sum(axis=0), np.uint8), chi, tuple(residuals.tolist()), _shares(series),
+        np.asarray((is_used * bits).sum(axis=0), np.int32), chi, tuple(residuals.tolist()), _shares(series),
         None if sums is None else sums.with_w, samples, first.px_per_m_s, first.unit,
     )  # fmt: skip
     write_statistics(out / MEAN, _mean_vectors(joined, views))
@@ -356,7 +356,7 @@ def _mean_vectors(joined: JoinedViews, views: Sequence[_View]) -> Vectors:
     parts = ("", joined.uvw_m_s), ("sigma_", joined.sigma_m_s), ("total_sigma_", joined.total_sigma_m_s)
     for before, values in parts:
         named |= {f"{before}{name}": (values[..., k], SPEED) for k, name in enumerate(UVW)}
-    named |= {"views": (joined.views.astype(np.int8), "1"), "seen_by": (joined.seen_by.astype(np.int16), "1")}
+    named |= {"views": (joined.views.astype(np.int8), "1"), "seen_by": (joined.seen_by, "1")}
     named |= {"chi": (joined.chi, "1"), "chc": (np.isfinite(joined.uvw_m_s[..., 0]).astype(np.int8), "1")}
     if joined.stresses is not None:
         stresses, sigma = joined.stresses.stresses, joined.stresses.stress_sigma(joined.samples)

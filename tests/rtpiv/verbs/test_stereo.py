@@ -10,7 +10,9 @@ import pytest
 import tifffile
 from scipy.io import netcdf_file
 
+from rtpiv.analysis.series.joined_views import JoinedViews
 from rtpiv.command_line.cli import DONE, USAGE, main
+from rtpiv.verbs.join import _is_one_run
 from tests.piv.conftest import draw
 from tracer.scene.scene_file import load_scene
 
@@ -65,6 +67,41 @@ def read(path):
     with netcdf_file(path, mmap=False) as file:
         fields = {name: np.array(one[:]) for name, one in file.variables.items()}
         return fields, {name: getattr(file, name) for name in ("runs", "px_per_mm")}
+
+
+def joined_of(residuals):
+    """Views of one place whose residuals are these: of all, then without each."""
+    place, one = np.zeros((1, 1, 3)), np.ones((1, 1))
+    return JoinedViews(
+        np.zeros(1), np.zeros(1), place, place, place, one.astype(np.uint8), one.astype(np.uint8), one, residuals,
+        (0.2, 0.3, 0.5), None, one, 1.0, "m/s",
+    )  # fmt: skip
+
+
+def test_the_view_that_disagrees_is_named():
+    assert joined_of((1.1,)).warning == ""
+    assert joined_of((float("nan"),)).warning == ""
+    assert "without view" not in joined_of((4.0,)).warning  # two views: either may be wrong
+    assert joined_of((4.0, 3.9, 1.1, 4.2)).warning.endswith("without view 2 they agree")
+    assert "without view" not in joined_of((4.0, 3.9, 3.1, 4.2)).warning
+    assert "50 % is recovered: 20 % by view 1, 30 % by view 2" in " ".join(joined_of((1.1,)).sentences)
+
+
+def test_cameras_of_one_run_are_at_the_same_time(tmp_path):
+    run = tmp_path / "run"
+    beside, other = run / "cameras" / "behind", run / "cameras" / "above"
+    for folder in (run / "series", beside / "series"):
+        folder.mkdir(parents=True)
+        (folder / "series.json").touch()
+    assert _is_one_run([run, beside])
+    assert _is_one_run([beside, other])
+    assert _is_one_run([run / "series", beside / "series"])
+    assert not _is_one_run([run, tmp_path / "another"])
+
+
+def test_scenes_are_as_many_as_views(tmp_path, capsys):
+    assert main(["mean", "--join", "a", "b", "--scene", "one.yaml", "-o", str(tmp_path / "out")]) == USAGE
+    assert "one for each, not 2 and 1" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.slow
