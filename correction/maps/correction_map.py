@@ -49,6 +49,7 @@ from ground.errors import MapFileError
 from ground.map_file import check_header, load_arrays, save_arrays
 from ground.memory import require_memory
 from ground.program_code import code_digest
+from ground.rows import run_rows
 from ground.short_repr import short_repr
 from tracer.bodies import CONTACT_TOL_MM, Capsule
 from tracer.scene.scene import Scene, SceneBound
@@ -184,11 +185,16 @@ class CorrectionMap(SceneBound):
         """Return the map with the bits that it has once stored."""
         seen, steps = self.weight > 0.0, storage_steps(self.sensor_px)
         fields: dict[str, Any] = {
-            name: _last(
-                round_to_step(_first(getattr(self, name)), _each(seen, trailing), steps[name], hidden), kind
-            )
-            for name, (kind, trailing, hidden) in FIELDS.items()
+            name: np.empty(getattr(self, name).shape, kind) for name, (kind, _, _) in FIELDS.items()
         }
+
+        def work(first: int, last: int) -> None:
+            part = slice(first, last)
+            for name, (_, trailing, hidden) in FIELDS.items():
+                here = np.expand_dims(seen[:, part], axis=[-1] * bool(trailing))
+                fields[name][:, part] = round_to_step(getattr(self, name)[:, part], here, steps[name], hidden)
+
+        run_rows(work, self.status.shape[0], block=16)  # few rows stay in a core's cache
         return replace(self, **fields)
 
     def save(self, path: Path | str) -> None:

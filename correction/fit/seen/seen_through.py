@@ -178,16 +178,40 @@ def _agreement(
 
 def _lone_pixels(scene: Scene, ball: Sphere) -> NDArray[np.int64]:
     """Pixels u, v (N, 2) well inside the outline of a ball, and outside those of all others."""
-    height, width = scene.camera.shape
-    every = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
+    (left, top), (right, bottom) = _outline_box(scene, ball)
+    every = np.stack(np.meshgrid(np.arange(left, right), np.arange(top, bottom)), axis=-1).reshape(-1, 2)
     away = scene.camera.directions(every.astype(np.float64))
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     inside = np.ones(len(every), np.bool_)
     for other in scene.spheres:
-        towards = np.array(other.centre_mm) - np.array(scene.camera.position_mm)
-        distance = float(np.linalg.norm(towards))
-        angle = np.arccos(np.clip(away @ (towards / distance), -1.0, 1.0))
-        half = float(np.arcsin(min(other.radius_mm / distance, 0.99)))
+        middle, half = _cone(scene, other)
+        angle = np.arccos(np.clip(away @ middle, -1.0, 1.0))
         inside &= angle < OWN_OUTLINE * half if other.name == ball.name else angle > OTHER_OUTLINE * half
     chosen = every[inside]
     return chosen[:: max(1, len(chosen) // MAX_BALL_PIXELS)]
+
+
+def _cone(scene: Scene, ball: Sphere) -> tuple[NDArray[np.float64], float]:
+    """Direction (3,) of a ball's middle from the camera, and half the angle that it fills."""
+    towards = np.array(ball.centre_mm) - np.array(scene.camera.position_mm)
+    distance = float(np.linalg.norm(towards))
+    return towards / distance, float(np.arcsin(min(ball.radius_mm / distance, 0.99)))
+
+
+def _outline_box(scene: Scene, ball: Sphere) -> NDArray[np.int64]:
+    """First and last + 1 pixel u, v (2, 2) beyond which nothing of the part of a ball that is asked lies.
+
+    All of the sensor if a part of its rim has no pixel.  Between two of the directions the rim bulges by less than
+    1 - cos(pi / 64) = 0.12 % of its radius.
+    """
+    camera, (middle, half) = scene.camera, _cone(scene, ball)
+    turn = np.linspace(0.0, 2.0 * np.pi, 65)
+    aside = np.linalg.svd(middle[None])[2][1:]  # two directions at right angles to the middle and to each other
+    rim = np.cos(half) * middle + np.sin(half) * (
+        np.cos(turn)[:, None] * aside[0] + np.sin(turn)[:, None] * aside[1]
+    )
+    seen, size = camera.project(np.array(camera.position_mm) + rim), np.array(camera.sensor_px)
+    if not np.isfinite(seen).all():
+        return np.array([[0, 0], size])
+    low, high = np.floor(seen.min(axis=0)) - 1.0, np.ceil(seen.max(axis=0)) + 2.0
+    return np.asarray(np.clip(np.array([low, high]), 0, size), dtype=np.int64)

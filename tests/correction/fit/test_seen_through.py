@@ -1,9 +1,11 @@
 """Balls that show other squares: what they seem to be, by the picture alone; right ones are left alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from correction.fit.seen.seen_through import balls_seen_otherwise
+from correction.fit.seen.seen_through import OWN_OUTLINE, _outline_box, balls_seen_otherwise
 from correction.fit.seen.unconfirmed_ways import find_unconfirmed
 from correction.target.chessboard import Chessboard, Dots
 from sim.renderer.patterns import Chessboard as Print
@@ -68,3 +70,22 @@ def test_a_board_of_dots_is_not_asked():
     dots = Chessboard(5.0, 3.0, discs=((0, 0), (1, 0), (0, 2)), dots=Dots(1.5, True))
     scene = small_scene("one_sphere_250")
     assert not balls_seen_otherwise(scene, np.zeros(scene.camera.shape), TargetPose(), dots)
+
+
+@pytest.mark.parametrize("name", ["one_sphere_250", "two_spheres_500", "pyramid_500"])
+@pytest.mark.parametrize("bent", [0.0, -0.4])
+def test_no_pixel_that_is_asked_lies_outside_the_box_of_a_ball(name, bent):
+    scene = small_scene(name)
+    camera = replace(scene.camera, lens=replace(scene.camera.lens, k1=bent), principal_px=(20.0, 300.0))
+    scene = scene.with_camera(camera)  # some of the balls reach beyond the sensor
+    rows, columns = np.indices(camera.shape)
+    away = camera.directions(np.stack((columns, rows), axis=-1).astype(np.float64))
+    for ball in scene.spheres:
+        towards = np.array(ball.centre_mm) - np.array(camera.position_mm)
+        across = np.linalg.norm(np.cross(away, towards), axis=-1)
+        half = np.arcsin(ball.radius_mm / np.linalg.norm(towards))
+        asked = np.arctan2(across, away @ towards) < OWN_OUTLINE * half
+        (left, top), (right, bottom) = _outline_box(scene, ball)
+        assert np.count_nonzero(asked[top:bottom, left:right]) == np.count_nonzero(asked)
+        if min(left, top) > 0 and right < camera.sensor_px[0] and bottom < camera.sensor_px[1]:
+            assert (right - left) * (bottom - top) < 3.0 * np.count_nonzero(asked)
