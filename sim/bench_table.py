@@ -27,7 +27,7 @@ A rehearsal (daq.bench.rehearsal) says `schedule`, `recorded` and `keeps` beside
 
 import sys
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -162,22 +162,11 @@ def settings_by_number(settings: Mapping[str, float]) -> dict[int, float]:
 
 def fault_plan(table: FaultsTable, exposures_before: int) -> FaultPlan:
     """Faults in the camera's own count, which begins with this process; what lies behind is over."""
-
-    def here(number: int) -> int:
-        return number - exposures_before
-
-    def one(number: int | None) -> int | None:
-        return None if number is None or here(number) < 0 else here(number)
-
-    late: dict[str, Any] = {str(here(int(number))): late_s for number, late_s in table.late_s.items()}
-    return FaultPlan(
-        incomplete=tuple(here(number) for number in table.incomplete if here(number) >= 0),
-        dropped=tuple(here(number) for number in table.dropped if here(number) >= 0),
-        skipped=tuple(here(number) for number in table.skipped if here(number) >= 0),
-        doubled=tuple(here(number) for number in table.doubled if here(number) >= 0),
-        first_skipped=table.first_skipped,
-        late_s=late,
-        lost_at=one(table.lost_at),
-        back_after_s=table.back_after_s,
-        reset_at=one(table.reset_at),
-    )
+    given = table.model_dump()
+    for name in ("incomplete", "dropped", "skipped", "doubled"):
+        given[name] = tuple(n - exposures_before for n in given[name] if n >= exposures_before)
+    for name in ("lost_at", "reset_at"):
+        is_over = given[name] is None or given[name] < exposures_before
+        given[name] = None if is_over else given[name] - exposures_before
+    given["late_s"] = {str(int(number) - exposures_before): late_s for number, late_s in table.late_s.items()}
+    return FaultPlan(**given)

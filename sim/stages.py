@@ -39,6 +39,7 @@ from stages.scale_question import ScaleQuestion
 
 HAND_POLL_S = 0.1  # how often a hand looks whether it is to go on
 PATIENCE = 50  # times that a hand tries again
+SCREW = ("lead_mm", "steps_per_rev", "backlash_um", "lead_error_um", "scale_error_ppm")
 
 
 class ScrewTable(Table):
@@ -62,11 +63,7 @@ class ScrewTable(Table):
     def mechanics(self) -> Mechanics:
         """Return the same as the motor wants it."""
         return Mechanics(
-            lead_mm=self.lead_mm,
-            steps_per_rev=self.steps_per_rev,
-            backlash_um=self.backlash_um,
-            lead_error_um=self.lead_error_um,
-            scale_error_ppm=self.scale_error_ppm,
+            **{name: getattr(self, name) for name in SCREW},
             high_switch_mm=self.travel_mm,
             index_mm=self.travel_mm / 2.0,
             power_up_mm=self.power_up_mm or self.travel_mm / 3.0,

@@ -89,27 +89,22 @@ class SimulatedTiming:
             options = made.individual(table.port)
         elif issubclass(made, QuantumComposersEmulator):
             options = made.individual(table.port) | made.model_of(table.box)
-        self._emulator = emulator = made(clock, **options)
+        self.firmware: Firmware = made(clock, **options)
         self._box = table.box
-        self.line = Line(emulator, clock)
+        self.line = Line(self.firmware, clock)
         self.switches = {name: new_switch(name) for name in table.switches}  # addresses
-        self.outputs: Outputs = emulator.outputs
+        self.outputs: Outputs = self.firmware.outputs
         self._clock = clock
         self._hears_time: list[Callable[[float], object]] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="timing unit", daemon=True)
 
-    @property
-    def firmware(self) -> Firmware:
-        """The box, with the keys that a person presses."""
-        return self._emulator
-
     def hear_foreign_off(self) -> None:
         """Hear off as `rtpiv laser off` writes it to the port, past the program that has it open."""
         box = driver_class(self._box)("another program", self.wiring)
-        box.address = getattr(self._emulator, "name", "")
+        box.address = getattr(self.firmware, "name", "")
         for data in box.off_bytes() if not self.line.dead else ():
-            self._emulator.feed(data)
+            self.firmware.feed(data)
 
     def light_delay_s(self, pulse: int) -> float:
         """From a Q-switch, 0 or 1, to its light."""
@@ -135,10 +130,10 @@ class SimulatedTiming:
     @property
     def triggers_camera(self) -> bool:
         """Return whether the output of the camera is on, so that frames are to be expected."""
-        if not isinstance(self._emulator, QuantumComposersEmulator):
-            return self._emulator.is_running
+        if not isinstance(self.firmware, QuantumComposersEmulator):
+            return self.firmware.is_running
         output = self.wiring.get(Role.CAMERA)
-        return output is not None and self._emulator.is_on_at(1 + ord(output) - ord("A"))
+        return output is not None and self.firmware.is_on_at(1 + ord(output) - ord("A"))
 
     def pulses(self, role: Role) -> int:
         """Pulses so far."""

@@ -233,7 +233,7 @@ class FilesCamera(CameraBase):
 
     @property
     def _due(self) -> deque[int]:
-        """Time at which the next frames are due; CameraUsageError unless it is armed."""
+        """Times at which the next frames are due; CameraUsageError unless it is armed."""
         self._require_open()
         self._require_armed()
         assert self._due_ns is not None

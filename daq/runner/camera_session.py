@@ -128,7 +128,7 @@ class CameraSession:
         self._token = 0
         self._heard_s = self.now_s()  # a frame, or an answer to a probe
         self._format = FrameFormat({})
-        self._is_armed = False
+        self.is_armed = False  # the camera waits for triggers
         self._ended = FrameAccounting()  # when the last arm ended, as the next two
         self._handed_before = self._rejected_before = 0
 
@@ -189,16 +189,16 @@ class CameraSession:
         try:
             self.camera.verify()
         except (SettingsChanged, CameraLost):
-            self.counts.in_doubt |= self._is_armed
+            self.counts.in_doubt |= self.is_armed
             raise
 
     def end(self) -> None:
         """Disarm and close the account of this arm.  Harmless when repeated."""
-        if not self._is_armed:
+        if not self.is_armed:
             return
         with suppress(CameraError, FrameDoubt):  # gone; or said and kept
             self.drain()
-        self._is_armed = False
+        self.is_armed = False
         try:
             counters = self.camera.disarm()
         except CameraError:  # what it counted before is all that will ever be known
@@ -277,12 +277,12 @@ class CameraSession:
     def make_ready(self) -> None:
         """Arm the camera, or empty its queue."""
         self.ask()
-        if self._is_armed:
+        if self.is_armed:
             self.drain()
             return
         self.camera.arm(self.section.buffers)
         self.match.note_arming()
-        self._is_armed = True
+        self.is_armed = True
 
     def clock_ns(self) -> int | None:
         """The camera's clock now; None if it cannot be read."""
@@ -338,11 +338,6 @@ class CameraSession:
                 self.camera.probe(SILENT_ANSWER_S)
             self._heard_s = self.now_s()
         return frame
-
-    @property
-    def is_armed(self) -> bool:
-        """True if the camera waits for triggers."""
-        return self._is_armed
 
     def begin(self) -> None:
         """Take over the stop as it is now: what is exposed from here on ends with it."""

@@ -23,6 +23,7 @@ A pair that another camera has not is dropped as soon as that camera has gone pa
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import dataclass
 from typing import Any
 
 from daq.errors import FramesLost
@@ -42,6 +43,7 @@ MAX_EMPTY_BURSTS, MANY = 2, 10  # chunks in a row without a pair; one is enough 
 FREE_LOSSES = 2  # pairs that may be lost, however few were fired
 
 
+@dataclass(frozen=True, eq=False)
 class FlowStep:
     """Takes the pairs of one step after the other.
 
@@ -59,19 +61,11 @@ class FlowStep:
         The laser of the session, or an external one.
     """
 
-    def __init__(
-        self,
-        sides: Sequence[PairWriter],
-        interrupts: Interrupts,
-        progress: Progress,
-        tell: Callable[[str], None],
-        light: LaserSession | ExternalLight,
-    ) -> None:
-        self._sides = sides
-        self._interrupts = interrupts
-        self._progress = progress
-        self._tell = tell
-        self._light = light
+    sides: Sequence[PairWriter]
+    interrupts: Interrupts
+    progress: Progress
+    tell: Callable[[str], None]
+    light: LaserSession | ExternalLight
 
     def take(self, step: Step, record: Mapping[str, Any]) -> bool:
         """Have every pair of a step on the disk; False if the end was asked for before the last one.
@@ -94,24 +88,24 @@ class FlowStep:
         """
         order = step.pulses
         assert order is not None
-        place = min(side.whole_pairs(step) for side in self._sides)
-        number = max(side.chunks_so_far(step) for side in self._sides)
-        for side in self._sides:
+        place = min(side.whole_pairs(step) for side in self.sides)
+        number = max(side.chunks_so_far(step) for side in self.sides)
+        for side in self.sides:
             side.cut_to(step, place)
             side.require_same_exposure()
             side.source.begin_step()
-        laser: Any = self._light.prepare(order, self._sides[0].source.exposures.settings, self._tell)
-        for side in self._sides[1:]:
+        laser: Any = self.light.prepare(order, self.sides[0].source.exposures.settings, self.tell)
+        for side in self.sides[1:]:
             exposures = side.source.exposures
             require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
         # As many pairs more are fired as the worst chunk so far has lost.
         spare, empty_bursts, fired, lost = 0, 0, 0, 0
         while place < step.frames:
-            if self._interrupts.is_end_wanted:
+            if self.interrupts.is_end_wanted:
                 return False
             wanted = (step.frames - place) // 2
             pairs = min(order.chunk, wanted + max(spare, SPARE), laser.most_pairs)
-            chunks = [Chunk(pairs) for _ in self._sides]
+            chunks = [Chunk(pairs) for _ in self.sides]
             utc = utc_now()
             try:
                 with closing(self._chunk(order, laser, chunks, min(wanted, pairs))) as found:
@@ -119,15 +113,15 @@ class FlowStep:
                         self._keep(step, record, place, number, each)
                         place += 2
             finally:
-                for side, chunk in zip(self._sides, chunks, strict=True):
-                    self._light.account(chunk)
-                    side.close(step, chunk, number, utc, self._light.synchroniser)
-            if self._light.synchroniser == EXTERNAL:
-                if self._interrupts.is_end_wanted:
+                for side, chunk in zip(self.sides, chunks, strict=True):
+                    self.light.account(chunk)
+                    side.close(step, chunk, number, utc, self.light.synchroniser)
+            if self.light.synchroniser == EXTERNAL:
+                if self.interrupts.is_end_wanted:
                     return place >= step.frames
                 require_rate_seen(chunks[0].periods_ns, order.rate_hz)
             # The last frame of a chunk is a B: a marker that calls it an A is found here.
-            for side in self._sides:
+            for side in self.sides:
                 side.source.trust_marker(is_final=False)
             number, chunk = number + 1, chunks[0]
             fired, lost, spare = fired + pairs, lost + chunk.losses, max(spare, chunk.losses)
@@ -138,7 +132,7 @@ class FlowStep:
                     f"{lost} of {fired} pairs are lost, in the last chunk {self._sentence(chunks)}; look at the "
                     "marker, the camera's trigger and the rate, then resume the run"
                 )
-        for side in self._sides:
+        for side in self.sides:
             side.source.trust_marker(is_final=True)
             side.pipeline.flush()
             side.source.exposures.verify()
@@ -147,7 +141,7 @@ class FlowStep:
     def _sentence(self, chunks: Sequence[Chunk]) -> str:
         if len(chunks) == 1:
             return chunks[0].sentence()
-        by_camera = zip(self._sides, chunks, strict=True)
+        by_camera = zip(self.sides, chunks, strict=True)
         return "; ".join(f"of {side.source.name} {chunk.sentence()}" for side, chunk in by_camera)
 
     def _chunk(
@@ -158,9 +152,9 @@ class FlowStep:
         wanted: int,
     ) -> Generator[tuple[Pair, ...], None, None]:
         """Fire, and yield the pairs that are sure, one a camera, as many as are wanted."""
-        light = self._light.exposures
+        light = self.light.exposures
         assert light is not None
-        sources = [side.source for side in self._sides]
+        sources = [side.source for side in self.sides]
         try:
             # Cameras before the laser, which is armed only while all of them wait for triggers.
             for source in sources:
@@ -168,18 +162,18 @@ class FlowStep:
                 if len(sources) > 1:
                     source.tell_clock()
             fired = chunks[0].fired
-            watch = self._light.fire(laser, fired, lambda: all(source.exposures.is_armed for source in sources))
+            watch = self.light.fire(laser, fired, lambda: all(source.exposures.is_armed for source in sources))
             with watch, ExitStack() as streams:
-                self._tell(self._light.doing)
+                self.tell(self.light.doing)
                 found = []
                 for source, chunk in zip(sources, chunks, strict=True):
-                    stream = source.pairs(order, lambda: self._light.is_firing, light, chunk)
+                    stream = source.pairs(order, lambda: self.light.is_firing, light, chunk)
                     found.append(streams.enter_context(closing(stream)))
                 for pairs in streams.enter_context(
                     closing(synchronise_pairs(sources, found, chunks, order.rate_hz))
                 ):
                     if chunks[0].kept == wanted:
-                        if self._light.synchroniser == EXTERNAL:  # it goes on, whatever was wanted
+                        if self.light.synchroniser == EXTERNAL:  # it goes on, whatever was wanted
                             self._drop(chunks, LEFT, pairs)
                             break
                         self._drop(chunks, SURPLUS, pairs)
@@ -199,7 +193,7 @@ class FlowStep:
 
     def _drop(self, chunks: Sequence[Chunk], why: str, pairs: tuple[Pair, ...]) -> None:
         """Give a pair of every camera back."""
-        for side, chunk, pair in zip(self._sides, chunks, pairs, strict=True):
+        for side, chunk, pair in zip(self.sides, chunks, pairs, strict=True):
             chunk.surplus += why == SURPLUS
             side.source.drop(chunk, why, *pair)
 
@@ -207,11 +201,11 @@ class FlowStep:
         self, step: Step, record: Mapping[str, Any], place: int, number: int, pairs: tuple[Pair, ...]
     ) -> None:
         """Give the pairs of one trigger to the threads."""
-        for side, pair in zip(self._sides, pairs, strict=True):
+        for side, pair in zip(self.sides, pairs, strict=True):
             side.keep(step, record, place, number, pair)
-        self._progress.took(2, step.index)
-        self._progress.waiting = self._sides[0].pipeline.waiting
-        self._tell("exposing")
+        self.progress.took(2, step.index)
+        self.progress.waiting = self.sides[0].pipeline.waiting
+        self.tell("exposing")
 
 
 SAME, OTHER = 0.25, 0.75  # of the period

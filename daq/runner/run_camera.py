@@ -13,7 +13,7 @@ done has all of its cameras.
 
 import time
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from daq.atomic_write import sync_folder, write_json
@@ -253,14 +253,7 @@ class RunCamera:
     def _write_camera_file(self, settings: Mapping[str, Setting]) -> None:
         """Keep what the camera says of itself in this session."""
         count = sum(1 for entry in self.folder.entries() if entry["kind"] == "session")
-        info = self.hardware.camera.info
-        about = {
-            "backend": info.backend,
-            "vendor": info.vendor,
-            "model": info.model,
-            "serial": info.serial,
-            "address": info.address,
-        }
+        about = asdict(self.hardware.camera.info)
         write_json(self.folder.path / f"camera_{count}.json", {"info": about, "settings": settings})
 
     def _write_ambiguity(self, said: str) -> None:

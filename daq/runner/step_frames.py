@@ -15,6 +15,7 @@ The end of such a step may be asked for: it stops after the present frame and ca
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any
 
 from daq.errors import CameraError, CameraLost, CameraTimeout, FramesLost, SettingsChanged
@@ -33,6 +34,7 @@ RETRY_S = 0.5
 REHEARSED_BACK_S = 2.0  # a simulated camera comes back soon, or not before the bench is opened again
 
 
+@dataclass(eq=False)
 class StepFrames:
     """Takes the frames of one step after the other.
 
@@ -48,18 +50,11 @@ class StepFrames:
         Called with what is being done, after every frame.
     """
 
-    def __init__(
-        self,
-        camera: RunCamera,
-        interrupts: Interrupts,
-        progress: Progress,
-        tell: Callable[[str], None],
-    ) -> None:
-        self._camera = camera
-        self._interrupts = interrupts
-        self._progress = progress
-        self._tell = tell
-        self._begun_at = 0  # place of this step at which this session began
+    camera: RunCamera
+    interrupts: Interrupts
+    progress: Progress
+    tell: Callable[[str], None]
+    _begun_at: int = 0  # place of this step at which this session began
 
     def take(self, step: Step, record: Mapping[str, Any]) -> Gaps | None:
         """Have every frame of a step on the disk, and make sure that the camera has kept its settings.
@@ -90,7 +85,7 @@ class StepFrames:
                 is_whole = self._expose(step, record, begin)
                 break
             except (CameraLost, SettingsChanged, CameraTimeout) as error:
-                self._camera.pipeline.flush()
+                self.camera.pipeline.flush()
                 if not step.may_have_gaps or isinstance(error, SettingsChanged):
                     self.discard(step, begin)
                 before, begin = begin, self._next_place(step)
@@ -112,54 +107,52 @@ class StepFrames:
         present = self._present()
         numbers = [n for n in step.numbers[self._begun_at if begin is None else begin :] if n in present]
         if numbers:
-            self._camera.journal.append("discard", sync=True, frames=numbers, why=DISCARDED)
-            self._camera.session.discarded += len(numbers)
-            self._progress.took(-len(numbers), step.index)
+            self.camera.journal.append("discard", sync=True, frames=numbers, why=DISCARDED)
+            self.camera.session.discarded += len(numbers)
+            self.progress.took(-len(numbers), step.index)
         for number in numbers:
-            self._camera.folder.frame_path(number).unlink(missing_ok=True)
-            self._camera.folder.correction_path(number).unlink(missing_ok=True)
+            self.camera.folder.frame_path(number).unlink(missing_ok=True)
+            self.camera.folder.correction_path(number).unlink(missing_ok=True)
 
     def _expose(self, step: Step, record: Mapping[str, Any], begin: int) -> bool:
         """One arm; False if the end was asked for before the last place."""
         places = step.frames - begin
         may_lose = max(1, int(step.gaps_at_most * places)) if step.may_have_gaps else 0
         place = begin
-        with closing(self._camera.session.frames(step.frames, begin, may_lose)) as frames:
+        with closing(self.camera.session.frames(step.frames, begin, may_lose)) as frames:
             for place, frame in frames:
                 placed = frame.with_positions_mm(record["measured_mm"])
-                self._camera.pipeline.submit(
-                    Job(step, step.first_frame + place, placed, {**record, **self._camera.session.facts(frame)})
+                self.camera.pipeline.submit(
+                    Job(step, step.first_frame + place, placed, {**record, **self.camera.session.facts(frame)})
                 )
-                self._progress.took(1, step.index)
-                self._progress.waiting = self._camera.pipeline.waiting
-                self._tell("exposing")
-                if step.may_have_gaps and self._interrupts.is_end_wanted:
+                self.progress.took(1, step.index)
+                self.progress.waiting = self.camera.pipeline.waiting
+                self.tell("exposing")
+                if step.may_have_gaps and self.interrupts.is_end_wanted:
                     break
-        self._camera.pipeline.flush()
-        self._camera.session.verify()
-        return place + 1 >= step.frames or not self._interrupts.is_end_wanted
+        self.camera.pipeline.flush()
+        self.camera.session.verify()
+        return place + 1 >= step.frames or not self.interrupts.is_end_wanted
 
     def _note_arm(self, step: Step, begin: int, why: str) -> None:
         utc = utc_now()
         number = step.first_frame + begin
-        self._camera.journal.append(
-            "arm", sync=True, step=step.index, tag=step.tag, frame=number, utc=utc, why=why
-        )
+        self.camera.journal.append("arm", sync=True, step=step.index, tag=step.tag, frame=number, utc=utc, why=why)
 
     def _bring_back(self, why: CameraError) -> None:
         """Try to get a lost camera back for a while."""
-        hardware = self._camera.hardware
+        hardware = self.camera.hardware
         within_s = hardware.camera_section.back_within_s
         if hardware.simulation is not None:  # there is no cable to check
             within_s = min(within_s, REHEARSED_BACK_S)
         end_s = time.monotonic() + within_s
         while True:
-            self._tell(f"waiting for the camera: {why}")
+            self.tell(f"waiting for the camera: {why}")
             try:
-                self._camera.session.reopen()
+                self.camera.session.reopen()
                 return
             except CameraError:
-                if time.monotonic() > end_s or self._interrupts.is_end_wanted:
+                if time.monotonic() > end_s or self.interrupts.is_end_wanted:
                     raise why from None
             time.sleep(RETRY_S)
 
@@ -168,4 +161,4 @@ class StepFrames:
 
     def _present(self) -> set[int]:
         """Frames that the journal has; it is read anew, so not for every step."""
-        return set(frame_entries(self._camera.folder.entries()))
+        return set(frame_entries(self.camera.folder.entries()))

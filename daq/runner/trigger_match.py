@@ -88,7 +88,7 @@ class TriggerMatch:
         self._ns_per_unit = 1.0
         self._is_confirmed = False  # frames taken over a while agree with each other
         self._unanswered = 0  # triggers that were waited for in vain, and whose frames have not come since
-        self._waits = False  # for the frame of the last trigger
+        self.waits = False  # the last trigger has had no answer yet, of whatever kind
         self._is_odd = self._was_odd = False  # something came, or did not, that leaves a first frame unconfirmed
         self._stale_here = 0  # since the last trigger
         self._only_stale = 0  # windows in a row that brought nothing else
@@ -97,14 +97,9 @@ class TriggerMatch:
         self._last_taken: FrameMeta | None = None  # of this arm
         self._id_taken: tuple[int, int] | None = None  # of this arm's last frame: sequence, number of triggers
         self._ids_count_by_ones = False
-        self._tells_time = True  # until a frame shows the contrary
+        self.by_time = True  # frames are identified by their time, until one tells none
         self._is_clock = True  # what the stamps follow, until trials show the contrary
         self._trials, self._last_trial_ns = 0, 0
-
-    @property
-    def by_time(self) -> bool:
-        """True if frames are identified by their time; what was left behind may then be waited past."""
-        return self._tells_time
 
     @property
     def has_taken(self) -> bool:
@@ -119,14 +114,14 @@ class TriggerMatch:
     @property
     def needs_trial(self) -> bool:
         """True if, after a wait in vain, stamps have to be settled before anything is triggered again."""
-        if not self._tells_time or self._latch_is_the_stamps:
+        if not self.by_time or self._latch_is_the_stamps:
             return False
         return self._only_stale > (1 if self._is_confirmed else 0) or (self.has_taken and not self._is_confirmed)
 
     @property
     def first_is_unconfirmed(self) -> bool:
         """True if something odd has come before enough frames could agree with the first one."""
-        is_sure = self._latch_is_the_stamps or self._is_confirmed or not self._tells_time
+        is_sure = self._latch_is_the_stamps or self._is_confirmed or not self.by_time
         return self.has_taken and self._is_odd and not is_sure
 
     @property
@@ -141,15 +136,10 @@ class TriggerMatch:
         calls_ns = (now.after_ns - now.before_ns) + (then.after_ns - then.before_ns)
         return abs(camera_ns - host_ns) > calls_ns + DRIFT * host_ns + RESTART_NS
 
-    @property
-    def waits(self) -> bool:
-        """True if the last trigger has had no answer yet, of whatever kind."""
-        return self._waits
-
     def begin(self) -> None:
         """Note that a trigger is about to be sent."""
         self._shots += 1
-        self._waits = True
+        self.waits = True
         self._stale_here = 0
 
     def note_trigger(self, shot: Shot) -> None:
@@ -166,7 +156,7 @@ class TriggerMatch:
     def gave_up(self) -> None:
         """Note that the last trigger was waited for in vain; its frame may come later."""
         self._unanswered += 1
-        self._waits = False
+        self.waits = False
         self._note_odd()
         self._only_stale = self._only_stale + 1 if self._stale_here else 0
 
@@ -180,7 +170,7 @@ class TriggerMatch:
 
     def note_reopening(self) -> None:
         """Note that the camera was closed and opened: one that tells no time has nothing under way any more."""
-        if not self._tells_time:
+        if not self.by_time:
             self._unanswered = 0
 
     def came_unasked(self, meta: FrameMeta) -> str:
@@ -192,24 +182,24 @@ class TriggerMatch:
 
     def came_incomplete(self) -> None:
         """Note that a frame came with pixels missing; as long as nothing is confirmed it was perhaps another's."""
-        self._waits = False
+        self.waits = False
         self._note_odd()
 
     def came_unusable(self) -> None:
         """Note that a frame came that the camera's library could not read; it answers the last trigger."""
-        if self._waits:
+        if self.waits:
             self._unanswered += 1
-        self._waits = False
+        self.waits = False
         self._note_odd()
 
     def place(self, meta: FrameMeta) -> Place:
         """Judge a whole frame; one that is OURS is taken to be handed over."""
         assert self._shot is not None
-        self._tells_time = self._has_time(meta)
-        place = self._by_time(meta, self._shot) if self._tells_time else self._by_id(meta)
+        self.by_time = self._has_time(meta)
+        place = self._by_time(meta, self._shot) if self.by_time else self._by_id(meta)
         if place is Place.OURS:
             self._take(meta, self._shot)
-            self._unanswered, self._waits = 0, False  # frames keep their order
+            self._unanswered, self.waits = 0, False  # frames keep their order
         self._stale_here += place is Place.STALE
         return place
 
@@ -249,7 +239,7 @@ class TriggerMatch:
         self._is_odd = False
         self._trials += 1
         if trial is None or self._trials > MAX_CLOCK_TRIALS:
-            self._is_clock = self._tells_time = False
+            self._is_clock = self.by_time = False
             self._unanswered = 0
             return UNCONFIRMED if self._was_odd and self.has_taken else ""
         self._last_trial_ns = trial.pairs[-1][2]

@@ -1,6 +1,6 @@
 """Section of a bench file for a timing unit and its laser; docs/laser.md shows the wiring."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -32,17 +32,9 @@ class HeadTable(Table):
 
     def head(self) -> LaserHead:
         """Return the same as the laser wants it."""
-        lamps, light = self.lamp_to_q_switch_us, self.q_switch_to_light_us
-        return LaserHead(
-            max_rate_hz=self.max_rate_hz,
-            min_dt_us=self.min_dt_us,
-            max_dt_us=self.max_dt_us,
-            lamp_to_q_switch_us=None if lamps is None else (lamps[0], lamps[1]),
-            q_switch_to_light_us=(light[0], light[1]),
-            pulse_us=self.pulse_us,
-            lamp_rate_hz=self.lamp_rate_hz,
-            max_duty=self.max_duty,
-        )
+        given: dict[str, Any] = self.model_dump(exclude={"warmup_s"})
+        given |= {key: tuple(pair) for key, pair in given.items() if isinstance(pair, list)}
+        return LaserHead(**given)
 
 
 class ExposuresTable(Table):

@@ -221,44 +221,42 @@ def spot_variances_px2(places: Sequence[Spots]) -> Float64:
 
 def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
     """Vertex of the parabola through the places around the sharpest one."""
-    nan = float("nan")
+
+    def none(why: str) -> BestFocus:
+        return BestFocus(part, np.nan, np.nan, np.nan, why)
+
     known = np.isfinite(variance_px2)
     if np.count_nonzero(known) < MIN_FOCUS_PLACES:
-        return BestFocus(part, nan, nan, nan, "too few places show spots")
+        return none("too few places show spots")
     z, s2 = z_mm[known], variance_px2[known]
     if np.ptp(s2) < FLAT * s2.min():
-        text = (
-            f"it is as sharp everywhere, to {50.0 * np.ptp(s2) / s2.min():.0f} % of its width: open the lens, or"
-            " take places farther apart"
-        )
-        return BestFocus(part, nan, nan, nan, text)
+        same = f"{50.0 * np.ptp(s2) / s2.min():.0f} % of its width"
+        return none(f"it is as sharp everywhere, to {same}: open the lens, or take places farther apart")
     least = int(np.argmin(s2))
     if least in (0, len(z) - 1):
-        return BestFocus(
-            part, nan, nan, nan, f"it is sharpest at {z[least]:+.1f} mm, the end of where it shows; add places"
-        )
+        return none(f"it is sharpest at {z[least]:+.1f} mm, the end of where it shows; add places")
     near = s2 <= WIDEST * s2[least]
     if not (near[least - 1] and near[least + 1]):
-        text = f"it is sharpest near {z[least]:+.1f} mm, where places are too far apart; add some around"
-        return BestFocus(part, nan, nan, nan, text)
+        return none(f"it is sharpest near {z[least]:+.1f} mm, where places are too far apart; add some around")
     first, last = least, least  # one run of places about the sharpest
     while first > 0 and near[first - 1]:
         first -= 1
     while last < len(z) - 1 and near[last + 1]:
         last += 1
     if last - first + 1 < MIN_FOCUS_PLACES:
-        text = f"only {last - first + 1} places around {z[least]:+.1f} mm are nearly as sharp; add some around"
-        return BestFocus(part, nan, nan, nan, text)
+        return none(
+            f"only {last - first + 1} places around {z[least]:+.1f} mm are nearly as sharp; add some around"
+        )
     z, s2 = z[first : last + 1], s2[first : last + 1]
     middle = z.mean()
     design = np.vander(z - middle, 3)
     weights = 1.0 / s2  # a width is known to a share of itself
     (a, b, c), *_ = np.linalg.lstsq(design * weights[:, None], s2 * weights, rcond=None)
     if not a > 0.0:
-        return BestFocus(part, nan, nan, nan, "its sharpness has no peak")
+        return none("its sharpness has no peak")
     vertex = -b / (2.0 * a)
     if not z[0] <= middle + vertex <= z[-1]:
-        return BestFocus(part, nan, nan, nan, "its sharpness has no peak among these places; go on")
+        return none("its sharpness has no peak among these places; go on")
     scatter = (design @ (a, b, c) - s2) * weights
     freedom = max(len(z) - 3, 1)
     inverse = np.linalg.inv((design * weights[:, None]).T @ (design * weights[:, None]))

@@ -34,6 +34,8 @@ POSITION_ERROR = 0x4000
 UPWARDS, DOWNWARDS = 0x0010, 0x0020
 FORWARD = 1  # direction of a reference run
 NOTES = "simulated"
+HOMES: dict[str, Purpose] = dict.fromkeys(("to switch", "off switch", "offset"), "reference")  # by phase
+PURPOSES: dict[str, Purpose] = {**HOMES, "hand": "hand"}
 
 
 def _per_second(model: str) -> tuple[float, float, bool]:
@@ -84,7 +86,7 @@ class _Channel:
         return (
             moves | CONNECTED
             | words.UPPER_SWITCH * self.motor.is_closed("high") | words.LOWER_SWITCH * self.motor.is_closed("low")
-            | words.HOMING * (self.phase in ("to switch", "off switch", "offset")) | words.HOMED * self.is_homed
+            | words.HOMING * (self.phase in HOMES) | words.HOMED * self.is_homed
             | POSITION_ERROR * self.has_fault | words.ENABLED * self.is_on
         )  # fmt: skip
 
@@ -252,14 +254,7 @@ class AptEmulator(Emulator):
 
     def purpose(self, channel: str) -> Purpose:
         """A reference run, a wheel, or a motion."""
-        phase = self._channels[channel].phase
-        return (
-            "reference"
-            if phase in ("to switch", "off switch", "offset")
-            else "hand"
-            if phase == "hand"
-            else "move"
-        )
+        return PURPOSES.get(self._channels[channel].phase, "move")
 
     def _power_up(self) -> None:
         self._stream, self._updates_left = apt.CommandStream(), 0

@@ -37,6 +37,7 @@ FIELDS: dict[str, Any] = {
     "channel": LaminarChannel,
     "turbulent_channel": TurbulentChannel,
 }
+PARTS = {"sheet": LightSheet, "seeding": Seeding, "reflections": Reflections}
 
 
 class FlowTable(Table):
@@ -55,9 +56,7 @@ class FlowTable(Table):
     def _can_be_made(self) -> "FlowTable":
         try:
             self.flow(0)
-            _parse_part("sheet", LightSheet, self.sheet)
-            _parse_part("seeding", Seeding, self.seeding)
-            _parse_part("reflections", Reflections, self.reflections)
+            self._parts()
         except SceneError as error:
             raise ValueError(str(error)) from None
         return self
@@ -82,25 +81,21 @@ class FlowTable(Table):
             "field": self.field,
             "parameters": asdict(cast("Any", flow.base)),
             "turbulence": None if flow.modes is None else asdict(flow.modes),
-            "sheet": asdict(_parse_part("sheet", LightSheet, self.sheet)),
-            "seeding": asdict(_parse_part("seeding", Seeding, self.seeding)),
-            "reflections": asdict(_parse_part("reflections", Reflections, self.reflections)),
+            **{name: asdict(part) for name, part in self._parts().items()},
             "particle_counts": self.particle_counts,
         }
         return yaml.safe_dump(_plain(numbers), sort_keys=False)
 
     def camera(self, scene: Scene, seed: int, aperture: Aperture | None) -> FlowCamera:
         """A camera that looks at the flow through a scene."""
+        counts = self.particle_counts
         return FlowCamera(
-            scene,
-            self.flow(seed),
-            sheet=_parse_part("sheet", LightSheet, self.sheet),
-            seeding=_parse_part("seeding", Seeding, self.seeding),
-            reflections=_parse_part("reflections", Reflections, self.reflections),
-            particle_counts=self.particle_counts,
-            aperture=aperture,
-            seed=seed,
+            scene, self.flow(seed), **self._parts(), particle_counts=counts, aperture=aperture, seed=seed
         )
+
+    def _parts(self) -> dict[str, Any]:
+        """Sheet, seeding and reflections; SceneError if a number is wrong."""
+        return {name: _parse_part(name, kind, getattr(self, name)) for name, kind in PARTS.items()}
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - a tree of numbers

@@ -18,18 +18,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, NotRequired
 
-from pydantic import Field, TypeAdapter, ValidationError, with_config
+from pydantic import Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
-from daq.errors import RunUnsuitable
-from daq.runs.records import MAX_RECORD_BYTES, STRICT, Text
-from ground.plain_file import read_plain
+from daq.runs.records import STRICT, Text
 from piv.correlation.settings import settings_of
 from piv.errors import SeriesError
 from piv.preprocessing.preparation import Preparation
 from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.pairs.piv_file import PivChoice
-from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of
+from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of, read_about
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.options.numbers import DewarpOrder
 
@@ -90,20 +88,8 @@ class CampaignFolder:
         SeriesError
             The file is damaged.
         """
-        file = self.path / FILE
-        try:
-            return _CAMPAIGN.validate_json(read_plain(file, MAX_RECORD_BYTES))
-        except FileNotFoundError:
-            raise RunUnsuitable(
-                "holds no campaign", place=self.path, cure="begin with: rtpiv campaign run RUNS"
-            ) from None
-        except OSError as error:
-            raise SeriesError(
-                f"cannot be read ({error.strerror})", place=file, cure="name its runs again"
-            ) from None
-        except ValidationError as error:
-            problem = error.errors(include_url=False)[0]["msg"]
-            raise SeriesError(f"is damaged ({problem})", place=file, cure="name its runs again") from None
+        absent = "holds no campaign", "begin with: rtpiv campaign run RUNS"
+        return read_about(_CAMPAIGN, self.path / FILE, absent, "name its runs again")
 
     def series(self, name: str) -> SeriesFolder:
         """Folder of the series of a run."""

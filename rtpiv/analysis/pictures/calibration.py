@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
@@ -50,7 +49,6 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
         Rows and columns of the frame.
     """
     figure, drawn_in = plane_panels(shape[0] / shape[1], len(panels), max(len(panels), 1), 6.4)
-    FigureCanvasAgg(figure)
     for axes, (title, pixel, error) in zip(drawn_in, panels, strict=True):
         length = np.hypot(error[:, 0], error[:, 1])
         typical = max(float(np.percentile(length, 95)), 1e-6)
@@ -75,7 +73,6 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
 def draw_map_sigma(path: Path, sigma: MapSigma, scene: Scene) -> None:
     """Draw the standard deviation of the correction as PNG."""
     figure = map_sigma_figure(sigma, scene)
-    FigureCanvasAgg(figure)
     save_picture(figure, path, 100)
 
 
@@ -106,7 +103,6 @@ def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:
     """Draw the rms of every step of a fit that fitted something, with its corners, as PNG."""
     steps = [step for step in history if step.corners]
     figure = Figure(figsize=(8.0, 1.6 + 0.35 * len(steps)), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     places = np.arange(len(steps))
     axes.plot([step.rms_px for step in steps], places, "o-")
@@ -134,7 +130,6 @@ def draw_smooth(path: Path, fit: SceneFit) -> None:
     """Draw it for a fit, as PNG; nothing where no way shows enough corners."""
     figure = smooth_figure(StoredVerdict.of(fit))
     if figure is not None:
-        FigureCanvasAgg(figure)
         save_picture(figure, path, 100)
 
 

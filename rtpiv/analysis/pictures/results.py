@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from numpy.typing import NDArray
 
@@ -43,7 +42,6 @@ def draw_overview(
         NodeStatus; what is not recovered takes the colour of its reason.
     """
     figure = Figure(figsize=(18.0, 0.9 + 6.0 * raw.shape[0] / raw.shape[1]), layout="constrained")
-    FigureCanvasAgg(figure)
     low, high = np.percentile(raw, (0.5, 99.5))
     limits = (float(low), float(high))
     images = (
@@ -79,7 +77,6 @@ def draw_light_sheet(path: Path, found: "SheetFound", size_mm: tuple[float, floa
     """
     width, height = size_mm
     figure, panels = plane_panels(height / width, 2, 2, 6.0)
-    FigureCanvasAgg(figure)
     cells, fit, sheet = found.cells, found.fit, found.sheet
     for axes, title in zip(panels, ("height over the target's plane", "left over"), strict=True):
         axes.plot(*found.views.place_mm[:: max(1, len(found.views.kind) // 5000)].T, ",", color="#c9ced6")
@@ -120,7 +117,6 @@ def draw_views(path: Path, views: "Sequence[ViewFigures]", best: "Sequence[ViewF
         What was asked for; drawn as a line.
     """
     figure = Figure(figsize=(8.0, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     shown = [view for view in views if np.isfinite(view.noise_px)]
     light = np.array([view.light for view in shown])

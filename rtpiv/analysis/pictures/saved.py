@@ -35,8 +35,8 @@ def write_png(figure: "Figure", stream: BinaryIO, dpi: int) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
 
-    lay_out(figure, dpi)
     canvas: Any = FigureCanvasAgg(figure)
+    lay_out(figure, dpi)
     canvas.draw()
     about = {"compress_level": PNG_LEVEL}
     imsave(stream, canvas.buffer_rgba(), format="png", origin="upper", dpi=dpi, pil_kwargs=about)

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -54,7 +53,6 @@ def draw_plane(path: Path, scene: Scene, found: ShownPlane, share: PlaneShare, t
     colours = mask_picture(found.status)
     colours[found.through_glass] = THROUGH
     figure = Figure(figsize=(12.4, 2.0 + 5.0 * share.size_mm[1] / share.size_mm[0]), layout="constrained")
-    FigureCanvasAgg(figure)
     mask, scale = figure.subplots(1, 2)
     x0, y0 = found.grid.origin_mm
     (width, height), half = share.size_mm, 0.5 * found.grid.pitch_mm
@@ -110,7 +108,6 @@ def draw_camera_view(
     """Draw what a sensor sees, an image (h, w, 3) in 0..1, of a board with squares of `square_mm` as PNG."""
     width, height = sensor_px
     figure = Figure(figsize=(8.6, 0.9 + 7.9 * height / width), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     bare(axes)
     shown = np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
@@ -140,7 +137,6 @@ def draw_slant(path: Path, scene: Scene, grid: PlaneGrid, found: ShownSlant) -> 
     """
     height, width = (side * found.every for side in found.slopes.shape[:2])
     figure, (axes,) = plane_panels(height / width)
-    FigureCanvasAgg(figure)
     (x0, y0), pitch = grid.origin_mm, grid.pitch_mm
     extent = (x0, x0 + width * pitch, y0 - height * pitch, y0)
     size = np.hypot(found.slopes[..., 0], found.slopes[..., 1])
@@ -178,7 +174,6 @@ def draw_curve(path: Path, scene: Scene, view: FieldOfView, title: str) -> None:
     plane, _ = radial_curve(scene, image)
     before = image <= view.fold_mm
     figure = Figure(figsize=(6.4, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     limit = 1.05 * max(view.silhouette_mm, view.edge_mm) / radius
     axes.plot([0, limit], [0, limit], "--", color="0.6", label="no glass")
@@ -215,7 +210,6 @@ def blur_figure(grid: PlaneGrid, blur: BlurMap) -> Figure:
     """Draw blur behind glass and how far centroids lie beside their chief rays, side by side."""
     height, width = grid.shape
     figure, axes = plane_panels(height / width, count=2, columns=2)
-    FigureCanvasAgg(figure)
     (x0, y0), pitch = grid.origin_mm, grid.pitch_mm
     extent = (x0, x0 + width * pitch, y0 - height * pitch, y0)
     behind = np.isfinite(blur.width_px)

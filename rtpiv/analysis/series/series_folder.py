@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from math import isclose
 from pathlib import Path
-from typing import Annotated, Any, NotRequired
+from typing import Annotated, Any, NotRequired, TypeVar
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from pydantic.dataclasses import dataclass as checked
@@ -37,6 +37,7 @@ from piv.files.vector_file import Vectors, read_vectors
 from rtpiv.analysis.pairs.pair_vectors import ChunkContent, read_chunk
 from rtpiv.analysis.series.series_plan import chunk_path
 
+T = TypeVar("T")
 FILE = "series.json"
 MEAN = "mean.nc"
 _OURS = re.compile(r"(?P<number>[0-9]{5,9})\.(nc|json)(\.[0-9a-f]{32})?(?P<part>\.part)?")
@@ -125,6 +126,38 @@ class SeriesFile(TypedDict):
 _SERIES: TypeAdapter[SeriesFile] = TypeAdapter(SeriesFile)
 
 
+def read_about(adapter: TypeAdapter[T], file: Path, absent: tuple[str, str], cure: str) -> T:
+    """Read the file that says what a folder is.
+
+    Parameters
+    ----------
+    adapter : TypeAdapter
+        Its types.
+    file : Path
+        The file.
+    absent : (str, str)
+        What is wrong with a folder without it, and the cure.
+    cure : str
+        For a file that is damaged.
+
+    Raises
+    ------
+    RunUnsuitable
+        There is none.
+    SeriesError
+        It is damaged.
+    """
+    try:
+        return adapter.validate_json(read_plain(file, MAX_RECORD_BYTES))
+    except FileNotFoundError:
+        raise RunUnsuitable(absent[0], place=file.parent, cure=absent[1]) from None
+    except OSError as error:
+        raise SeriesError(f"cannot be read ({error.strerror})", place=file, cure=cure) from None
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]["msg"]
+        raise SeriesError(f"is damaged ({problem})", place=file, cure=cure) from None
+
+
 @dataclass(frozen=True)
 class Unlike:
     """Finished chunks that a series would replace, and why.
@@ -193,18 +226,8 @@ class SeriesFolder:
         SeriesError
             The file is damaged.
         """
-        file = self.path / FILE
-        try:
-            return _SERIES.validate_json(read_plain(file, MAX_RECORD_BYTES))
-        except FileNotFoundError:
-            raise RunUnsuitable(
-                f"{self.path}: is no series (it has no {FILE}); evaluate a flow run first"
-            ) from None
-        except OSError as error:
-            raise SeriesError(f"{file}: cannot be read ({error.strerror}); evaluate the run again") from None
-        except ValidationError as error:
-            problem = error.errors(include_url=False)[0]["msg"]
-            raise SeriesError(f"{file}: is damaged ({problem}); evaluate the run again") from None
+        absent = f"is no series (it has no {FILE})", "evaluate a flow run first"
+        return read_about(_SERIES, self.path / FILE, absent, "evaluate the run again")
 
     def chunk_keys(self) -> dict[int, str]:
         """Keys of the finished chunks in the folder by their number, whatever series they belong to."""

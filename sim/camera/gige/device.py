@@ -83,6 +83,9 @@ CAPABILITIES = 0xC0000000 | 0x00000006  # user name, serial number; packet resen
 RESEND_BLOCKS = 16
 BURST_PACKETS = 6
 MAX_RESEND_PACKETS = 4096
+REFUSALS: dict[type[Exception], Status] = {
+    BadAddress: Status.INVALID_ADDRESS, WriteProtected: Status.WRITE_PROTECT, BadValue: Status.INVALID_PARAMETER,
+}  # fmt: skip
 Address = tuple[str, int]
 
 
@@ -237,12 +240,8 @@ class GigeDevice:
             return self._last_write[2]  # our answer got lost; do not do it twice
         try:
             status, payload = self._execute(request, sender)
-        except BadAddress:
-            status, payload = Status.INVALID_ADDRESS, b""
-        except WriteProtected:
-            status, payload = Status.WRITE_PROTECT, b""
-        except BadValue:
-            status, payload = Status.INVALID_PARAMETER, b""
+        except tuple(REFUSALS) as error:
+            status, payload = REFUSALS[type(error)], b""
         except CameraGone:
             return None
         answer = wire.acknowledge(request, status, payload)
@@ -258,23 +257,20 @@ class GigeDevice:
             addresses = wire.read_addresses(request.payload)
             if addresses is None:
                 return bad
-            return Status.SUCCESS, b"".join(self._read(address, 4) for address in addresses)
+            return Status.SUCCESS, b"".join(self.camera.read(address, 4) for address in addresses)
         if request.command == Command.READ_MEMORY:
             block = wire.read_block(request.payload)
             if block is None:
                 return bad
             if block[0] % 4 or block[1] % 4:
                 return Status.BAD_ALIGNMENT, b""
-            return Status.SUCCESS, request.payload[:4] + self._read(*block)
+            return Status.SUCCESS, request.payload[:4] + self.camera.read(*block)
         if request.command == Command.WRITE_REGISTER:
             return self._write_all(wire.write_pairs(request.payload), sender)
         if request.command == Command.WRITE_MEMORY:
             written = wire.write_block(request.payload)
             return self._write_all(None if written is None else (written,), sender)
         return Status.NOT_IMPLEMENTED, b""
-
-    def _read(self, address: int, length: int) -> bytes:
-        return self.camera.read(address, length)
 
     def _write_all(self, writes: tuple[tuple[int, bytes], ...] | None, sender: Address) -> tuple[Status, bytes]:
         if writes is None:
