@@ -19,6 +19,7 @@ from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
 from rtpiv.options import parser_of
 from rtpiv.options.command import commands
 from tests.rtpiv.test_cli import EXAMPLES, SMALL
+from tests.slow_cases import slow
 
 WORDS = {
     "trace": ["scene.yaml"], "calibrate": ["folder", "-o", "out"],
@@ -112,14 +113,7 @@ EVALUATE = ["evaluate", "a.tif", "b.tif", "--scene", "scene.yaml"]
 
 @pytest.mark.parametrize(
     ("words", "limit"),
-    [
-        (TRACE, 5000),
-        (CORRECT, 0),
-        pytest.param(EVALUATE, 5000, marks=pytest.mark.slow),
-        pytest.param(TRACE, 0, marks=pytest.mark.slow),
-        pytest.param(CORRECT, 5000, marks=pytest.mark.slow),
-        pytest.param(EVALUATE, 0, marks=pytest.mark.slow),
-    ],
+    [(TRACE, 5000), slow(TRACE, 0), *(slow(words, limit) for words in (CORRECT, EVALUATE) for limit in (0, 5000))],
 )
 def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(lab, tmp_path, words, limit):
     out = tmp_path / "out"

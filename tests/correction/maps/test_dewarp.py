@@ -15,6 +15,7 @@ from sim.renderer.sensor import Sensor
 from tests.correction.frame_truth import FRAMES, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
 from tests.correction.target.drawn_boards import camera
+from tests.slow_cases import slow
 from tracer.board import LARGE_DOTS, Dots
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.scene.scene import Scene
@@ -181,7 +182,7 @@ def test_a_photographed_board_gives_its_warp():
         fit_dewarp(photographed(dark, 1), camera, board)
 
 
-@pytest.mark.parametrize("levels", ["", "rows"])
+@pytest.mark.parametrize("levels", [slow(""), "rows"])
 def test_dots_on_one_level_or_on_two_show_the_lens(levels):
     """Of a plate that is taken to be flat the lower dots would lie a third of a per cent nearer to the middle."""
     small = camera((0.0, 0.0, 300.0), (0.0, 0.0), 0.0)
