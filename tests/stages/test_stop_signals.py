@@ -8,7 +8,7 @@ import time
 import pytest
 
 from stages.stop_signals import SIGNALLED, StopThread
-from tests.slow_cases import slow_but
+from tests.slow_cases import slow, slow_but
 from tests.stages.children import end, go, served
 
 FAR_MM = 110.0  # five seconds away
@@ -73,10 +73,10 @@ def test_a_signal_while_homing(driver, number):
 @pytest.mark.parametrize(
     ("code", "status"),
     [
-        (APART, 0),
+        slow(APART, 0),
         ("threading.Timer(1.0, stage.close).start(); " + MOVE, 1),
         (APART + "; 1/0", 1),
-        (APART + "; sys.exit(7)", 7),
+        slow(APART + "; sys.exit(7)", 7),
     ],
     ids=["end of the block", "closed by another thread", "exception", "SystemExit"],
 )  # fmt: skip
@@ -192,7 +192,7 @@ said("woken")
         assert end(child)[0] == 0
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", slow_but(SIGNALS, signal.SIGTERM))
 def test_a_main_thread_that_is_stuck_in_c_does_not_keep_the_stop_away(number):
     """No handler runs while a window waits for events, or here: a lock that is taken twice."""
     code = f"""

@@ -15,6 +15,7 @@ from correction.target import Chessboard
 from sim.demo.scenes import at_size, demo_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
+from tests.slow_cases import slow
 from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart
 from tracer.strategies.sensitivity import TargetPose
 
@@ -181,7 +182,7 @@ def test_what_residuals_say_agrees_with_the_verdict_on_the_whole_model(found, wo
 
 @pytest.mark.parametrize(
     ("seed", "fault", "words"),
-    [(205, "", "the model is right"), (205, "ellipsoid", "not the sphere"), (205, "support", "side by side")],
+    [(205, "", "the model is right"), (205, "ellipsoid", "not the sphere"), slow(205, "support", "side by side")],
 )
 def test_drawn_labs_are_judged_and_the_cause_is_named(seed, fault, words):
     lab = drawn_lab(seed, fault)

@@ -36,6 +36,7 @@ from tests.rtpiv.analysis.series.small_series import (
     method_of,
     series_of,
 )
+from tests.slow_cases import slow_but
 from tracer.strategies.sensitivity import CAMERA
 
 PAIRS = 11
@@ -331,7 +332,10 @@ def test_two_at_once_do_not_write_into_one_folder(made, folder, run):
         again(made.series.path, folder, run)
 
 
-@pytest.mark.parametrize("steps", [("minimum",), ("mean", "cap"), ("pod", "min-max"), ("unseeded",), ()])
+STEPS = [("minimum",), ("mean", "cap"), ("pod", "min-max"), ("unseeded",), ()]
+
+
+@pytest.mark.parametrize("steps", slow_but(STEPS, *STEPS[2:]))
 def test_every_preparation_measures_the_flow(tmp_path, steps):
     run = flow_run(tmp_path, 13, unseeded=3)
     given = given_of(run)

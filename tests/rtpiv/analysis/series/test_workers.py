@@ -33,7 +33,7 @@ def leave_behind_a_kill(victim: int) -> None:
         os.kill(sorted(workers)[victim], signal.SIGKILL)
 
 
-@pytest.mark.parametrize("victim", [0, 1])
+@pytest.mark.parametrize("victim", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_worker_killed_with_the_lock_of_the_queue_holds_nobody_up(victim: int) -> None:
     code = f"from tests.rtpiv.analysis.series.test_workers import leave_behind_a_kill as f; f({victim})"
     command = [sys.executable, "-c", code]
