@@ -1,9 +1,9 @@
 """Pairs of the frames of a folder, by their names alone.
 
 First and second frames differ by one mark in their names: ``a``/``b`` (B00001_a, 0001A, a0001, LA),
-``0``/``1`` or ``1``/``2`` (A001_1, img0001_frame0), or the words first and second.  A mark counts only where the
-other name is there as well, and where it is no number of a camera, run, plane or repetition.  Names without a mark
-are a sequence, in order of their number or of their time.
+``0``/``1`` or ``1``/``2`` (A001_1, img0001_frame0), I/II, or words: first and second, before and after.  A mark
+counts only where the other name is there as well, and where it is no number of a camera, run, plane or repetition.
+Names without a mark are a sequence, in order of their number or of their time.
 """
 
 import re
@@ -15,7 +15,8 @@ from itertools import pairwise
 from math import gcd
 from statistics import median
 
-MARKS = {"a": "b", "A": "B", "first": "second", "First": "Second", "FIRST": "SECOND"}
+MARKS = {"a": "b", "A": "B", "first": "second", "First": "Second", "FIRST": "SECOND", "I": "II"}
+MARKS |= {"before": "after", "Before": "After"}
 FRAME_WORD = re.compile(r"(?:f|fr|frame|frm|im|img|image|pic|l|las|laser|p|pulse|e|exp|expo|exposure|t|shot)?")
 OTHER_WORD = re.compile(
     r"c|cam|camera|r|rep|repeat|run|set|case|test|[xyz]|pos|position|plane|phase|view|ch|channel|day|probe"

@@ -189,7 +189,8 @@ class FrameFolder(FoundFiles):
         names = frames_in(path)
         schemes, few = schemes_of(names), FEW_STRAYS * len(names)
         covering = [scheme for scheme in schemes if len(names) - len(scheme.names) <= few]
-        if len(covering) == 1 and len(sequences_of([first for first, _ in covering[0].pairs])) == 1:
+        firsts = [first for first, _ in covering[0].pairs] if len(covering) == 1 else []
+        if len(firsts) == 1 or len(sequences_of(firsts)) == 1:
             (scheme,) = covering
             if pairing is not NEIGHBOURS:
                 raise PairError(f"{path}: the names say which frames are pairs; leave the numbers behind @ out")
@@ -204,8 +205,11 @@ class FrameFolder(FoundFiles):
 
     @classmethod
     def takes(cls, path: Path) -> bool:
-        """Return whether it is a folder with numbered frames."""
-        return path.is_dir() and any(re.search(r"\d", Path(name).stem) for name in frames_in(path))
+        """Return whether it is a folder with numbered frames, or with one pair whose names say so."""
+        names = frames_in(path) if path.is_dir() else set()
+        return any(re.search(r"\d", Path(name).with_suffix("").as_posix()) for name in names) or bool(
+            schemes_of(names)
+        )
 
 
 def frames_in(folder: Path) -> set[str]:
