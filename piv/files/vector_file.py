@@ -168,7 +168,7 @@ def _kind(values: NDArray[Any]) -> str:
 
 def vectors_netcdf(vectors: Vectors) -> bytes:
     """Return the bytes of the NetCDF file of vectors on a grid."""
-    names = {**STANDARD_NAMES, "u": f"u_{vectors.kind}", "v": f"v_{vectors.kind}"}
+    names = STANDARD_NAMES | {name: f"{name}_{vectors.kind}" for name in "uvw"}
 
     def variable(name: str, dimensions: tuple[str, ...], values: NDArray[Any], unit: str) -> Variable:
         said = {"standard_name": names[name]} if name in names else {}
@@ -294,8 +294,9 @@ def _vtk_lines(vectors: Vectors, number: int) -> Iterator[str]:
         yield " ".join(f"{value:.9g}" for value in axis)
     yield f"POINT_DATA {vectors.measured[number].size}"
     yield f"VECTORS {vectors.kind} double"
-    u, v = (vectors.fields[name][number].ravel() for name in "uv")
-    yield from (f"{along:.9g} {up:.9g} 0" for along, up in zip(u, v, strict=True))
+    nothing = np.zeros_like(vectors.fields["u"])  # w of a single camera
+    components = [vectors.fields.get(name, nothing)[number].ravel() for name in "uvw"]
+    yield from (f"{u:.9g} {v:.9g} {w:.9g}" for u, v, w in zip(*components, strict=True))
     for name, values in vectors.everything.items():
         yield from (f"SCALARS {name} double 1", "LOOKUP_TABLE default")
         yield from (f"{value:.9g}" for value in values[number].ravel())
