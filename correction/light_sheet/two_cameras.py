@@ -64,7 +64,12 @@ class SheetByViews:
 
 
 def fit_sheet(
-    place_mm: Floats, disparity_mm: Floats, sigma_mm: Floats, slope: Floats, independent: float
+    place_mm: Floats,
+    disparity_mm: Floats,
+    sigma_mm: Floats,
+    slope: Floats,
+    independent: float,
+    common_mm: float = 0.0,
 ) -> SheetByViews:
     """Fit the plane of the sheet to disparities.
 
@@ -78,6 +83,8 @@ def fit_sheet(
         Difference a_2 - a_1 of the slopes dX/dz and dY/dz.
     independent : float
         Share of the places that are worth an independent one; windows that overlap are not.
+    common_mm : float
+        Standard uncertainty of the disparity, along x and along y, that all places have in common.
 
     Raises
     ------
@@ -105,7 +112,13 @@ def fit_sheet(
         fit = scipy.optimize.least_squares(residual, np.zeros(3), loss="huber", f_scale=HUBER_SIGMA * spread)
         left = residual(fit.x)
         spread = max(1.0, float(1.4826 * np.median(np.abs(left))))
-    covariance = np.linalg.inv(design.T @ design) * spread**2 / independent
+    inverse = np.linalg.inv(design.T @ design)
+    covariance = inverse * spread**2 / independent
+    for axis in (0, 1):  # a shift of all places along x, then along y, as the plane sees it
+        shift = np.zeros((len(x), 2))
+        shift[:, axis] = common_mm
+        gain = inverse @ (design.T @ (shift.ravel() / sigma))
+        covariance += np.outer(gain, gain)
     robust = 1.4826 * np.median(np.abs(left * sigma))
     in_sigma = 1.4826 * float(np.median(np.abs(left)))
     return SheetByViews(fit.x / scale, covariance, float(robust), in_sigma, int(np.count_nonzero(good)))

@@ -21,6 +21,7 @@ from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
 MOST_FRAMES = 100  # that are compared, of both pulses
+COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs, the sheet came out 0.002 mm off, which is 0.002 px
 Floats = NDArray[np.float64]
 
 
@@ -50,7 +51,8 @@ def sheet_of_views(series: Sequence[SeriesInput]) -> SheetByViews:
         disparity, sigma = _disparity(first, other)
         parts.append((grid.to_mm(centres), disparity * grid.pitch_mm, sigma * grid.pitch_mm, slope - slopes[0]))
     place, apart, unsure, slope = (np.concatenate([part[k].reshape(-1, 2) for part in parts]) for k in range(4))
-    return fit_sheet(place, apart, unsure, slope, min(1.0, (windows.step_px / windows.size_px) ** 2))
+    independent = min(1.0, (windows.step_px / windows.size_px) ** 2)
+    return fit_sheet(place, apart, unsure, slope, independent, COMMON_PX * grid.pitch_mm)
 
 
 def set_sheet(series: Sequence[SeriesInput], found: SheetByViews) -> LightSheet:

@@ -53,6 +53,15 @@ def test_overlapping_windows_are_worth_less():
     np.testing.assert_allclose(quarter.covariance, 4.0 * whole.covariance)
 
 
+def test_a_shift_of_all_places_is_in_sigma():
+    place, apart, sigma, slope = disparity(np.random.default_rng(8), slope_spread=0.02)
+    alone, common = (fit_sheet(place, apart, sigma, slope, 1.0, mm) for mm in (0.0, 0.02))
+    shifted = fit_sheet(place, apart + np.array([0.02, 0.0]), sigma, slope, 1.0)
+    moved = abs(shifted.plane[0] - alone.plane[0])
+    assert moved > 0.05  # 0.02 mm over a slope of 0.3
+    assert np.sqrt(common.covariance[0, 0] - alone.covariance[0, 0]) == pytest.approx(moved, rel=0.1)
+
+
 def test_the_sheet_is_over_the_known_one():
     found = fit_sheet(*disparity(np.random.default_rng(6)), 1.0)
     sheet = found.sheet(LightSheet(z_mm=1.0, tilt_x_deg=0.5, thickness_mm=0.8))
