@@ -21,7 +21,7 @@ from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
 MOST_FRAMES = 100  # that are compared, of both pulses
-COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs, the sheet came out 0.002 mm off, which is 0.002 px
+COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
 Floats = NDArray[np.float64]
 
 
