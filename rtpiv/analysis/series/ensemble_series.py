@@ -35,7 +35,7 @@ from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.mean_flow import UNTIMED_DT_S, MeanFlow, exclusion_reason, image_field
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SeriesInput
-from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, digest
+from rtpiv.analysis.series.series_plan import MAX_CHUNK_PAIRS, ChunkJob, digest
 from rtpiv.analysis.series.still_frames import still_in
 from rtpiv.analysis.series.workers import run_jobs, workers_for
 
@@ -260,11 +260,12 @@ def _run_sweep(
 
 def _parts(given: SeriesInput, mean: MeanFlow, sweep: Sweep, number: int) -> list[PartJob]:
     pairs = given.given.pairs
-    length = CHUNK_PAIRS
+    chunk = given.chunk
+    length = max(chunk, MAX_CHUNK_PAIRS)
     while length * PARTS < len(pairs):
         length *= 2
-    chunks, parts = given.jobs(), given.jobs(length)
-    per = length // CHUNK_PAIRS
+    chunks, parts = given.jobs(chunk), given.jobs(length)
+    per = length // chunk
     return [
         PartJob(
             part,

@@ -23,7 +23,7 @@ from rtpiv.analysis.series.series_checks import check_series
 from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder, sound_content
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_pairs import PairsOfSeries
-from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method
+from rtpiv.analysis.series.series_plan import ChunkJob, Method
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.workers import carry_out_with_progress, workers_for
 
@@ -95,7 +95,7 @@ class Evaluated:
 def run_series(
     series: SeriesInput,
     workers: int | None = None,
-    chunk: int = CHUNK_PAIRS,
+    chunk: int | None = None,
     executor: Executor | None = None,
     closely: PairMethod | None = None,
     on_pair: Callable[[str, Detailed], None] = lambda tag, found: None,
@@ -109,7 +109,7 @@ def run_series(
     workers : int, optional
         Processes; default one a core.
     chunk : int
-        Pairs a chunk, a power of two; no vector depends on it.
+        Pairs a chunk, a power of two, default `SeriesInput.chunk`; no vector depends on it.
     executor : Executor, optional
         Whose workers are used instead, for instance those of a cluster that sees both folders.
     closely : PairMethod, optional
@@ -134,6 +134,7 @@ def run_series(
         )
     folder = SeriesFolder(series.out)
     with folder.lock():
+        chunk = chunk or series.chunk
         jobs = series.jobs(chunk)
         about = about_series(name, given, method, jobs, chunk)
         _announce(folder, about)

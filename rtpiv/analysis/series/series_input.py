@@ -11,7 +11,7 @@ from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
 from daq.atomic_write import copy_whole, why, write_text
-from daq.errors import DiskError
+from daq.errors import DiskError, RunUnsuitable
 from daq.frames.likeness import require_pairs
 from daq.frames.numbered_files import MOST_NAMED, FoundFiles, first_pairs
 from daq.frames.source import FrameSource, is_source, source_of
@@ -23,7 +23,7 @@ from daq.runs.run_views import length_unit, scene_file, shows_light_sheet, where
 from ground.plain_words import quantity
 from ground.printable import readable_name
 from ground.terminal import console
-from piv.errors import PairError
+from piv.errors import PairError, SeriesError
 from piv.files.frame_file import stem_of
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from rtpiv.analysis.fit_beside import FIT_FILE, SCENE_FILE, scene_sigma_beside
@@ -32,8 +32,9 @@ from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.clean_frames import make_light
+from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
-from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method, jobs_of
+from rtpiv.analysis.series.series_plan import ChunkJob, Method, jobs_of, usual_chunk
 from rtpiv.analysis.series.shared_file import SharedFile
 from rtpiv.analysis.series.still_frames import make_still
 from tracer.scene.scene import Scene
@@ -197,9 +198,19 @@ class SeriesInput:
         corrector = correction_of(self.out / "maps", self.method).corrector
         return make_still(self.out, self.given.pairs, self.method, corrector)
 
-    def jobs(self, chunk: int = CHUNK_PAIRS) -> list[ChunkJob]:
+    @property
+    def chunk(self) -> int:
+        """Pairs of a chunk: as those in the folder are cut, so that they are kept, else `usual_chunk`."""
+        try:
+            cut = SeriesFolder(self.out).about["chunk_pairs"]
+        except (RunUnsuitable, SeriesError):
+            cut = 0
+        return cut if cut.bit_count() == 1 else usual_chunk(len(self.given.pairs), self.method)
+
+    def jobs(self, chunk: int | None = None) -> list[ChunkJob]:
         """Cut it into chunks of `chunk` pairs, a power of two, with the light that they share."""
-        return jobs_of(self.out, self.given.pairs, self.method, self.light(), chunk, self.still())
+        cut = chunk or self.chunk
+        return jobs_of(self.out, self.given.pairs, self.method, self.light(), cut, self.still())
 
 
 def series_input(

@@ -6,7 +6,7 @@ minimum looks at frames of the chunks before and after, so a job names these too
 series is cut.
 
 Chunks hold 2^m pairs: statistics are merged by a tree over pairs whose upper part is the tree over chunks
-(`piv.statistics.merge_tree`).
+(`piv.statistics.merge_tree`).  How many is chosen from the number of pairs alone, not from the cores at hand.
 """
 
 import hashlib
@@ -34,7 +34,9 @@ from rtpiv.analysis.series.shared_file import SharedFile
 from tracer.scene.scene import Scene
 
 LAYOUT = 2
-CHUNK_PAIRS = 16  # about half a minute of one core at 4 million pixels
+MAX_CHUNK_PAIRS = 16  # about half a minute of one core at 4 million pixels
+CHUNKS = 8  # at least, where there are pairs for so many: two to eight workers end at nearly the same time
+MIN_SLIDING_PAIRS = REACH_STEPS // 2  # each chunk reads the neighbours as well: of two pairs 4 % of its time
 COMPUTES = ("rtpiv", "numpy", "numba", "scipy")
 _ANALYSIS = ("rtpiv/analysis/pairs", "rtpiv/analysis/series")
 CODE = ("ground", "piv", "tracer", "correction", "daq/frames", "daq/runs", *_ANALYSIS)
@@ -187,12 +189,21 @@ class ChunkJob:
         return digest(tree)
 
 
+def usual_chunk(pairs: int, method: Method) -> int:
+    """Return how many pairs a chunk of a series of so many `pairs` holds, a power of two.
+
+    It is the largest with CHUNKS chunks, within MIN_SLIDING_PAIRS (of a sliding minimum) and MAX_CHUNK_PAIRS.
+    """
+    least = MIN_SLIDING_PAIRS if method.preparation.background == SLIDING_MINIMUM else 1
+    return min(MAX_CHUNK_PAIRS, max(least, 1 << ((pairs // CHUNKS).bit_length() - 1) if pairs >= CHUNKS else 1))
+
+
 def jobs_of(
     folder: Path,
     pairs: Sequence[SeriesPair],
     method: Method,
     light: SharedFile | None,
-    chunk: int = CHUNK_PAIRS,
+    chunk: int,
     still: SharedFile | None = None,
 ) -> list[ChunkJob]:
     """Cut a series into chunks of `chunk` pairs, a power of two."""

@@ -107,13 +107,15 @@ def test_every_pair_of_a_series_can_be_asked_for_more(run, tmp_path):
     assert content_of(tmp_path / "out") == content_of(tmp_path / "plain")
     folders = sorted(path for path in (tmp_path / "out").glob("flow_*"))
     assert len(folders) == PAIRS
+    cut = json.loads((tmp_path / "out" / "series.json").read_text())["chunk_pairs"]
     for place, folder in enumerate(folders):
         assert {"vectors.nc", "vectors.vtk", "evaluation.json", "tracks.nc"} <= {p.name for p in folder.iterdir()}
         said = json.loads((folder / "evaluation.json").read_text())
         assert max(map(abs, said["shift"]["regions"]["seen directly"]["bias_px"])) < 0.1
-        one, all_of_them = read_vectors(folder / "vectors.nc"), read_vectors(chunk_path(tmp_path / "out", 0))
+        chunk, row = chunk_path(tmp_path / "out", place // cut), place % cut
+        one, all_of_them = read_vectors(folder / "vectors.nc"), read_vectors(chunk)
         for name in ("u", "v", "sigma_u", "flag"):
-            assert one.fields[name][0].tobytes() == all_of_them.fields[name][place].tobytes()
+            assert one.fields[name][0].tobytes() == all_of_them.fields[name][row].tobytes()
 
 
 def test_a_pair_is_correlated_once_however_much_is_asked_of_it(tmp_path, mocker):

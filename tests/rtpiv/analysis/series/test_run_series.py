@@ -24,7 +24,7 @@ from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder, marker_path
 from rtpiv.analysis.series.series_mean import mean_vectors, write_statistics
 from rtpiv.analysis.series.series_pairs import is_flow, is_one_series
-from rtpiv.analysis.series.series_plan import chunk_path, jobs_of
+from rtpiv.analysis.series.series_plan import chunk_path, jobs_of, usual_chunk
 from tests.rtpiv.analysis.series.small_series import (
     DT_US,
     PX_PER_MM,
@@ -166,6 +166,22 @@ def test_no_vector_depends_on_where_the_series_is_cut(folder, run, made, chunk):
     mean, same = (mean_flow(Chunks.of(path)) for path in (out, made.series.path))
     for name, values in mean.moments.to_arrays().items():
         assert values.tobytes() == same.moments.to_arrays()[name].tobytes()
+
+
+@pytest.mark.parametrize(("pairs", "steps", "cut"), [
+    (1, (), 1), (7, (), 1), (8, (), 1), (24, (), 2), (63, (), 4), (64, (), 8), (1_000_000, (), 16),
+    (5, ("sliding-minimum",), 2), (24, ("sliding-minimum",), 2), (129, ("sliding-minimum",), 16),
+])  # fmt: skip
+def test_chunks_are_so_many_that_cores_end_together(tmp_path, pairs, steps, cut):
+    assert usual_chunk(pairs, method_of(tmp_path, *steps)) == cut
+
+
+def test_a_series_that_is_there_stays_cut_as_it_is(folder, run, made):
+    again = series_of(made.series.path, given_of(run), method_of(folder, "sliding-minimum"))
+    assert (again.chunk, len(again.jobs())) == (4, 3)
+    assert run_series(again, 1).kept == PAIRS
+    other = series_of(folder / "new", given_of(run), method_of(folder, "sliding-minimum"))
+    assert (other.chunk, len(other.jobs())) == (2, 6)
 
 
 def test_two_processes_write_the_same_bytes_as_none(folder, run, made):
@@ -400,7 +416,7 @@ def test_a_stream_whose_camera_has_no_clock_needs_to_be_told_the_time(tmp_path):
         given_of(run)
     given = given_of(run, DT_US)
     assert (given.pairs[0].dt_s, given.pairs[0].time_s) == (pytest.approx(DT_US * 1e-6), None)
-    run_series(series_of(tmp_path / "out", given, method_of(tmp_path, "sliding-minimum"), "stream"), 1)
+    run_series(series_of(tmp_path / "out", given, method_of(tmp_path, "sliding-minimum"), "stream"), 1, 16)
     with netcdf_file(chunk_path(tmp_path / "out", 0), mmap=False) as file:
         assert file.variables["t"].units == b"pair"
         assert file.variables["t"][:].tolist() == list(range(11))
