@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from correction.light_sheet.disparities import Light
 from correction.self_check.seen_twice import Finder, SeenTwice, join_pairs
+from ground.rows import run_parts
 from tracer.light_sheet import LightSheet
 from tracer.scene.scene import Scene
 
@@ -144,12 +145,15 @@ def check_spheres(scene: Scene, pairs: Pairs) -> SelfCheck:
     """
     finder = Finder(scene.in_light_sheet())
     light, count = Light.of(pairs, FEWEST_PAIRS, "whether a sphere has moved")
-    found = [
-        finder.find(frame - light.mean[pulse], number)
-        for number, pair in enumerate(pairs())
-        for pulse, frame in enumerate(pair)
-    ]
-    return judge_pairs(finder.spheres, join_pairs(found), count, scene.lit)
+    frames = ((number, pulse, frame) for number, pair in enumerate(pairs()) for pulse, frame in enumerate(pair))
+    found: dict[tuple[int, int], SeenTwice] = {}
+
+    def search(part: tuple[int, int, NDArray[np.float32]]) -> None:
+        number, pulse, frame = part
+        found[number, pulse] = finder.find(frame - light.mean[pulse], number)
+
+    run_parts(search, frames)
+    return judge_pairs(finder.spheres, join_pairs([found[key] for key in sorted(found)]), count, scene.lit)
 
 
 class RunningCheck:

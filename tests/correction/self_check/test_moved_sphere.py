@@ -99,6 +99,17 @@ def test_frames_tell_which_sphere_has_moved(drawn):
     assert found.likely_moves[0].move_mm[0] == pytest.approx(-0.04, abs=0.012)
 
 
+def test_frames_on_several_cores_tell_the_same_to_the_last_bit(drawn, monkeypatch):
+    scene, pairs = drawn
+    found = []
+    for threads in ("1", "4"):
+        monkeypatch.setenv("RTPIV_THREADS", threads)
+        found.append(check_spheres(scene, lambda: iter(list(pairs())[:10])))
+    one, four = ([move.move_mm.tobytes() for move in each.moves] for each in found)
+    assert (one, found[0].particles) == (four, found[1].particles)
+    assert one
+
+
 def test_a_running_check_says_the_same(drawn):
     scene, pairs = drawn
     check = RunningCheck(moved(scene, 1, (0.04, 0.0, 0.0)), most_pairs=14)
