@@ -5,6 +5,7 @@ from enum import IntEnum
 RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME = 0, 1, 2, 3, 4  # as kernels see them
 LOW_MAGNIFICATION, UNSURE, BLURRED, IN_GLASS = 5, 6, 7, 8
 UNLISTED, UNCONFIRMED, LEFT_OUT = 9, 10, 11  # what a scene masks, and no view brings back
+DARK, OVERLIT = 12, 13
 
 
 class NodeStatus(IntEnum):
@@ -22,6 +23,8 @@ class NodeStatus(IntEnum):
     UNLISTED = UNLISTED  # something that the scene does not list stands before it
     UNCONFIRMED = UNCONFIRMED  # the target did not confirm what the scene shows there
     LEFT_OUT = LEFT_OUT  # a person wants it so
+    DARK = DARK  # bodies keep the light of the sheet away
+    OVERLIT = OVERLIT  # bodies focus the light of the sheet there
 
 
 MEANING = {
@@ -37,4 +40,6 @@ MEANING = {
     NodeStatus.UNLISTED: "behind an unlisted body",
     NodeStatus.UNCONFIRMED: "not confirmed by the target",
     NodeStatus.LEFT_OUT: "left out by hand",
+    NodeStatus.DARK: "too little light of the sheet",
+    NodeStatus.OVERLIT: "light of the sheet focused there",
 }

@@ -27,6 +27,54 @@ from tracer.errors import SceneError
 
 UNMEASURED_MM, UNMEASURED_DEG = 0.5, 0.5  # a sheet that was set up by eye
 STEEPEST_DEG = 30.0
+WIDEST_FAN_DEG = 120.0
+
+
+@dataclass(frozen=True)
+class SheetSource:
+    """Source of the light of a sheet; lengths and angles are in the plane of the sheet.
+
+    Parameters
+    ----------
+    from_deg : float
+        Direction from which it comes: 0 from +x (the right), 90 from +y (above), 180 from the left.
+    width_mm : float
+        Full width of the sheet at the origin, across the light; of a Gaussian profile at e^-2.
+    gaussian : bool
+        Whether the profile across is a Gaussian; otherwise it is uniform.
+    fan_deg : float
+        Full opening angle of the fan; 0: parallel light.
+    divergence_deg : float
+        Full angle at e^-2 across the thickness; 0: parallel light.
+    focus_mm : float
+        Where the sheet is thinnest: distance behind the origin, along the light.
+    power : float
+        Brightness in the middle of the sheet without bodies, relative to the other sources.
+
+    Raises
+    ------
+    SceneError
+        There is no such light.
+    """
+
+    from_deg: float
+    width_mm: float
+    gaussian: bool = False
+    fan_deg: float = 0.0
+    divergence_deg: float = 0.0
+    focus_mm: float = 0.0
+    power: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.width_mm > 0.0 and self.power > 0.0):
+            raise SceneError("width_mm and power of a light sheet's source must be positive")
+        if not (0.0 <= self.fan_deg <= WIDEST_FAN_DEG and 0.0 <= self.divergence_deg <= WIDEST_FAN_DEG):
+            raise SceneError(f"fan_deg and divergence_deg of a light sheet's source are 0 to {WIDEST_FAN_DEG:g}")
+
+    @property
+    def bend_per_mm(self) -> float:
+        """One over the distance from the apex of the fan to the origin; 0 for parallel light."""
+        return 2.0 * float(np.tan(np.deg2rad(0.5 * self.fan_deg))) / self.width_mm
 
 
 @dataclass(frozen=True)
@@ -46,7 +94,9 @@ class LightSheet:
     correlation : (float, float, float)
         Between z and tilt_x, z and tilt_y, tilt_x and tilt_y.
     thickness_mm : float or None
-        Full width at e^-2 of the light across it; None if unknown.
+        Full width at e^-2 of the light across it, where it is thinnest; None if unknown.
+    sources : tuple of SheetSource
+        Where its light comes from, as far as that was said; their light adds up.
 
     Raises
     ------
@@ -61,6 +111,7 @@ class LightSheet:
     tilt_sigma_deg: float = UNMEASURED_DEG
     correlation: Vector3 = (0.0, 0.0, 0.0)
     thickness_mm: float | None = None
+    sources: tuple[SheetSource, ...] = ()
 
     def __post_init__(self) -> None:
         if max(abs(self.tilt_x_deg), abs(self.tilt_y_deg)) > STEEPEST_DEG:
@@ -71,6 +122,8 @@ class LightSheet:
             raise SceneError("standard deviations of the light sheet must not be negative")
         if self.thickness_mm is not None and not self.thickness_mm > 0.0:
             raise SceneError("the thickness of the light sheet must be positive")
+        if self.sources and self.thickness_mm is None:
+            raise SceneError("the light sheet has sources and no thickness_mm; give its full width at e^-2")
         if np.linalg.eigvalsh(self._correlations()).min() < -1e-9:
             raise SceneError("the correlations of the light sheet's numbers contradict each other")
 

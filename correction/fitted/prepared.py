@@ -25,6 +25,7 @@ from correction.maps.aperture import through_pupil
 from correction.maps.correction_map import CorrectionMap, build_correction_map, code_here
 from correction.maps.corrector import Corrector
 from correction.maps.dewarp import Dewarp
+from correction.maps.lit import through_light
 from ground.errors import GroundError
 from piv.resampling.sample import Method
 from tracer.errors import TracerError
@@ -73,6 +74,8 @@ def content_key(
         tree += [scene.camera.pupil.radius_mm, scene.camera.pupil.focus_mm]
     if scene.masked:
         tree += [asdict(part) for part in scene.masked]
+    if scene.light is not None:
+        tree.append(asdict(scene.light))
     if limit is not None:
         of_sigma = (
             limit.sigma.root.tobytes() + limit.sigma.plane_root.tobytes() + limit.sigma.shapes.root.tobytes()
@@ -121,7 +124,7 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    found = through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene)
+    found = through_light(through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
     return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid))
 

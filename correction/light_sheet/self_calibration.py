@@ -345,20 +345,18 @@ def _covariance(sheet: LightSheet) -> NDArray[np.float64]:
 
 def _correct_sheet(now: LightSheet, fit: PlaneFit, known: LightSheet) -> LightSheet:
     """The sheet with a correction of its plane, and its sigma."""
-    return _with_plane(_numbers(now) + fit.step, fit.covariance, known.thickness_mm)
+    return _with_plane(_numbers(now) + fit.step, fit.covariance, known)
 
 
-def _with_plane(
-    numbers: NDArray[np.float64], covariance: NDArray[np.float64], thickness_mm: float | None
-) -> LightSheet:
-    """The sheet of height and slopes (3,) and their covariance."""
+def _with_plane(numbers: NDArray[np.float64], covariance: NDArray[np.float64], like: LightSheet) -> LightSheet:
+    """The sheet of height and slopes (3,) and their covariance, with the light of another one."""
     z, a, b = numbers
     sigma = np.sqrt(np.diag(covariance))
     shares = covariance / np.outer(sigma, sigma)
     tilt = float(np.rad2deg(np.sqrt(np.mean([(sigma[1] / (1 + a * a)) ** 2, (sigma[2] / (1 + b * b)) ** 2]))))
     return LightSheet(
         float(z), float(np.rad2deg(np.arctan(a))), float(np.rad2deg(np.arctan(b))), float(sigma[0]), tilt,
-        (float(shares[0, 1]), float(shares[0, 2]), float(shares[1, 2])), thickness_mm,
+        (float(shares[0, 1]), float(shares[0, 2]), float(shares[1, 2])), like.thickness_mm, like.sources,
     )  # fmt: skip
 
 
@@ -368,7 +366,7 @@ def _without_guess(now: LightSheet, known: LightSheet) -> LightSheet:
     information = np.linalg.inv(_covariance(now))
     covariance = np.asarray(np.linalg.inv(information - guess))
     answer = covariance @ (information @ _numbers(now) - guess @ _numbers(known))
-    return _with_plane(answer, covariance, now.thickness_mm)
+    return _with_plane(answer, covariance, now)
 
 
 def _reach(views: DoubleViews, sigma_mm: float) -> int:

@@ -10,16 +10,17 @@ from correction.grid import PlaneGrid
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
 from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.maps.lit import LEAST_BRIGHTNESS, MOST_BRIGHTNESS, light_of, through_light
 from correction.node_status import MEANING, NodeStatus
 from daq.bench.scene_plausibility import scene_questions
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.fit_beside import FIT_FILE, scene_sigma_beside
-from rtpiv.analysis.gaps import Gaps, gap_share
+from rtpiv.analysis.gaps import RING, Gaps, LitGaps, gap_share
 from rtpiv.analysis.pictures.drawing_process import Draw, drawing
 from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.steepness import ShownSlant, Steepness
-from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
+from rtpiv.analysis.through_glass import BodyShare, PlaneShare, percent, plane_share
 from rtpiv.analysis.views.arranged import little
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.verbs.paths import Named
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from correction.maps.aperture import BlurMap
 
 PICTURES = "rtpiv.analysis.pictures"
-DRAWN = ("plane.png", "camera_view.png", "slant.png", "scene.png", "blur.png", "radial_curve.png")
+DRAWN = ("plane.png", "camera_view.png", "light.png", "slant.png", "scene.png", "blur.png", "radial_curve.png")
 SHOWN_BODIES = 40
 LONGEST_BODY_NAME = 32
 SHEET_STEP = 4  # corrected pixels between places that may be seen twice; 2 says the same in four times the time
@@ -79,7 +80,8 @@ def trace(
     out : path, optional
         Folder, default ``trace`` (or ``trace-2`` ... where that has results), for ``plane.png`` (what is recovered
         of the plane, why the rest is not, and the magnification), ``camera_view.png`` (a board with markers as
-        the camera sees it), ``slant.png`` (how steeply rays meet the plane), ``scene.png`` (the scene to scale,
+        the camera sees it), ``light.png`` (brightness and height of the light, if the scene gives its
+        sources), ``slant.png`` (how steeply rays meet the plane), ``scene.png`` (the scene to scale,
         cut where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says
         the camera's aperture.
     pictures : bool
@@ -106,8 +108,13 @@ def trace(
     with results_in(out, "trace", overwrite=overwrite, made_from=made_from) as out:
         for question in [] if isinstance(scene, Scene) else scene_questions(scene):
             screen.print(question, soft_wrap=True, highlight=False)
+        given, loaded = loaded, _in_bed(loaded)
+        if loaded is not given:
+            screen.print(f"in {given.lit.summary}")
         ray_map = build_ray_map(loaded)
-        correction_map = build_correction_map(loaded, ray_map)
+        seen = build_correction_map(loaded, ray_map)
+        light = light_of(loaded, seen.grid)
+        correction_map = through_light(seen, loaded, light)
         share = plane_share(loaded, correction_map)
         blur = None
         if loaded.camera.pupil is not None:
@@ -118,7 +125,7 @@ def trace(
             view: FieldOfView | None = field_of_view(loaded)
         except SceneError:  # not in a row: the areas say it all
             view = None
-        gaps = gap_share(loaded, correction_map)
+        gaps = gap_share(loaded, seen, light)
         if gaps is not None:
             screen.print(gaps.sentence, style="bold")
         elif share.through is not None:
@@ -128,6 +135,8 @@ def trace(
         screen.print(_plane_table(f"{name}, scene {loaded.content_hash()}", share))
         if share.bodies:
             screen.print(_body_table(share))
+        if gaps is not None and gaps.lit is not None:
+            screen.print(_light_table(gaps.lit))
         if view is not None:
             screen.print(_radial_table(view))
         if blur is not None and np.isfinite(blur.width_px).any():
@@ -141,14 +150,16 @@ def trace(
             slant = ShownSlant.of(correction_map, loaded)
             if slant.steepness.sentence:
                 screen.print(slant.steepness.sentence)
-            forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
+            forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), given, loaded, ray_map)
             if forecast is not None:
                 screen.print(forecast.sentence)
             del ray_map
             if pictures:
                 _draw_on_plane(draw, out, loaded, correction_map.grid, slant, blur)
+                if light is not None:
+                    draw(f"{PICTURES}.traced:draw_light", out / "light.png", loaded, light)
                 _draw_views(draw, out, name, loaded, share.size_mm[0], view)
-        lacking = {"blur.png": blur is None, "radial_curve.png": view is None}
+        lacking = {"light.png": light is None, "blur.png": blur is None, "radial_curve.png": view is None}
         names = [name for name in DRAWN if pictures and not lacking.get(name)]
         if pictures:
             screen.print(f"{', '.join(names)} are in {out}")
@@ -187,15 +198,28 @@ def _draw_views(draw: Draw, out: Path, name: str, scene: Scene, width_mm: float,
     draw(f"{PICTURES}.traced:draw_camera_view", out / "camera_view.png", *view_of)
 
 
-def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetForecast | None:
+def _in_bed(scene: Scene) -> Scene:
+    """Return the scene in its light sheet where that runs through a bed or its sources are given; else itself."""
+    if scene.sheet is None or (scene.sheet.is_target_plane and not scene.sheet.sources):
+        return scene
+    try:
+        lit = scene.in_light_sheet()
+    except SceneError:
+        if scene.sheet.sources:
+            raise
+        return scene  # `correct` reports it: the glass may stand elsewhere then
+    return lit if lit.light is not None or lit.spheres_in_plane else scene
+
+
+def _sheet_forecast(path: Path | None, scene: Scene, shown: Scene, ray_map: RayMap) -> SheetForecast | None:
     """Return the forecast for finding the light sheet, where glass can stand in front of it."""
     fitted = path is not None and path.with_name(FIT_FILE).is_file()
     sigma = scene_sigma_beside(path, scene, dewarped=False) if path is not None and fitted else "no fit"
     try:
-        lit = scene.in_light_sheet()
+        lit = shown if shown.sheet is None else scene.in_light_sheet()
     except SceneError:  # `correct` reports it: the glass may stand elsewhere then
         return None
-    views = double_views(lit, ray_map if lit is scene else None, SHEET_STEP)
+    views = double_views(lit, ray_map if lit is shown else None, SHEET_STEP)
     return sheet_forecast(lit, views, None if isinstance(sigma, str) else sigma)
 
 
@@ -221,6 +245,21 @@ def _body_table(share: PlaneShare) -> Table:
     largest = sorted(share.bodies, key=lambda body: -body.outline_mm2)[:SHOWN_BODIES]
     rows = [_body_row(body) for body in largest]
     return Table("area of the plane hidden by each body" + more, columns, rows, left=(0, 4))
+
+
+def _light_table(lit: LitGaps) -> Table:
+    """Return the table of the gas around each ball: what is seen and lit of it."""
+    title = (
+        f"gas within {RING:g} R of each ball; lit: {LEAST_BRIGHTNESS:g} to {MOST_BRIGHTNESS:g} times the"
+        f" undisturbed sheet; {percent(lit.reflected)} of the light is reflected and not followed"
+    )
+    columns = ("ball", "gas [mm\u00b2]", "seen", "lit", "lit and seen", "brightness", "height [mm]")
+    rows = [
+        (short(side.name, LONGEST_BODY_NAME), f"{side.gas_mm2:.1f}", percent(side.seen), percent(side.lit),
+         percent(side.both), f"{side.brightness:.2f}", f"{side.height_mm:+.3f}")
+        for side in sorted(lit.balls, key=lambda side: -side.gas_mm2)[:SHOWN_BODIES]
+    ]  # fmt: skip
+    return Table(title, columns, rows)
 
 
 def _body_row(body: BodyShare) -> tuple[str, ...]:

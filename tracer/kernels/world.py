@@ -253,6 +253,15 @@ def leave_other(p: Vector, d: Vector, number: int, others: tuple[Any, ...]) -> C
     return stay_inside(p, d)
 
 
+def meets_other(p: Vector, d: Vector, number: int, others: tuple[Any, ...]) -> float:
+    """Distance along the half-line p + t d to another body, as `Kind.meets`."""
+    for table in others:
+        if FIRST_OTHER - number < len(table.rows):
+            return KINDS[type(table)].meets(p, d, table.rows[FIRST_OTHER - number])
+        number += len(table.rows)
+    return math.inf
+
+
 def place_of_other(number: int, others: tuple[Any, ...], before: int) -> tuple[int, int]:
     """Place of the numbers of another body among those of all, and how many they are; `before` come first."""
     for table in others:
@@ -289,6 +298,12 @@ def stay_inside(p: Vector, d: Vector, row: Array | None = None) -> Crossed:
 
 
 @kernel
+def miss(p: Vector, d: Vector, row: Array | None = None) -> float:
+    """Distance to a body that there is not."""
+    return math.inf
+
+
+@kernel
 def opaque_rates(
     p: Vector, d: Vector, f: Vector, u: Vector, row: Array, rate: Array, way: int
 ) -> tuple[Vector, Vector]:
@@ -321,7 +336,7 @@ def _meet_others(p, d, last, best, number, others, room, home):  # type: ignore[
 
 
 def _crossing(others: Any, function: Any, otherwise: Any) -> Any:  # noqa: ANN401 - types of numba
-    """Write `cross_other` or `leave_other` for the types of some tables, by the function of the first one."""
+    """Write `cross_other`, `leave_other` or `meets_other` for the types of some tables, by that of the first."""
     kind = _kind(others)
     if kind is None:
         return lambda p, d, number, others: otherwise(p, d)
@@ -344,6 +359,11 @@ def _cross_other(p, d, number, others):  # type: ignore[no-untyped-def]  # noqa:
 @overload(leave_other, jit_options=OVERLOADED)
 def _leave_other(p, d, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     return _crossing(others, leave_other, stay_inside)
+
+
+@overload(meets_other, jit_options=OVERLOADED)
+def _meets_other(p, d, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    return _crossing(others, meets_other, miss)
 
 
 @overload(place_of_other, jit_options=OVERLOADED)

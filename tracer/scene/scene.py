@@ -75,6 +75,8 @@ class Scene:
         light sheet.
     masked : tuple of MaskedPart
         Parts of the view that no map is to use.  Rays do not depend on them, so the content hash does not.
+    light : LightSheet, optional
+        Sheet that lights z = 0, with its sources, of a scene in its sheet (`in_light_sheet`); not in the hash.
 
     Raises
     ------
@@ -90,6 +92,7 @@ class Scene:
     sheet: LightSheet | None = None
     cut_mm: float = 0.0
     masked: tuple[MaskedPart, ...] = ()
+    light: LightSheet | None = None
 
     def __post_init__(self) -> None:
         check_wavelength(self.wavelength_nm)
@@ -156,8 +159,9 @@ class Scene:
         sheet = self.sheet
         if sheet is None:
             return self
+        light = sheet if sheet.sources else None
         if sheet.is_target_plane:
-            return replace(self, sheet=None, cut_mm=DEEPEST_CUT_MM)
+            return replace(self, sheet=None, cut_mm=DEEPEST_CUT_MM, light=light)
         camera = self.camera
         first, second, third = (vector3(row) for row in camera.rotation_matrix @ sheet.axes().T)
         moved = replace(camera, position_mm=sheet.place(camera.position_mm), rotation=(first, second, third))
@@ -170,7 +174,9 @@ class Scene:
                 f"the light sheet at z = {sheet.z_mm:g} mm runs through {names}; put the bodies where they stood"
                 " while the sheet was on, or correct z_mm and the tilt of the sheet"
             )
-        return Scene(moved, bodies, self.wavelength_nm, self.ambient, cut_mm=DEEPEST_CUT_MM, masked=self.masked)
+        return Scene(
+            moved, bodies, self.wavelength_nm, self.ambient, cut_mm=DEEPEST_CUT_MM, masked=self.masked, light=light
+        )  # fmt: skip
 
     def sphere_table(self) -> NDArray[np.float64]:
         """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""

@@ -22,6 +22,8 @@
          core: {radius_mm: 24.0, material: air}}   # gas inside; a core may have a core itself
       - {name: support, kind: rod, start_mm: [0.0, -40.0, 10.0], end_mm: [0.0, -60.0, 10.0], radius_mm: 4.0}
     sheet: {z_mm: 0.2, sigma_mm: 0.05}   # optional: where particles are lit, see tracer.light_sheet
+      # thickness_mm: 1.0                  # with it, where the light comes from: it is traced through the bodies
+      # sources: [{from_deg: 180.0, width_mm: 120.0, profile: gaussian, fan_deg: 10.0}]
     masked:                              # optional: parts of the frame that no map may use, see tracer.masked
       - {why: unlisted body, outline_px: [[410, 300], [455, 310], [430, 352]]}
       - {why: unconfirmed, through: [front, hollow]}
@@ -303,7 +305,11 @@ def _by_name(section: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, An
 
 def _sheet_section(sheet: LightSheet) -> dict[str, Any]:
     """The light sheet as a scene file has it."""
-    said = asdict(sheet) | {"correlation": list(sheet.correlation)}
+    said = asdict(sheet) | {"correlation": list(sheet.correlation), "sources": None}
+    if sheet.sources:
+        said["sources"] = [asdict(source) for source in sheet.sources]
+        for source in said["sources"]:
+            source["profile"] = "gaussian" if source.pop("gaussian") else "uniform"
     return {key: value for key, value in said.items() if value is not None}
 
 

@@ -13,7 +13,7 @@ from ground.usual import Usual
 from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.errors import SceneError
-from tracer.light_sheet import STEEPEST_DEG, UNMEASURED_DEG, UNMEASURED_MM, LightSheet
+from tracer.light_sheet import STEEPEST_DEG, UNMEASURED_DEG, UNMEASURED_MM, WIDEST_FAN_DEG, LightSheet, SheetSource
 from tracer.masked import LEFT_OUT, MaskedPart, left_out
 from tracer.medium_table import MediumTable, Positive
 from tracer.pupil import Pupil
@@ -138,6 +138,25 @@ Tilt = Annotated[float, Field(ge=-STEEPEST_DEG, le=STEEPEST_DEG)]
 Correlation = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 
+FanAngle = Annotated[float, Field(ge=0.0, le=WIDEST_FAN_DEG)]
+
+
+class SourceTable(Table):
+    """A source of the light of a sheet."""
+
+    from_deg: Annotated[float, Field(ge=-360.0, le=360.0)]
+    width_mm: Positive
+    profile: Literal["uniform", "gaussian"] = "uniform"
+    fan_deg: FanAngle = 0.0
+    divergence_deg: FanAngle = 0.0
+    focus_mm: Annotated[float, Field(ge=-1e5, le=1e5)] = 0.0
+    power: Positive = 1.0
+
+    def source(self) -> SheetSource:
+        """Return the source described."""
+        return SheetSource(**self.model_dump(exclude={"profile"}), gaussian=self.profile == "gaussian")
+
+
 class SheetTable(Table):
     """The light sheet: where particles are lit."""
 
@@ -148,11 +167,13 @@ class SheetTable(Table):
     tilt_sigma_deg: Annotated[Sigma, Usual(0.0, 2.0)] = UNMEASURED_DEG
     correlation: Annotated[list[Correlation], Field(min_length=3, max_length=3), exactly(3)] | None = None
     thickness_mm: Positive | None = None
+    sources: Annotated[list[SourceTable], Field(max_length=8)] = Field(default_factory=list)
 
     def light_sheet(self) -> LightSheet:
         """Return the sheet described."""
-        said = self.model_dump(exclude={"correlation"})
-        return LightSheet(**said, correlation=vector3(self.correlation or (0.0, 0.0, 0.0)))
+        said = self.model_dump(exclude={"correlation", "sources"})
+        sources = tuple(source.source() for source in self.sources)
+        return LightSheet(**said, correlation=vector3(self.correlation or (0.0, 0.0, 0.0)), sources=sources)
 
 
 class MaskedTable(Table):

@@ -33,6 +33,8 @@ COLOURS: dict[NodeStatus, Colour] = {
     NodeStatus.UNLISTED: (186, 84, 140),
     NodeStatus.UNCONFIRMED: (196, 168, 74),
     NodeStatus.LEFT_OUT: (118, 110, 98),
+    NodeStatus.DARK: (28, 24, 46),
+    NodeStatus.OVERLIT: (250, 226, 120),
 }
 THROUGH: Colour = (176, 208, 231)  # recovered, and seen through glass
 _PALETTE = np.array([COLOURS[status] for status in NodeStatus], np.uint8)

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.maps.aperture import BlurMap, blur_map
-from correction.maps.correction_map import build_correction_map
+from correction.maps.correction_map import build_correction_map, nodes_in_glass
+from correction.maps.lit import PlaneLight
 from correction.node_status import MEANING, NodeStatus
 from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, bare, colour_bar, draw_outlines, plane_panels
 from rtpiv.analysis.pictures.rasters import COLOURS, THROUGH, Colour, ShownPlane, mask_picture, web
@@ -31,6 +32,10 @@ from tracer.strategies.ray_map import build_ray_map
 SIZES = LinearSegmentedColormap.from_list(  # small is warm: there resolution is lost
     "sizes", ("#a8323e", "#f0b27a", "#f7f5f0", "#5b93c2", "#173f6b")
 ).with_extremes(bad="#9aa2b1")
+SHINE = LinearSegmentedColormap.from_list("light", ("#0b0d1f", "#1f6f54", "#7fd06b", "#f4f7c5")).with_extremes(
+    bad="#9aa2b1"
+)
+HEIGHTS = SIZES.with_extremes(bad="#9aa2b1")
 LEAST, MOST = 0.25, 4.0  # of the magnification's colours
 
 
@@ -116,6 +121,44 @@ def draw_camera_view(
     axes.set_title(said, fontsize=10, parse_math=False)
     axes.set(xlabel="u [px]", ylabel="v [px]")
     save_picture(figure, path, 130)
+
+
+DARKEST, BRIGHTEST = 1.0 / 16.0, 16.0  # of the colours of light
+
+
+def draw_light(path: Path, scene: Scene, lit: PlaneLight) -> None:
+    """Draw how bright the sheet is on the plane, and how high its light lies, side by side as PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    scene : Scene
+        Whose bodies are outlined.
+    lit : PlaneLight
+        The light.
+    """
+    grid, (height, width) = lit.grid, lit.grid.shape
+    (x0, y0), pitch = grid.origin_mm, grid.pitch_mm
+    figure, (left, right) = plane_panels(height / width, 2, 2)
+    FigureCanvasAgg(figure)
+    extent = (x0 - 0.5 * pitch, x0 + (width - 0.5) * pitch, y0 - (height - 0.5) * pitch, y0 + 0.5 * pitch)
+    inside = nodes_in_glass(scene, grid)
+    glass = np.zeros(grid.shape, np.bool_) if inside is None else inside
+    bright = np.where(glass, np.nan, np.maximum(lit.light.brightness, 0.5 * DARKEST))
+    high = np.where(glass | (lit.light.brightness < DARKEST), np.nan, lit.light.height_mm)
+    most = float(np.nanquantile(np.abs(high), 0.99)) if np.isfinite(high).any() else 0.0
+    norm = LogNorm(DARKEST, BRIGHTEST)
+    shown = left.imshow(bright, extent=extent, cmap=SHINE, norm=norm, interpolation="nearest")
+    bar = colour_bar(shown, left, "brightness relative to the undisturbed sheet", "both")
+    bar.set_ticks([1 / 16, 0.25, 1.0, 4.0, 16.0], labels=["1/16", "1/4", "1", "4", "16"])
+    bar.minorticks_off()
+    limit = max(most, 1e-3)
+    shown = right.imshow(high, extent=extent, cmap=HEIGHTS, vmin=-limit, vmax=limit, interpolation="nearest")
+    colour_bar(shown, right, "mean height of the light over the plane [mm]", "both")
+    for axes in (left, right):
+        axes.set(xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
+    save_picture(figure, path, 110)
 
 
 LEANS = 24  # arrows along the longer side
