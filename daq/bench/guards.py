@@ -9,7 +9,8 @@ from daq.bench.keep_out import Carrier, Element, KeepOut
 from stages.clock import SYSTEM_CLOCK
 from stages.stage import Stage
 from stages.way import Guard, Piece
-from tracer.scene.scene import Scene
+from tracer.bodies import CONTACT_TOL_MM
+from tracer.scene.scene import DEEPEST_CUT_MM, Scene
 
 
 def guard_of(bench: Bench) -> Guard | None:
@@ -68,7 +69,8 @@ def sheet_clearance_mm(bench: Bench, positions_mm: Mapping[str, float]) -> float
     -------
     float
         Below 0 if the sheet is cut; infinity if there is neither glass nor target.  A tube around the sheet does
-        not count: the light goes in through it.  Nor does a ball that the scene has in the sheet, as in a bed.
+        not count: the light goes in through it.  Nor does a ball that the scene has in the sheet, as in a bed:
+        more than a millimetre deep where the sheet does not lie in the target's plane.
     """
     return min((free_mm for _, free_mm in sheet_clearances_mm(bench, positions_mm)), default=float("inf"))
 
@@ -76,16 +78,19 @@ def sheet_clearance_mm(bench: Bench, positions_mm: Mapping[str, float]) -> float
 def sheet_clearances_mm(bench: Bench, positions_mm: Mapping[str, float]) -> list[tuple[str, float]]:
     """Distance [mm] from the sheet of all that must be clear of it: glass, target, other bodies by their names."""
     distances = list[tuple[str, float]]()
-    table = bench.table
+    table, sheet = bench.table, bench.scene.lit
     z_mm = {one: table.offset_mm(one, positions_mm)[2] for one in (GLASS, CAMERA)}
-    for body in bench.scene.bodies:
-        off_mm = z_mm.get(body.carried, 0.0)
+    deep_mm = CONTACT_TOL_MM if sheet.is_target_plane else DEEPEST_CUT_MM
+    for standing in bench.scene.bodies:
+        body = standing if sheet.is_target_plane else standing.moved(sheet.place)
+        in_bed = body.kind == "sphere" and body.lowest_mm < -deep_mm and body.highest_mm > CONTACT_TOL_MM
+        off_mm = z_mm.get(body.carried, 0.0) * float(sheet.axes()[2, 2])
         gap_mm = max(body.lowest_mm + off_mm, -body.highest_mm - off_mm)
         is_wall = body.may_cross_plane and body.kind != "sphere"
-        if gap_mm > 0.0 or not (is_wall or body in bench.scene.spheres_in_plane):
+        if gap_mm > 0.0 or not (is_wall or in_bed):
             distances.append((GLASS if body.carried == GLASS else body.name, gap_mm))
     if bench.table.axes_of(TARGET):
-        front_mm = bench.table.offset_mm(TARGET, positions_mm)[2]
+        front_mm = bench.table.offset_mm(TARGET, positions_mm)[2] - sheet.z_mm
         keep_out = bench.table.keep_out
         thick_mm = 0.0 if keep_out is None else keep_out.target_size_mm[2]
         distances.append((TARGET, -front_mm if front_mm <= 0.0 else front_mm - thick_mm))

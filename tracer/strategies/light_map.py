@@ -99,11 +99,13 @@ def trace_light(
     if not sheet.sources or sheet.thickness_mm is None:
         raise SceneError("the light sheet has no source; give its sources and thickness_mm")
     corner = np.array(origin_mm) + pitch_mm * (np.array([shape[1], -shape[0]]) - (1.0, -1.0))
+    (left, top), (right, bottom) = origin_mm, corner
+    corners = np.array([(left, top), (right, top), (left, bottom), (right, bottom)])
     middle, radius = 0.5 * (corner + origin_mm), 0.5 * float(np.hypot(*(corner - origin_mm)))
     nodes, powers = np.zeros((3, *shape)), np.zeros(3)
     for source in sheet.sources:
         beam = _Beam(scene, source, vector3((*middle, 0.0)), radius + 2.0 * pitch_mm)
-        if not beam.meets_view(sheet.thickness_mm):
+        if not beam.meets(corners):
             raise SceneError(
                 f"the light sheet from {source.from_deg:g} degrees never reaches the view; its width_mm of"
                 f" {source.width_mm:g} is about the origin: correct from_deg or width_mm"
@@ -139,7 +141,6 @@ class _Beam:
         angle = np.deg2rad(source.from_deg)
         comes = np.array([np.cos(angle), np.sin(angle), 0.0])
         self.axes = np.array([np.cross((0.0, 0.0, 1.0), comes), (0.0, 0.0, 1.0), comes])  # x, y, z of the light
-        self.middle, self.radius = self.axes @ np.array(middle_mm), radius_mm
         ends = [np.array([b.capsule.start_mm, b.capsule.end_mm]) @ self.axes.T for b in scene.bodies]
         radii = [body.capsule.radius_mm for body in scene.bodies]
         far = [np.linalg.norm(end, axis=1).max() + radius for end, radius in zip(ends, radii, strict=True)]
@@ -162,11 +163,11 @@ class _Beam:
         """Half of the width that is traced."""
         return self.source.width_mm * (0.25 * FARTHEST if self.source.gaussian else 0.5)
 
-    def meets_view(self, thickness_mm: float) -> bool:
-        """Return whether any of the light would cross the circle around the view if there were no bodies."""
-        bend = self.source.bend_per_mm
-        reach = self.half_mm * (1.0 + bend * (self.radius + abs(self.middle[2])))
-        return bool(abs(self.middle[0]) - self.radius < reach)
+    def meets(self, corners_mm: NDArray[np.float64]) -> bool:
+        """Return whether the light would cross a rectangle of corners (4, 2) if there were no bodies."""
+        x, z = corners_mm @ self.axes[0, :2], corners_mm @ self.axes[2, :2]
+        reach = self.half_mm * (1.0 + self.source.bend_per_mm * float(np.abs(z).max()))
+        return bool(x.min() < reach and x.max() > -reach)
 
     def layers(self, thickness_mm: float) -> NDArray[np.float64]:
         """Height at the focus, slope and weight (N, 3) of each layer, one in sum."""

@@ -9,7 +9,7 @@ import pytest
 
 from daq.bench.bench_file import load_bench
 from daq.bench.elements import GLASS
-from daq.bench.guards import guard_of, sheet_clearance_mm
+from daq.bench.guards import guard_of, sheet_clearance_mm, sheet_clearances_mm
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from ground.errors import ConfigError
 from sim.arranged import arrange
@@ -210,3 +210,21 @@ def _written(folder, text):
     path = folder / "written.yaml"
     path.write_text(text)
     return path
+
+
+@pytest.mark.parametrize(
+    ("sheet_mm", "wanted"),
+    [
+        (0.2, {"glass": -0.2, "target": 30.2}),  # a ball on the target's plane is in its way, not in a bed
+        (25.0, {"glass": 25.0, "target": 55.0}),  # through `near`, which is meant to be there
+        (-5.0, {"glass": 5.0, "target": 25.0}),
+    ],
+)
+def test_what_is_clear_of_a_sheet_is_measured_from_the_sheet(tmp_path, sheet_mm, wanted):
+    path = write_bench(tmp_path)
+    scene = path.parent / "scene.yaml"
+    scene.write_text(scene.read_text() + f"\nsheet: {{z_mm: {sheet_mm}}}\n")
+    bench = load_bench(path)
+    found = sheet_clearances_mm(bench, bench.home_mm | {"target_z": -30.0})
+    nearest = {name: min(mm for each, mm in found if each == name) for name, _ in found}
+    assert nearest == pytest.approx(wanted)

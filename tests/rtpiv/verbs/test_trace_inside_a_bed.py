@@ -1,16 +1,22 @@
 """`rtpiv trace` between the balls of a bed: its first figure is the share of the gaps that is seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from correction.fitted.prepared import prepare
 from correction.maps.correction_map import build_correction_map
+from correction.node_status import NodeStatus
 from daq.bench.scene_plausibility import scene_questions
+from ground.errors import ConfigError
 from rtpiv.analysis.gaps import gap_share
 from rtpiv.verbs.trace import trace
 from tests.correction.small_scenes import EXAMPLES
 from tests.tracer.scenes import ball, camera_at
+from tracer.errors import SceneError
 from tracer.scene.scene import Scene
-from tracer.scene.scene_file import load_scene
+from tracer.scene.scene_file import dump_scene, load_scene
 from tracer.strategies.ray_map import build_ray_map
 
 R, CELL = 20.0, 46.2
@@ -58,3 +64,75 @@ def test_a_wrong_sign_of_z_is_asked_about(tmp_path):
     assert "plane" not in asked(tmp_path, 10.0, 10.0)
     assert "plane" not in asked(tmp_path, 0.0, 0.0)
     assert "plane" not in asked(tmp_path, 2.0)
+
+
+BED = """
+wavelength_nm: 532.0
+camera: {f_mm: 100.0, L_mm: 900.0, pixel_pitch_um: 88.0, sensor_px: [126, 126]}
+bodies:
+"""
+FROM_LEFT = "thickness_mm: 1.0, sources: [{from_deg: 180.0, width_mm: 150.0}]"
+
+
+def bed(tmp_path, sheet, radius=R, height=0.0):
+    """Nine balls whose centres lie so high over the board, and a light sheet."""
+    balls = [
+        f"  - {{name: b{i}{j}, kind: sphere, centre_mm: [{i * CELL}, {j * CELL}, {height}], radius_mm: {radius},"
+        " material: N-BK7}"
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+    ]
+    path = tmp_path / "scene.yaml"
+    path.write_text(BED + "\n".join(balls) + f"\nsheet: {{{sheet}}}\n")
+    return path
+
+
+def test_lit_and_seen_comes_first(tmp_path, capsys):
+    traced = trace(bed(tmp_path, FROM_LEFT), pictures=False)
+    lit = traced.gaps.lit
+    assert 0.4 < lit.both_mm2 / traced.gaps.gas_mm2 < 0.8
+    assert traced.share.areas_mm2[NodeStatus.DARK] > 100.0
+    assert 0.2 < lit.reflected < 0.3  # three balls in a row reflect 8 % each, and more at their rims
+    sides = {side.name: side for side in lit.balls}
+    assert sides["b10"].lit > sides["b-10"].lit > 0.2  # behind the bed the light of three lenses
+    out = capsys.readouterr().out
+    assert "of the gaps is lit and seen" in out
+    assert "gas within 0.25 R of each ball" in out
+
+
+def test_the_sheet_in_the_bed_is_shown_and_not_the_board(tmp_path, capsys):
+    """Balls 30 mm over the board: with the sheet at 30 mm the gaps are those of balls in the plane."""
+    behind = trace(bed(tmp_path, "z_mm: 30.0", height=30.0), pictures=False)
+    assert "the light sheet at z = +30.000" in capsys.readouterr().out
+    (tmp_path / "plane").mkdir()
+    plane = trace(bed(tmp_path / "plane", "z_mm: 0.0"), pictures=False)
+    assert behind.gaps.share == pytest.approx(plane.gaps.share, abs=0.01)
+    assert behind.gaps.lit is None
+    assert trace(bed(tmp_path, "z_mm: 0.2", height=30.0), pictures=False).gaps is None
+
+
+def test_a_correction_leaves_the_dark_out(tmp_path):
+    scene = load_scene(bed(tmp_path, FROM_LEFT))
+    lit, even = prepare(scene.in_light_sheet()), prepare(replace(scene, sheet=None))
+    assert lit.content_key != even.content_key
+    status = lit.corrector.status
+    assert (status == NodeStatus.DARK).sum() > 500
+    assert (even.corrector.status[status == NodeStatus.DARK] == NodeStatus.RECOVERED).all()
+    written = tmp_path / "again.yaml"
+    written.write_text(dump_scene(scene))
+    assert load_scene(written).sheet == scene.sheet
+
+
+def test_light_that_cannot_be(tmp_path):
+    path = bed(tmp_path, FROM_LEFT.replace("width_mm: 150.0", "width_mm: 1.0"))
+    aside = "L_mm: 900.0, position_mm: [0, 60, 900], look_at_mm: [0, 60, 0]"
+    path.write_text(path.read_text().replace("L_mm: 900.0", aside))
+    with pytest.raises(SceneError, match="never reaches the view"):
+        trace(path, pictures=False)
+    path = bed(tmp_path, FROM_LEFT.replace("thickness_mm: 1.0, ", ""))
+    with pytest.raises(ConfigError, match="has sources and no thickness_mm"):
+        trace(path, pictures=False)
+    glass = "  - {name: whole, kind: sphere, centre_mm: [0, 0, 150], radius_mm: 100.0, material: N-BK7}"
+    path.write_text(f"{BED}{glass}\nsheet: {{z_mm: 150.0, {FROM_LEFT}}}\n")
+    with pytest.raises(SceneError, match="wholly in glass"):
+        trace(path, pictures=False)
