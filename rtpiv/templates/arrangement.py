@@ -9,6 +9,8 @@ The plane is z = 0, the camera far above it.
     sc         a bed, simple cubic: n balls along each side, n^3 in all
     bcc        a bed, body-centred: n^3 balls that do not touch, and one in contact with eight in each gap of them
     hcp        a bed, closest packing: layers of a hexagon, of a triangle between them, of the hexagon again
+
+A bed of some layers has 3 x 3 balls in its top layer (hcp: a hexagon), and the next one in its hollows.
 """
 
 import math
@@ -67,6 +69,21 @@ def centres_mm(
     return [(round(x, 4), round(y, 4), round(z, 4)) for x, y, z in found]
 
 
+def layers_mm(arrangement: str, layers: int, ball_mm: float) -> tuple[list[Vector], float]:
+    """Centres of a bed of some layers about the axis, the lowest at z = 0, and the distance between its layers."""
+    apart = ball_mm + AIR_MM
+    cell, up = apart, apart
+    if arrangement == "bcc":
+        cell, up = 2.0 * apart / math.sqrt(3.0), apart / math.sqrt(3.0)
+    if arrangement == "hcp":
+        up = apart * math.sqrt(2.0 / 3.0)
+        kinds = _hcp_layers(apart)
+    else:
+        wide, narrow = (_square(side, cell) for side in (3, 2))
+        kinds = [wide, narrow if arrangement == "bcc" else wide]
+    return [(x, y, up * k) for k in range(layers) for x, y in kinds[(layers - 1 - k) % 2]], up
+
+
 def span_mm(centres: Sequence[Vector], ball_mm: float) -> tuple[float, float]:
     """Width and height of all balls together."""
     width, height = (max(c[axis] for c in centres) - min(c[axis] for c in centres) + ball_mm for axis in (0, 1))
@@ -110,8 +127,7 @@ def _bed(arrangement: str, balls: int, apart: float) -> list[Vector]:
     """Centres of a packed bed about the axis, the lowest layer at z = 0, neighbours `apart`."""
     if arrangement == "hcp":  # a hexagon, and over every other of its hollows a ball
         up = apart * math.sqrt(2.0 / 3.0)
-        hexagon = [(0.0, 0.0), *(_polar(apart, 60.0 * k) for k in range(6))]
-        hollows = [_polar(apart / math.sqrt(3.0), 30.0 + 120.0 * k) for k in range(3)]
+        hexagon, hollows = _hcp_layers(apart)
         layers = [hexagon, hollows, hexagon][: 2 if balls == 10 else 3]
         return [(x, y, k * up) for k, layer in enumerate(layers) for x, y in layer]
     side = round(balls ** (1.0 / 3.0)) if arrangement == "sc" else BEDS["bcc"].index(balls) + 2
@@ -120,9 +136,18 @@ def _bed(arrangement: str, balls: int, apart: float) -> list[Vector]:
     return found if arrangement == "sc" else [*found, *_cubes(side - 1, cell, 0.5 * cell)]
 
 
-def _cubes(side: int, cell: float, low: float) -> list[Vector]:
+def _hcp_layers(apart: float) -> list[list[tuple[float, float]]]:
+    hexagon = [(0.0, 0.0), *(_polar(apart, 60.0 * k) for k in range(6))]
+    return [hexagon, [_polar(apart / math.sqrt(3.0), 30.0 + 120.0 * k) for k in range(3)]]
+
+
+def _square(side: int, cell: float) -> list[tuple[float, float]]:
     places = [cell * (k - 0.5 * (side - 1)) for k in range(side)]
-    return [(x, y, low + cell * k) for k in range(side) for y in places for x in places]
+    return [(x, y) for y in places for x in places]
+
+
+def _cubes(side: int, cell: float, low: float) -> list[Vector]:
+    return [(x, y, low + cell * k) for k in range(side) for x, y in _square(side, cell)]
 
 
 def _polar(radius: float, degrees: float) -> tuple[float, float]:

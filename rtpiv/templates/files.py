@@ -3,6 +3,7 @@
 A mark ``@{name}`` stands for a value, and a line ``@hands,lift|...`` is kept if all of these conditions hold.
 """
 
+import math
 import re
 import textwrap
 from pathlib import Path
@@ -15,6 +16,7 @@ from rtpiv.templates.room import CLEARANCE_MM, GLASS_HEIGHTS_MM, SHEET_OFF_MM, R
 from tracer.board import CHIRAL
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at, thin_lens_distance_mm
+from tracer.light_sheet import LightSheet
 from tracer.media import MEDIA, ConstantMedium, media_names
 from tracer.scene.scene import Scene
 
@@ -71,7 +73,7 @@ def scene_text(lab: Lab) -> str:
     plain = ("wavelength_nm", "lens_mm", "distance_mm", "pixel_pitch_um")
     return fill(
         "scene.yaml",
-        set() if lab.support_mm else {"no_rods"},
+        ({"bed"} if lab.layers else {"open"}) | (set() if lab.support_mm else {"no_rods"}),
         **{name: f"{getattr(lab, name):g}" for name in plain},
         field=" x ".join(f"{side:.0f}" for side in lab.field_mm),
         px_per_mm=f"{lab.px_per_mm:.1f}",
@@ -80,6 +82,8 @@ def scene_text(lab: Lab) -> str:
         hide="" if lab.turn_deg else "# ",
         pinhole=", ".join(f"{c:g}" for c in lab.pinhole_mm),
         media=str(media_names()),
+        sheet_mm=f"{lab.sheet_mm:g}",
+        light_mm=f"{math.ceil(1.5 * max(lab.span_mm)):g}",
         bodies="\n".join(bodies),
     )
 
@@ -87,11 +91,13 @@ def scene_text(lab: Lab) -> str:
 def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
     """Return bench.yaml, or with a laser and a double-frame camera bench-flow.yaml."""
     touching = [] if lab.gap_mm >= CLEARANCE_MM else list(ball_names(lab))
-    lifts = laser and lab.gap_mm < SHEET_OFF_MM
+    lifts = laser and not lab.layers and lab.gap_mm < SHEET_OFF_MM
     conditions = {"hands" if lab.by_hand else "motors", "flow" if laser else "frames"}
     conditions |= {"touching"} if touching else set()
     conditions |= {"lift"} if lifts else set()
     conditions |= {"own_board" if lab.square_mm else "printed"}
+    conditions |= {"bed" if lab.layers else "open"}
+    clear_mm = min(SHEET_OFF_MM - 0.5, math.floor(10.0 * lab.sheet_clear_mm) / 10.0) if lab.layers else 3.5
     out, rail, top = room.glass_out_mm, room.rail_homed_mm, room.retract_mm
     lengths = {
         "out_mm": out, "glass_mm": out - 10.0, "glass_low_mm": out - 5.0, "glass_travel_mm": 25.0 - out,
@@ -109,6 +115,8 @@ def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
         touching=textwrap.fill(", ".join(touching), 100, subsequent_indent=" " * 12),
         square_mm=f"{lab.board_mm:g}",
         disc_mm=f"{0.4 * lab.board_mm:g}",
+        clear_mm=f"{clear_mm:g}",
+        sheet_mm=f"{lab.sheet_mm:g}",
     )
 
 
@@ -141,7 +149,7 @@ def shift_plan(lab: Lab) -> str:
 def flow_plan(lab: Lab, dt_us: float) -> str:
     """Return the plan of a flow lit by a double-pulse laser; glass too close to the sheet is moved away."""
     off_mm = SHEET_OFF_MM - lab.gap_mm
-    conditions = {"near"} if off_mm > 0.0 else set()
+    conditions = {"near"} if off_mm > 0.0 and not lab.layers else set()
     return fill("plan-flow.yaml", conditions, dt_us=f"{dt_us:g}", off_mm=f"{off_mm:.1f}")
 
 
@@ -181,4 +189,5 @@ def scene_of(lab: Lab) -> Scene:
         Rod(f"rod{number}", start, end, lab.support_mm / 2.0)
         for number, (start, end) in enumerate(lab.rods_mm, start=1)
     ]
-    return Scene(camera, (*balls, *rods), lab.wavelength_nm, MEDIA["air"])
+    sheet = LightSheet(z_mm=lab.sheet_mm) if lab.layers else None
+    return Scene(camera, (*balls, *rods), lab.wavelength_nm, MEDIA["air"], sheet)

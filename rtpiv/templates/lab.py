@@ -17,8 +17,10 @@ from rtpiv.analysis.prints.pages import whole_dots
 from rtpiv.templates.arrangement import (
     ALIASES,
     ARRANGEMENTS,
+    BEDS,
     Vector,
     centres_mm,
+    layers_mm,
     most_balls,
     outline_mm,
     rods_mm,
@@ -33,6 +35,7 @@ LEAST_BALL_PX, LEAST_CORNER_PX = 16.0, 4.0  # below, balls and squares are not r
 LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
 AROUND = 1.05  # of what the balls hide
 LINES = ("behind", "beside")  # whose balls may differ
+MOST_LAYERS = 7
 MOST_DEG = 45.0  # of a camera that looks from the side
 SQUARES_MM = (0.5, 1.0, 1.5, 2.5, 4.0, 5.0, 10.0, 20.0)
 
@@ -77,6 +80,11 @@ class Lab:
         Square of the board; 0 for the smallest usual one that this camera resolves well.
     by_hand : bool
         Whether hands move target and glass, and no motor does.
+    layers : int
+        Layers of a bed in front of the board, in the midst of which the light sheet lies; 0: another arrangement.
+    plane : float
+        Layer in which the sheet lies, counted from the top: 1 through the centres of the top layer, 1.5 halfway to
+        the next.
 
     Raises
     ------
@@ -101,6 +109,8 @@ class Lab:
     turn_deg: float = 0.0
     square_mm: float = 0.0
     by_hand: bool = False
+    layers: int = 0
+    plane: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arrangement", ALIASES.get(self.arrangement, self.arrangement))
@@ -122,7 +132,14 @@ class Lab:
             said.append(f"sensor_px: should be width and height, 16 to 65535, not {self.sensor_px}")
         if self.arrangement not in ARRANGEMENTS:
             said.append(f"arrangement {self.arrangement!r}: there are {', '.join(ARRANGEMENTS)}")
-        elif self.balls not in most_balls(self.arrangement):
+        elif self.layers and self.arrangement not in BEDS:
+            said.append(f"layers: a bed has layers ({', '.join(BEDS)}), not {self.arrangement!r}")
+        elif self.layers and not (self.layers <= MOST_LAYERS and 1.0 <= self.plane <= self.layers):
+            said.append(
+                f"layers, plane: should be 1 to {MOST_LAYERS} layers and a plane from 1, the top, to the last;"
+                f" not {self.layers} and {self.plane:g}"
+            )
+        elif not self.layers and self.balls not in most_balls(self.arrangement):
             counts = ", ".join(map(str, most_balls(self.arrangement)))
             said.append(f"balls: a {self.arrangement} has {counts}, not {self.balls}")
         for glass in dict.fromkeys(self.each_glass):
@@ -156,7 +173,25 @@ class Lab:
     @property
     def centres_mm(self) -> list[Vector]:
         """Centre of every ball."""
+        if self.layers:
+            low = self.gap_mm + self.ball_mm / 2.0
+            bed, _ = layers_mm(self.arrangement, self.layers, self.ball_mm)
+            return [(round(x, 4), round(y, 4), round(z + low, 4)) for x, y, z in bed]
         return centres_mm(self.arrangement, self.balls, self.ball_mm, self.gap_mm, self.sizes_mm)
+
+    @property
+    def sheet_mm(self) -> float:
+        """Height of the light sheet over the board; 0 where that hangs in its plane."""
+        if not self.layers:
+            return 0.0
+        top = max(z for _, _, z in self.centres_mm)
+        return round(top - (self.plane - 1.0) * layers_mm(self.arrangement, self.layers, self.ball_mm)[1], 2)
+
+    @property
+    def sheet_clear_mm(self) -> float:
+        """Distance from a sheet in a bed to the nearest ball that it does not cut; infinite without any."""
+        gaps = (abs(z - self.sheet_mm) - self.ball_mm / 2.0 for _, _, z in self.centres_mm)
+        return min((gap for gap in gaps if gap > 0.0), default=math.inf)
 
     @property
     def rods_mm(self) -> list[tuple[Vector, Vector]]:
@@ -182,7 +217,11 @@ class Lab:
     def with_usual_lens(self) -> "Lab":
         """Return the same lab with the longest lens that sees all balls from this distance."""
         found = [replace(self, lens_mm=f) for f in LENSES_MM if f < 0.8 * self.distance_mm] or [self]
-        width, height = (AROUND * side for side in outline_mm(self.centres_mm, self.ball_mm, self.distance_mm))
+        hidden = outline_mm(self.centres_mm, self.ball_mm, self.distance_mm)
+        if self.layers and self.sheet_mm < self.distance_mm:  # what the sheet shows of the bed, seen on the board
+            nearer = 1.0 - self.sheet_mm / self.distance_mm
+            hidden = self.span_mm[0] / nearer, self.span_mm[1] / nearer
+        width, height = (AROUND * side for side in hidden)
         height_mm = max(z for _, _, z in self.centres_mm) + self.ball_mm / 2.0
         width += (
             2.0 * height_mm * abs(math.tan(math.radians(self.turn_deg)))

@@ -14,7 +14,7 @@ from ground.plain_words import quantity
 from ground.terminal import console
 from rtpiv.analysis.report.table import Table
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.templates.arrangement import ARRANGEMENTS, Arrangement, most_balls, usual
+from rtpiv.templates.arrangement import ARRANGEMENTS, BEDS, Arrangement, layers_mm, most_balls, usual
 from rtpiv.templates.files import bench_text, board_text, flow_plan, scene_text, shift_plan, target_plan
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.room import room_of
@@ -24,6 +24,7 @@ from rtpiv.verbs.results import results_in
 from rtpiv.verbs.schema import write_schemas
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
+BED_GAP_MM = 5.0  # between a bed and the board behind it
 SHOWN_ARRANGEMENTS = 8  # other arrangements
 SAID = {"behind": ", one behind the other", "beside": " beside each other"}
 FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
@@ -106,6 +107,11 @@ class GivenLab:
         Wavelength of the light (default 532).
     turn_deg : float, optional
         Viewing angle of the camera about the y axis (default 0).
+    layers : int, optional
+        Layers of a bed (bcc, sc, hcp; default bcc) with the light sheet in it and the board behind it.
+    plane : float, optional
+        Layer of the sheet, counted from the top: 1 (default) through the centres of the top layer, 1.5 between it
+        and the next.
     by_hand : bool
         No motors: micrometers and a ruler, moved and read by a person.
     """
@@ -124,6 +130,8 @@ class GivenLab:
     square_mm: Positive | None = None
     wavelength_nm: Positive | None = None
     turn_deg: float | None = None
+    layers: Count | None = None
+    plane: Positive | None = None
     by_hand: bool = False
 
     @property
@@ -170,7 +178,7 @@ def init(
         The folder cannot be written to.
     """
     folder = Path(folder)
-    given = lab.words
+    given = _with_layers(lab.words)
     _refuse_existing(folder, overwrite)
     if ask and sys.stdin is not None and sys.stdin.isatty():
         console().print("Enter takes what stands in brackets; Ctrl-C ends, and nothing is written.")
@@ -190,6 +198,19 @@ def init(
         write_schemas(folder / "schemas")
     _print(full, folder, "lens_mm" not in given)
     return [folder / file for file in texts]
+
+
+def _with_layers(given: Words) -> Words:
+    """Return the description of a bed by its layers with what follows from them."""
+    if "layers" not in given:
+        if "plane" in given:
+            raise RunUsageError("plane counts the layers of a bed; give --layers too")
+        return given
+    if "balls" in given or any(isinstance(given.get(key), tuple) for key in ("sizes_mm", "glasses")):
+        raise RunUsageError("layers say how many balls a bed has, all alike; leave --balls out")
+    shape = given.get("arrangement", "bcc")
+    count = len(layers_mm(shape, given["layers"], 1.0)[0]) if shape in BEDS else 1
+    return {"gap_mm": BED_GAP_MM} | given | {"arrangement": shape, "balls": count}
 
 
 def _first(several: Sequence[Any]) -> Any:  # noqa: ANN401 - of any kind
@@ -287,7 +308,8 @@ def _line(prompt: str) -> str:
 
 
 def _print(lab: Lab, folder: Path, lens: bool) -> None:
-    from rtpiv.analysis.through_glass import through_scene
+    from rtpiv.analysis.gaps import gap_share
+    from rtpiv.analysis.through_glass import coarse_map, through_scene
     from rtpiv.templates.files import scene_of
 
     screen, scene = console(), scene_of(lab)
@@ -301,10 +323,12 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     board = f"board: squares of {lab.board_mm:.4g} mm, {lab.board_mm * lab.px_per_mm:.0f} px"
     where = f"{BOARD}; print it with rtpiv setup target {BOARD}, or give the squares of yours with --square-mm"
     where = "square_mm of target in both bench files" if lab.square_mm else where
-    screen.print(
-        f"{board} ({'square_mm of target in both bench files' if lab.square_mm else where})", soft_wrap=True
-    )
-    if (shown := through_scene(scene)) is not None:
+    screen.print(f"{board} ({where})", soft_wrap=True)
+    if lab.layers:
+        found = coarse_map(scene.in_light_sheet())
+        if (gaps := gap_share(scene.in_light_sheet(), found)) is not None:
+            screen.print(gaps.sentence, style="bold")
+    elif (shown := through_scene(scene)) is not None:
         screen.print(shown.sentence, style="bold")
         if warning := _too_little(lab, shown.share):
             screen.print(warning, style="bold red", soft_wrap=True)

@@ -242,7 +242,7 @@ def test_the_end_of_the_answers_writes_nothing(tmp_path):
 
 
 def test_every_question_has_a_usual_answer():
-    only_options = {"name", "sizes_mm", "glasses", "turn_deg"}
+    only_options = {"name", "sizes_mm", "glasses", "turn_deg", "layers", "plane"}
     assert {question.key for question in QUESTIONS} == set(vars(Lab())) - only_options
 
 

@@ -1,0 +1,58 @@
+"""`rtpiv init` of a bed by its layers: the light sheet lies between the balls, the board hangs behind them."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from daq.bench.bench_file import load_bench
+from daq.bench.guards import sheet_clearances_mm
+from daq.errors import RunUsageError
+from rtpiv.verbs.check import check
+from rtpiv.verbs.init import GivenLab, init
+from tracer.scene.scene_file import load_scene
+
+
+@pytest.mark.parametrize(
+    ("shape", "balls", "plane"), [("bcc", 22, 1.0), ("bcc", 22, 1.5), ("sc", 27, 1.3), ("hcp", 17, 2.0)]
+)
+def test_a_bed_of_layers_has_its_sheet_between_the_balls(tmp_path, shape, balls, plane):
+    bed = GivenLab(arrangement=shape, layers=3, plane=plane, ball_mm=30.0, lens_mm=16.0)
+    init(tmp_path, bed, ask=False)
+    scene = load_scene(tmp_path / "scene.yaml")
+    assert len(scene.bodies) == balls
+    heights = sorted({ball.centre_mm[2] for ball in scene.spheres})
+    assert scene.sheet.z_mm == pytest.approx(heights[2] - (plane - 1.0) * (heights[2] - heights[1]), abs=0.01)
+    centres = np.array([ball.centre_mm for ball in scene.spheres])
+    apart = np.linalg.norm(centres[:, None] - centres, axis=-1) + 1e3 * np.eye(balls)
+    assert apart.min(axis=1) == pytest.approx(30.01, abs=1e-3)  # each in contact, but for a hundredth
+    assert scene.sheet.sources
+    assert scene.in_light_sheet().spheres_in_plane
+    bench = load_bench(tmp_path / "bench-flow.yaml")
+    near = [mm for _, mm in sheet_clearances_mm(bench, bench.home_mm | {"target_z": -30.0})]
+    assert min(near) >= bench.more["laser"].section.clear_mm
+
+
+def test_layers_that_cannot_be(tmp_path):
+    for wrong, said in (
+        (GivenLab(plane=1.5), "give --layers too"),
+        (GivenLab(layers=3, balls=9), "leave --balls out"),
+        (GivenLab(layers=3, plane=4.0), "a plane from 1"),
+        (GivenLab(layers=3, arrangement="behind"), "a bed has layers"),
+    ):
+        with pytest.raises(RunUsageError, match=said):
+            init(tmp_path / "bed", wrong, ask=False)
+
+
+def test_balls_in_contact_are_accepted(tmp_path):
+    """Contact written with four decimals overlaps by less than a tenth of a micrometre."""
+    init(tmp_path, GivenLab(layers=3, plane=1.5, lens_mm=16.0), ask=False)
+    text = (tmp_path / "scene.yaml").read_text()
+    exact = {46.1996: 40.0 * 2.0 / 3.0**0.5, 23.0998: 40.0 / 3.0**0.5, 48.0998: 25.0 + 40.0 / 3.0**0.5}
+    exact[71.1996] = 25.0 + 80.0 / 3.0**0.5
+    for written, contact in exact.items():
+        text = text.replace(f"{written:.4f}", f"{contact:.4f}")
+    (tmp_path / "scene.yaml").write_text(text)
+    centres = [ball.centre_mm for ball in load_scene(tmp_path / "scene.yaml").spheres]
+    assert min(np.linalg.norm(np.subtract(a, b)) for a, b in combinations(centres, 2)) < 40.0001
+    check([tmp_path / "scene.yaml"])
