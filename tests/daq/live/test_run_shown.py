@@ -70,13 +70,10 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
     behind = {words["run"]: "_glass_" in words["run"] for words in frames}
     assert any(behind.values())
     assert all(run.endswith("; 97 % is seen through glass") == is_behind for run, is_behind in behind.items())
-    assert {words["doing"] for words in frames} <= {
-        "starting",  # words come another way than frames, and may come after the first
-        "waiting for the camera's first frame",
-        "exposing",
-        "moving",
-        "closing",
-    }
+    doings = {words["doing"].partition(", ")[0] for words in frames}
+    doings -= {"correcting what was skipped"}  # on a busy computer
+    # Words come another way than frames: "starting" may come after the first.
+    assert doings <= {"starting", "waiting for the camera's first frame", "exposing", "moving", "closing"}
     assert frames[0]["run"].startswith(folders[1].path.name)
     assert all(words["has"] == ["raw", "corrected"][: words["pictures"]] for words in frames)
     assert any(words["pictures"] == 2 for words in frames) == is_corrected
