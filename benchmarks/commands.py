@@ -1,12 +1,16 @@
 """Whole commands, as a person waits for them: cold and warm, and what the time goes into.
 
-    python -m benchmarks.commands [-o FOLDER] [--size 2016] [--rounds 3] [--cold] [--only correct] [--folder KEPT]
+    python -m benchmarks.commands [-o FOLDER] [--size 2016] [--rounds 3] [--cold] [--only correct] [--keep]
 
 Frames of three spheres are made once, then each command runs in a process of its own, as from a shell; `--cold`
 first runs each once in a cache that is empty at the beginning, so that each compiles what those before it did not.
 Each process counts its own time by what its first thread is at: starting Python, importing modules, compiling
 kernels, loading compiled ones, drawing (pictures and pages, which come last), writing files; what is left is work.
 Processor time is that of all threads and of the processes that the command started; compare it on a busy machine.
+
+The budget: processor time in units of a fixed program (`REFERENCE`, NumPy and plain Python, nothing of ours) that
+runs before each command.  `commands.json` holds the last record, by command and stage; what grew is printed, and
+`--keep` writes the present figures in its place.  Who adds work to a command keeps it, and says which stage grew.
 """
 
 import builtins
@@ -40,6 +44,18 @@ WRITES = (
 )
 DRAWN = ("trace", "correct", "evaluate", "calibrate")
 TOLD = "RTPIV_TIMES"  # file in which a measured process leaves its times
+REFERENCE = """
+import numpy
+values = numpy.random.default_rng(0).normal(size=1_000_000)
+for _ in range(5):
+    numpy.sort(values), numpy.fft.rfft(values), numpy.exp(values).cumsum()
+    sum(number * number for number in range(1_000_000))
+"""
+RECORD = Path(__file__).with_suffix(".json")
+GREW, LEAST = (
+    1.15,
+    0.1,
+)  # times the record, and by how many references, from which a stage has grown: noise is less
 INSIDE = "import sys; from benchmarks.commands import inside; sys.exit(inside(sys.argv[2:], float(sys.argv[1])))"
 
 
@@ -198,13 +214,50 @@ def run(words: list[str], folder: Path, cache: Path | None = None) -> Times:
     told = folder / "times.json"
     environment = {**os.environ, TOLD: str(told), **({} if cache is None else {"RTPIV_CACHE": str(cache)})}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # modules are compiled once, as everywhere
-    before, began = os.times(), time.perf_counter()
     told.unlink(missing_ok=True)
-    command = [sys.executable, "-c", INSIDE, str(time.time()), *words]
+    both = _seconds([sys.executable, "-c", INSIDE, str(time.time()), *words], environment)
+    return {**json.loads(told.read_text()), "all": both}
+
+
+def _seconds(command: list[str], environment: dict[str, str]) -> list[float]:
+    """Wall clock and processor time of a process."""
+    before, began = os.times(), time.perf_counter()
     subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
     after, wall = os.times(), time.perf_counter() - began
-    used = after.children_user + after.children_system - before.children_user - before.children_system
-    return {**json.loads(told.read_text()), "all": [wall, used]}
+    return [wall, after.children_user + after.children_system - before.children_user - before.children_system]
+
+
+def run_reference() -> Times:
+    """Times of the fixed program, as those of a command without parts."""
+    both = _seconds([sys.executable, "-c", REFERENCE], {**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    return {**{part: [0.0, 0.0] for part in PARTS}, "all": both}
+
+
+def budget(table: dict[str, Times]) -> dict[str, dict[str, float]]:
+    """Processor time of each command and stage, in units of the reference."""
+    unit = table["reference"]["all"][1]
+    return {
+        name: {part: round(used / unit, 3) for part, (_, used) in parts.items()}
+        for name, parts in table.items()
+        if name != "reference" and not name.endswith("cold")
+    }
+
+
+def compare(now: dict[str, dict[str, float]], record: dict[str, dict[str, float]]) -> list[str]:
+    """Lines with each command beside its record, and with the stages that have grown."""
+    lines = []
+    for name, parts in now.items():
+        before = record.get(name, {})
+        grew = [
+            f"{part} {before[part]:.2f} -> {value:.2f}"
+            for part, value in parts.items()
+            if part in before and value > GREW * before[part] and value > before[part] + LEAST
+        ]
+        known = f"{parts['all'] / before['all']:.2f} of the record" if before.get("all") else "no record"
+        lines.append(
+            f"{name}: {parts['all']:.2f} references, {known}{'; grew: ' if grew else ''}{', '.join(grew)}"
+        )
+    return lines
 
 
 def measured(folder: Path, names: list[str], rounds: int, cold: bool) -> dict[str, Times]:
@@ -216,9 +269,10 @@ def measured(folder: Path, names: list[str], rounds: int, cold: bool) -> dict[st
             for name, words in todo.items():
                 if "no pictures" not in name:
                     table[f"{name}, cold"] = run(words, folder, Path(cache))
-    found: dict[str, list[Times]] = {name: [] for name in todo}
+    found: dict[str, list[Times]] = {name: [] for name in ("reference", *todo)}
     for _ in range(rounds):
         for name, words in todo.items():
+            found["reference"].append(run_reference())
             found[name].append(run(words, folder))
     for name, runs in found.items():
         table[name] = {
@@ -240,10 +294,14 @@ def said(table: dict[str, Times]) -> str:
 
 def main() -> None:
     """Measure and print."""
-    asked = options(__doc__, size=2016, rounds=3, cold=False, only=[], folder=Path)
+    asked = options(__doc__, size=2016, rounds=3, cold=False, only=[], folder=Path, keep=False)
     with frames_of(asked.size, asked.folder) as folder:
         table = measured(folder, asked.only, asked.rounds, asked.cold)
     print(said(table))
+    record = json.loads(RECORD.read_text()) if RECORD.is_file() else {}
+    print("\n".join(compare(budget(table), record)))
+    if asked.keep:
+        RECORD.write_text(json.dumps(record | budget(table), indent=1) + "\n")
     if asked.out is not None:
         keep(table, asked.out / "commands.json")
 

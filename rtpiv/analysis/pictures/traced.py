@@ -141,7 +141,6 @@ def draw_light(path: Path, scene: Scene, lit: PlaneLight) -> None:
     grid, (height, width) = lit.grid, lit.grid.shape
     (x0, y0), pitch = grid.origin_mm, grid.pitch_mm
     figure, (left, right) = plane_panels(height / width, 2, 2)
-    FigureCanvasAgg(figure)
     extent = (x0 - 0.5 * pitch, x0 + (width - 0.5) * pitch, y0 - (height - 0.5) * pitch, y0 + 0.5 * pitch)
     inside = nodes_in_glass(scene, grid)
     glass = np.zeros(grid.shape, np.bool_) if inside is None else inside
