@@ -179,11 +179,12 @@ def _sheet_asked(scene: Scene) -> Asked:
     sheet, seen_mm = scene.sheet, _field_of_view_mm(scene.camera)
     if sheet is None:
         return
+    in_bed = False
     try:
-        scene.in_light_sheet()
+        in_bed = bool(scene.in_light_sheet().spheres_in_plane and sheet.sources)
     except SceneError as error:
         yield ("sheet",), f"sheet: {error}"
-    if abs(sheet.z_mm) > SHEET_Z * seen_mm:
+    if abs(sheet.z_mm) > SHEET_Z * seen_mm and not in_bed:
         text = f"is z_mm {sheet.z_mm:g} right, {abs(sheet.z_mm) / seen_mm:.1%} of what the camera sees?"
         yield ("sheet", "z_mm"), f"sheet: {text}"
     usual = Usual(SHEET_THICKNESS.low * seen_mm, SHEET_THICKNESS.high * seen_mm)

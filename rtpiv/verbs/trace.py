@@ -256,7 +256,8 @@ def _light_table(lit: LitGaps) -> Table:
     columns = ("ball", "gas [mm\u00b2]", "seen", "lit", "lit and seen", "brightness", "height [mm]")
     rows = [
         (short(side.name, LONGEST_BODY_NAME), f"{side.gas_mm2:.1f}", percent(side.seen), percent(side.lit),
-         percent(side.both), f"{side.brightness:.2f}", f"{side.height_mm:+.3f}")
+         percent(side.both),
+         *((f"{side.brightness:.2f}", f"{side.height_mm:+z.3f}") if side.lit else ("-", "-")))
         for side in sorted(lit.balls, key=lambda side: -side.gas_mm2)[:SHOWN_BODIES]
     ]  # fmt: skip
     return Table(title, columns, rows)

@@ -7,6 +7,7 @@ import pytest
 
 from daq.bench.bench_file import load_bench
 from daq.bench.guards import sheet_clearances_mm
+from daq.bench.scene_plausibility import scene_questions
 from daq.errors import RunUsageError
 from rtpiv.verbs.check import check
 from rtpiv.verbs.init import GivenLab, init
@@ -56,3 +57,4 @@ def test_balls_in_contact_are_accepted(tmp_path):
     centres = [ball.centre_mm for ball in load_scene(tmp_path / "scene.yaml").spheres]
     assert min(np.linalg.norm(np.subtract(a, b)) for a, b in combinations(centres, 2)) < 40.0001
     check([tmp_path / "scene.yaml"])
+    assert not list(scene_questions(tmp_path / "scene.yaml"))
