@@ -46,8 +46,7 @@ def round_to_step(
 def _whole(values: NDArray[Any], shown: NDArray[np.bool_], step: float) -> NDArray[np.int32]:
     """Fields in steps; NO_NUMBER where they are not finite."""
     steps = np.rint(np.where(shown, values, 0.0) / step)
-    finite = np.isfinite(steps)
-    return np.where(finite, np.clip(np.where(finite, steps, 0.0), NO_NUMBER + 1, MOST), NO_NUMBER).astype(np.int32)
+    return np.where(np.isfinite(steps), np.clip(steps, NO_NUMBER + 1, MOST), NO_NUMBER).astype(np.int32)
 
 
 def _fields(steps: NDArray[np.int32], shown: NDArray[np.bool_], step: float, hidden: float) -> NDArray[np.float64]:
