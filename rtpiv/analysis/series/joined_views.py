@@ -16,7 +16,7 @@ mean.nc, where rows begin at the lowest y:
     u, v, w                       mean velocity; w towards the camera, only where it is determined
     sigma_u, sigma_v, sigma_w     random standard uncertainty
     total_sigma_u, _v, _w         with resolution, fitted maps and, where w is not determined, the flow through the
-                                  sheet that is assumed (`out_of_plane`)
+                                  sheet that is assumed (`out_of_plane`), at least as large as where it is measured
     views, seen_by                number of views of a place; and which: 1 the first, 2 the second, 4 the third ...
     chi                           residual of the views about u, v, w, in sigmas
     status_1, status_2 ...        why a camera does not see the place (`status_meanings`)
@@ -55,6 +55,7 @@ from rtpiv.analysis.through_glass import percent, through_glass
 
 MAX_SIGMA_W_PX = 0.3  # of a pair or a mean whose w is reported
 MOST_OFTEN = 0.5  # of the pairs of a place that must have w, for its mean to have one
+MIN_W_PLACES = 30  # with w that tell its size where it is not determined
 UNLIKE_SIGMA = 2.0  # residual of views that do not show one flow, or not where they are calibrated
 UVW = ("u", "v", "w")
 Floats = NDArray[np.float64]
@@ -180,6 +181,12 @@ def _combine(
     known = np.isfinite(sigma_w)
     typical = np.sqrt(np.where(known, np.square(sigma_w), 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
     found = combine_views(uv, variance, slope, typical, limit)
+    if np.count_nonzero(found.has_w) >= MIN_W_PLACES:  # w is as large elsewhere as where it is measured
+        size = np.nanmean(
+            np.square(found.uvw[..., 2]) - np.where(found.has_w, found.covariance[..., 2, 2], np.nan)
+        )
+        typical = np.maximum(typical, np.sqrt(max(float(size), 0.0)))
+        found = combine_views(uv, variance, slope, typical, limit)
     there = np.where(np.isfinite(noise) & (noise > 0.0), noise, 0.0)
     own = np.einsum("nyxkc,nyxlc,nyxc->yxkl", found.gains, found.gains, there, optimize=True)
     systematic = np.maximum(np.diagonal(found.covariance - own, axis1=-2, axis2=-1), 0.0)

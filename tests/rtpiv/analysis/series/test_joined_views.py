@@ -1,0 +1,48 @@
+"""Views combined with all parts of their sigma: what is common, what is assumed, and what says more than that."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rtpiv.analysis.series.joined_views import MIN_W_PLACES, _combine
+
+GRID = (8, 10)
+NOISE, RESOLUTION = 0.02, 0.03
+
+
+def combined(w, seen_twice, resolution=0.0, seed=0):
+    """Two views with slopes of -0.3 and 0.3, the second of some places; u and v are the same everywhere."""
+    rng = np.random.default_rng(seed)
+    true = np.stack((np.full(GRID, 1.0), np.full(GRID, 0.5), np.broadcast_to(w, GRID)), axis=-1)
+    slopes = [np.broadcast_to((a, 0.1 * a), (*GRID, 2)) for a in (-0.3, 0.3)]
+    uv = np.stack([true[..., :2] - slope * true[..., 2:] for slope in slopes])
+    uv += NOISE * rng.standard_normal(uv.shape)
+    uv[1][~seen_twice] = np.nan
+    views = [SimpleNamespace(slope=slope, map_variance=np.zeros((*GRID, 2))) for slope in slopes]
+    nothing = [np.zeros(GRID)] * 2  # assumed: w as u and v vary, which is not at all
+    fit = _combine(views, uv, np.full(uv.shape, NOISE**2), np.full((2, *GRID), resolution), nothing, 1.0)
+    return true, fit
+
+
+def test_w_is_as_large_where_it_is_not_measured():
+    seen_twice = np.broadcast_to(np.arange(GRID[1]) < 6, GRID)
+    true, fit = combined(0.5 * (-1.0) ** np.indices(GRID).sum(axis=0), seen_twice)
+    assert np.isnan(fit.found.uvw[~seen_twice][:, 2]).all()
+    off = (fit.found.uvw - true)[~seen_twice][:, 0]
+    sigma = np.sqrt(fit.systematic + np.diagonal(fit.noise, axis1=-2, axis2=-1))[~seen_twice][:, 0]
+    assert np.sqrt(np.mean(np.square(off / sigma))) == pytest.approx(1.0, abs=0.1)  # 7 by the assumption alone
+
+
+def test_few_places_tell_no_size():
+    few = np.arange(GRID[0] * GRID[1]).reshape(GRID) < MIN_W_PLACES - 1
+    _, fit = combined(2.0, few)
+    np.testing.assert_allclose(fit.systematic[~few][:, :2], 0.0, atol=1e-12)
+
+
+def test_resolution_is_common_in_u_and_independent_in_w():
+    everywhere = np.ones(GRID, np.bool_)
+    _, fit = combined(0.0, everywhere, RESOLUTION)
+    np.testing.assert_allclose(fit.systematic[..., 0], RESOLUTION**2, rtol=1e-6)  # not half of it
+    np.testing.assert_allclose(fit.systematic[..., 2], 2.0 * RESOLUTION**2 / (0.6**2 + 0.06**2), rtol=1e-6)
+    assert fit.tests[0, 1] == everywhere.size
