@@ -11,6 +11,7 @@ from correction.grid import PlaneGrid, grid_of
 from daq.errors import RunUsageError
 from daq.runs.names import CAMERAS
 from ground.terminal import console
+from piv.errors import PairError
 from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.report.kept_page import PAGE
@@ -97,6 +98,11 @@ def join(
     if len(paths) < 2 or len(scenes) not in (0, len(paths)):
         raise RunUsageError(
             f"give two views or more, and no scene or one for each, not {len(paths)} and {len(scenes)}"
+        )
+    asked = [scenes or None, dt_us, *options.values()]
+    if all((path / FILE).is_file() for path in paths) and any(each is not None for each in asked):
+        raise PairError(
+            "the vectors of these series are made; give runs or frames to evaluate them in another way"
         )
     screen = console()
     with results_in(out, "joined") as out:

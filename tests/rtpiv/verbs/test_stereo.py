@@ -104,6 +104,15 @@ def test_scenes_are_as_many_as_views(tmp_path, capsys):
     assert "one for each, not 2 and 1" in " ".join(capsys.readouterr().err.split())
 
 
+def test_series_are_not_evaluated_in_another_way(tmp_path, capsys):
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "series.json").touch()
+    views = [str(tmp_path / name) for name in "ab"]
+    assert main(["mean", "--join", *views, "--dt-us", "100", "-o", str(tmp_path / "out")]) == USAGE
+    assert "give runs or frames" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.slow
 def test_two_cameras_give_three_components(tmp_path, capsys):
     cameras = [write_camera(tmp_path / f"camera{k}", degrees) for k, degrees in enumerate((-20.0, 20.0))]
