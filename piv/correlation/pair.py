@@ -165,9 +165,12 @@ def evaluate_pair(
     sides = list(settings.windows_px)
     rim = None if valid is None or given is None or given.all() or not (valid & ~given).any() else given
 
+    hidden: list[NDArray[np.bool_]] = []
+
     # Frames are prepared anew for each trial: none are held while one goes on.
     def prepare_again() -> Pair:
         pair = prepare_pair(frame_a, frame_b, valid, sides[-1])
+        hidden[:] = [] if pair.hidden is None else [pair.hidden]
         return pair if rim is None else replace(pair, given=rim.astype(np.float32))
 
     field = _run_trials(prepare_again, sides, settings, threads)
@@ -177,6 +180,8 @@ def evaluate_pair(
         with suppress(PairError):  # nothing is left
             field = _run_trials(prepare_again, sides, settings, threads)
     field = _without_chance_vectors(field)
+    for area in hidden:
+        still = area if still is None else still | area
     if still is not None and still.any():
         field = without_still(field, given, still, settings.min_valid)
     return replace(field, is_one_picture=_is_one_picture(frame_a, frame_b))

@@ -62,6 +62,8 @@ class Pair:
         Variance of a pixel's noise over that of the picture.
     given : ndarray of float32, shape (H, W), optional
         1 where a mask that was given is True, if `valid` is more (`piv.preprocessing.still_light.with_clean_rim`).
+    hidden : ndarray of bool, shape (H, W), optional
+        True where coarse light hides the particles, or is all there is (`piv.preprocessing.coarse_light`).
     """
 
     a: Floats
@@ -73,6 +75,7 @@ class Pair:
     filled: FilledPixels | None = None
     noise: float = 0.0
     given: Floats | None = None
+    hidden: NDArray[np.bool_] | None = None
 
     @property
     def spread_as_sampled_px2(self) -> float:
@@ -145,11 +148,13 @@ def prepare_pair(
     side_px = window_px | 1
     a = _remove_level(frames[0], weight, whole, side_px, "A")
     b = _remove_level(frames[1], weight, whole, side_px, "B")
-    coarse = coarse_light(a, b, window_px)
+    coarse, hidden = coarse_light(a, b, window_px), None
     if coarse is not None:
         coarse = coarse * weight
-        a, b = (without_coarse_light(frame, coarse, window_px) for frame in (a, b))
-        weight *= shows_particles(a, b, coarse, window_px)
+        (a, dim_a), (b, dim_b) = (without_coarse_light(frame, coarse, window_px) for frame in (a, b))
+        shown = shows_particles(a, b, coarse, window_px) & ((dim_a & dim_b) | (coarse == 0.0))
+        hidden = ~shown & seen
+        weight *= shown
         whole = bool(weight.all())
         a, b = a * weight, b * weight
     texture, filled = texture_of(a, weight, whole), None
@@ -158,7 +163,7 @@ def prepare_pair(
         if filled is not None:
             weight[filled.variance > 0.0] = 1.0
     nan_pixels = int(np.count_nonzero(mask & ~seen))
-    return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, filled, texture.noise)
+    return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, filled, texture.noise, hidden=hidden)
 
 
 def check_frames(

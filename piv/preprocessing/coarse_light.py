@@ -10,9 +10,12 @@ with P_m, the variance of the median, and P_f, the mean square of the rest,
 
     Q = P_m/(P_f + `FLAT` P_0),      P_0 the usual P_f,
 
-is the same wherever nothing but particles is seen, whatever the light: in frames of particles of 1 to 10 px with
-and without noise, 99 of 100 areas stay below `EXCESS` times the lower quartile. Coarse light is what exceeds both
-this and `LEAST`. Where the quartile is more than `LARGE`, particle images are as coarse as that median.
+is about the same wherever nothing but particles is seen, whatever the light. Coarse light is what exceeds `LEAST`
+and `EXCESS` times the lower quartile: of frames of particles of 1.5 to 8 px at most 2 % of the area, 6 % where
+those of 7 px are sparse. Where the quartile is more than `LARGE`, particle images are as coarse as that median.
+
+Hidden is what shows no particle then: the inside of a body, where next to nothing is left, and the brightest
+light, such as writing, of which a median leaves the corners. No window sees it, and no vector stands there.
 """
 
 from typing import Any
@@ -25,7 +28,9 @@ CELL = 4  # side of cells that are compared, at half the resolution
 FLAT, LEAST, LARGE = 0.1, 0.7, 3.0
 EXCESS = 3.0, 4.5  # over the lower quartile of Q: from where on some, and all is taken off
 BESIDE = 5  # cells around: what moves there between both frames, and windows that reach into it
-BARE, BARE_SIDE = 0.1, 0.3  # of the usual mean square; side of areas, in windows
+# No particle shows on the brightest light, such as writing or a saturated body
+TOP, BRIGHT = 0.6, 5.0  # of the brightest median, and usual deviations of a frame
+BARE, BARE_SIDE = 0.02, 0.3  # of the usual mean square; side of areas, in windows
 Floats = NDArray[np.float32]
 
 
@@ -35,7 +40,7 @@ def coarse_light(a: Floats, b: Floats, window_px: int) -> Floats | None:
     Parameters
     ----------
     a, b : ndarray of float32, shape (H, W)
-        Frames without the mean of their surroundings, 0 where masked.
+        Frames without the mean of their surroundings, of unit deviation, 0 where masked.
     window_px : int
         Side of the windows that will see them.
 
@@ -77,13 +82,17 @@ def coarse_light(a: Floats, b: Floats, window_px: int) -> Floats | None:
     return np.asarray(cv2.resize(weight, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def without_coarse_light(frame: Floats, weight: Floats, window_px: int) -> Floats:
-    """Frame (H, W) less its median where `weight` says so, and less the mean of what that leaves."""
+def without_coarse_light(frame: Floats, weight: Floats, window_px: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Frame (H, W) less its median where `weight` says so, and less the mean of what that leaves.
+
+    Also the pixels (H, W) on which particles could be seen, as they are not at the frame's brightest.
+    """
     import cv2
 
-    fine = frame - cv2.medianBlur(frame, MEDIAN_PX)
+    median = np.asarray(cv2.medianBlur(frame, MEDIAN_PX))
+    fine = frame - median
     fine -= cv2.blur(fine, (window_px | 1, window_px | 1), borderType=cv2.BORDER_REFLECT)
-    return np.asarray(frame + weight * (fine - frame), np.float32)
+    return np.asarray(frame + weight * (fine - frame), np.float32), median < max(TOP * float(median.max()), BRIGHT)
 
 
 def shows_particles(a: Floats, b: Floats, weight: Floats, window_px: int) -> NDArray[np.bool_]:
