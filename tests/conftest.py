@@ -26,6 +26,7 @@ TRUSTED = (
 )  # fmt: skip
 os.environ["RTPIV_TRUST"] = ",".join(TRUSTED)
 os.environ.setdefault("RTPIV_THREADS", "1")  # all cores have tests
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command sets it; NumPy is not imported yet
 
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")

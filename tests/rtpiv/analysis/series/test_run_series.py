@@ -472,9 +472,8 @@ except Exception as error:
 """
 
 
-@pytest.mark.parametrize(
-    ("place", "name"), [("chunk", "00000.nc"), pytest.param("map", "maps", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow  # tests/daq/test_what_the_system_refuses.py has it of a command
+@pytest.mark.parametrize(("place", "name"), [("chunk", "00000.nc"), ("map", "maps")])
 def test_a_full_disk_is_one_sentence_and_leaves_no_torn_file(tmp_path, place, name):
     flow_run(tmp_path, 2)
     command = [sys.executable, "-B", "-c", FULL, tmp_path, place]  # -B: Python itself keeps half a module
