@@ -8,6 +8,7 @@ from tests.tracer.light_by_chance import Ball, Boxes, Counted, count_light
 from tests.tracer.scenes import ball, camera_at
 from tracer.bodies import Rod
 from tracer.errors import SceneError
+from tracer.kernels.light_map import Raster, add_line
 from tracer.light_sheet import LightSheet, SheetSource
 from tracer.scene.scene import Scene
 from tracer.strategies.light_map import REACH, LightMap, trace_light
@@ -140,6 +141,22 @@ def test_without_bodies_the_light_is_even() -> None:
     behind = 4.0 - (x[None, :] * along[0] + x[::-1, None] * along[1])
     assert np.abs(found.thickness_mm / (4.0 * np.hypot(0.25, spread * behind)) - 1.0).max() < 0.03
     assert found.share_reflected == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_line_leaves_all_of_its_power_and_height() -> None:
+    rng, raster = (
+        np.random.default_rng(4),
+        Raster(np.array([3.0, 2.0, 0.5, 40.0, -0.5, 2.0]), 50.0, 99.0, 0.0, 0.1),
+    )
+    for _ in range(40):
+        a, b = (tuple(rng.uniform((3.0, -9.0, -9.0), (20.0, 9.0, 9.0)).tolist()) for _ in range(2))
+        compiled, plain = np.zeros((3, 80, 80)), np.zeros((3, 80, 80))
+        add_line(a, b, 2.0, raster, compiled)
+        add_line.py_func(a, b, 2.0, raster, plain)
+        length = float(np.linalg.norm(np.subtract(a, b)))
+        assert plain[0].sum() == pytest.approx(2.0 * length, rel=1e-12)
+        assert plain[1].sum() / plain[0].sum() == pytest.approx(0.5 * (a[1] + b[1]), abs=1e-9)
+        np.testing.assert_allclose(compiled, plain, atol=1e-12)
 
 
 def test_two_sources_add_up() -> None:
