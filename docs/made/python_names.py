@@ -3,7 +3,8 @@
 import inspect
 import re
 from importlib import import_module
-from typing import Any, get_type_hints
+from types import UnionType
+from typing import Any, get_args, get_type_hints
 
 PACKAGES = (
     "rtpiv",
@@ -46,7 +47,8 @@ def values_of(thing: Any) -> list[type]:  # noqa: ANN401 - whatever a package sh
     if not inspect.isfunction(thing):
         return []
     gives = get_type_hints(inspect.unwrap(thing)).get("return")
-    return [gives] if inspect.isclass(gives) and gives.__module__.partition(".")[0] in OURS else []
+    either = get_args(gives) if isinstance(gives, UnionType) else (gives,)
+    return [value for value in either if inspect.isclass(value) and value.__module__.partition(".")[0] in OURS]
 
 
 def _entry(name: str, thing: Any) -> str:  # noqa: ANN401 - whatever a package shows

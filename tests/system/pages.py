@@ -21,10 +21,12 @@ HARDWARE = "opens real devices: no --simulate"
 CLUSTER = "needs a cluster"
 REHEARSED = "in a lab of its own: tests/faces/test_rehearsal_page.py"
 STEREO = "two cameras: tests/rtpiv/verbs/test_stereo.py"
+BY_HAND = "a board held by hand: tests/correction/lens/test_lens_fit.py has photographs"
 NOT_RUN = {  # commands that nothing here carries out, and why; all others are run as they stand
     "mean --join RUN RUN/cameras/behind -o joined": STEREO,
     "mean --join left right --scene left.yaml right.yaml --simultaneous --dt-us 500 -o joined": STEREO,
     "mean --join left right --scene left.yaml right.yaml --simultaneous --sheet -o joined": STEREO,
+    "calibrate poses/ --square-mm 25 --scene scene.yaml -o lens": BY_HAND,
     "demo": "the first hour with a finer camera, step by step: `make demo` at each check of a change",
     "init lab": "asks a person: tests/rtpiv/verbs/test_init.py answers",
     "init . --yes --balls 1 --sensor-px 128 128 --pixel-pitch-um 86": REHEARSED,
@@ -50,7 +52,9 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "bench camera snap -o snap.tif": "bench camera snap -o snap.tif --simulate",
     "bench camera test": "bench camera test --simulate",
     "init lab --by-hand": "init hands --yes --by-hand",
+    "init --arrangement bcc --layers 3 --plane 1.5": "init bed --yes --arrangement bcc --layers 3 --plane 1.5",
     "setup target scene.yaml": "setup target scene.yaml",
+    "setup target board.yaml": "setup target board.yaml",
     "correct ... --scene scene.yaml --square-mm 4 --target-clear target_clear.tif":
         "correct frames/target_glass.tif --scene scene.yaml --square-mm 4 --target-clear frames/target_clear.tif",
     "mean RUN --ensemble 16": "mean runs/*flow --scene fit/scene.yaml --ensemble 16",
