@@ -63,14 +63,14 @@ class Scheme:
 def schemes_of(names: Collection[str]) -> list[Scheme]:
     """Return all ways in which marks in the names make pairs, each with most of its frames in pairs."""
     found: dict[tuple[str, str], list[Pair]] = defaultdict(list)
-    there = frozenset(names)
+    there = {_with_small_ending(name): name for name in sorted(names)}
     groups: dict[str, set[str]] = defaultdict(set)
-    for name in there:
+    for name in there.values():
         groups[skeleton(name)].add(name)
-    for name in sorted(there, key=natural):
+    for name in sorted(there.values(), key=natural):
         for start, end, mark in _marks_in(name, groups[skeleton(name)]):
-            partner = f"{name[:start]}{mark}{name[end:]}"
-            if partner in there:
+            partner = there.get(_with_small_ending(f"{name[:start]}{mark}{name[end:]}"))
+            if partner is not None:
                 side = f"{skeleton(name[:start])}\0{name[start:end]}>{mark}\0{skeleton(name[end:])}"
                 found[side, skeleton(partner)].append((name, partner))
     schemes = []
@@ -114,8 +114,13 @@ def _word_before(stem: str, place: int) -> str:
 
 
 def skeleton(name: str) -> str:
-    """Return a name with # in place of each number."""
-    return _DIGITS.sub("#", name)
+    """Return a name with # in place of each number, its ending in small letters."""
+    return _DIGITS.sub("#", _with_small_ending(name))
+
+
+def _with_small_ending(name: str) -> str:
+    stem, dot, ending = name.rpartition(".")
+    return f"{stem}{dot}{ending.lower()}"
 
 
 def natural(name: str) -> list[tuple[int, int, str]]:
@@ -154,7 +159,7 @@ def sequences_of(names: Collection[str]) -> list[dict[Fraction, str]]:
     """Sort names without marks into sequences, by the number or time in them; one for each camera or run."""
     groups: dict[str, list[str]] = defaultdict(list)
     for name in sorted(names, key=natural):
-        groups[_NUMBER.sub("#", name)].append(name)
+        groups[_NUMBER.sub("#", _with_small_ending(name))].append(name)
     found: list[dict[Fraction, str]] = []
     for group in groups.values():
         texts = [_NUMBER.findall(name.rpartition(".")[0]) for name in group]

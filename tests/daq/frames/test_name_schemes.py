@@ -56,6 +56,8 @@ SCHEMES = {
     "a folder of each pair": (pairs_by("pair{:03d}/a.tif", "pair{:03d}/b.tif"), []),
     "Roman numbers": (pairs_by("p{:03d}_I.tif", "p{:03d}_II.tif"), []),
     "before and after": (pairs_by("{:03d}_before.png", "{:03d}_after.png"), []),
+    "endings of both sizes": (pairs_by("jet{:03d}_A.TIF", "jet{:03d}_B.tif"), []),
+    "a sequence copied twice": ([("im1.tif", "im2.TIF"), ("im3.TIF", "im4.tif")], []),
     "Karman": ([("karman_01.bmp", "karman_02.bmp")], []),
     "numbers": (sequence("im{:04d}.tif", range(8)), []),
     "numbers of any width": (sequence("im{:d}.tif", range(7, 15)), []),
