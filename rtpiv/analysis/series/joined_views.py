@@ -49,7 +49,7 @@ from rtpiv.analysis.pairs.pair_vectors import SeriesField
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks
 from rtpiv.analysis.series.series_mean import STRESS, mean_of_series, without_time, write_statistics
-from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, chunk_path
+from rtpiv.analysis.series.series_plan import MAX_CHUNK_PAIRS, chunk_path
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.through_glass import percent, through_glass
 
@@ -326,7 +326,7 @@ def _fits_of_pairs(views: Sequence[_View], limit: float) -> Iterator[tuple[list[
         )
     each = [chain.from_iterable(chunk.fields for chunk in Chunks.of(view.folder.folder)) for view in views]
     pairs = zip(*each, strict=True)
-    while chunk := list(islice(pairs, CHUNK_PAIRS)):
+    while chunk := list(islice(pairs, MAX_CHUNK_PAIRS)):
         fits = []
         for pair in chunk:
             uv = np.stack([np.where(one.valid[..., None], one.velocity_m_s, np.nan) for one in pair])
