@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from sim.flow.fields import Flow
 from sim.flow.particles import LightSheet, ParticlePair, Seeding, outside, particle_pair
 from sim.flow.reflections import Reflections
+from sim.flow.sheet_light import light_reach_mm, trace_sheet
 from sim.flow.view import STEP_PX, ParticleView
 from sim.renderer.render import Aperture
 from sim.renderer.sensor import Sensor
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
+from tracer.light_sheet import SheetSource
 from tracer.scene.scene import Scene
 
 Frame = NDArray[np.uint16]
@@ -49,7 +51,8 @@ class FlowCamera:
     Parameters
     ----------
     scene : Scene
-        Camera and glass, as they truly are.
+        Camera and glass, as they truly are. If its sheet has sources, the light of `sheet` comes from there,
+        through the bodies; otherwise it is even.
     flow : Flow
         What moves the particles.
     sheet, seeding, reflections, sensor
@@ -129,12 +132,11 @@ class FlowCamera:
 
     def particles(self, number: int, dt_s: float, time_s: float) -> ParticlePair:
         """The particles of a pair."""
-        low, high = self._view.corners_mm
         found = particle_pair(
             self.flow,
-            self.sheet,
+            self._light,
             self.seeding,
-            corners_mm=np.array([low - self.margin_mm, high + self.margin_mm]),
+            corners_mm=self._area_mm,
             px_mm=self.px_mm,
             time_s=time_s,
             dt_s=dt_s,
@@ -171,12 +173,26 @@ class FlowCamera:
     def _seed(self, number: int, what: int) -> int:
         return int(np.random.SeedSequence((self.seed, number, what)).generate_state(1, np.uint64)[0])
 
+    @property
+    def _sources(self) -> tuple[SheetSource, ...]:
+        return () if self.scene.sheet is None else self.scene.sheet.sources
+
+    @property
+    def _area_mm(self) -> NDArray[np.float64]:
+        low, high = self._view.corners_mm
+        return np.array([low - self.margin_mm, high + self.margin_mm])
+
+    @cached_property
+    def _light(self) -> LightSheet:
+        """The sheet as bodies leave it, traced once for all pairs; as it is if its sources are not known."""
+        return trace_sheet(self.scene, self.sheet, self._sources, self._area_mm) if self._sources else self.sheet
+
     @cached_property
     def _view(self) -> ParticleView:
         """The rays, traced once for all pairs; a sheet that is tilted needs them over a greater depth."""
         height, width = self.scene.camera.shape
         tilt = 0.7 * max(height, width) * self.px_mm * (abs(self.sheet.slope_x) + abs(self.sheet.slope_y))
-        reach = self.sheet.reach_mm + tilt
+        reach = (light_reach_mm(self.sheet) if self._sources else self.sheet.reach_mm) + tilt
         low, high = self.sheet.offset_mm - reach, self.sheet.offset_mm + reach
         return ParticleView(
             self.scene,

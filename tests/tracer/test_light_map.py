@@ -1,18 +1,20 @@
-"""The light of a sheet through balls, against random rays that share nothing with the tracer."""
+"""The light of a sheet through balls, against the simulator's random rays, which share nothing with the tracer."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.tracer.light_by_chance import Ball, Boxes, Counted, count_light
+from sim.flow.particles import LightSheet as SimulatedSheet
+from sim.flow.sheet_light import count_light
 from tests.tracer.scenes import ball, camera_at
 from tracer.bodies import Rod
 from tracer.errors import SceneError
 from tracer.kernels.light_map import Raster, add_line
 from tracer.light_sheet import LightSheet, SheetSource
 from tracer.scene.scene import Scene
-from tracer.strategies.light_map import REACH, LightMap, trace_light
+from tracer.strategies.light_map import LightMap, trace_light
 
+Ball = tuple[float, float, float, float, float]  # x, y, z, radius, index; 0: opaque
 N = 1.52
 CELL = 2.0 * 10.0 / np.sqrt(3.0) + 0.01
 ONE = [(3.0, 1.0, 0.4, 8.0, N)]
@@ -37,22 +39,12 @@ def traced(balls: list[Ball], nodes: int, source: SheetSource) -> LightMap:
     return trace_light(of(balls), sheet, (left + 0.5 * pitch, top - 0.5 * pitch), pitch, (nodes, nodes))
 
 
-def drawn(balls: list[Ball], rays: int, rows: int, source: SheetSource, seed: int = 0) -> Counted:
-    """The same by random rays: heights and directions normal, places across uniform."""
-    rng = np.random.default_rng(seed)
-    s = (np.arange(rays) + rng.random(rays)) / rays - 0.5
-    s *= source.width_mm
-    height, slope = rng.normal(size=rays) * THICK / 4.0, rng.normal(size=rays)
-    slope *= np.tan(np.deg2rad(source.divergence_deg) / 4.0)
-    angle = np.deg2rad(source.from_deg)
-    along, across = -np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    apex = np.inf if not source.fan_deg else source.width_mm / 2.0 / np.tan(np.deg2rad(source.fan_deg) / 2.0)
-    d = np.column_stack((along + (s / apex)[:, None] * across, slope))
-    back = 60.0 if np.isinf(apex) else min(60.0, 0.99 * apex)
-    p = np.column_stack((s[:, None] * across, height - slope * source.focus_mm)) - back * d
-    d /= np.linalg.norm(d, axis=1)[:, None]
-    boxes = Boxes(VIEW[0], VIEW[1], VIEW[2] / rows, (rows, rows), REACH * THICK)
-    return count_light(balls, p, d, np.full(rays, source.width_mm / rays), boxes, seed + 1)
+def drawn(
+    balls: list[Ball], rays: int, rows: int, source: SheetSource, seed: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The same by the simulator's random rays."""
+    raster = VIEW[:2], VIEW[2] / rows, (rows, rows)
+    return count_light(of(balls), SimulatedSheet(THICK), [source], raster, rays / source.width_mm, seed)
 
 
 def in_boxes(nodes: NDArray[np.float64], rows: int) -> NDArray[np.float64]:
@@ -62,21 +54,22 @@ def in_boxes(nodes: NDArray[np.float64], rows: int) -> NDArray[np.float64]:
 
 def compare(balls: list[Ball], rays: int, rows: int, source: SheetSource, per_box: int = 6) -> dict[str, float]:
     """Differences of brightness (relative, where a quarter of the light is), height and thickness; of powers."""
-    found, other = traced(balls, rows * per_box, source), drawn(balls, rays, rows, source)
+    found, (other, powers) = traced(balls, rows * per_box, source), drawn(balls, rays, rows, source)
+    _, passed, stopped = powers / powers[0]
     node = (VIEW[2] / rows / per_box) ** 2
     light = in_boxes(found.brightness, rows) * node
     moment = in_boxes(np.nan_to_num(found.height_mm) * found.brightness, rows) * node
-    lit = other.sums[0] > 0.25 * (VIEW[2] / rows) ** 2
-    relative = np.abs(light / np.maximum(other.sums[0], 1e-9) - 1.0)[lit]
-    high = np.abs(moment / np.maximum(light, 1e-9) - other.sums[1] / np.maximum(other.sums[0], 1e-9))[lit]
+    lit = other[0] > 0.25 * (VIEW[2] / rows) ** 2
+    relative = np.abs(light / np.maximum(other[0], 1e-9) - 1.0)[lit]
+    high = np.abs(moment / np.maximum(light, 1e-9) - other[1] / np.maximum(other[0], 1e-9))[lit]
     return {
         "lit": float(lit.mean()),
         "brightness 99 %": float(np.quantile(relative, 0.99)),
         "brightness rms": float(np.sqrt(np.mean(relative**2))),
         "height 99 %": float(np.quantile(high, 0.99)),
-        "all light": float(light.sum() / other.sums[0].sum() - 1.0),
-        "passed": found.passed / found.emitted - other.passed / other.emitted,
-        "absorbed": found.absorbed / found.emitted - other.absorbed / other.emitted,
+        "all light": float(light.sum() / other[0].sum() - 1.0),
+        "passed": found.passed / found.emitted - passed,
+        "absorbed": found.absorbed / found.emitted - stopped,
     }
 
 
@@ -118,7 +111,7 @@ def edges(profile: NDArray[np.float64], side: float) -> NDArray[np.float64]:
 @pytest.mark.parametrize("balls", [ONE, THREE, NINE], ids=["one", "three", "nine"])
 def test_edges_of_shadows(balls: list[Ball]) -> None:
     rows = 360
-    other = drawn(balls, 2_000_000, rows, LEFT).sums[0] / (VIEW[2] / rows) ** 2
+    other = drawn(balls, 2_000_000, rows, LEFT)[0][0] / (VIEW[2] / rows) ** 2
     found, side, apart = traced(balls, rows, LEFT).brightness, VIEW[2] / rows, []
     for column in range(0, rows, 3):
         one, two = edges(found[:, column], side), edges(other[:, column], side)

@@ -31,8 +31,10 @@ from sim.renderer.kernels.walls import INSIDE, LOST, next_wall
 
 Float32 = NDArray[np.float32]
 Int64 = NDArray[np.int64]
+Place = tuple[float, float, float]
 
-WALL, SURFACES = -2, 8  # what a ray meets that is no ball; most crossings of one wall
+NOTHING, WALL, STOP = -1, -2, -3  # what a ray meets that is no ball
+SURFACES = 8  # most crossings of one wall
 BEHIND_MM = 1e-3  # rounding at a body that touches the sheet is far less
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -59,6 +61,78 @@ def pixel_shift(seed: int, row: int, column: int) -> tuple[float, float, float]:
     return first, second, third
 
 
+@kernel_inlined
+def pass_body(
+    o: Place, d: Place, power: float, last: int, in_glass: bool, farthest: float, world: World
+) -> tuple[Place, Place, float, int, bool, float, int]:
+    """Follow one ray to the body that it meets first and through it: a whole ball, or one surface of a wall.
+
+    Returns point and direction behind it, power (0: stopped), the ball just left, whether the ray is in a wall,
+    the path up to the body, and what was met: a ball, WALL, STOP (opaque) or NOTHING nearer than `farthest`.
+    """
+    _, spheres, rods, walls, _, _ = world
+    (ox, oy, oz), (dx, dy, dz) = o, d
+    nearest = farthest
+    body = NOTHING
+    if walls.shape[0] > 0:
+        t, nx, ny, nz, before, behind, beyond, which = next_wall(ox, oy, oz, dx, dy, dz, walls)
+        if t < nearest:
+            nearest, body = t, WALL
+    for index in range(spheres.shape[0] if not in_glass else 0):
+        if index != last:
+            s = spheres[index]
+            if is_uneven(s):
+                t = crossing(ox, oy, oz, dx, dy, dz, s, True)
+            else:
+                t = entry_sphere(ox, oy, oz, dx, dy, dz, s, s[3])
+            if t < nearest:
+                nearest, body = t, index
+    for index in range(rods.shape[0]):
+        t = entry_rod(ox, oy, oz, dx, dy, dz, rods[index])
+        if t < nearest:
+            nearest, body = t, STOP
+    if body == STOP:
+        return o, d, BLOCKED, last, in_glass, nearest, STOP
+    if body == NOTHING:
+        return o, d, power, last, in_glass, nearest, NOTHING
+    if body == WALL:
+        if which == LOST:
+            return o, d, BLOCKED, last, in_glass, nearest, WALL
+        ox, oy, oz = ox + nearest * dx, oy + nearest * dy, oz + nearest * dz
+        ex, ey, ez, part = snell(dx, dy, dz, nx, ny, nz, before / behind)
+        if part > 0.0:
+            return (ox, oy, oz), (ex, ey, ez), power * part, -1, beyond, nearest, WALL
+        if which != INSIDE or beyond:
+            return o, d, BLOCKED, last, in_glass, nearest, WALL
+        along = 2.0 * (dx * nx + dy * ny + dz * nz)  # in the wall of a tube, off its inside
+        d = (dx - along * nx, dy - along * ny, dz - along * nz)
+        return (ox, oy, oz), d, power, last, in_glass, nearest, WALL
+    s = spheres[body]
+    if s[5] != 0.0:
+        return o, d, BLOCKED, last, in_glass, nearest, STOP
+    # In: the outward normal is against the ray.
+    ox, oy, oz = ox + nearest * dx, oy + nearest * dy, oz + nearest * dz
+    nx, ny, nz = (ox - s[0]) / s[3], (oy - s[1]) / s[3], (oz - s[2]) / s[3]
+    if is_uneven(s):
+        nx, ny, nz = normal_at(ox, oy, oz, s)
+    dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, 1.0 / s[4])
+    power *= part
+    if s.shape[0] > SOLID:
+        ox, oy, oz, dx, dy, dz, part = through_cores(ox, oy, oz, dx, dy, dz, s)
+        power *= part
+    # Out: far root of the same quadratic, inward normal.
+    if is_uneven(s):
+        t = crossing(ox, oy, oz, dx, dy, dz, s, False)
+        ox, oy, oz = ox + t * dx, oy + t * dy, oz + t * dz
+        nx, ny, nz = normal_at(ox, oy, oz, s)
+        nx, ny, nz = -nx, -ny, -nz
+    else:
+        ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s, s[3])
+        nx, ny, nz = (s[0] - ox) / s[3], (s[1] - oy) / s[3], (s[2] - oz) / s[3]
+    dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, s[4])
+    return (ox, oy, oz), (dx, dy, dz), power * part, body, in_glass, nearest, body
+
+
 @kernel
 def last_way(
     ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, world: World
@@ -68,82 +142,33 @@ def last_way(
     T = 0 if it does not arrive.  `chain` differs between rays that went through other bodies or in another order;
     0 went through none.
     """
-    _, spheres, rods, walls, _, plane = world
+    _, spheres, _, walls, _, plane = world
+    o, d = (ox, oy, oz), (dx, dy, dz)
     transmittance = 1.0
     last = -1
     chain = 0
     in_glass = False
     for _ in range(2 * spheres.shape[0] + 2 + SURFACES * walls.shape[0]):
-        fall = dx * plane[3, 0] + dy * plane[3, 1] + dz * plane[3, 2]
+        fall = d[0] * plane[3, 0] + d[1] * plane[3, 1] + d[2] * plane[3, 2]
         height = (
-            (ox - plane[0, 0]) * plane[3, 0] + (oy - plane[0, 1]) * plane[3, 1] + (oz - plane[0, 2]) * plane[3, 2]
+            (o[0] - plane[0, 0]) * plane[3, 0]
+            + (o[1] - plane[0, 1]) * plane[3, 1]
+            + (o[2] - plane[0, 2]) * plane[3, 2]
         )
         if last >= 0 and height < -BEHIND_MM:  # out of a body that stands beside the sheet, and past it
-            return ox, oy, oz, dx, dy, dz, BLOCKED, chain
-        nearest = max(-height / fall, 0.0) if fall < 0.0 else np.inf
-        body = -1
-        if walls.shape[0] > 0:
-            t, nx, ny, nz, before, behind, beyond, which = next_wall(ox, oy, oz, dx, dy, dz, walls)
-            if t < nearest:
-                nearest, body = t, WALL
-        for index in range(spheres.shape[0] if not in_glass else 0):
-            if index != last:
-                s = spheres[index]
-                if is_uneven(s):
-                    t = crossing(ox, oy, oz, dx, dy, dz, s, True)
-                else:
-                    t = entry_sphere(ox, oy, oz, dx, dy, dz, s, s[3])
-                if t < nearest:
-                    nearest, body = t, index
-        for index in range(rods.shape[0]):
-            if entry_rod(ox, oy, oz, dx, dy, dz, rods[index]) < nearest:
-                return ox, oy, oz, dx, dy, dz, BLOCKED, chain
-        if body == WALL:
-            if which == LOST:
-                return ox, oy, oz, dx, dy, dz, BLOCKED, chain
-            ox, oy, oz = ox + nearest * dx, oy + nearest * dy, oz + nearest * dz
-            ex, ey, ez, part = snell(dx, dy, dz, nx, ny, nz, before / behind)
-            if part <= 0.0:
-                if which != INSIDE or beyond:
-                    return ox, oy, oz, dx, dy, dz, BLOCKED, chain
-                along = 2.0 * (dx * nx + dy * ny + dz * nz)  # in the wall of a tube, off its inside
-                dx, dy, dz = dx - along * nx, dy - along * ny, dz - along * nz
-                continue
-            dx, dy, dz, in_glass, last = ex, ey, ez, beyond, -1
-            transmittance *= part
-            continue
-        if body < 0:
-            arrives = nearest < np.inf and not in_glass
-            return ox, oy, oz, dx, dy, dz, transmittance if arrives else BLOCKED, chain
-        s = spheres[body]
-        if s[5] != 0.0:
-            return ox, oy, oz, dx, dy, dz, BLOCKED, chain
-        # In: the outward normal is against the ray.
-        ox, oy, oz = ox + nearest * dx, oy + nearest * dy, oz + nearest * dz
-        nx, ny, nz = (ox - s[0]) / s[3], (oy - s[1]) / s[3], (oz - s[2]) / s[3]
-        if is_uneven(s):
-            nx, ny, nz = normal_at(ox, oy, oz, s)
-        dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, 1.0 / s[4])
-        transmittance *= part
-        if s.shape[0] > SOLID:
-            ox, oy, oz, dx, dy, dz, part = through_cores(ox, oy, oz, dx, dy, dz, s)
-            transmittance *= part
-        # Out: far root of the same quadratic, inward normal.
-        if is_uneven(s):
-            t = crossing(ox, oy, oz, dx, dy, dz, s, False)
-            ox, oy, oz = ox + t * dx, oy + t * dy, oz + t * dz
-            nx, ny, nz = normal_at(ox, oy, oz, s)
-            nx, ny, nz = -nx, -ny, -nz
-        else:
-            ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s, s[3])
-            nx, ny, nz = (s[0] - ox) / s[3], (s[1] - oy) / s[3], (s[2] - oz) / s[3]
-        dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, s[4])
-        transmittance *= part
+            return o[0], o[1], o[2], d[0], d[1], d[2], BLOCKED, chain
+        farthest = max(-height / fall, 0.0) if fall < 0.0 else np.inf
+        o, d, transmittance, last, in_glass, t, body = pass_body(
+            o, d, transmittance, last, in_glass, farthest, world
+        )
+        if body == NOTHING:
+            arrives = t < np.inf and not in_glass
+            return o[0], o[1], o[2], d[0], d[1], d[2], transmittance if arrives else BLOCKED, chain
         if transmittance <= 0.0:
-            return ox, oy, oz, dx, dy, dz, BLOCKED, chain
-        last = body
-        chain = chain * (spheres.shape[0] + 1) + body + 1
-    return ox, oy, oz, dx, dy, dz, BLOCKED, chain
+            return o[0], o[1], o[2], d[0], d[1], d[2], BLOCKED, chain
+        if body >= 0:
+            chain = chain * (spheres.shape[0] + 1) + body + 1
+    return o[0], o[1], o[2], d[0], d[1], d[2], BLOCKED, chain
 
 
 @kernel
