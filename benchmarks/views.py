@@ -31,7 +31,7 @@ from sim.demo.scenes import at_size, demo_scene
 from sim.flow.fields import Flow
 from sim.flow.images import FlowCamera
 from sim.flow.modes import RandomModes
-from sim.flow.particles import LightSheet, ParticlePair, particle_pair
+from sim.flow.particles import LightSheet
 from tracer.bodies import translate_by
 from tracer.camera import look_at
 from tracer.scene.scene import Scene
@@ -47,7 +47,6 @@ SCENES = {
 GAP_MM = 4.0
 DT_S, RATE_HZ = 500e-6, 10.0
 EDDY_MM, WAVE_MM = 30.0, 60.0
-REACH_MM = 100.0  # half the seeded square, beyond what any camera sees
 LIMIT = 0.75  # r / R of the middle of a ball
 
 
@@ -81,20 +80,6 @@ class Waves:
         return np.ones(len(points_mm), np.bool_)
 
 
-@dataclass(frozen=True)
-class SharedParticles(FlowCamera):
-    """A camera that sees the particles of all others: those of one square of the plane, by one seed."""
-
-    particle_seed: int = 0
-
-    def particles(self, number: int, dt_s: float, time_s: float) -> ParticlePair:
-        """The particles of a pair."""
-        return particle_pair(
-            self.flow, self.sheet, self.seeding, corners_mm=REACH_MM * np.array([[-1.0, -1.0], [1.0, 1.0]]),
-            px_mm=self.px_mm, time_s=time_s, dt_s=dt_s, rng=np.random.default_rng((self.particle_seed, number)),
-        )  # fmt: skip
-
-
 def scene_at(name: str, degrees: float, size_px: int, gap_mm: float = GAP_MM) -> Scene:
     """A demo scene with its camera turned about the y axis of the plane."""
     scene = at_size(demo_scene(SCENES[name]), size_px)
@@ -115,18 +100,25 @@ def flow_of(name: str, size_px: int, seed: int, turbulence: float) -> Flow:
 
 def write_frames(said: argparse.Namespace) -> None:
     """Write the frames and the scene of every camera."""
+    cameras: list[FlowCamera] = []
+    z_mm, along_x, along_y = said.sheet
+    sheet = LightSheet(offset_mm=z_mm, slope_x=along_x, slope_y=along_y)
     for place, degrees in enumerate(said.degrees):
-        scene = scene_at(said.name, degrees, said.size)
         other = place if said.moved else 0
-        flow = flow_of(said.name, said.size, said.seed + other, said.turbulence)
-        z_mm, along_x, along_y = said.sheet
-        sheet = LightSheet(offset_mm=z_mm, slope_x=along_x, slope_y=along_y)
-        camera = SharedParticles(
-            scene, flow, sheet, seed=1000 * said.seed + place, particle_seed=said.seed + other
+        cameras.append(
+            FlowCamera(
+                scene_at(said.name, degrees, said.size),
+                flow_of(said.name, said.size, said.seed + other, said.turbulence),
+                sheet,
+                seed=said.seed + other,
+                noise_seed=1000 * said.seed + place,
+                cameras=lambda: cameras,
+            )
         )
+    for place, camera in enumerate(cameras):
         folder = said.frames / f"camera{place + 1}"
         (folder / "frames").mkdir(parents=True, exist_ok=True)
-        (folder / "scene.yaml").write_text(dump_scene(scene))
+        (folder / "scene.yaml").write_text(dump_scene(camera.scene))
         for number in range(said.pairs):
             both = camera.pair(number, DT_S, number / RATE_HZ)
             for letter, frame in zip("ab", both, strict=True):

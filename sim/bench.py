@@ -12,6 +12,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
+from zlib import crc32
 
 from daq.bench.bench_table import STAGES, Bench, CameraSection, Device
 from daq.bench.elements import CAMERA
@@ -249,7 +250,8 @@ class SimulatedBench:
         own = table.cameras.get(name, FurtherCameraTable())
         flow = table.flow.model_copy(update={"prepared": None})  # pairs of another view
         its = table.model_copy(update={"aperture": own.aperture, "ring": None, "faults": own.faults, "flow": flow})
-        world = World(beside, its, stages, self._shows, exposures_before, self.world.lit, self.world.drawing)
+        noise_seed = table.seed + crc32(name.encode())
+        world = World(beside, its, stages, self._shows, exposures_before, self.world, noise_seed)
         config = _config_of(name, beside, its, exposures_before, own.clock_ppm)
         own_folder = folder / name
         own_folder.mkdir()

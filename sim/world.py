@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,10 +94,10 @@ class World:
         What hangs on the target's stage.
     exposures_before : int
         Exposures made before this process began.
-    lit : LitFlow, optional
-        Of the world that another camera sees: both see the same light and the same flow.
-    drawing : DrawingTime, optional
-        Of the bench, which has other worlds as well.
+    first : World, optional
+        As the first camera sees it: both see the same light on the same particles.
+    noise_seed : int, optional
+        Of the sensor's noise, if another than the table's seed.
     """
 
     def __init__(
@@ -106,10 +107,12 @@ class World:
         stages: SimulatedStages,
         shows: str,
         exposures_before: int,
-        lit: LitFlow | None = None,
-        drawing: DrawingTime | None = None,
+        first: "World | None" = None,
+        noise_seed: int | None = None,
     ) -> None:
-        self.drawing = drawing or DrawingTime()
+        self._worlds: list[World] = [] if first is None else first._worlds  # of all cameras
+        self._worlds.append(self)
+        self.drawing: DrawingTime = DrawingTime() if first is None else first.drawing
         self.timing: list[SimulatedTiming] = []  # units that have power; who hangs on one listens to it
         self._bench = bench
         self._table = table
@@ -117,8 +120,8 @@ class World:
         self._exposures = exposures_before
         self.scene = true_scene(bench, table)
         # More pairs were lit than kept: numbers and time begin well behind them.
-        self.lit = lit
-        if lit is None and shows == FLOW:
+        self.lit: LitFlow | None = None if first is None else first.lit
+        if first is None and shows == FLOW:
             self.lit = LitFlow(exposures_before, LATER_S * exposures_before)
         self.print = print_of(bench, table.seed, shows)
         self.lamp = target_light(bench) if shows == BOARD else None  # particles are lit by the laser
@@ -133,7 +136,9 @@ class World:
             folder = bench.path.parent / table.flow.prepared
             self._prepared = PreparedPairs(folder, self.scene.content_hash())
         self._number = table.seed % WORLDS if table.keeps else secrets.randbelow(WORLDS)
+        self._noise_seed = table.seed if noise_seed is None else noise_seed
         self._lock = threading.Lock()
+        self._views_lock: threading.RLock = threading.RLock() if first is None else first._views_lock
         self._dimmed = 1.0
         self.on_exposed: Callable[[int, NDArray[np.uint16], dict[str, float]], None] | None = None
 
@@ -150,7 +155,7 @@ class World:
         with self.drawing.count(), self._lock:
             true_mm = self.true_mm()
             light = self._light(true_mm) * np.float32(self._dimmed)
-            image = self._sensor.expose(light, seed=self._table.seed * 1_000_003 + self._exposures)
+            image = self._sensor.expose(light, seed=self._noise_seed * 1_000_003 + self._exposures)
             return self._keep(trigger_index, image, true_mm)
 
     def expose(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
@@ -177,12 +182,23 @@ class World:
     def _flow_camera(self, true_mm: Mapping[str, float]) -> FlowCamera:
         """The camera that looks at the flow from where it stands."""
         key = tuple(true_mm.values())
-        if key not in self._flow_cameras:
-            while len(self._flow_cameras) >= KEPT_FLOW_VIEWS:
-                self._flow_cameras.pop(next(iter(self._flow_cameras)))
-            scene, _ = self._arrange(true_mm)
-            self._flow_cameras[key] = self._table.flow.camera(scene, self._table.seed, self._table.pupil)
-        return self._flow_cameras[key]
+        with self._views_lock:
+            if key not in self._flow_cameras:
+                while len(self._flow_cameras) >= KEPT_FLOW_VIEWS:
+                    self._flow_cameras.pop(next(iter(self._flow_cameras)))
+                scene, _ = self._arrange(true_mm)
+                camera = self._table.flow.camera(scene, self._table.seed, self._table.pupil)
+                others = partial(self._all_flow_cameras, dict(true_mm))
+                self._flow_cameras[key] = replace(camera, noise_seed=self._noise_seed, cameras=others)
+            return self._flow_cameras[key]
+
+    def _all_flow_cameras(self, true_mm: Mapping[str, float]) -> list[FlowCamera]:
+        """Every camera that looks at the flow, while axes stand there."""
+        with self._views_lock:  # each view is traced once, whichever camera asks first
+            cameras = [world._flow_camera(true_mm) for world in self._worlds]
+            for camera in cameras:
+                camera.trace_view()
+            return cameras
 
     def light(self) -> NDArray[np.float32]:
         """The light of the world as it stands on each pixel, float32 (H, W): 1 = white sheet without glass."""

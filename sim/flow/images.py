@@ -9,7 +9,7 @@ so a thousand pairs can be made on all cores by `benchmarks.flow`.  Defaults are
 40 counts, particles of a few dozen to 300 counts, 0.03 per pixel, a sheet of 1 mm.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.flow.fields import Flow
-from sim.flow.particles import LightSheet, ParticlePair, Seeding, outside, particle_pair
+from sim.flow.particles import LightSheet, ParticlePair, SeededArea, Seeding, outside, particle_pair
 from sim.flow.reflections import Reflections
 from sim.flow.sheet_light import light_reach_mm, trace_sheet
 from sim.flow.view import STEP_PX, ParticleView
@@ -71,6 +71,11 @@ class FlowCamera:
         Seeded beyond the view; particles that go further between pulses leave an empty edge.
     seed : int
         Of particles and noise.
+    noise_seed : int, optional
+        Of noise, if another than that of particles.
+    cameras : callable
+        Gives all cameras of this flow and seed, this one among them: all see the same particles, those of the area
+        that holds what any of them sees.  Asked at the first frame with particles; none: this one is alone.
     """
 
     scene: Scene
@@ -86,6 +91,8 @@ class FlowCamera:
     step_px: float = STEP_PX
     margin_mm: float = 2.0
     seed: int = 0
+    noise_seed: int | None = None
+    cameras: "Callable[[], Sequence[FlowCamera]]" = tuple
 
     def __post_init__(self) -> None:
         if not self.particle_counts >= 0.0:
@@ -136,11 +143,10 @@ class FlowCamera:
             self.flow,
             self._light,
             self.seeding,
-            corners_mm=self._area_mm,
-            px_mm=self.px_mm,
+            area=self._area,
             time_s=time_s,
             dt_s=dt_s,
-            rng=np.random.default_rng(self._seed(number, 2)),
+            rng=np.random.default_rng(_hash_seed(self.seed, number, 2)),
         )
         if self._spheres_in_sheet:  # no particle is in glass
             first, second = (
@@ -153,6 +159,16 @@ class FlowCamera:
     def slopes(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Slopes dx/dz, dy/dz (N, 2) of the rays of pixels (N, 2) where they cross the plane; NaN for none."""
         return self._view.slopes(pixels)
+
+    def trace_view(self) -> None:
+        """Trace the rays now, and not with the first frame."""
+        _ = self._view
+
+    @property
+    def own_area(self) -> SeededArea:
+        """The area that this camera sees, with its margin."""
+        low, high = self._view.corners_mm
+        return SeededArea(np.array([low - self.margin_mm, high + self.margin_mm]), self.px_mm)
 
     @property
     def px_mm(self) -> float:
@@ -171,21 +187,25 @@ class FlowCamera:
         return np.asarray(np.float32(self.particle_counts / self._view.peak()) * seen)
 
     def _seed(self, number: int, what: int) -> int:
-        return int(np.random.SeedSequence((self.seed, number, what)).generate_state(1, np.uint64)[0])
+        return _hash_seed(self.seed if self.noise_seed is None else self.noise_seed, number, what)
 
     @property
     def _sources(self) -> tuple[SheetSource, ...]:
         return () if self.scene.sheet is None else self.scene.sheet.sources
 
     @property
-    def _area_mm(self) -> NDArray[np.float64]:
-        low, high = self._view.corners_mm
-        return np.array([low - self.margin_mm, high + self.margin_mm])
+    def _area(self) -> SeededArea:
+        """What any camera of the bench sees."""
+        return SeededArea.around([camera.own_area for camera in self.cameras() or (self,)])
 
     @cached_property
     def _light(self) -> LightSheet:
         """The sheet as bodies leave it, traced once for all pairs; as it is if its sources are not known."""
-        return trace_sheet(self.scene, self.sheet, self._sources, self._area_mm) if self._sources else self.sheet
+        return (
+            trace_sheet(self.scene, self.sheet, self._sources, self._area.corners_mm)
+            if self._sources
+            else self.sheet
+        )
 
     @cached_property
     def _view(self) -> ParticleView:
@@ -223,6 +243,10 @@ class FlowCamera:
 
     def _still(self, pulse: int) -> NDArray[np.float32]:
         return self._stills[pulse]
+
+
+def _hash_seed(seed: int, number: int, what: int) -> int:
+    return int(np.random.SeedSequence((seed, number, what)).generate_state(1, np.uint64)[0])
 
 
 def render_pairs(

@@ -82,7 +82,8 @@ class Seeding:
     Parameters
     ----------
     per_px : float
-        Particles within the sheet's thickness, on the area that a pixel sees without glass.
+        Particles within the sheet's thickness, on the area that a pixel sees without glass; of several cameras a
+        pixel of the one with the largest.
     spread : float
         Standard deviation of the logarithm of a particle's light, cut at two of them.
     """
@@ -93,6 +94,29 @@ class Seeding:
     def __post_init__(self) -> None:
         if not (0.0 <= self.per_px <= 10.0 and 0.0 <= self.spread <= 3.0):
             raise SceneError("per_px must be 0 to 10, spread 0 to 3")
+
+
+@dataclass(frozen=True)
+class SeededArea:
+    """Area in which particles are seeded, and how densely.
+
+    Parameters
+    ----------
+    corners_mm : ndarray
+        Low and high corner (2, 2), x and y.
+    px_mm : float
+        Width that a pixel sees without glass.
+    """
+
+    corners_mm: Float64
+    px_mm: float
+
+    @classmethod
+    def around(cls, areas: Sequence["SeededArea"]) -> "SeededArea":
+        """Return the area that holds all of some, whatever their order, as dense as the least dense."""
+        corners_mm = np.array([area.corners_mm for area in areas])
+        extent_mm = np.array([corners_mm[:, 0].min(axis=0), corners_mm[:, 1].max(axis=0)])
+        return cls(extent_mm, max(area.px_mm for area in areas))
 
 
 @dataclass(frozen=True)
@@ -125,8 +149,7 @@ def particle_pair(
     sheet: LightSheet,
     seeding: Seeding,
     *,
-    corners_mm: Float64,
-    px_mm: float,
+    area: SeededArea,
     time_s: float,
     dt_s: float,
     rng: np.random.Generator,
@@ -135,10 +158,8 @@ def particle_pair(
 
     Parameters
     ----------
-    corners_mm : ndarray
-        Low and high corner (2, 2) of the seeded area, x and y.
-    px_mm : float
-        Width that a pixel sees without glass.
+    area : SeededArea
+        Where particles are seeded.
     time_s : float
         Of pulse A.
     dt_s : float
@@ -146,10 +167,10 @@ def particle_pair(
     rng : Generator
         Of places and sizes.
     """
-    low, high = corners_mm
+    low, high = area.corners_mm
     thick = 2.0 * sheet.reach_mm
-    area = float(np.prod(high - low))
-    count = int(rng.poisson(seeding.per_px * area / px_mm**2 * thick / sheet.thickness_mm))
+    area_px = float(np.prod(high - low)) / area.px_mm**2
+    count = int(rng.poisson(seeding.per_px * area_px * thick / sheet.thickness_mm))
     points = rng.random((count, 3)) * (*(high - low), thick) + (*low, 0.0)
     order = np.lexsort((points[:, 0], np.floor(points[:, 1] / SORTED_ROW_MM)))
     points = points[order]
