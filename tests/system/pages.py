@@ -21,9 +21,12 @@ HARDWARE = "opens real devices: no --simulate"
 CLUSTER = "needs a cluster"
 REHEARSED = "in a lab of its own: tests/faces/test_rehearsal_page.py"
 STEREO = "two cameras: tests/rtpiv/verbs/test_stereo.py"
+BENCH = "two cameras of a bench: tests/system/test_stereo_on_a_bench.py"
 BY_HAND = "a board held by hand: tests/correction/lens/test_lens_fit.py has photographs"
 NOT_RUN = {  # commands that nothing here carries out, and why; all others are run as they stand
     "mean --join RUN RUN/cameras/behind -o joined": STEREO,
+    "acquire plan-flow.yaml --bench bench-flow.yaml --simulate --home --operator me": BENCH,
+    "mean --join RUN RUN/cameras/side -o joined": BENCH,
     "mean --join left right --scene left.yaml right.yaml --simultaneous --dt-us 500 -o joined": STEREO,
     "mean --join left right --scene left.yaml right.yaml --simultaneous --sheet -o joined": STEREO,
     "calibrate poses/ --square-mm 25 --scene scene.yaml -o lens": BY_HAND,
