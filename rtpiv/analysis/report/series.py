@@ -13,6 +13,7 @@ from correction.grid import PlaneGrid
 from daq.runs.acquired import full_scale
 from daq.runs.run_views import length_unit, tells_a_scale_alone
 from ground.printable import readable_name
+from piv.correlation.common_light import LEAST_COMMON
 from piv.correlation.vector_field import VectorField
 from piv.preprocessing import preparation
 from piv.preprocessing.preparation import RAW, Preparation
@@ -26,8 +27,9 @@ from rtpiv.analysis.report.page import Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
 from rtpiv.analysis.report.table import MAX_ROWS, Table
 from rtpiv.analysis.report.tables import count_table, image_table, mask_swatches
-from rtpiv.analysis.series.chunk import correction_of
+from rtpiv.analysis.series.chunk import correction_of, windows_of
 from rtpiv.analysis.series.clean_frames import clean_frames
+from rtpiv.analysis.series.mean_flow import image_field
 from rtpiv.analysis.series.run_series import Evaluated
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_plan import ChunkJob
@@ -91,8 +93,25 @@ def choose_pair(given: SeriesInput, result: Evaluated) -> Preview | None:
     known = {one.task.name: one.field for one in result.details}
     for job in sorted(jobs, key=lambda job: abs(job.number - middle)):
         if (tag := job.pairs[0].tag) not in result.failed:
-            return preview(job, known.get(tag))
+            return preview(job, known.get(tag) or _vectors_in_file(given, result, job))
     return None
+
+
+def _vectors_in_file(given: SeriesInput, result: Evaluated, job: ChunkJob) -> VectorField | None:
+    """Vectors of the pair of a job, in single precision, from their file; None if that leaves out a warning."""
+    if result.series is None:
+        return None
+    chunk_pairs = result.series.about["chunk_pairs"]
+    number, place = divmod(job.number, chunk_pairs)
+    kept = result.series.chunk(number, result.series.about["keys"][number]).fields[place]
+    if kept.static_share > LEAST_COMMON:  # it may have been taken off, which the file does not say
+        return None
+    beside = given.given.pairs[number * chunk_pairs : (number + 1) * chunk_pairs]
+    dt_s = job.pairs[0].dt_s if all(pair.dt_s is not None for pair in beside) else None
+    prepared = correction_of(job.maps, job.method)
+    sigma_px = kept.sigma_m_s / per_px(prepared.corrector.map.grid.pitch_mm, dt_s)
+    field = image_field(kept.displacement_px, sigma_px, 1.0, windows_of(prepared, job.method))
+    return replace(field, flags=kept.flags[::-1], static_share=kept.static_share)
 
 
 def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:

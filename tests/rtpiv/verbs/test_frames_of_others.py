@@ -1,12 +1,20 @@
 """Frames that nobody here has taken: one that is damaged, or of another size, costs its pair and nothing else."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import tifffile
 
 import rtpiv
 from ground import terminal
+from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.analysis.report import series as page_of_series
+from rtpiv.analysis.report.series import choose_pair
+from rtpiv.analysis.series.run_series import run_series
+from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.series_input import series_input
 from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
 from rtpiv.verbs.mean import MeanOutput, mean
 from tests.daq.frames.videos import damaged, write_video
@@ -103,3 +111,22 @@ def test_a_page_that_would_show_the_same_is_not_drawn_again(tmp_path, folder, mo
     tifffile.imwrite(folder / "im1.tif", pair(9)[1])
     assert again()[0] == 6  # other vectors
     assert again()[0] == 6
+
+
+def test_the_pair_on_a_page_has_the_vectors_of_its_file(tmp_path, folder, monkeypatch):
+    """In the single precision of that; only where its light stands still, which a file tells in part, not."""
+    with terminal.silence():
+        given = series_input(folder, tmp_path / "s", piv_choice(), recipe=PLAIN, dt_us=DT_US)
+        done = run_series(given, 1)
+    with monkeypatch.context() as stands:
+        kept = SimpleNamespace(fields=[SimpleNamespace(static_share=0.07)] * len(given.given.pairs))
+        stands.setattr(SeriesFolder, "chunk", lambda *given: kept)
+        expected = choose_pair(given, done)
+    monkeypatch.setattr(page_of_series, "correlate_pair", None)
+    found = choose_pair(given, done)
+    assert found.tag == expected.tag
+    assert found.field.warning == expected.field.warning
+    assert found.field.static_share == pytest.approx(expected.field.static_share, rel=1e-6, nan_ok=True)
+    for name in ("x_px", "y_px", "u_px", "v_px", "sigma_u_px", "sigma_v_px", "flags"):
+        one, other = getattr(found.field, name), getattr(expected.field, name)
+        np.testing.assert_allclose(one, other, rtol=2e-7, atol=0.0)
