@@ -16,7 +16,7 @@ from rtpiv.analysis.through_glass import coarse_share, percent
 from rtpiv.templates.arrangement import AIR_MM, ARRANGEMENTS, BEDS, most_balls
 from rtpiv.templates.files import scene_of
 from rtpiv.templates.lab import Lab
-from tracer.bodies import Body
+from tracer.bodies import Body, Sphere
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 
@@ -109,13 +109,13 @@ def offers(scene: Scene) -> list[Offer]:
     """Return changes that show more of a scene: glass elsewhere, a second ball before each, a ball less."""
     if not scene.spheres:
         return []
-    now, found = coarse_share(scene), list[Offer]()
-    for what, changed in (
-        ("", scene),
-        ("a second such ball before each", _add_second_balls(scene)),
-        _without_nearest(scene),
+    standing, found = _raise_glass(scene), list[Offer]()
+    now, nearest = dict(standing)[0.0], max(scene.spheres, key=lambda ball: ball.centre_mm[2])
+    for what, tried in (
+        ("", standing),
+        ("a second such ball before each", _raise_glass(_add_second_balls(scene))),
+        (f"without {nearest.name}", _raise_glass(_without(scene, nearest))),
     ):
-        tried = [] if changed is None else _raise_glass(changed)
         best = _nearest(tried, lambda one: one[1])
         if best is not None and best[1] > max(
             WORTH * now, NEARLY + max((one.share for one in found), default=0.0)
@@ -134,8 +134,10 @@ def little(scene: Scene, share: float) -> str:
     return f"Little of what the glass hides is seen in this plane.{more}"
 
 
-def _raise_glass(scene: Scene) -> list[tuple[float, float]]:
+def _raise_glass(scene: Scene | None) -> list[tuple[float, float]]:
     """Millimetres by which what goes with the glass is moved off the plane, and the share that is shown then."""
+    if scene is None:
+        return []
     diameter = 2.0 * max(ball.radius_mm for ball in scene.spheres)
     gap = min(ball.lowest_mm for ball in scene.spheres)
     found = []
@@ -152,11 +154,10 @@ def _move_with_glass(body: Body, by_mm: float) -> Body:
     return body.moved(lambda at: (at[0], at[1], at[2] + by_mm)) if body.carried == "glass" else body
 
 
-def _without_nearest(scene: Scene) -> tuple[str, Scene | None]:
-    """The scene without the ball nearest to the camera, and how that is said; None of one ball."""
-    nearest = max(scene.spheres, key=lambda ball: ball.centre_mm[2])
-    rest = [body for body in scene.bodies if body is not nearest]
-    return f"without {nearest.name}", scene.with_bodies(rest) if len(scene.spheres) > 1 else None
+def _without(scene: Scene, ball: Sphere) -> Scene | None:
+    """The scene without one of its balls; None of one ball."""
+    rest = [body for body in scene.bodies if body is not ball]
+    return scene.with_bodies(rest) if len(scene.spheres) > 1 else None
 
 
 def _add_second_balls(scene: Scene) -> Scene | None:

@@ -6,6 +6,7 @@ import pytest
 
 from correction.maps.correction_map import build_correction_map
 from rtpiv.analysis.through_glass import coarse_share, through_glass
+from rtpiv.analysis.views import arranged
 from rtpiv.analysis.views.arranged import LITTLE, Offer, little, offers
 from tests.rtpiv.analysis.test_plane_share import scene_of
 from tracer.bodies import Rod, Sphere
@@ -55,6 +56,15 @@ def test_three_in_a_row_are_better_without_the_last():
     assert last.what.startswith("without ball2 and the glass ")
     fewer = raised(scene.with_bodies(row[:2]), float(last.what.split()[5]))
     assert share_of(fewer) == pytest.approx(last.share, abs=0.02)
+
+
+def test_no_scene_is_traced_twice(monkeypatch):
+    traced = []
+    monkeypatch.setattr(arranged, "coarse_share", lambda scene: traced.append(scene.content_hash()) or 0.01)
+    row = [Sphere(f"ball{k}", (0.0, 0.0, 24.0 + 40.01 * k), 20.0, CROWN) for k in range(3)]
+    assert offers(scene_of(*row, px_per_mm=3.0)) == []
+    assert len(traced) > 10
+    assert len(set(traced)) == len(traced)
 
 
 def test_nothing_is_said_where_enough_is_seen_or_nothing_hidden():
