@@ -35,7 +35,6 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 STILL_CELL_PX = 4
@@ -121,9 +120,10 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     plateaus: tuple[NDArray[Any], ...] | None = None
     darkest = np.full(valid.shape, np.inf, np.float32)
     count, counts = 0, 0.0
+    weight = None if valid.all() else np.maximum(_means_around(valid.astype(np.float32)), np.float32(1e-6))
     for a, b in frames:
         numbers = _numbers((a, b), valid)
-        (one, of_a), (other, of_b) = (_remove_level(frame, valid) for frame in numbers)
+        (one, of_a), (other, of_b) = (_remove_level(frame, valid, weight) for frame in numbers)
         of_one, of_other = (np.maximum(_products(part, part), 0.0) for part in (one, other))
         both = np.float32(0.5) * (_products(one, other) + _products(other, one))
         if not (of_one.any() and of_other.any()):
@@ -158,7 +158,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         return None
     moves = np.asarray(seen & (cells.alike < MOVES))
     # Single cells between sparse particles at rest hold nothing but noise, which is not alike either.
-    areas = np.asarray(scipy.ndimage.binary_opening(moves, np.ones((SQUARE, SQUARE), bool)))
+    areas = _dilate(_erode(moves, (SQUARE, SQUARE)), (SQUARE, SQUARE))
     if areas.sum() > LEAST_MOVING * seen.sum():
         moves = areas
     else:
@@ -177,19 +177,17 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     quick = bool(not rests and fluid.size and np.median(fluid) < QUICK)
     found = _still(cells, moves, apart, changed, quick)
     if not valid_cells.all():  # what a mask covers nearly is covered
-        found = np.asarray(scipy.ndimage.binary_opening(found & valid_cells, np.ones((2, 2), bool)))
+        found = _dilate(_erode(found & valid_cells, (2, 2)), (2, 2))
     # The cells at its edge hold some of the flow, and too much of it for any window.
-    found = np.asarray(scipy.ndimage.binary_dilation(found, np.ones((3, 3), bool)))
-    at = np.ix_(
-        *(
-            np.minimum(np.arange(side) // STILL_CELL_PX, count - 1)
-            for side, count in zip(valid.shape, found.shape, strict=True)
-        )
+    found = _dilate(found, (3, 3))
+    rows, columns = (
+        np.minimum(np.arange(side) // STILL_CELL_PX, count - 1)
+        for side, count in zip(valid.shape, found.shape, strict=True)
     )
-    still = np.asarray(found[at]) | _find_ruled_lines(darkest, valid)
+    still = found[:, columns][rows] | _find_ruled_lines(darkest, valid)
     if quick:
         ground = float(np.median(cells.floor[moves])) * counts / count
-        still |= _find_writing(plateaus, valid, ground, moves[at])
+        still |= _find_writing(plateaus, valid, ground, moves[:, columns][rows])
     return still if still.any() else None
 
 
@@ -236,6 +234,21 @@ def _floors(cells: Cells, moves: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.
     return apart, np.asarray(other)
 
 
+def _erode(cells: NDArray[np.bool_], size: tuple[int, int], beyond: int = 0) -> NDArray[np.bool_]:
+    """Cells (ny, nx) whose rectangle all stands; `beyond` is what stands outside."""
+    import cv2
+
+    ones, middle = np.ones(size, np.uint8), (size[1] // 2, size[0] // 2)
+    part = np.ascontiguousarray(cells).view(np.uint8)
+    found = cv2.erode(part, ones, anchor=middle, borderType=cv2.BORDER_CONSTANT, borderValue=beyond)
+    return np.asarray(found > 0)
+
+
+def _dilate(cells: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Cells (ny, nx) that a rectangle reaches around one that stands; it is that of `_erode`, mirrored."""
+    return ~_erode(~cells[::-1, ::-1], size, beyond=1)[::-1, ::-1]
+
+
 def _around_lines(square: Floats) -> Floats:
     """E of cells (ny, nx) without lines and letters narrower than `LINES` cells; a bright sheet of light stays.
 
@@ -267,15 +280,15 @@ def _still(
     plain |= (apart > 0.0) & ((least < HARDLY * usual) | shaken)
     shines = rest & bright & (alike > ALIKE)
     shines |= (alike * square > GLARING * np.maximum(usual, _around_lines(square))) & (alike > GLARING_ALIKE)
-    still = scipy.ndimage.binary_opening(shines | (other & plain), np.ones((SQUARE, SQUARE), bool))
+    still = _dilate(_erode(shines | (other & plain), (SQUARE, SQUARE)), (SQUARE, SQUARE))
     for line in (LINE, LINE[::-1]):
-        still |= scipy.ndimage.binary_opening(shines, np.ones(line, bool))
+        still |= _dilate(_erode(shines, line), line)
     if not still.any():
         return np.asarray(still)
     # A wall has places without a grain, and an edge where its cells see particles beside it. They belong to it
     # between what stands still, if nothing moves there, and beside it where they are as bright, or as dark.
-    around = scipy.ndimage.binary_dilation(still, np.ones((GAP, GAP), bool))
-    between = scipy.ndimage.binary_erosion(around, np.ones((GAP, GAP), bool), border_value=1)
+    around = _dilate(still, (GAP, GAP))
+    between = _erode(around, (GAP, GAP), beyond=1)
     dark, light = float(np.median(level[moves])), float(np.median(level[still]))
     beside = around & (level > 0.5 * (dark + light)) & (alike > ALIKE) & (light > dark)
     for sign in (1.0, -1.0):
@@ -368,23 +381,31 @@ def _numbers(frames: Two, valid: NDArray[np.bool_]) -> list[Floats]:
     span = max(high - low, np.finfo(float).tiny)
     with np.errstate(over="ignore", invalid="ignore"):
         near_one = [((frame - low) / span).astype(np.float32) for frame in frames]
-    return [np.where(np.isfinite(part), part, np.float32(part[valid].mean())) for part in near_one]
+    finite = [np.isfinite(part) for part in near_one]
+    return [
+        part if known.all() else np.where(known, part, np.float32(part[valid].mean()))
+        for part, known in zip(near_one, finite, strict=True)
+    ]
 
 
-def _remove_level(frame: Floats, valid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Every second row of a frame without the mean of its surroundings, 0 where masked; and the mean in cells."""
+def _means_around(values: Floats) -> Floats:
+    """Mean of the surroundings of every second row."""
     import cv2
 
-    whole = bool(valid.all())
-    values = frame if whole else np.where(valid, frame, np.float32(0.0))
     size = (STILL_LEVEL_PX, STILL_LEVEL_PX)
-    mean: Any = cv2.blur(values, size, borderType=cv2.BORDER_REFLECT)
-    if not whole:
-        mean /= np.maximum(cv2.blur(valid.astype(np.float32), size, borderType=cv2.BORDER_REFLECT), 1e-6)
-    rest = values[::2] - mean[::2]
-    if not whole:
-        rest *= valid[::2]
-    return np.asarray(rest, np.float32), _cells(np.asarray(mean[::2], np.float32))
+    return np.asarray(cv2.blur(values, size, borderType=cv2.BORDER_REFLECT)[::2])
+
+
+def _remove_level(frame: Floats, valid: NDArray[np.bool_], weight: Floats | None) -> tuple[Floats, Floats]:
+    """Every second row of a frame without the mean of its surroundings, 0 where masked; and the mean in cells."""
+    if weight is None:
+        mean = _means_around(frame)
+        return frame[::2] - mean, _cells(mean)
+    values = np.where(valid, frame, np.float32(0.0))
+    mean = _means_around(values) / weight
+    rest = values[::2] - mean
+    rest *= valid[::2]
+    return rest, _cells(mean)
 
 
 def _floor(a: Floats, b: Floats, shape: tuple[int, ...]) -> Floats:
@@ -411,10 +432,11 @@ def _plateaus(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     size = np.ones((3, 3), np.uint8)
     one, other = (np.asarray(cv2.erode(part, size)) for part in (a, b))
     either = np.maximum(one, other)
+    both = np.minimum(one, other, out=one)
     every = slice(None, None, 2), slice(None, None, 2)
     brightest = np.asarray(cv2.dilate(np.maximum(a, b), size))[every]
     step = np.asarray(FLAT * brightest, brightest.dtype)
-    return np.minimum(one, other), either, np.where(brightest - either[every] > step, either[every], 0)
+    return both, either, np.where(brightest - either[every] > step, either[every], 0)
 
 
 def _products(one: Floats, other: Floats) -> Floats:

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import scipy
 
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorFlag
+from piv.preprocessing import still_light as module
 from piv.preprocessing.still_light import across_pairs, still_light
 from tests.loops import loop_over
 from tests.piv.conftest import draw, make_pair
@@ -150,3 +152,16 @@ def test_a_wall_that_others_found_is_taken_as_they_say():
     assert field.valid[:, field.x_px < 112].all()
     wall = over_a_wall(1)
     assert evaluate_pair(*wall, still=np.zeros(SHAPE, bool)).valid[-1].all()
+
+
+@pytest.mark.parametrize("size", [(4, 4), (2, 2), (2, 8), (8, 2), (7, 7), (1, 6)])
+def test_cells_are_worn_and_grown_as_scipy_does_it(size):
+    """At the border of frames too, which are smaller than a rectangle or not, whose sides may be even."""
+    rng, ones = np.random.default_rng(1), np.ones(size, bool)
+    for _ in range(40):
+        cells = rng.random(rng.integers(1, 30, 2)) < rng.choice([0.05, 0.5, 0.95])
+        found = module._dilate(cells, size)
+        np.testing.assert_array_equal(found, scipy.ndimage.binary_dilation(cells, ones))
+        for beyond in (0, 1):
+            found = module._erode(cells, size, beyond)
+            np.testing.assert_array_equal(found, scipy.ndimage.binary_erosion(cells, ones, border_value=beyond))
