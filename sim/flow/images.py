@@ -195,7 +195,7 @@ class FlowCamera:
 
     @property
     def _area(self) -> SeededArea:
-        """What any camera of the bench sees."""
+        """Area that any camera of the bench sees."""
         return SeededArea.around([camera.own_area for camera in self.cameras() or (self,)])
 
     @cached_property

@@ -154,7 +154,7 @@ def test_a_synchroniser_that_ends_leaves_a_run_that_goes_on(tmp_path, monkeypatc
 
     def keep(self, chunk, pair):
         if chunk.kept == 4:
-            units[-1]._emulator.person_stops()
+            units[-1].firmware.person_stops()
         return hand_over(self, chunk, pair)
 
     monkeypatch.setattr(SimulatedTiming, "start", lambda self: (units.append(self), start(self)))

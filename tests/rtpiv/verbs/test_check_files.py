@@ -35,7 +35,8 @@ def test_a_folder_of_files(lab, capsys):
     capsys.readouterr()
     assert main(["check", str(lab)]) == DONE
     said = capsys.readouterr().out
-    assert len(said.splitlines()) == 6
+    assert len(said.splitlines()) == 7
+    assert re.search(r"board.yaml  ok  board: ", said)
     assert re.search(
         r"scene.yaml  ok  scene: 1 sphere; camera of 640 x 480 px, \d+.\d px/mm.*; through glass: \d+ % of", said
     )
@@ -91,7 +92,7 @@ step_mm: 1.0
 
 def test_a_board_file_is_looked_at_beside_the_bench_that_names_it(lab):
     (lab / "plate.yaml").write_text(PLATE)
-    change(lab / "bench.yaml", "target: {square_mm", "target: {board: plate.yaml}  # {square_mm")
+    change(lab / "bench.yaml", "board: board.yaml", "board: plate.yaml")
     found = {one.path.name: one for one in check(lab)}
     assert found["plate.yaml"].kind == "board"
     assert found["plate.yaml"].said == (

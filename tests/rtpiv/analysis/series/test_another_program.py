@@ -49,7 +49,7 @@ def test_finished_chunks_of_an_older_program_are_made_again(folder, given, tmp_p
 @pytest.mark.parametrize("knew", [True, False], ids=["", "planned by one that did not say it"])
 def test_a_worker_of_another_program_makes_no_chunk(folder, given, tmp_path, updated, knew):
     """Planned here, carried out after somebody has replaced the program, or on a computer that has another."""
-    [job, *_] = jobs_of(tmp_path, given.pairs, method_of(folder), None)
+    [job, *_] = jobs_of(tmp_path, given.pairs, method_of(folder), None, CHUNK)
     assert job.key
     if not knew:
         del job.method.recipe["versions"]["code of rtpiv"]
