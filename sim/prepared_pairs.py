@@ -20,6 +20,7 @@ from sim.arranged import true_scene
 from sim.bench_table import simulation_of
 from sim.flow.images import FlowCamera
 from tracer.errors import SceneError
+from tracer.scene.scene import Scene
 
 Frame = NDArray[np.uint16]
 
@@ -41,7 +42,7 @@ class PreparedPairs:
         The folder is not one, or was made for another scene.
     """
 
-    def __init__(self, folder: Path | str, scene_hash: str) -> None:
+    def __init__(self, folder: Path | str, scene: Scene) -> None:
         self._folder = Path(folder)
         try:
             about = json.loads((self._folder / ABOUT).read_text())
@@ -51,7 +52,7 @@ class PreparedPairs:
             text = f"{self._folder} holds no prepared pairs; make them with python -m sim.prepared_pairs"
             raise SceneError(text) from None
         self._frames: dict[tuple[int, int], Frame] = {}
-        if made_for != scene_hash:
+        if made_for != _content_of(scene):
             raise SceneError(f"the pairs in {self._folder} were made for another scene; make them again")
 
     def frame(self, number: int, pulse: int, since_first_s: float) -> Frame:
@@ -80,8 +81,15 @@ def prepare(camera: FlowCamera, folder: Path, *, pairs: int, dt_s: float, rate_h
     for number in range(pairs):
         for pulse, frame in enumerate(camera.pair(number, dt_s, number / rate_hz)):
             np.save(_path(folder, number, pulse), frame)
-    about = {"pairs": pairs, "dt_s": dt_s, "rate_hz": rate_hz, "scene": camera.scene.content_hash()}
+    about = {"pairs": pairs, "dt_s": dt_s, "rate_hz": rate_hz, "scene": _content_of(camera.scene)}
     (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")
+
+
+def _content_of(scene: Scene) -> str:
+    """Return what pairs depend on: the hash of the scene, and the sources of its light, which it does not hold."""
+    sources = () if scene.sheet is None else scene.sheet.sources
+    lit_by = f" {scene.sheet.z_mm} {scene.sheet.thickness_mm} {sources}" if scene.sheet and sources else ""
+    return f"{scene.content_hash()}{lit_by}"
 
 
 def _path(folder: Path, number: int, pulse: int) -> Path:

@@ -134,7 +134,7 @@ class World:
         self._prepared: PreparedPairs | None = None
         if self.lit is not None and table.flow.prepared is not None:
             folder = bench.path.parent / table.flow.prepared
-            self._prepared = PreparedPairs(folder, self.scene.content_hash())
+            self._prepared = PreparedPairs(folder, self.scene)
         self._number = table.seed % WORLDS if table.keeps else secrets.randbelow(WORLDS)
         self._noise_seed = table.seed if noise_seed is None else noise_seed
         self._lock = threading.Lock()

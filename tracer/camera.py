@@ -47,6 +47,19 @@ class Lens:
         """True if every term is zero."""
         return not (self.k1 or self.k2 or self.k3 or self.p1 or self.p2)
 
+    def apply(self, acquired: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Ideal image points (..., 2) of acquired ones, both over the focal length (see module docstring)."""
+        x, y = acquired[..., 0], acquired[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        return np.stack(
+            (
+                x * radial + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
+                y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+            ),
+            axis=-1,
+        )
+
     def terms(self) -> NDArray[np.float64]:
         """Terms as an array (5,): k1, k2, k3, p1, p2."""
         return np.array([self.k1, self.k2, self.k3, self.p1, self.p2])
@@ -134,19 +147,7 @@ class Camera:
         if self.lens.is_ideal:
             return acquired.copy()
         centre = np.array(self.principal_px)
-        xy = (acquired - centre) / self.focal_px
-        x, y = xy[..., 0], xy[..., 1]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (self.lens.k1 + r2 * (self.lens.k2 + r2 * self.lens.k3))
-        p1, p2 = self.lens.p1, self.lens.p2
-        out = np.stack(
-            (
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ),
-            axis=-1,
-        )
-        return np.asarray(centre + self.focal_px * out)
+        return np.asarray(centre + self.focal_px * self.lens.apply((acquired - centre) / self.focal_px))
 
     def coarser(self, times: int) -> "Camera":
         """Return the camera with pixels so many times wider and the same view, but for a rest at its far edges."""

@@ -253,10 +253,7 @@ def _ideal(
     x, y = xy.T
     r2 = x * x + y * y
     radial, slope = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-    bent = xy * radial[:, None]
-    bent += np.stack(
-        (2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y), axis=-1
-    )
+    bent = Lens(k1, k2, k3, p1, p2).apply(xy)
     across = 2.0 * (slope * x * y + p1 * x + p2 * y)
     along_x = radial + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
     along_y = radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x

@@ -243,9 +243,9 @@ def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> S
             common = scene_doubt(seen, views, cell, sigma.in_light_sheet(replace(scene, sheet=now)))
             cells = replace(cells, common_mm=np.column_stack((cells.common_mm, common[cells.number])))
         # What was known before counts as a measurement, wherever the rounds have come to.
-        fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
+        fit = fit_plane(cells, plane_of(known) - plane_of(now), _covariance(known))
         before, now = now, _correct_sheet(now, fit, known)
-        step = np.abs(_numbers(now) - _numbers(before))
+        step = np.abs(plane_of(now) - plane_of(before))
         # Settled: no number moves by more than a part of its own sigma.
         near = step < np.maximum(SETTLED * np.sqrt(np.diag(fit.covariance)), AT_REST)
         if near.all() and rounds >= LEAST_ROUNDS:
@@ -313,7 +313,7 @@ def _describe_moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
 
 def _far(now: LightSheet, known: LightSheet) -> list[str]:
     """Describe the evidence against an unexpected plane: along the view a moved body looks like another height."""
-    off = (_numbers(now) - _numbers(known)) / np.sqrt(np.diag(_covariance(known)))
+    off = (plane_of(now) - plane_of(known)) / np.sqrt(np.diag(_covariance(known)))
     parts = (
         f"{now.z_mm:+.2f} mm high",
         f"tilted by {now.tilt_x_deg:+.2f} deg along x",
@@ -332,8 +332,8 @@ def _name_view(branch: tuple[str, ...]) -> str:
     return "through " + ", ".join(branch) if branch else "direct"
 
 
-def _numbers(sheet: LightSheet) -> NDArray[np.float64]:
-    """Height [mm] and slopes (3,)."""
+def plane_of(sheet: LightSheet) -> NDArray[np.float64]:
+    """Height [mm] and slopes (3,) of a sheet."""
     return np.array([sheet.z_mm, *sheet.slopes])
 
 
@@ -345,12 +345,12 @@ def _covariance(sheet: LightSheet) -> NDArray[np.float64]:
 
 def _correct_sheet(now: LightSheet, fit: PlaneFit, known: LightSheet) -> LightSheet:
     """The sheet with a correction of its plane, and its sigma."""
-    return _with_plane(_numbers(now) + fit.step, fit.covariance, known)
+    return sheet_with_plane(plane_of(now) + fit.step, fit.covariance, known)
 
 
-def _with_plane(numbers: NDArray[np.float64], covariance: NDArray[np.float64], like: LightSheet) -> LightSheet:
+def sheet_with_plane(plane: NDArray[np.float64], covariance: NDArray[np.float64], like: LightSheet) -> LightSheet:
     """The sheet of height and slopes (3,) and their covariance, with the light of another one."""
-    z, a, b = numbers
+    z, a, b = plane
     sigma = np.sqrt(np.diag(covariance))
     shares = covariance / np.outer(sigma, sigma)
     tilt = float(np.rad2deg(np.sqrt(np.mean([(sigma[1] / (1 + a * a)) ** 2, (sigma[2] / (1 + b * b)) ** 2]))))
@@ -365,8 +365,8 @@ def _without_guess(now: LightSheet, known: LightSheet) -> LightSheet:
     guess = np.diag([known.sigma_mm**-2.0, 0.0, 0.0])
     information = np.linalg.inv(_covariance(now))
     covariance = np.asarray(np.linalg.inv(information - guess))
-    answer = covariance @ (information @ _numbers(now) - guess @ _numbers(known))
-    return _with_plane(answer, covariance, now)
+    answer = covariance @ (information @ plane_of(now) - guess @ plane_of(known))
+    return sheet_with_plane(answer, covariance, now)
 
 
 def _reach(views: DoubleViews, sigma_mm: float) -> int:

@@ -12,13 +12,14 @@ than calibrated.
 B. Wieneke, Stereo-PIV using self-calibration on particle images, Exp. Fluids 39, 267 (2005).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from correction.errors import SheetError
+from correction.light_sheet.self_calibration import plane_of, sheet_with_plane
 from tracer.light_sheet import LightSheet
 
 HUBER_SIGMA = 2.0  # residual from which a place counts less: rims, where two pictures meet in one window
@@ -50,17 +51,7 @@ class SheetByViews:
 
     def sheet(self, known: LightSheet) -> LightSheet:
         """Return the sheet, for frames that were corrected for the known one."""
-        slopes, sigma = np.add(known.slopes, self.plane[1:]), np.sqrt(np.diagonal(self.covariance))
-        tilts, tilt_sigma = np.rad2deg(np.arctan(slopes)), float(np.rad2deg(sigma[1:].max()))
-        c = self.covariance / np.outer(sigma, sigma)
-        # One sigma stands for both tilts: the correlation of the surer one shrinks with it.
-        share = sigma[1:] / sigma[1:].max()
-        correlation = (c[0, 1] * share[0], c[0, 2] * share[1], c[1, 2] * share[0] * share[1])
-        return replace(
-            known, z_mm=known.z_mm + float(self.plane[0]), tilt_x_deg=float(tilts[0]), tilt_y_deg=float(tilts[1]),
-            sigma_mm=float(sigma[0]), tilt_sigma_deg=tilt_sigma,
-            correlation=(float(correlation[0]), float(correlation[1]), float(correlation[2])),
-        )  # fmt: skip
+        return sheet_with_plane(plane_of(known) + self.plane, self.covariance, known)
 
 
 def fit_sheet(

@@ -100,7 +100,10 @@ def calibrate(
     folder = one_of(folder)
     if not is_run(folder) and (poses := poses_in(folder)):
         held = board_of([folder], square_mm, disc_mm, path_of(board))
-        return calibrate_lens(poses, held, path_of(scene), path_of(out), pictures, overwrite)
+        try:
+            return calibrate_lens(poses, held, path_of(scene), path_of(out), pictures, overwrite)
+        except ViewsMissing as error:
+            raise ViewsMissing(error, cure=f"or, of a board on a stage, name the frames {WANTED}") from None
     nominal, priors = nominal_scene(folder, path_of(scene))
     target = board_of([folder], square_mm, disc_mm, path_of(board))
     frames = target_frames(folder, nominal.camera.shape)

@@ -100,6 +100,8 @@ def target(
     described = None if scene is None or isinstance(scene, Scene) else _board_in(file_of(scene))
     drawn_from = Path() if described is None or scene is None else file_of(scene)
     if described is not None:
+        if square_mm is not None or kind != "chessboard":
+            raise RunUsageError("says what is printed", place=drawn_from, cure="leave --kind and --square-mm out")
         kind, square_mm, scene = described.kind, described.square_mm, None
     loaded = scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
     size = size_mm or pages.room_on(paper)
@@ -125,14 +127,16 @@ def target(
             else:
                 sheet = (sheets.dots if kind == "dots" else sheets.chessboard)(size, square_mm)
             words = f"rtpiv {kind}, {square_mm:.4g} mm."
-        if described is not None and any(
-            getattr(described, key) != sheet.about[key] for key in ("disc_mm", "discs")
-        ):
-            raise RunUsageError(
-                "describes other discs than are printed here",
-                place=drawn_from,
-                cure="print it with the program that made it, or leave it out for a new board",
-            )
+        if described is not None:
+            said = described.model_dump(include=set(sheet.about), exclude_none=True)
+            said["disc_mm"] = described.disc_mm
+            other = [key for key, value in said.items() if value != sheet.about[key]]
+            if other:
+                raise RunUsageError(
+                    f"{' and '.join(other)} are not those of a board that is printed here on this paper",
+                    place=drawn_from,
+                    cure="give its --paper or --size-mm, or print it with the program that made it",
+                )
         path = folder / "target.pdf"
         printed = pages.write_pages(path, sheet, paper, words)
         if described is None:
@@ -141,6 +145,8 @@ def target(
             kept, board = drawn_from, described.model_copy(update={"measured_mm": None})
         board = board.model_copy(update={"bars_mm": list(printed.bars_mm)})
         write_board(kept, board)
+        if described is not None and described.measured_mm is not None:
+            screen.print(f"{kept}: the measure of an earlier print is taken out", style="bold red")
         columns, rows = printed.pages
         many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
         screen.print(

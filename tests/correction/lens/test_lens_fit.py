@@ -119,3 +119,12 @@ def test_photographs_agree_with_opencv_and_become_the_prior_of_a_scene(tmp_path,
     numbers = json.loads((tmp_path / "lens" / "lens.json").read_text())["numbers"]
     assert list(numbers) == list(SHARED)
     assert "13 boards" in capsys.readouterr().out
+
+
+def test_frames_of_a_stage_with_other_names_are_told_how_to_be_named(tmp_path):
+    for name in ("bare", "glass", "glass +10"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((64, 64), 90, np.uint8))
+    with pytest.raises(
+        ViewsMissing, match=r"no frame shows the board; .* on a stage, name the frames target_clear"
+    ):
+        calibrate(tmp_path, square_mm=2.5, out=tmp_path / "lens", pictures=False)

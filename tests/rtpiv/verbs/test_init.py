@@ -264,6 +264,15 @@ def test_the_print_is_the_board_that_the_bench_hangs(tmp_path, monkeypatch, caps
     assert load_bench("bench.yaml").board == hung
     target("board.yaml", measured_mm=(189.5, 279.9))
     assert load_bench("bench.yaml").board.scale == pytest.approx((189.5 / 190.0, 279.9 / 280.0))
+    target("board.yaml", out="again")
+    assert "the measure of an earlier print is taken out" in " ".join(capsys.readouterr().out.split())
+    assert load_bench("bench.yaml").board == hung
+    with pytest.raises(RunUsageError, match="leave --kind and --square-mm out"):
+        target("board.yaml", square_mm=3.0, out="another")
+    target(out="a3", paper="A3", square_mm=5.0)
+    with pytest.raises(RunUsageError, match=r"squares and origin_corner are not those .* give its --paper"):
+        target("a3/board.yaml", out="another")
+    target("a3/board.yaml", out="another", paper="A3")
     (tmp_path / "board.yaml").write_text("kind: chessboard\nsquare_mm: 2.5\ndisc_mm: 0.9\n")
     with pytest.raises(RunUsageError, match="print it with the program that made it"):
         target("board.yaml", out="another")

@@ -30,7 +30,6 @@ from tests.rtpiv.analysis.series.small_series import (
     PX_PER_MM,
     content_of,
     flow_run,
-    frames_of,
     given_of,
     markers,
     method_of,
@@ -488,18 +487,3 @@ def test_a_folder_that_cannot_be_one_is_one_sentence(tmp_path, folder, run):
     (tmp_path / "file").write_text("")
     with pytest.raises(DiskError, match="choose another folder"):
         again(tmp_path / "file", folder, run)
-
-
-def test_copies_of_one_pair_are_named_where_their_background_takes_everything(tmp_path):
-    same = frames_of(np.random.default_rng(1), SHIFT_PX)
-    run = flow_run(tmp_path, 3, spoiled=dict.fromkeys(range(3), lambda a, b: same))
-    for background in ("sliding-minimum", "minimum"):
-        with pytest.raises(PairError, match=f"its background, {background}, is taken off: the frames that it was"):
-            run_series(series_of(tmp_path / background, given_of(run), method_of(tmp_path, background)), 1)
-
-
-def test_a_pair_of_one_picture_is_left_out_of_a_series(tmp_path):
-    run = flow_run(tmp_path, 4, spoiled={2: lambda a, b: (a, a)})
-    books = run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum")), 1)
-    assert list(books.failed) == [given_of(run).pairs[2].tag]
-    assert "frames A and B are the same picture" in next(iter(books.failed.values()))

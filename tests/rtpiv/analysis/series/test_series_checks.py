@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 import tifffile
 
+from piv.errors import PairError
 from piv.files.vector_file import read_vectors
 from rtpiv.analysis.pairs.plausible import scale_warnings
+from rtpiv.analysis.series.run_series import run_series
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
+from tests.rtpiv.analysis.series.small_series import flow_run, frames_of, given_of, method_of, series_of
 
 OPTIONS = ["--final-window", "32", "--no-pictures", "--workers", "1"]
 SCALE = ["--mm-per-px", "0.1", "--dt-us", "1000"]
@@ -133,3 +136,18 @@ def test_a_mean_with_another_time_between_its_frames_is_kept_beside_the_first(tm
         assert (tmp_path / "evaluation-3" / "mean.nc").read_bytes() == before
     assert main([*words, "--dt-us", "1000", "-o", "evaluation-3", "--overwrite"]) == DONE
     assert speed("evaluation-3") == pytest.approx(slow)
+
+
+def test_copies_of_one_pair_are_named_where_their_background_takes_everything(tmp_path):
+    same = frames_of(np.random.default_rng(1), (2.0, -1.0))
+    run = flow_run(tmp_path, 3, spoiled=dict.fromkeys(range(3), lambda a, b: same))
+    for background in ("sliding-minimum", "minimum"):
+        with pytest.raises(PairError, match=f"its background, {background}, is taken off: the frames that it was"):
+            run_series(series_of(tmp_path / background, given_of(run), method_of(tmp_path, background)), 1)
+
+
+def test_a_pair_of_one_picture_is_left_out_of_a_series(tmp_path):
+    run = flow_run(tmp_path, 4, spoiled={2: lambda a, b: (a, a)})
+    books = run_series(series_of(tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum")), 1)
+    assert list(books.failed) == [given_of(run).pairs[2].tag]
+    assert "frames A and B are the same picture" in next(iter(books.failed.values()))
