@@ -60,14 +60,24 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         screen.print(f"look at {evaluation.task.out / 'report.html'}")
 
 
+def show_exclusions(screen: Console, reasons: "Sequence[tuple[str, str]]", rest: str) -> None:
+    """Print why pairs are left out, once for all pairs of one reason; `rest` has what is not printed."""
+    names_of: dict[str, list[str]] = {}
+    for name, why in reasons:
+        names_of.setdefault(why, []).append(name)
+    for why, names in list(names_of.items())[:SHOWN_REASONS]:
+        some = ", ".join(names[:SHOWN_REASONS]) + (", ..." if len(names) > SHOWN_REASONS else "")
+        verb = "is left out" if len(names) == 1 else f"({quantity(len(names), 'pair')}) are left out"
+        screen.print(f"{some} {verb}: {why}", style="bold red")
+    if len(names_of) > SHOWN_REASONS:
+        screen.print(f"and {len(names_of) - SHOWN_REASONS} more reasons; {rest} has them", style="bold red")
+
+
 def show_series(screen: Console, done: "Evaluated") -> None:
     """Print the state of the pairs of a series."""
     before = f"; {done.kept} of them had been evaluated before" if done.kept else ""
     screen.print(done.summary + before, style="bold red" if done.has_few_valid else None)
-    for tag, why in list(done.failed.items())[:SHOWN_REASONS]:
-        screen.print(f"{tag} is left out: {why}", style="bold red")
-    if len(done.failed) > SHOWN_REASONS:
-        screen.print(f"and {len(done.failed) - SHOWN_REASONS} more; the page has them", style="bold red")
+    show_exclusions(screen, done.reasons, "the page")
     for warning in done.warnings:
         screen.print(warning, style="bold red")
 
@@ -122,11 +132,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     for each in mean.warnings:
         screen.print(each, style="bold red")
     screen.print(f"mean of {quantity(mean.used, 'pair')}; {len(mean.left_out)} are left out")
-    lost = [(tag, why) for tag, why in mean.left_out if tag not in said]
-    for tag, why in lost[:SHOWN_REASONS]:
-        screen.print(f"{tag} is left out: {why}", style="bold red")
-    if len(lost) > SHOWN_REASONS:
-        screen.print(f"and {len(lost) - SHOWN_REASONS} more; mean.nc has them", style="bold red")
+    show_exclusions(screen, [(tag, why) for tag, why in mean.left_out if tag not in said], "mean.nc")
     speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
     highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
     flows = speed >= 0.5 * highest
@@ -134,7 +140,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
     parts = [
         (f"mean [{mean.unit}]", mean.mean_m_s),
         (f"its random sigma [{mean.unit}]", mean.sigma_m_s),
-        ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
+        *([] if mean.unit == "px" else [("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s)]),
         (f"not resolved of it [{mean.unit}]", np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)),
         (f"total sigma [{mean.unit}]", mean.total_sigma_m_s),
         (f"fluctuation, without noise [{mean.unit_squared}]", mean.stresses_m2_s2[..., :2]),

@@ -237,7 +237,7 @@ def _exclusions(page: Page, given: SeriesInput, result: Evaluated) -> None:
     said = f"{result.pairs} pairs, {len(result.failed)} without vectors"
     page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")
     if result.failed:
-        page.table(exclusion_table(list(result.failed.items()), "the markers of the chunks"))
+        page.table(exclusion_table(result.reasons, "the markers of the chunks"))
 
 
 def exclusion_table(pairs: Sequence[tuple[str, str]], rest: str) -> Table:

@@ -14,7 +14,7 @@ from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
 from daq.runs.lab_readings import readings_attribute
 from ground.whole_file import whole_file
-from piv.correlation.vector_field import ONE_PICTURE
+from piv.correlation.vector_field import ONE_PICTURE, REPEATED
 from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError, SeriesError
 from piv.files.vector_file import vectors_netcdf
@@ -104,6 +104,9 @@ def _correlate_pairs(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | s
     for pair, a, b in zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True):
         if isinstance(a, str) or isinstance(b, str):
             yield pair, a if isinstance(a, str) else str(b)
+            continue
+        if pair.is_repeated:
+            yield pair, REPEATED
             continue
         try:
             both = corrector(a), corrector(b)

@@ -51,6 +51,8 @@ class Evaluated:
         What the vectors of a series say against its scale, its times or its order.
     valid_share : float
         Share of the windows with a valid vector, median of the pairs; 1 where that was not asked.
+    names : mapping of str to str
+        Names of the frames of a pair of a series whose own name does not tell them.
     """
 
     pairs: int
@@ -60,6 +62,7 @@ class Evaluated:
     kept: int = 0
     warnings: tuple[str, ...] = ()
     valid_share: float = 1.0
+    names: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def vectors(self) -> Vectors:
@@ -68,6 +71,11 @@ class Evaluated:
             return join_vectors([detail.vectors for detail in self.details])
         keys = self.series.about["keys"]
         return join_vectors([self.series.vectors(number, key) for number, key in enumerate(keys)])
+
+    @property
+    def reasons(self) -> list[tuple[str, str]]:
+        """Pairs without vectors by the names of their frames, and why."""
+        return [(self.names.get(tag, tag), why) for tag, why in self.failed.items()]
 
     @property
     def has_few_valid(self) -> bool:
@@ -156,18 +164,19 @@ def run_series(
     grid = correction_of(jobs[0].maps, method).corrector.map.grid
     check = check_series(folder, jobs, method.scene, grid.pitch_mm)
     if check.valid_share < series.least_valid:
-        a, b = (place.name for place in given.pairs[0].frames)
         raise PairError(
-            f"only {100.0 * check.valid_share:.0f} % of the windows have a valid vector, median of pairs: {a} and"
-            f" {b}, and the others like them, are no pairs, or show no particles, or move too far",
+            f"only {100.0 * check.valid_share:.0f} % of the windows have a valid vector, median of pairs:"
+            f" {given.pairs[0].names}, and the others like them, are no pairs, or show no particles, or move too"
+            " far",
             place=series.run,
             cure="name pairs by --second, by @2-3,4-5 behind the name or by --both, or set a larger"
             " --first-window"
             + ("; or keep these vectors with --least-valid 0" if check.valid_share > 0.0 else ""),
         )
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
+    names = {pair.tag: pair.names for pair in given.pairs if pair.tag not in pair.frames[0].name}
     return Evaluated(len(given.pairs), reasons, series=folder, kept=kept, warnings=check.warnings,
-                     valid_share=check.valid_share)  # fmt: skip
+                     valid_share=check.valid_share, names=names)  # fmt: skip
 
 
 def _with_readings(given: PairsOfSeries, tag: str, found: Detailed) -> Detailed:

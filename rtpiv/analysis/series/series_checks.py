@@ -1,8 +1,8 @@
-"""Plausibility of the vectors of a series: few are valid, they jump, or they are too fast.
+"""Plausibility of the vectors of a series: few are valid, they jump, turn round, or are too fast.
 
 A frame that was lost before the files were numbered leaves no gap.  In a time-resolved series the pair across it
 has about twice the displacement of the pairs before and after it; in a series of single pairs those behind it are
-no pairs, and few of their vectors are valid.
+no pairs, and few of their vectors are valid.  A pair whose frames were exchanged moves the opposite way.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.plain_words import quantity
-from piv.correlation.vector_field import VectorFlag, could_be_measured
+from piv.correlation.vector_field import ONE_PICTURE, REPEATED, VectorFlag, could_be_measured
 from rtpiv.analysis.pairs.plausible import scale_warnings
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair
@@ -24,6 +24,9 @@ LEAST_MOVED_PX = 0.5  # below it noise decides how many times as far a pair move
 FEW_VALID = 0.15  # share of windows; of unlike frames 0.02 to 0.1 are valid
 LEAST_UNLIKE = 0.1  # of the pairs: single ones may be blank
 MAX_PAIRS_NAMED = 3
+MIN_PAIRS = 5  # of fewer it is not clear which way is usual
+MAX_COMPARED = 200  # pairs of which the usual displacement is the median
+MAX_REVERSED = 0.25  # of the pairs
 
 Floats = NDArray[np.float64]
 
@@ -59,9 +62,11 @@ def check_series(folder: SeriesFolder, jobs: Sequence[ChunkJob], scene: Scene, m
         What a pixel of the corrected frames shows.
     """
     pairs, share_of, moved = list[SeriesPair](), list[float](), list[Floats]()
+    failed: dict[str, str] = {}
     for job in jobs:
         vectors = folder.vectors(job.number, job.key)
         flags = vectors.fields["flag"]
+        failed |= folder.marker(job.number, job.key).failed
         asked = could_be_measured(flags).sum(axis=(1, 2))
         valid = flags == VectorFlag.VALID
         share_of += (valid.sum(axis=(1, 2)) / np.maximum(asked, 1)).tolist()
@@ -73,17 +78,19 @@ def check_series(folder: SeriesFolder, jobs: Sequence[ChunkJob], scene: Scene, m
               for pair, one in zip(pairs, moved, strict=True) if pair.dt_s is not None]  # fmt: skip
     speed = np.concatenate([each[np.isfinite(each)] for each in speeds]) if speeds else np.zeros(0)
     warnings = scale_warnings(float(np.median(speed)) if speed.size else 0.0, scene.camera.sensor_px[0], mm_per_px)
-    return SeriesCheck(share, (*warnings, *_jump_warnings(pairs, moved), *_unlike_pair_warnings(pairs, share_of)))
+    copied = {tag for tag, why in failed.items() if why in (ONE_PICTURE, REPEATED)}
+    own = [(pair, one) for pair, one in zip(pairs, share_of, strict=True) if pair.tag not in copied]
+    found = (*_jump_warnings(pairs, moved), *_reversal_warnings(pairs, moved), *_unlike_pair_warnings(own))
+    return SeriesCheck(share, (*warnings, *found))
 
 
-def _unlike_pair_warnings(pairs: Sequence[SeriesPair], share_of: Sequence[float]) -> tuple[str, ...]:
+def _unlike_pair_warnings(pairs: Sequence[tuple[SeriesPair, float]]) -> tuple[str, ...]:
     """Name the first of several pairs of which few vectors are valid, where most pairs are sound."""
-    few = [pair for pair, share in zip(pairs, share_of, strict=True) if share < FEW_VALID]
-    if len(few) < LEAST_UNLIKE * len(pairs) or float(np.median(share_of)) < FEW_VALID:
+    few = [pair for pair, share in pairs if share < FEW_VALID]
+    if not few or len(few) < LEAST_UNLIKE * len(pairs) or np.median([share for _, share in pairs]) < FEW_VALID:
         return ()
-    a, b = few[0].frames
     return (
-        f"{quantity(len(few), 'pair')} of {len(pairs)} with hardly any valid vector, the first {a.name} + {b.name}"
+        f"{quantity(len(few), 'pair')} of {len(pairs)} with hardly any valid vector, the first {few[0].names}"
         ": was a frame lost before it? Evaluate the frames from there on apart",
     )
 
@@ -103,11 +110,38 @@ def _jump_warnings(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> tupl
         apart = float(((moved[k - 1] - moved[k + 1])[known] ** 2).sum())
         times = float((beside[known] * moved[k][known]).sum()) / square
         if DOUBLED[0] <= times <= DOUBLED[1] and apart <= STEADY**2 * square:
-            found.append(f"{pair.frames[0].name} + {pair.frames[1].name}")
+            found.append(pair)
     if not found:
         return ()
-    which = ", ".join(found[:MAX_PAIRS_NAMED]) + (", ..." if len(found) > MAX_PAIRS_NAMED else "")
     return (
-        f"{quantity(len(found), 'pair')} moved twice as far as those before and after ({which}): was a frame lost"
-        " before the files were numbered? Leave these frames out",
+        f"{quantity(len(found), 'pair')} moved twice as far as those before and after ({_some_of(found)}): was a"
+        " frame lost before the files were numbered? Leave these frames out",
     )
+
+
+def _reversal_warnings(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> tuple[str, ...]:
+    """Name the few pairs whose displacements are everywhere the usual ones with the other sign."""
+    some = moved[:: max(1, len(moved) // MAX_COMPARED)]
+    seen = np.isfinite(some).any(axis=(0, -1)) if some else np.zeros(0, dtype=bool)
+    if len(pairs) < MIN_PAIRS or not seen.any():
+        return ()
+    usual = np.nanmedian([one[seen] for one in some], axis=0)
+    found = []
+    for pair, one in zip(pairs, moved, strict=True):
+        known = np.isfinite(one[seen] + usual).all(axis=-1)
+        square = float((usual[known] ** 2).sum())
+        if square >= LEAST_MOVED_PX**2 * max(known.sum(), 1):
+            apart = float(((one[seen] + usual)[known] ** 2).sum())
+            found += [pair] if apart <= STEADY**2 * square else []
+    if not 0 < len(found) <= MAX_REVERSED * len(pairs):  # half of an oscillating flow goes back
+        return ()
+    return (
+        f"{quantity(len(found), 'pair')} moved as far as the others the opposite way ({_some_of(found)}): are"
+        " their frames A and B exchanged? Leave these out, or exchange the files",
+    )
+
+
+def _some_of(pairs: Sequence[SeriesPair]) -> str:
+    """Names of the first few pairs."""
+    more = ", ..." if len(pairs) > MAX_PAIRS_NAMED else ""
+    return ", ".join(pair.names for pair in pairs[:MAX_PAIRS_NAMED]) + more

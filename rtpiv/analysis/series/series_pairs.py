@@ -7,7 +7,7 @@ as size and time of a file stay.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isclose
 from pathlib import Path
@@ -121,7 +121,7 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None, time
         pair.tag: replace(_series_pair(run, pair, entries, dt_us, timed), gauges=found.readings_during(pair))
         for pair in found.pairs
     }
-    pairs = tuple(made[pair.tag] for pair in seeded)
+    pairs = mark_repeated([made[pair.tag] for pair in seeded])
     unseeded = tuple(made[pair.tag] for pair in found.pairs if pair.is_background)
     glass = views.pop()
     frames = [pair.frames[0] for pair in found.pairs] if glass else []
@@ -160,6 +160,16 @@ def _series_pair(
         )
     first, second = (entries[path.name]["crc32"] for path in pair.frames)
     return SeriesPair(pair.tag, pair.frames, (first, second), dt_s, pair.dt_sigma_s, pair.time_s)
+
+
+def mark_repeated(pairs: Sequence[SeriesPair]) -> tuple[SeriesPair, ...]:
+    """Mark pairs whose two pictures an earlier pair has already: counted twice, they make a mean too certain."""
+    earlier, marked = set[tuple[str, str]](), list[SeriesPair]()
+    for pair in pairs:
+        a, b = pair.crc32
+        marked.append(replace(pair, is_repeated=bool(a and b) and a != b and pair.crc32 in earlier))
+        earlier.add(pair.crc32)
+    return tuple(marked)
 
 
 def _same_exposure(run: Path, pairs: tuple[FramePair, ...], entries: dict[str, Entry]) -> None:
@@ -215,7 +225,8 @@ def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float 
         )
     if now != known:
         write_text(out / CHECKSUMS, "".join(json.dumps([name, *facts]) + "\n" for name, facts in now.items()))
-    return PairsOfSeries(tuple(pairs), (), source.count_unpaired(), glass=True, usual_background=len(pairs) > 1)
+    alone = source.count_unpaired()
+    return PairsOfSeries(mark_repeated(pairs), (), alone, glass=True, usual_background=len(pairs) > 1)
 
 
 def _fresh(source: FrameSource, frame: Path, known: Known, shape: tuple[int, int]) -> tuple[int, int, str]:

@@ -67,6 +67,8 @@ class SeriesPair:
         Since the first pair of the run; None if the camera has no clock.
     gauges : mapping of int to mapping
         What gauges of the lab showed at each step that its frames are of; empty where there are none.
+    is_repeated : bool
+        Whether both frames are, pixel by pixel, those of an earlier pair.
     """
 
     tag: str
@@ -76,6 +78,12 @@ class SeriesPair:
     dt_sigma_s: float | None = None
     time_s: float | None = None
     gauges: Mapping[int, Mapping[str, ReadingRecord]] = field(default_factory=dict, hash=False)
+    is_repeated: bool = False
+
+    @property
+    def names(self) -> str:
+        """Names of the two frames."""
+        return " + ".join(frame.name for frame in self.frames)
 
 
 @dataclass(frozen=True)
@@ -177,6 +185,7 @@ class ChunkJob:
     @cached_property
     def key(self) -> str:
         """SHA-256 of all that the chunk's file is a function of."""
+        repeated = [pair.tag for pair in self.pairs if pair.is_repeated]
         tree = {
             **self.method.recipe,
             "light": None if self.light is None else self.light.key,
@@ -185,6 +194,7 @@ class ChunkJob:
             "pairs": [[p.tag, p.crc32, p.dt_s, p.dt_sigma_s, p.time_s] for p in self.pairs],
             "near": [[p.crc32 for p in side] for side in (self.before, self.after)],
             **({"readings": self.readings} if self.readings else {}),
+            **({"repeated": repeated} if repeated else {}),
         }
         return digest(tree)
 

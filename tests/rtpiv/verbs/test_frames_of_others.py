@@ -69,7 +69,7 @@ def test_a_damaged_frame_of_a_video_costs_its_own_pair(tmp_path, capsys):
     assert found.used == 3
     assert right(found)
     said = " ".join(capsys.readouterr().out.split())
-    assert "frames_000002 is left out:" in said
+    assert "broken.avi@3 + broken.avi@4 is left out:" in said
     assert "broken.avi@3: is damaged, or made from a frame that is" in said
     assert (tmp_path / "s" / "mean.html").is_file()
 
@@ -130,3 +130,23 @@ def test_the_pair_on_a_page_has_the_vectors_of_its_file(tmp_path, folder, monkey
     for name in ("x_px", "y_px", "u_px", "v_px", "sigma_u_px", "sigma_v_px", "flags"):
         one, other = getattr(found.field, name), getattr(expected.field, name)
         np.testing.assert_allclose(one, other, rtol=2e-7, atol=0.0)
+
+
+def test_pairs_that_a_camera_repeats_or_somebody_exchanges_are_named(tmp_path, capsys):
+    repeated, one_picture, exchanged = 2, 4, 6
+    (tmp_path / "day2").mkdir()
+    for number in range(8):
+        first, second = pair(number - 1 if number == repeated else number)
+        if number == exchanged:
+            first, second = second, first
+        for letter, frame in (("a", first), ("b", first if number == one_picture else second)):
+            tifffile.imwrite(tmp_path / "day2" / f"im{number}_{letter}.tif", frame)
+    found = mean(
+        tmp_path / "day2", out=tmp_path / "s", recipe=PLAIN, output=MeanOutput(files=False), dt_us=DT_US, workers=1
+    )
+    said = " ".join(capsys.readouterr().out.split())
+    assert found.used == 6
+    assert "im2_a.tif + im2_b.tif is left out: both frames are, pixel by pixel, those of an earlier pair" in said
+    assert "im4_a.tif + im4_b.tif is left out: frames A and B are the same picture" in said
+    assert "1 pair moved as far as the others the opposite way (im6_a.tif + im6_b.tif)" in said
+    assert "was a frame lost" not in said
