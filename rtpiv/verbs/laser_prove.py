@@ -2,7 +2,7 @@
 
 import getpass
 import platform
-from typing import Any, cast
+from typing import TYPE_CHECKING, cast
 
 from daq.bench.opened import OpenBench
 from daq.errors import DaqError, RunUsageError
@@ -18,6 +18,9 @@ from daq.timing.laser import Laser
 from daq.timing.pulses import PulseTiming
 from ground.terminal import console, error_console
 from stages.errors import StageError
+
+if TYPE_CHECKING:
+    from sim.bench import SimulatedBench
 
 USUAL_DT_US = 100.0
 
@@ -48,7 +51,7 @@ def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> N
         raise RunUsageError(
             "pulses are placed into the exposures of the camera; specify how it takes pairs (camera.pairs)"
         )
-    simulation = cast("Any", hardware.simulation)  # reached by name only
+    simulation = cast("SimulatedBench | None", hardware.simulation)
     helper: Helper = _Person() if simulation is None else _SimulatedPerson(simulation)
     camera = CameraCounter(hardware.camera, section)
     boxes = [device for device in hardware.devices.values() if isinstance(device, PulseBox)]
@@ -106,9 +109,12 @@ class _Person:
 class _SimulatedPerson:
     """User of a simulated bench."""
 
-    def __init__(self, simulation: Any) -> None:  # noqa: ANN401 - stands above us
-        self._unit = next(unit for unit in simulation.world.timing if unit.line.opened)
-        simulation.clock.is_paced = lambda: True  # its camera is on the clock of the wall
+    def __init__(self, simulation: "SimulatedBench") -> None:
+        self._unit = next(unit for unit in simulation.world.timing if unit.line.is_opened)
+        from sim.mechanics.clock import PacedClock
+
+        if isinstance(simulation.clock, PacedClock):
+            simulation.clock.is_paced = lambda: True  # its camera is on the clock of the wall
 
     def promise_dark(self, challenge: str) -> str:
         """There is no light."""
