@@ -1,5 +1,6 @@
 """The first day as docs/at-the-bench.md tells it, on four kinds of controllers behind device files."""
 
+import io
 import re
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 import yaml
 
 from daq.bench.bench_file import load_bench
-from rtpiv.command_line.cli import DONE
+from rtpiv.command_line.cli import DONE, main
 from tests.system.served import HASTE, served_bench
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "at-the-bench.md"
@@ -32,12 +33,15 @@ def bench(tmp_path):
         yield served
 
 
-def test_the_prompt_goes_through_as_written(bench):
+def test_the_prompt_goes_through_as_written(bench, monkeypatch, capsys):
     lines = lines_of_the_prompt()
     assert {line.split()[0] for line in lines} >= {"home", "where", "move", "jog", "here", "save", "quit"}
     before = bench.path.read_text()
-    code, out, errors = bench.run("bench", "stage", "--bench", "bench.yaml", lines="\n".join(lines) + "\n")
-    assert code == DONE, errors
+    monkeypatch.chdir(bench.folder)
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines) + "\n"))
+    bench.clock.set_speed(HASTE)
+    assert main(["bench", "stage", "--bench", "bench.yaml"]) == DONE
+    out = capsys.readouterr().out
     for axis in bench.world.motors:
         assert bench.true_mm(axis) == pytest.approx(0.0, abs=0.1)  # the boards' zeros are off by the play
     written = yaml.safe_load(bench.path.read_text())

@@ -5,14 +5,15 @@ The judge is the camera itself: it notes every write with the selectors of that 
 
 import json
 import re
-from ctypes.util import find_library
 
 import pytest
 
+from daq.cameras.sfnc import apply_settings, verify_settings
 from daq.errors import SettingRefused
 from sim.camera.config import CameraConfig
+from sim.camera.device import SimCamera
 from sim.camera.dialects import features_of
-from tests.daq.cameras.rigs import AravisRig, HarvestersRig
+from tests.daq.cameras.rigs import AravisRig, HarvestersRig, need_harvesters
 
 SOFTWARE = {"TriggerMode": "On", "TriggerSource": "Software"}
 FRAME, BURST, ACQUISITION = (
@@ -72,21 +73,72 @@ REFUSED = [  # dialect, settings, reason
 ]
 
 
-def behind_both(rows):
-    """Rows with a rig: each Harvesters camera is a process, so that many rows are slow.
+class NodeMapRig:
+    """Cameras without a process and frames: their registers behind the node map of genicam, in this process."""
 
-    Each third row is fast, and the first of a dialect too where Aravis does not take all of them.
-    """
-    dialects = [row[0] for row in rows]
-    firsts = () if find_library("aravis-0.8") else {dialects.index(dialect) for dialect in dialects}
-    harvesters = [
-        pytest.param(HarvestersRig, *row, marks=pytest.mark.slow if number % 3 and number not in firsts else ())
+    def __init__(self, folder):
+        need_harvesters()
+
+    def make(self, config):
+        from genicam import genapi
+
+        from daq.cameras.genicam_objects import GenApiNodes
+
+        class Port(genapi.AbstractPort):
+            def get_access_mode(self):
+                return genapi.EAccessMode.RW
+
+            def read(self, address, length):
+                return device.read(address, length)
+
+            def write(self, address, buffer):
+                device.write(address, bytes(buffer))
+
+        device, node_map = SimCamera(config), genapi.NodeMap()
+        node_map.load_xml_from_string(device.registers.xml.decode())
+        port = Port()
+        node_map.connect(port, "Device")
+        return FeaturesAlone(GenApiNodes(node_map), device, port)
+
+    def close(self):
+        pass
+
+
+class FeaturesAlone:
+    """What a camera's process does with settings, without the process."""
+
+    def __init__(self, nodes, device, port):
+        self._nodes, self._device, self._port, self._set = nodes, device, port, {}
+
+    def open(self):
+        pass
+
+    def configure(self, settings):
+        self._set = apply_settings(self._nodes, settings)
+        return self._set
+
+    def verify(self):
+        verify_settings(self._nodes, self._set)
+
+    def close(self):
+        self._device.power_off()
+
+
+def behind_both(rows, *fast):
+    """Rows with a rig; a Harvesters camera is a process, so that all but the fast rows of these are slow."""
+    processes = [
+        pytest.param(HarvestersRig, *row, marks=() if number in fast else pytest.mark.slow)
         for number, row in enumerate(rows)
     ]
-    return harvesters + [pytest.param(AravisRig, *row) for row in rows]
+    return processes + [pytest.param(AravisRig, *row) for row in rows]
 
 
-@pytest.fixture(scope="module", params=[HarvestersRig, AravisRig], ids=["harvesters", "aravis"])
+def behind_all(rows):
+    """The same with the node map alone, all of them fast."""
+    return [pytest.param(NodeMapRig, *row) for row in rows] + behind_both(rows, 0)
+
+
+@pytest.fixture(scope="module", params=[NodeMapRig, HarvestersRig, AravisRig])
 def rig(request, tmp_path_factory):
     rig = request.param(tmp_path_factory.mktemp("rig"))
     yield rig
@@ -142,7 +194,7 @@ def judge(dialect, log):
     return Table(dialect).changed(line[:3] for line in lines)
 
 
-@pytest.mark.parametrize(("rig", "dialect", "settings", "others"), behind_both(RIGHT), indirect=["rig"], ids=str)
+@pytest.mark.parametrize(("rig", "dialect", "settings", "others"), behind_all(RIGHT), indirect=["rig"], ids=str)
 def test_what_is_asked_is_set_and_nothing_elsewhere(camera_of, tmp_path, dialect, settings, others):
     camera, table = camera_of(dialect), Table(dialect)
     readback = camera.configure(settings)
@@ -159,7 +211,7 @@ def test_what_is_asked_is_set_and_nothing_elsewhere(camera_of, tmp_path, dialect
 TRIGGERED = [(name,) for name in ("hikrobot", "blackfly_s", "ace", "flea3", "manta", "plain")]
 
 
-@pytest.mark.parametrize(("rig", "dialect"), behind_both(TRIGGERED), indirect=["rig"], ids=str)
+@pytest.mark.parametrize(("rig", "dialect"), behind_both(TRIGGERED, 0, 2), indirect=["rig"], ids=str)
 def test_the_trigger_that_was_set_takes_a_frame(camera_of, dialect):
     camera = camera_of(dialect, id_bits=16, first_frame_id=65534)
     selector = {"flea3": EXPOSURE, "hikrobot": {**BURST, "AcquisitionBurstFrameCount": 1}}.get(dialect, FRAME)
@@ -172,7 +224,7 @@ def test_the_trigger_that_was_set_takes_a_frame(camera_of, dialect):
     assert (sequences, camera.disarm().missing) == ([0, 1, 2, 3], 0)
 
 
-@pytest.mark.parametrize(("rig", "dialect", "settings", "reason"), behind_both(REFUSED), indirect=["rig"], ids=str)
+@pytest.mark.parametrize(("rig", "dialect", "settings", "reason"), behind_all(REFUSED), indirect=["rig"], ids=str)
 def test_what_cannot_be_set_is_refused_with_its_reason_and_put_back(
     camera_of, tmp_path, dialect, settings, reason
 ):
