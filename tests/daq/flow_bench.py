@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 
+from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import light as lit
 from tests.daq.small_bench import write_bench
 
@@ -77,3 +78,9 @@ def write_flow(
     plan = folder / "plan-flow.yaml"
     plan.write_text(f"{PLAN}pairs: {pairs}\nchunk: {chunk}\ndt_us: {DT_US.get(shape, 100.0)}\n{more}")
     return path, plan
+
+
+def acquire_simulated(plan, bench, runs, operator="test"):
+    """Acquire on the simulated bench, homed, frames as they come; the run folder."""
+    frames = LiveFrames(correct=False)
+    return acquire(plan, bench, runs, simulate=True, home=True, frames=frames, operator=operator)

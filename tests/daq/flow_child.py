@@ -3,16 +3,15 @@
 import sys
 from pathlib import Path
 
-from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import world
-from tests.daq.flow_bench import ToldLight
+from tests.daq.flow_bench import ToldLight, acquire_simulated
 
 
 def main() -> None:
     """Acquire."""
     bench, plan, out = (Path(argument) for argument in sys.argv[1:])
     world.LitFlow = ToldLight  # type: ignore[misc]
-    acquire(plan, bench, out, simulate=True, home=True, frames=LiveFrames(correct=False), operator="test")
+    acquire_simulated(plan, bench, out)
 
 
 if __name__ == "__main__":

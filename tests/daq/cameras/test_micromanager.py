@@ -23,10 +23,10 @@ from daq.errors import (
 )
 from daq.runs.run_check import check_run
 from ground.errors import ConfigError
-from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim.camera import core as module
 from sim.camera.config import CameraConfig
 from tests.daq.cameras.rigs import need_harvesters
+from tests.daq.flow_bench import acquire_simulated
 from tests.daq.small_bench import TARGET, write_bench
 
 SOFTWARE = {"TriggerMode": "On", "TriggerSource": "Software"}
@@ -299,9 +299,7 @@ def test_a_target_run_gives_the_very_frames_that_another_backend_gives(tmp_path)
         bench = write_bench(tmp_path / backend, camera=CAMERA.format(backend=backend))
         plan = tmp_path / backend / "plan.yaml"
         plan.write_text(TARGET)
-        path = acquire(
-            plan, bench, tmp_path / backend / "runs", simulate=True, home=True, frames=LiveFrames(correct=False)
-        )
+        path = acquire_simulated(plan, bench, tmp_path / backend / "runs", operator=None)
         assert check_run(path).is_sound
         found[backend] = [file.read_bytes()[-96 * 96 * 2 :] for file in sorted((path / "frames").iterdir())]
     assert len(found["micromanager"]) == 3

@@ -23,11 +23,10 @@ from ground.errors import ConfigError
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.run import account_chapter
 from rtpiv.command_line.cli import DONE, main
-from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import world
 from sim.timing import SimulatedTiming
 from tests.daq.cameras.rigs import need_harvesters
-from tests.daq.flow_bench import ToldLight, write_flow
+from tests.daq.flow_bench import ToldLight, acquire_simulated, write_flow
 from tests.daq.runner.test_flow_step import chunks, judge
 
 
@@ -54,7 +53,7 @@ def write_foreign(folder, shape="two_blocks", rate_hz=25.0, dt_us=100.0, plan_mo
 
 def run(folder, **changes):
     bench, plan = write_foreign(folder, **changes)
-    return acquire(plan, bench, folder / "runs", simulate=True, home=True, frames=LiveFrames(correct=False))
+    return acquire_simulated(plan, bench, folder / "runs", operator=None)
 
 
 @pytest.mark.parametrize(("shape", "faults"), [
@@ -179,5 +178,5 @@ def test_the_wait_for_the_first_trigger_ends_on_request(tmp_path, monkeypatch):
     enter = Interrupts.__enter__
     monkeypatch.setattr(Interrupts, "__enter__", ask_for_the_end)
     with pytest.raises(RunInterrupted, match="ended on request"):
-        acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, frames=LiveFrames(correct=False))
+        acquire_simulated(plan, bench, tmp_path / "runs", operator=None)
     assert told

@@ -17,13 +17,12 @@ from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries
 from daq.timing.pulses import Role
-from rtpiv.verbs.acquire import LiveFrames, acquire
 from rtpiv.verbs.operator import operator_of
 from rtpiv.verbs.resume import resume
 from sim import world
 from sim.timing import SimulatedTiming
 from tests.daq.cameras.rigs import need_aravis, need_harvesters
-from tests.daq.flow_bench import DIODES, LAMPS, ToldLight, shows_particles, told, write_flow
+from tests.daq.flow_bench import DIODES, LAMPS, ToldLight, acquire_simulated, shows_particles, told, write_flow
 
 ROOT = Path(__file__).resolve().parents[4]
 FAULTS = "first_skipped: 3, skipped: [19, 50], doubled: [24], dropped: [30]"
@@ -38,9 +37,7 @@ def told_light(monkeypatch):
 def run(folder, **changes):
     """Acquire; the run folder."""
     bench, plan = write_flow(folder, **changes)
-    return acquire(
-        plan, bench, folder / "runs", simulate=True, home=True, frames=LiveFrames(correct=False), operator="test"
-    )
+    return acquire_simulated(plan, bench, folder / "runs")
 
 
 def chunks(path):
@@ -123,15 +120,7 @@ def test_the_end_may_be_asked_for_and_the_run_goes_on_with_whole_pairs(tmp_path,
 
     monkeypatch.setattr(flow_step.FlowStep, "_keep", cut_off)
     with pytest.raises(OSError, match="pulled the plug"):
-        acquire(
-            plan,
-            bench,
-            tmp_path / "runs",
-            simulate=True,
-            home=True,
-            frames=LiveFrames(correct=False),
-            operator="test",
-        )
+        acquire_simulated(plan, bench, tmp_path / "runs")
     (path,) = (tmp_path / "runs").glob("*_plan-flow")
     lines = path.joinpath("steps.jsonl").read_bytes().splitlines(keepends=True)
     last = max(at for at, line in enumerate(lines) if line.startswith(b'{"kind":"frame"'))
@@ -188,15 +177,7 @@ def test_a_marker_that_nobody_wired_fires_one_chunk_and_ends(tmp_path):
     bench, plan = write_flow(tmp_path, channels=DIODES, pairs=20, chunk=10)
     bench.write_text(bench.read_text().replace("line: 2", "line: 3"))
     with pytest.raises(FramesLost, match=r"0 of 10 pairs that were fired are sure .20 frames without its partner"):
-        acquire(
-            plan,
-            bench,
-            tmp_path / "runs",
-            simulate=True,
-            home=True,
-            frames=LiveFrames(correct=False),
-            operator="test",
-        )
+        acquire_simulated(plan, bench, tmp_path / "runs")
 
 
 @pytest.mark.slow
@@ -205,15 +186,7 @@ def test_a_flip_ends_the_run_in_doubt(tmp_path, monkeypatch):
     monkeypatch.setattr(BrightnessSign, "is_flipped", lambda self, a, b: calls.append(1) or len(calls) == 4)
     bench, plan = write_flow(tmp_path, channels=DIODES, pairs=12, chunk=12)
     with pytest.raises(FrameDoubt, match="A and B have changed places"):
-        acquire(
-            plan,
-            bench,
-            tmp_path / "runs",
-            simulate=True,
-            home=True,
-            frames=LiveFrames(correct=False),
-            operator="test",
-        )
+        acquire_simulated(plan, bench, tmp_path / "runs")
     (path,) = (tmp_path / "runs").glob("*_plan-flow")
     with pytest.raises(ResumeRefused, match="changed places"):
         resume(path, home=True, operator="test")
@@ -224,7 +197,7 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
     began = []
     monkeypatch.setattr("daq.timing.laser.Laser.fire", lambda self, pairs: began.append(pairs))
     with pytest.raises(RunUsageError, match="the code that arms the laser cannot be typed"):
-        acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, frames=LiveFrames(correct=False))
+        acquire_simulated(plan, bench, tmp_path / "runs", operator=None)
     watched, shown, prepare = [], [], LaserSession.prepare
     monkeypatch.setattr(
         LaserSession,
@@ -236,15 +209,7 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
     mistyped = lambda self, challenge, words: watched.append(words) or "wrong"  # noqa: E731
     monkeypatch.setattr("rtpiv.verbs.operator.ScriptOperator.confirmation_code", mistyped)
     with pytest.raises(RunUsageError, match="type the code"):
-        acquire(
-            plan,
-            bench,
-            tmp_path / "runs2",
-            simulate=True,
-            home=True,
-            frames=LiveFrames(correct=False),
-            operator="test",
-        )
+        acquire_simulated(plan, bench, tmp_path / "runs2")
     assert began == []
     assert "it was never proven on this bench" in shown[0], "what the live page says meanwhile"
     (words,) = watched

@@ -23,12 +23,11 @@ from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries
 from ground.errors import ConfigError
-from rtpiv.verbs.acquire import LiveFrames, acquire
 from rtpiv.verbs.check import check
 from rtpiv.verbs.resume import resume
 from sim import world
 from tests.daq.cameras.rigs import need_aravis, need_harvesters
-from tests.daq.flow_bench import DIODES, ToldLight, told, write_flow
+from tests.daq.flow_bench import DIODES, ToldLight, acquire_simulated, told, write_flow
 
 
 @pytest.fixture(autouse=True)
@@ -55,9 +54,7 @@ def write_two(folder, backend="harvesters", faults="", further="", changes=("", 
 
 def run(folder, **changes):
     bench, plan = write_two(folder, **changes)
-    return acquire(
-        plan, bench, folder / "runs", simulate=True, home=True, frames=LiveFrames(correct=False), operator="test"
-    )
+    return acquire_simulated(plan, bench, folder / "runs")
 
 
 def judge(path, pairs):
@@ -128,15 +125,7 @@ def test_a_run_that_was_cut_off_goes_on_with_both(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pair_writer.PairWriter, "keep", cut_off)
     with pytest.raises(OSError, match="pulled the plug"):
-        acquire(
-            plan,
-            bench,
-            tmp_path / "runs",
-            simulate=True,
-            home=True,
-            frames=LiveFrames(correct=False),
-            operator="test",
-        )
+        acquire_simulated(plan, bench, tmp_path / "runs")
     (path,) = (tmp_path / "runs").glob("*_plan-flow")
     present = [len(frame_entries(RunFolder.open(each).entries())) for each in (path, path / "cameras" / "behind")]
     assert present == [6, 4]

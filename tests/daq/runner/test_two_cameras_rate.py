@@ -9,10 +9,9 @@ import tifffile
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder
-from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import world
 from tests.daq.cameras.rigs import need_aravis, need_harvesters
-from tests.daq.flow_bench import ToldLight, told
+from tests.daq.flow_bench import ToldLight, acquire_simulated, told
 from tests.daq.runner.test_two_cameras import write_two
 from tests.daq.small_bench import SCENE
 
@@ -40,9 +39,7 @@ def test_a_minute_of_pairs_from_both(tmp_path, monkeypatch, backend):
     bench.write_text(text.replace("max_rate_hz: 25.0", f"max_rate_hz: {RATE_HZ}"))
     plan.write_text(plan.read_text().replace("rate_hz: 25.0", f"rate_hz: {RATE_HZ}"))
     begun_s = time.monotonic()
-    path = acquire(
-        plan, bench, tmp_path / "runs", simulate=True, home=True, frames=LiveFrames(correct=False), operator="test"
-    )
+    path = acquire_simulated(plan, bench, tmp_path / "runs")
     took_s = time.monotonic() - begun_s
     beside = path / "cameras" / "behind"
     for folder in (path, beside):

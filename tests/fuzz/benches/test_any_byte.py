@@ -57,7 +57,8 @@ def played(playground, controller, do, what, number, action):
 @loop_over("controller, number", CASES)
 def test_at_some_places(controller, number):
     playground, do = Playground(longest_s=0), DURING[controller][number]
-    for place, action in zip(itertools.cycle((1, 7) if number else (3, 9)), ACTIONS + OF_THE_BOX[controller]):
+    half = (ACTIONS + OF_THE_BOX[controller])[number::2]  # the slow test plays each of them in both commands
+    for place, action in zip(itertools.cycle((1, 7) if number else (3, 9)), half):
         played(playground, controller, do, "byte", 7 * place, action)
 
 

@@ -1,5 +1,7 @@
 """Some 75 random sequences every time; and without any one protection the judge must see what it prevents.
 
+The sequences of each protection begin with the first that shows it: those before it take most of the time.
+
 `make fuzz` plays many more.
 """
 
@@ -39,7 +41,7 @@ def test_random_sequences_show_nothing():
 
 
 def test_without_keep_out_things_come_too_close():
-    tally = fuzz("guard", range(200), Playground(is_guarded=False, longest_s=0), enough=1, tell=quiet)
+    tally = fuzz("guard", range(16, 200), Playground(is_guarded=False, longest_s=0), enough=1, tell=quiet)
     assert kinds(tally) == {"keep-out"}
     assert len(tally.findings) == 1
 
@@ -47,7 +49,7 @@ def test_without_keep_out_things_come_too_close():
 def test_without_the_latch_things_move_after_stops(monkeypatch):
     """Each stop ends what has begun, and no more."""
     monkeypatch.setattr(StopLatch, "stop", lambda self, why="": self.halt())
-    tally = fuzz("latch", range(300), Playground(longest_s=0), enough=1, tell=quiet)
+    tally = fuzz("latch", range(7, 300), Playground(longest_s=0), enough=1, tell=quiet)
     assert "stop" in kinds(tally)
     assert len(tally.findings) == 1
 
@@ -58,13 +60,13 @@ def test_without_asking_for_references_false_positions_are_told(monkeypatch):
         monkeypatch.setattr(driver, "_still_referenced", lambda self, channel: True)
     monkeypatch.setattr(Controller, "_forget_references", lambda self: None)
     monkeypatch.setattr(GrblController, "_forget_references", lambda self: None)
-    tally = fuzz("reference", range(300), Playground(longest_s=0), enough=1, tell=quiet)
+    tally = fuzz("reference", range(24, 300), Playground(longest_s=0), enough=1, tell=quiet)
     assert "told" in kinds(tally)
 
 
 def test_without_limits_axes_leave_them(monkeypatch):
     monkeypatch.setattr(Axis, "check", lambda self, target_mm: None)
-    tally = fuzz("limits", range(300), Playground(is_guarded=False, longest_s=0), enough=6, tell=quiet)
+    tally = fuzz("limits", range(1, 300), Playground(is_guarded=False, longest_s=0), enough=1, tell=quiet)
     assert "limit" in kinds(tally)
 
 
@@ -89,7 +91,7 @@ def two_at_once(rng):
 @pytest.mark.parametrize("takes_turns", [True, False])
 def test_two_threads_meet_only_if_they_need_not_take_turns(takes_turns):
     playground, rng, seen = Playground(longest_s=0), random.Random(3), []
-    for _ in range(30 if takes_turns else 1500):  # mostly a few; what two threads meet is the machine's business
+    for _ in range(12 if takes_turns else 1500):  # mostly a few; what two threads meet is the machine's business
         if not takes_turns:
             playground.bench.stage._turn.lock = NoTurn()
         seen += playground.play(two_at_once(rng)).findings
@@ -99,7 +101,7 @@ def test_two_threads_meet_only_if_they_need_not_take_turns(takes_turns):
 
 
 def test_sequences_know_nothing_of_each_other():
-    playground, numbers = Playground(longest_s=0), range(20)
+    playground, numbers = Playground(longest_s=0), range(10)
     sequences = [
         (number, drawn("order", number)) for number in numbers if "beside" not in written(drawn("order", number))
     ]
