@@ -13,6 +13,8 @@ from sim.stages import SimulatedStages
 from tests.stages.benches import screws, stages_table
 
 HASTE = 100.0  # speed of the world while a child homes
+FAR_MM = 110.0  # five seconds away
+MOVE = f"stage.move({{'a': {FAR_MM}}})"
 CHILD = """
 import json, sys, time
 from stages.config import StagesTable
@@ -72,6 +74,14 @@ class World:
         )  # fmt: skip
         assert read_line(child) == "ready\n"
         self.world.clock.set_speed(1.0)
+        return child
+
+    def start_motion(self, code=MOVE, **options):
+        """Start a program, and return it when its axis has gone 3 mm."""
+        child = self.start(code, **options)
+        begun_mm = self.true_mm()
+        go(child)
+        self.wait_until(lambda: abs(self.true_mm() - begun_mm) > 3.0)
         return child
 
 

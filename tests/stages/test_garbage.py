@@ -44,22 +44,22 @@ def garbage(rng, valid):
 
 
 @pytest.mark.parametrize("protocol", POSITION)
-def test_ten_thousand_pieces_of_garbage_per_parser(protocol):
+def test_thousands_of_pieces_of_garbage_per_parser(protocol):
     make, valid = POSITION[protocol]
     rng, stream, messages = random.Random(protocol), make(), 0
-    for _ in range(10_000):
+    for _ in range(3000):
         for answer in stream.feed(garbage(rng, valid)):
             messages += 1
             if not isinstance(answer, ProtocolViolation):
                 assert answer.to_bytes()  # whatever was recognised can be said again
         assert len(stream.rest) <= 5000
-    assert messages > 1000
+    assert messages > 300
 
 
 @pytest.mark.parametrize("stream", [m.CommandStream for m in (zaber_ascii, isel_dnc, pi_gcs2, grbl, thorlabs_apt)])
 def test_emulators_survive_garbage_too(stream):
     rng, stream = random.Random(3), stream()
-    for _ in range(2000):
+    for _ in range(500):
         stream.feed(rng.randbytes(rng.randrange(1, 80)))
 
 
@@ -67,7 +67,7 @@ def test_a_checksum_lets_no_damaged_position_through():
     """Zaber: whatever is done to a checksummed answer, it is refused or unchanged in meaning."""
     make, valid = POSITION["zaber_ascii"]
     original, rng = make().feed(valid)[0], random.Random(8)
-    for _ in range(10_000):
+    for _ in range(3000):
         place, byte = rng.randrange(1, len(valid) - 6), rng.randrange(33, 127)
         damaged = valid[:place] + bytes([byte]) + valid[place + 1 :]
         for answer in make().feed(damaged):
@@ -95,11 +95,11 @@ def test_no_position_from_a_corrupt_answer(bench, driver):
     axis, truth_mm = made.stage.axis("a"), made.stage.where_mm()["a"]
     made.line.emulator = Noisy(made.line.emulator, random.Random(driver))
     refused = 0
-    for _ in range(60):
+    for _ in range(30):
         try:
             told_mm = axis.position_mm
         except (NoReply, ProtocolViolation, WrongDevice):  # a damaged identity looks like another device
             refused += 1
         else:
             assert told_mm == pytest.approx(truth_mm, abs=0.002)
-    assert refused > 40
+    assert refused > 20

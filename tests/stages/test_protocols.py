@@ -4,7 +4,7 @@ import dataclasses
 from importlib import import_module
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.drivers_by_name import DRIVERS
@@ -100,6 +100,7 @@ def test_a_mutated_field_is_noticed(grammar, cls, name):
 
 @pytest.mark.parametrize("grammar", GRAMMARS.values(), ids=GRAMMARS)
 @pytest.mark.parametrize("side", ["CommandStream", "AnswerStream"])
+@settings(max_examples=40)
 @given(data=st.data())
 def test_chunk_boundaries_mean_nothing(grammar, side, data):
     host = side == "CommandStream"

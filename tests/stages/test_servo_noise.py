@@ -4,6 +4,7 @@ import pytest
 
 from stages.drivers_by_name import DRIVERS, FOREIGN
 from stages.errors import MotionStopped, NotReferenced, StageUsageError
+from tests.slow_cases import slow
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 KINDS = [kind for kind in (*DRIVERS, *FOREIGN) if kind != "by_hand"]
@@ -26,7 +27,7 @@ def noisy(bench):
 
 
 @pytest.mark.parametrize("box", KINDS)
-@pytest.mark.parametrize("noise_steps", [1, 2, 5, 10, 20])
+@pytest.mark.parametrize("noise_steps", [slow(1), 2, slow(5), slow(10), 20])
 def test_every_move_arrives(noisy, box, noise_steps):
     made = noisy(box, noise_steps)
     made.stage.home()

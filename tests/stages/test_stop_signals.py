@@ -7,18 +7,13 @@ import time
 
 import pytest
 
+from stages.drivers_by_name import DRIVERS
 from stages.stop_signals import SIGNALLED, StopThread
 from tests.slow_cases import slow, slow_but
-from tests.stages.children import end, go, served
+from tests.stages.children import MOVE, end, go, served
 
-FAR_MM = 110.0  # five seconds away
-MOVE = f"stage.move({{'a': {FAR_MM}}})"
 APART = f"threading.Thread(target=lambda: {MOVE}, daemon=True).start(); time.sleep(1.0)"
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
-
-
-def moved(world, begun_mm, by_mm=3.0):
-    world.wait_until(lambda: abs(world.true_mm() - begun_mm) > by_mm)
 
 
 def left_by(number):
@@ -26,27 +21,14 @@ def left_by(number):
     return -number if number == signal.SIGINT else SIGNALLED + number
 
 
-@pytest.mark.parametrize("number", slow_but(SIGNALS, signal.SIGINT, signal.SIGTERM))
-def test_a_signal_in_motion_stops_and_ends_the_program(number):
-    with served("isel_dnc") as world:
-        child = world.start(MOVE)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
-        child.send_signal(number)
-        child.wait(60)
-        assert end(child)[0] == left_by(number)
-        assert world.rest_mm() < 60.0
+ENDS = [(box, number) for box in DRIVERS for number in SIGNALS]
+FAST_ENDS = {("isel_dnc", signal.SIGINT), ("isel_dnc", signal.SIGTERM)}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", SIGNALS)
-def test_the_same_for_every_controller(driver, number):
-    with served(driver) as world:
-        child = world.start(MOVE)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
+@pytest.mark.parametrize(("box", "number"), [end if end in FAST_ENDS else slow(*end) for end in ENDS])
+def test_a_signal_in_motion_stops_and_ends_the_program(box, number):
+    with served(box) as world:
+        child = world.start_motion()
         child.send_signal(number)
         child.wait(60)
         assert end(child)[0] == left_by(number)
@@ -110,7 +92,7 @@ except KeyboardInterrupt:
         child = world.start(code)
         begun_mm = world.true_mm()
         go(child)
-        moved(world, begun_mm)
+        world.wait_until(lambda: abs(world.true_mm() - begun_mm) > 3.0)
         child.send_signal(signal.SIGINT)
         assert child.stdout.readline() == "True\n"
         assert child.stdout.readline() == "MotionStopped\n"
@@ -128,10 +110,7 @@ stage.controllers["box"].moving = lambda channel: True
 {MOVE}
 """
     with served("zaber_ascii") as world:
-        child = world.start(code)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
+        child = world.start_motion(code)
         child.send_signal(signal.SIGTERM)
         rest_mm = world.rest_mm()
         assert rest_mm < 60.0
@@ -176,10 +155,7 @@ sys.stdin.readline()
 said("woken")
 """
     with served("zaber_ascii") as world:
-        child = world.start(code)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
+        child = world.start_motion(code)
         child.send_signal(signal.SIGTSTP)
         assert child.stdout.readline() == "stopped\n"
         assert world.rest_mm() < 60.0
@@ -204,10 +180,7 @@ library.pthread_mutex_lock(lock)
 library.pthread_mutex_lock(lock)
 """
     with served("zaber_ascii") as world:
-        child = world.start(code)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
+        child = world.start_motion(code)
         child.send_signal(number)
         assert world.rest_mm() < 60.0
         assert child.poll() is None

@@ -15,26 +15,26 @@ from types import SimpleNamespace
 import pytest
 
 import stages.watchdog
+from stages.drivers_by_name import DRIVERS
 from stages.watchdog import SHORT_LIFE_S, Watchdog, needs_watchdog, word_of
-from tests.stages.children import end, go, read_line, served
+from tests.slow_cases import slow
+from tests.stages.children import FAR_MM, MOVE, end, go, read_line, served
 
-FAR_MM = 110.0  # five seconds away
-MOVE = f"stage.move({{'a': {FAR_MM}}})"
 TELL_PID = "said(stage._watchdog.pid); "
 
 
-def moved(world, from_mm, by_mm=3.0):
-    world.wait_until(lambda: abs(world.true_mm() - from_mm) > by_mm)
+ENDS = [(box, number) for number in (signal.SIGKILL, signal.SIGSEGV, signal.SIGABRT) for box in DRIVERS]
+FAST_ENDS = {("zaber_ascii", signal.SIGKILL), ("grbl", signal.SIGKILL)}
 
 
-def test_killed_in_motion_the_axis_stops(driver):
-    with served(driver) as world:
-        child = world.start(MOVE)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
-        child.kill()
-        assert end(child)[0] == -signal.SIGKILL
+@pytest.mark.parametrize(("box", "number"), [end if end in FAST_ENDS else slow(*end) for end in ENDS])
+def test_killed_in_motion_the_axis_stops(box, number):
+    """The words of all boxes are those of `test_ended_programs`, which is fast."""
+    with served(box) as world:
+        child = world.start_motion()
+        child.send_signal(number)
+        assert child.wait(60) == -number
+        end(child)
         assert world.rest_mm() < 60.0
 
 
@@ -42,31 +42,14 @@ def test_killed_in_motion_the_axis_stops(driver):
 def test_without_the_watchdog_it_drives_on(driver):
     """The judge must be able to see what the watchdog prevents."""
     with served(driver) as world:
-        child = world.start(TELL_PID + MOVE)
-        begun_mm = world.true_mm()
-        go(child)
+        child = world.start_motion(TELL_PID + MOVE)
         watchdog = int(read_line(child))
-        moved(world, begun_mm)
         child.send_signal(signal.SIGSTOP)  # it would stop the motion once it missed its watchdog
         world.wait_until(lambda: status(child.pid) == "T")
         os.kill(watchdog, signal.SIGKILL)
         child.kill()
         end(child)
         assert world.rest_mm() == pytest.approx(FAR_MM, abs=1.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("end_of_it", [signal.SIGSEGV, signal.SIGABRT])
-def test_other_ends_without_a_word(driver, end_of_it):
-    with served(driver) as world:
-        child = world.start(MOVE)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
-        child.send_signal(end_of_it)
-        assert child.wait(60) == -end_of_it
-        end(child)
-        assert world.rest_mm() < 60.0
 
 
 @pytest.mark.slow
@@ -104,10 +87,7 @@ def test_a_forked_child_that_lives_on_keeps_neither_pipe_nor_port():
     """Its copy of the pipe's end would keep the watchdog waiting, its copy of the port the lock."""
     fork = "import os\nif os.fork() == 0:\n    time.sleep(300.0)\n    os._exit(0)\n" + MOVE
     with served("isel_dnc") as world:
-        child = world.start(fork, start_new_session=True)
-        begun_mm = world.true_mm()
-        go(child)
-        moved(world, begun_mm)
+        child = world.start_motion(fork, start_new_session=True)
         child.kill()
         try:
             assert child.wait(60) == -signal.SIGKILL
@@ -123,12 +103,9 @@ def test_another_program_on_the_port_does_not_keep_the_stop_away(driver):
     import fcntl
 
     with served(driver) as world:
-        child = world.start(MOVE)
-        begun_mm = world.true_mm()
+        child = world.start_motion()
         descriptor = os.open(world.offered.controllers["box"].port, os.O_RDWR | os.O_NOCTTY)
         try:
-            go(child)
-            moved(world, begun_mm)
             child.kill()
             fcntl.flock(descriptor, fcntl.LOCK_EX)
             end(child)
@@ -188,7 +165,7 @@ def test_a_watchdog_that_was_killed_is_replaced_and_told_everything():
         os.kill(int(read_line(child)), signal.SIGKILL)
         time.sleep(0.2)
         go(child)
-        moved(world, begun_mm)
+        world.wait_until(lambda: abs(world.true_mm() - begun_mm) > 3.0)
         child.kill()
         end(child)
         assert world.rest_mm() < 60.0
@@ -341,12 +318,8 @@ def test_a_watchdog_that_is_killed_is_missed_at_once_and_one_that_is_closed_is_n
 @pytest.mark.posix("kill -9")
 def test_a_motion_whose_watchdog_is_killed_is_stopped():
     with served("zaber_ascii") as world:
-        child = world.start(TELL_PID + MOVE)
-        begun_mm = world.true_mm()
-        go(child)  # it prints only then
-        pid = int(read_line(child))
-        moved(world, begun_mm)
-        os.kill(pid, signal.SIGKILL)
+        child = world.start_motion(TELL_PID + MOVE)
+        os.kill(int(read_line(child)), signal.SIGKILL)
         assert world.rest_mm() < 60.0
         assert child.wait(60) == 1
         assert "MotionStopped: the watchdog of this program was killed" in end(child)[2]
