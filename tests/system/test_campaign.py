@@ -101,16 +101,3 @@ def test_faults_of_the_camera_are_counted_and_the_run_ends_whole(tmp_path):
     assert books["triggered"] == 8 + books["incomplete"] + books["rejected"] + books["lost"]
     for number in range(8):
         assert read_raw(run.frame_path(number))[1]["bits"] == 12  # none with the settings after the reset
-
-
-@pytest.mark.slow
-def test_target_and_shift_at_full_size(tmp_path):
-    """2016 x 2016, 12 bit, as few frames as a campaign can have."""
-    write_bench(tmp_path, side_px=2016, simulation="samples: 1")
-    target = acquire(tmp_path, "experiment: target\nclear: {z_mm: [0.0]}\nglass: {z_mm: [0.0]}\n")
-    check_books(target, 2)
-    one = "{along: [1.0, 1.0, 0.0], px: 14.0}"
-    shift = acquire(tmp_path, f"experiment: shift\nviews: [glass]\ndisplacements: [{one}]\n")
-    check_books(shift, 2)
-    check_displacements(shift, 10.0)
-    assert len(check_corrected_again(tmp_path, shift, tmp_path, 2016)) == 2

@@ -108,15 +108,6 @@ def killed_workers(runs, out, rng):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize("kill", [killed_client, killed_workers])
-def test_the_same_command_makes_only_what_is_missing(runs, whole, tmp_path, kill):
-    rng, out = random.Random(11), tmp_path / "out"
-    assert kill(runs, out, rng)
-    assert content_of(out) == whole
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("kill", [killed_client, killed_workers])
 @pytest.mark.timeout(3600)
 def test_killed_at_random_times_the_bytes_are_the_same(runs, whole, tmp_path, kill):

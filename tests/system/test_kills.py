@@ -6,6 +6,7 @@ into each.  RTPIV_KILLS says how many kills in all (default 45: one run of each 
 core each).  On a busy machine a run takes longer and is waited for as long as it writes frames.
 """
 
+import json
 import os
 import random
 import re
@@ -129,7 +130,7 @@ class Campaign:
 
     def wait_for_frames(self):
         """Let the session come to life, so that kills do not all meet a starting interpreter."""
-        before = self.kept[-1][0] if self.kept else 0
+        before = len(self.kept[-1][0]) if self.kept else 0
         want = before + self.rng.choice((0, 1, 2, 5, 20, 60))
         end_s = time.monotonic() + PATIENCE_S
         while self.runner.poll() is None and time.monotonic() < end_s:
@@ -160,7 +161,7 @@ class Campaign:
         frames = frame_entries(entries)
         for entry in frames.values():
             read_raw(run.path / entry["file"], entry["crc32"])
-        self.kept.append((len(frames), len(steps_on_disk(entries))))
+        self.kept.append((set(frames), len(steps_on_disk(entries))))
 
     def end(self):
         for process in (self.runner, self.bench_process):
@@ -221,12 +222,21 @@ def test_kills(tmp_path, kind, victim):
         plan = load_plan(folder / "plan.yaml", load_bench(folder / "bench.yaml"))
         planned = [number for step in plan.steps for number in step.numbers]
         if kind == "stream":
-            assert [count for count, _ in campaign.kept] == sorted(count for count, _ in campaign.kept)
-            assert set(frames) <= set(planned)
+            assert all(kept <= set(frames) for kept, _ in campaign.kept)
+            assert not [entry for entry in run.entries() if entry["kind"] == "discard"]
+            done = json.loads((run.path / "done.json").read_text())
+            gaps = {
+                n for step in done.get("gaps", ()) for first, last in step["gaps"] for n in range(first, last + 1)
+            }
+            assert gaps.isdisjoint(frames)
+            assert gaps | set(frames) == set(planned)
             assert len(frames) >= len(planned) - 40 * campaign.sessions  # what was under way at a kill is a gap
         else:
             assert sorted(frames) == planned
             assert [steps for _, steps in campaign.kept] == sorted(steps for _, steps in campaign.kept)
+        lines = [entry["frame"] for entry in run.entries() if entry["kind"] == "frame"]
+        discarded = [n for entry in run.entries() if entry["kind"] == "discard" for n in entry["frames"]]
+        assert len(lines) == len(frames) + len(discarded), "a frame is there twice"
         assert {path.name for path in (run.path / "frames").iterdir()} == {f"{n:06d}.tif" for n in frames}
         assert find_misfiled(run.path) == []
         checked = check_run(run.path)

@@ -10,6 +10,7 @@ import pytest
 from daq.runs.run_folder import RunFolder, steps_on_disk
 from rtpiv.command_line.cli import INTERRUPTED
 from tests.daq.small_bench import write_frames
+from tests.slow_cases import slow_but
 from tests.system.served import end, served_bench
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
@@ -34,19 +35,9 @@ def begun(bench, axis, process, by_mm=3.0):
     return start_mm
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM])
-def test_stage_move_homed_first(bench, number):
+@pytest.mark.parametrize("number", slow_but([*SIGNALS, signal.SIGKILL], signal.SIGTERM))
+def test_stage_move(bench, number):
     """The rail has half a minute to go; a signal leaves it where it is."""
-    check_move(bench, number)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL])
-def test_stage_move_by_the_others(bench, number):
-    check_move(bench, number)
-
-
-def check_move(bench, number):
     bench.clock.set_speed(100.0)
     process = bench.start("bench", "stage", "move", "--home", "rail_z=1000", "target_x=20")
     try:
@@ -67,18 +58,8 @@ def check_move(bench, number):
         end(process)
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP])
+@pytest.mark.parametrize("number", slow_but([*SIGNALS, signal.SIGKILL], signal.SIGHUP))
 def test_stage_home(bench, number):
-    check_home(bench, number)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGKILL])
-def test_stage_home_by_the_others(bench, number):
-    check_home(bench, number)
-
-
-def check_home(bench, number):
     process = bench.start("bench", "stage", "home", "rail_z")
     try:
         begun(bench, "rail_z", process)

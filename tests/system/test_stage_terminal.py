@@ -3,14 +3,13 @@
 import fcntl
 import os
 import select
-import signal
 import termios
 import time
 
 import pytest
 
 from rtpiv.command_line.cli import DONE, INTERRUPTED
-from tests.system.served import end, served_bench
+from tests.system.served import served_bench
 
 CTRL_C, CTRL_D = b"\x03", b"\x04"
 
@@ -133,16 +132,6 @@ def test_a_closed_window_stops_what_moves(bench, terminal):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_killed_at_the_prompt_in_motion(bench, terminal, number):
-    ready_to_move(bench, terminal)
-    os.kill(terminal.process.pid, number)
-    terminal.process.wait(60)
-    bench.rests()
-    assert bench.true_mm("rail_z") < 700.0
-
-
-@pytest.mark.slow
 def test_save_asks_first(bench, terminal):
     before = bench.path.read_text()
     bench.clock.set_speed(100.0)
@@ -166,13 +155,3 @@ def test_save_asks_first(bench, terminal):
     terminal.expect("stage> ")
     terminal.type(CTRL_D)
     assert terminal.process.wait(60) == DONE
-
-
-@pytest.mark.slow
-def test_two_programs_on_one_bench(bench, terminal):
-    terminal.expect("stage> ")
-    process = bench.start("bench", "stage", "where")
-    process.wait(120)
-    code, _, errors = end(process)
-    assert code == 3
-    assert "in use by another process" in errors

@@ -5,13 +5,11 @@ import re
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 import serial
 
-from daq.runs.run_folder import RunFolder, steps_on_disk
-from rtpiv.command_line.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
+from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
 from tests.daq.small_bench import FILES_CAMERA, write_bench, write_frames
 
 PLAN = "experiment: shift\nviews: [glass]\ndisplacements: [{along: [1.0, 0.0, 0.0], mm: 20.0}]\nrepeats: 3\n"
@@ -145,44 +143,3 @@ def test_other_programs_can_use_the_simulated_bench(tmp_path):
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=20)
     assert process.returncode == DONE
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("presses", [1, 2])
-def test_ctrl_c_on_terminals(tmp_path, presses):
-    """Once: the step is finished.  Twice: the axis that moves is stopped now.  Both can be resumed."""
-    pytest.importorskip("harvesters")
-    bench = write_bench(tmp_path, side_px=64, simulation="transport: pty\nspeed: 20.0\nring: ring", is_brisk=False)
-    fast, slow = (f"limits_mm: [-45.0, 45.0], speed_mm_s: {speed}" for speed in ("10.0", "1.0"))
-    bench.write_text(bench.read_text().replace(fast, slow))  # a second of ours for every step's way of 20 mm
-    import numpy as np
-
-    (tmp_path / "ring").mkdir()
-    np.save(tmp_path / "ring" / "0.npy", np.full((64, 64), 100, np.uint16))
-    (tmp_path / "plan.yaml").write_text(PLAN)
-    process = start(tmp_path, "acquire", "plan.yaml", "--simulate", "--home", "--no-correct")
-    runs, run = tmp_path / "runs", None
-    while process.poll() is None:  # until the first step is in the journal; then the target moves by 20 mm
-        run = next(iter(runs.glob("*_plan")), None)
-        if run is not None and steps_on_disk(RunFolder(run).entries()):
-            break
-        time.sleep(0.01)
-    assert process.poll() is None, process.communicate()[1]
-    time.sleep(0.3)
-    for _ in range(presses):
-        process.send_signal(signal.SIGINT)
-        time.sleep(0.05)
-    pressed_s = time.monotonic()
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == INTERRUPTED, errors
-    assert "Traceback" not in errors
-    if presses == 2:
-        assert "was stopped" in errors
-        assert steps_on_disk(RunFolder(run).entries()) == {0}
-        assert time.monotonic() - pressed_s < 10.0
-    else:
-        assert steps_on_disk(RunFolder(run).entries()) == {0, 1}
-    resumed = start(tmp_path, "acquire", "--resume", str(run), "--home")
-    _, errors = resumed.communicate(timeout=240)
-    assert resumed.returncode == DONE, errors
-    assert steps_on_disk(RunFolder(run).entries()) == set(range(6))
