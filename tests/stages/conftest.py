@@ -39,6 +39,13 @@ class Bench:
             return sum(len(chunk.data) for chunk in self.controller.port.trace if chunk.sent)
         return len(self.line.emulator.called)
 
+    def homed(self, targets_mm: dict[str, float] | None = None) -> "Bench":
+        """Home all axes, move to targets if there are some, and return the bench."""
+        self.stage.home()
+        if targets_mm:
+            self.stage.move(targets_mm)
+        return self
+
     def again(self) -> Stage:
         """A new program on the same devices."""
         self.stage.close()

@@ -78,8 +78,7 @@ def test_a_model_of_unknown_units_is_refused(bench, model):
 
 
 def test_true_speed_of_a_servo(cube):
-    made = cube()
-    made.stage.home()
+    made = cube().homed(None)
     begun_s = made.clock.now_s()
     made.stage.move({"a": 40.0})
     took_s = made.clock.now_s() - begun_s
@@ -89,17 +88,14 @@ def test_true_speed_of_a_servo(cube):
 
 @pytest.mark.parametrize("model", ["BSC103", "KBD101"])
 def test_true_speed_of_the_others(bench, model):
-    made = bench("thorlabs_apt", firmware={"model": model})
-    made.stage.home()
-    made.stage.move({"a": 10.0})
+    made = bench("thorlabs_apt", firmware={"model": model}).homed({"a": 10.0})
     begun_s = made.clock.now_s()
     made.stage.move({"a": 110.0})
     assert 100.0 / 20.0 < made.clock.now_s() - begun_s < 100.0 / 20.0 + 1.5
 
 
 def test_a_speed_that_is_not_taken_is_said(bench, monkeypatch):
-    made = bench("thorlabs_apt")
-    made.stage.home()
+    made = bench("thorlabs_apt").homed(None)
     take = made.line.emulator._take
 
     def slower(data):
@@ -116,9 +112,7 @@ def test_a_speed_that_is_not_taken_is_said(bench, monkeypatch):
 
 
 def test_a_servo_that_is_held_says_so(cube):
-    made = cube()
-    made.stage.home()
-    made.stage.move({"a": 10.0})
+    made = cube().homed({"a": 10.0})
     motor = made.world.motors["a"]
     motor.obstacle_mm = motor.carriage_mm + 5.0
     with pytest.raises(AxisStalled, match="position error was too large; clear the way and home it"):
@@ -129,9 +123,7 @@ def test_a_servo_that_is_held_says_so(cube):
 
 
 def test_after_a_limit_switch_the_next_program_believes_nothing(bench):
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 50.0})
+    made = bench("thorlabs_apt").homed({"a": 50.0})
     motor = made.world.motors["a"]
     motor.mechanics = type(motor.mechanics)(
         **{name: getattr(motor.mechanics, name) for name in motor.mechanics.__slots__}
@@ -158,8 +150,7 @@ def test_a_servo_stops_at_once_and_a_stepper_along_its_ramp(request, make, how):
 
 
 def test_a_box_that_begins_late_is_waited_for(bench, monkeypatch):
-    made = bench("thorlabs_apt")
-    made.stage.home()
+    made = bench("thorlabs_apt").homed(None)
     channel = made.line.emulator.channel("bay1")
     move = channel.move
     monkeypatch.setattr(
@@ -170,8 +161,7 @@ def test_a_box_that_begins_late_is_waited_for(bench, monkeypatch):
 
 
 def test_a_box_that_does_not_begin_says_why(bench, monkeypatch):
-    made = bench("thorlabs_apt")
-    made.stage.home()
+    made = bench("thorlabs_apt").homed(None)
 
     def refuse(one, target):
         words = struct.pack("<HH64s", 0x0453, 17, b"out of range")
@@ -185,8 +175,7 @@ def test_a_box_that_does_not_begin_says_why(bench, monkeypatch):
 
 
 def test_a_box_that_just_does_nothing_holds_the_bench(bench, monkeypatch):
-    made = bench("thorlabs_apt")
-    made.stage.home()
+    made = bench("thorlabs_apt").homed(None)
     monkeypatch.setattr(type(made.line.emulator.channel("bay1")), "move", lambda one, target: None)
     with pytest.raises(MotionStopped, match="at the box"):
         made.stage.move({"a": 50.0})
@@ -195,9 +184,7 @@ def test_a_box_that_just_does_nothing_holds_the_bench(bench, monkeypatch):
 
 def test_a_person_who_stops_while_answers_are_lost_has_stopped(bench, monkeypatch):
     """One look has found rest, then nothing is heard; our own halt must not hide whose stop it was."""
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 10.0})
+    made = bench("thorlabs_apt").homed({"a": 10.0})
     agreed, lost = made.controller._ask_until_equal, []
 
     def nothing_heard(*arguments):
@@ -241,9 +228,7 @@ def test_a_person_who_stops_too_late_for_the_switch_has_stopped(bench, before_mm
 
 def test_its_own_backlash_correction_is_off_before_anything_moves(bench):
     """It would drive past the target, where nobody has looked."""
-    made = bench("thorlabs_apt", approach=None, backlash_um=0.0)
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("thorlabs_apt", approach=None, backlash_um=0.0).homed({"a": 60.0})
     lowest = []
     motor = made.world.motors["a"]
     motor.watcher = lambda glide: lowest.append(min(glide.begin_mm, glide.end_mm))
@@ -255,9 +240,7 @@ def test_its_own_backlash_correction_is_off_before_anything_moves(bench):
 
 
 def test_a_wheel_that_is_turned_moves_the_axis_and_the_position_is_known(bench):
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("thorlabs_apt").homed({"a": 60.0})
     made.line.emulator.turn_wheel("bay1", 800)
     with pytest.raises(StageUsageError, match="wait until it rests"):
         _ = made.stage.axis("a").position_mm
@@ -271,9 +254,7 @@ def test_a_wheel_that_is_turned_moves_the_axis_and_the_position_is_known(bench):
 @pytest.mark.parametrize("cut", range(1, 12))
 def test_half_a_command_of_a_program_that_died_moves_nothing(bench, cut):
     """The box takes the next bytes for the rest of the target, whatever they mean."""
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("thorlabs_apt").homed({"a": 60.0})
     stood_mm = made.world.true_mm("a")
     made.stage.close()
     made.line.send(apt.Setting(Kind.MOT_MOVE_ABSOLUTE, 1, 16_000, 0x21).to_bytes()[:cut])
@@ -362,9 +343,7 @@ def test_automatic_messages_are_switched_off(bench, monkeypatch):
 
 def test_an_answer_about_another_channel_is_not_taken(bench):
     """The position of bay 2, in the place of that of bay 1."""
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 30.0, "b": 70.0})
+    made = bench("thorlabs_apt").homed({"a": 30.0, "b": 70.0})
     said = made.line.emulator.take_answers
     count = [0]
 
@@ -410,8 +389,7 @@ def test_impossible_channels(channels):
 
 def test_a_box_that_falls_silent_without_server_alive_is_driven_for_minutes(cube):
     """APT protocol, issue 26, p. 30: once a second, or no answer after about fifty commands."""
-    made = cube(firmware={"falls_silent": True})
-    made.stage.home()
+    made = cube(firmware={"falls_silent": True}).homed(None)
     for _ in range(3):
         made.stage.move({"a": 40.0})
         made.clock.sleep_s(30.0)

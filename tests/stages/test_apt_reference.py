@@ -8,9 +8,7 @@ from stages.states import AxisState
 
 def test_a_box_homed_at_its_own_buttons_after_a_restart_is_not_believed(bench):
     """It is homed and rests, but who knows with what offset."""
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("thorlabs_apt").homed({"a": 60.0})
     made.line.power_cycle(0.3)
     made.clock.sleep_s(1.0)
     made.line.emulator.home_offset = 4000
@@ -28,9 +26,7 @@ def test_a_box_homed_at_its_own_buttons_after_a_restart_is_not_believed(bench):
 
 def test_a_restart_between_the_last_look_and_the_move_is_noticed_at_once(bench, monkeypatch):
     """A box that comes up switched on drives to the target in a coordinate that means nothing."""
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("thorlabs_apt").homed({"a": 60.0})
     transact = made.controller._transact
 
     def restarted(data, *rest, **named):
@@ -49,16 +45,14 @@ def test_a_restart_between_the_last_look_and_the_move_is_noticed_at_once(bench, 
 
 def test_a_box_that_is_homed_no_more_is_not_believed_though_the_mark_is_there(bench):
     """A fault of its encoder, another program: it says so itself."""
-    made = bench("thorlabs_apt")
-    made.stage.home()
+    made = bench("thorlabs_apt").homed(None)
     made.line.emulator.channel("bay1").is_homed = False
     assert made.stage.where_mm() == {"a": None, "b": None}
     assert made.again().axis("a").state is AxisState.UNREFERENCED
 
 
 def test_a_reference_run_that_is_set_otherwise_since_is_not_believed_by_the_next_program(bench):
-    made = bench("thorlabs_apt")
-    made.stage.home()
+    made = bench("thorlabs_apt").homed(None)
     channel = made.line.emulator.channel("bay1")
     channel.homing = (*channel.homing[:3], 1234)
     assert made.again().axis("a").state is AxisState.UNREFERENCED
@@ -75,9 +69,7 @@ def test_a_box_that_keeps_no_mark_cannot_be_homed(bench, monkeypatch):
 
 
 def test_a_box_that_keeps_its_flag_while_it_homes_and_begins_late_is_waited_for(bench, monkeypatch):
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("thorlabs_apt").homed({"a": 60.0})
     channel = made.line.emulator.channel("bay1")
     home = channel.home
     monkeypatch.setattr(
@@ -94,9 +86,7 @@ def test_a_box_that_keeps_its_flag_while_it_homes_and_begins_late_is_waited_for(
 
 def test_a_reference_run_that_never_began_is_none(bench, monkeypatch):
     """Homed from before, with an offset that somebody has changed since."""
-    made = bench("thorlabs_apt")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("thorlabs_apt").homed({"a": 60.0})
     channel = made.line.emulator.channel("bay1")
     channel.homing = (*channel.homing[:3], 4000)
     monkeypatch.setattr(type(channel), "home", lambda one: None)

@@ -179,8 +179,7 @@ def test_isel_speeds_are_the_boxs_to_refuse():
 
 @pytest.mark.parametrize(("fastest", "moves"), [(10_000, False), (30_000, True)])
 def test_a_box_that_is_too_slow_says_so(bench, fastest, moves):
-    made = bench("isel_dnc", firmware={"fastest": fastest}, speed_mm_s=50.0)
-    made.stage.home()
+    made = bench("isel_dnc", firmware={"fastest": fastest}, speed_mm_s=50.0).homed(None)
     if moves:
         made.stage.move({"a": 60.0})
         assert made.world.true_mm("a") == pytest.approx(60.0, abs=0.1)
@@ -299,9 +298,7 @@ def test_further_lines_of_grblhal_are_feedback(line):
 
 @pytest.mark.parametrize("model", ["SCC201", "SCC203", "SCC101"])
 def test_a_rack_that_calls_itself_by_its_card_goes_like_its_rack(bench, model):
-    made = bench("thorlabs_apt", firmware={"model": model})
-    made.stage.home()
-    made.stage.move({"a": 10.0})
+    made = bench("thorlabs_apt", firmware={"model": model}).homed({"a": 10.0})
     begun_s = made.clock.now_s()
     made.stage.move({"a": 110.0})
     assert 100.0 / 20.0 < made.clock.now_s() - begun_s < 100.0 / 20.0 + 1.5
@@ -310,9 +307,7 @@ def test_a_rack_that_calls_itself_by_its_card_goes_like_its_rack(bench, model):
 @pytest.mark.parametrize("slowest", [10, 30])
 def test_a_slow_speed_is_the_boxs_to_refuse(bench, slowest):
     approach = {"side": "from_below", "distance_mm": 0.1, "speed_mm_s": 0.05}  # 20 steps/s
-    made = bench("isel_dnc", firmware={"slowest": slowest}, approach=approach)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench("isel_dnc", firmware={"slowest": slowest}, approach=approach).homed({"a": 40.0})
     if slowest <= 20:
         made.stage.move({"a": 40.05})
         assert made.stage.where_mm()["a"] == pytest.approx(40.05, abs=0.01)

@@ -44,8 +44,7 @@ def test_no_absolute_move_before_homing(bench, kind):
 
 
 def test_true_position_within_10_um_despite_50_um_backlash(bench, kind):
-    made = bench(kind, sim={"lead_error_um": 1.0, "power_up_mm": 75.0})
-    made.stage.home()
+    made = bench(kind, sim={"lead_error_um": 1.0, "power_up_mm": 75.0}).homed(None)
     errors = true_errors_um(made, TARGETS_MM)
     assert max(map(abs, errors)) <= 10.0
     positions = [random.Random(4).uniform(10.0, 115.0) for _ in range(10)]
@@ -53,15 +52,13 @@ def test_true_position_within_10_um_despite_50_um_backlash(bench, kind):
 
 
 def test_from_above_works_as_well(bench, kind):
-    made = bench(kind, approach={"side": "from_above", "distance_mm": 0.3, "speed_mm_s": 1.0})
-    made.stage.home()
+    made = bench(kind, approach={"side": "from_above", "distance_mm": 0.3, "speed_mm_s": 1.0}).homed(None)
     assert max(map(abs, true_errors_um(made, TARGETS_MM))) <= 10.0
 
 
 def test_without_approach_the_backlash_shows(bench, kind):
     """The judge must be able to see what the compensation removes."""
-    made = bench(kind, approach=None)
-    made.stage.home()
+    made = bench(kind, approach=None).homed(None)
     assert max(map(abs, true_errors_um(made, TARGETS_MM))) > 40.0
 
 
@@ -78,9 +75,7 @@ def test_opposite_sign_and_offset_turn_the_coordinate(bench, kind):
 
 
 def test_targets_out_of_range_raise_before_motion(bench, kind):
-    made = bench(kind)
-    made.stage.home()
-    made.stage.move({"a": 50.0})
+    made = bench(kind).homed({"a": 50.0})
     before_mm, before = made.world.true_mm("a"), made.sent
     for target_mm in (math.nan, math.inf, -math.inf, 4.999, 120.001, 5.1, -1e300):
         with pytest.raises(OutOfRange):
@@ -108,9 +103,7 @@ def test_stop_at_rest_is_harmless(bench, kind):
 
 
 def test_stop_ends_a_move_and_leaves_the_axis_usable(bench, kind):
-    made = bench(kind)
-    made.stage.home()
-    made.stage.move({"a": 10.0})
+    made = bench(kind).homed({"a": 10.0})
     waits_mm = made.world.true_mm("b")
     made.clock.at(made.clock.now_s() + 2.0, made.stage.stop)
     begun_s = made.clock.now_s()
@@ -144,9 +137,7 @@ def test_stop_during_homing(bench, kind):
 
 
 def test_limit_switch_ends_the_move_and_the_trust(bench, kind):
-    made = bench(kind)
-    made.stage.home()
-    made.stage.move({"a": 50.0})
+    made = bench(kind).homed({"a": 50.0})
     motor = made.world.motors["a"]
     with_switch_mm = motor.carriage_mm + 30.0
     motor.mechanics = type(motor.mechanics)(
@@ -165,9 +156,7 @@ def test_limit_switch_ends_the_move_and_the_trust(bench, kind):
 
 
 def test_stall_is_reported_or_found_by_homing(bench, kind):
-    made = bench(kind)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench(kind).homed({"a": 40.0})
     datum_mm = made.world.true_mm("a")
     motor = made.world.motors["a"]
     motor.obstacle_mm = motor.carriage_mm + 20.0
@@ -187,9 +176,7 @@ def test_stall_is_reported_or_found_by_homing(bench, kind):
 
 
 def test_unplugged_in_motion(bench, kind):
-    made = bench(kind)
-    made.stage.home()
-    made.stage.move({"a": 10.0})
+    made = bench(kind).homed({"a": 10.0})
     pulled_s = made.clock.now_s() + 2.0
     made.clock.at(pulled_s, made.line.unplug)
     with pytest.raises(DeviceLost):

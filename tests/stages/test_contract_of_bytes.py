@@ -19,9 +19,7 @@ def test_a_wrong_scale_shows_in_true_mm(bench, driver):
         with pytest.raises(StageError, match="steps"):
             bench(driver, sim=wrong, steps_per_mm=400.0)
         return
-    made = bench(driver, sim=wrong)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench(driver, sim=wrong).homed({"a": 40.0})
     datum_mm = made.world.true_mm("a")
     made.stage.move({"a": 90.0})
     assert made.world.true_mm("a") - datum_mm == pytest.approx(40.0, abs=0.1)
@@ -29,8 +27,7 @@ def test_a_wrong_scale_shows_in_true_mm(bench, driver):
 
 def test_a_screw_of_another_lead_is_driven_right(bench, driver):
     changes = {"steps_per_mm": 500.0} if driver_class(driver).counts_steps else {}
-    made = bench(driver, sim={"lead_mm": 5.0, "steps_per_rev": 2500}, **changes)
-    made.stage.home()
+    made = bench(driver, sim={"lead_mm": 5.0, "steps_per_rev": 2500}, **changes).homed(None)
     assert max(map(abs, true_errors_um(made, (70.0, 55.0)))) <= 10.0
 
 
@@ -41,9 +38,7 @@ def test_another_program_on_the_port_is_refused(bench, driver):
 
 
 def test_only_a_controller_that_can_know_is_believed_to_be_referenced(bench, driver):
-    made = bench(driver)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench(driver).homed({"a": 40.0})
     state = made.again().axis("a").state
     asks = driver_class(driver)._remembers_reference is not Controller._remembers_reference
     assert state is (AxisState.READY if asks else AxisState.UNREFERENCED)

@@ -31,10 +31,7 @@ class End:
 
 
 def begun(bench, driver):
-    made = bench(driver)
-    made.stage.home()
-    made.stage.move({"a": 20.0, "b": 22.0})
-    return made
+    return bench(driver).homed({"a": 20.0, "b": 22.0})
 
 
 DOINGS = {"move": lambda stage: stage.move({"a": 45.0, "b": 42.0}), "home": lambda stage: stage.home()}

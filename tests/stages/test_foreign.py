@@ -37,9 +37,7 @@ def library(request):
 
 @pytest.fixture
 def made(bench, library):
-    made = bench(library, box={"call_s": CALL_S})
-    made.stage.home()
-    made.stage.move({"a": 20.0, "b": 20.0})
+    made = bench(library, box={"call_s": CALL_S}).homed({"a": 20.0, "b": 20.0})
     return made
 
 
@@ -123,8 +121,7 @@ def test_a_stop_does_not_wait_for_a_call_and_is_said_after_it(made, hang):
 
 def test_after_a_stop_patience_is_short(bench, mocker):
     mocker.patch("stages.foreign.calls.AFTER_STOP_S", 0.2)
-    made = bench("micromanager", box={"call_s": 60.0})
-    made.stage.home()
+    made = bench("micromanager", box={"call_s": 60.0}).homed(None)
     until = made.line.emulator.hangs["send"] = threading.Event()
     threading.Timer(0.1, made.stage.stop).start()
     begun_s = time.monotonic()
@@ -224,8 +221,7 @@ def test_a_program_whose_library_hangs_goes_on_and_ends(program):
 
 @pytest.mark.parametrize("lie", [{"done_early_s": 0.4}, {"begins_late_s": 0.3}, {"begins_late_s": 0.8}])
 def test_done_that_is_said_too_early_is_not_believed(bench, library, lie):
-    made = bench(library, firmware=lie)
-    made.stage.home()
+    made = bench(library, firmware=lie).homed(None)
     assert max(map(abs, true_errors_um(made, (60.0, 20.0, 20.3, 110.0)))) <= 10.0
 
 
@@ -249,8 +245,7 @@ def test_a_position_that_is_no_number_is_no_position(made, mocker):
 
 
 def test_a_stage_pushed_aside_has_lost_its_reference(bench, library):
-    made = bench(library, firmware={"encoder": True})
-    made.stage.home()
+    made = bench(library, firmware={"encoder": True}).homed(None)
     made.world.shove("a", 0.5)
     assert made.stage.where_mm()["a"] is None
     with pytest.raises(NotReferenced):
@@ -259,9 +254,7 @@ def test_a_stage_pushed_aside_has_lost_its_reference(bench, library):
 
 def test_both_axes_of_a_pair_are_sent_and_the_partner_stands(bench):
     """Its last target goes with every move, so it never creeps; one that was pushed aside is not driven back."""
-    made = bench("micromanager", firmware={"encoder": True})
-    made.stage.home()
-    made.stage.move({"b": 20.0013})
+    made = bench("micromanager", firmware={"encoder": True}).homed({"b": 20.0013})
     stands_mm = made.world.true_mm("b")
     for target_mm in (30.0, 40.0, 50.0):
         made.stage.move({"a": target_mm})
@@ -415,9 +408,7 @@ def test_a_restart_that_a_stop_hides_takes_the_reference_all_the_same(made):
 @pytest.mark.parametrize("held", ["XY/x", "XY/y"])
 def test_a_pair_of_which_one_has_not_come_home_is_not_homed(bench, mocker, held):
     """Somebody holds the other axis: it reads something else than at its reference."""
-    made = bench("micromanager")
-    made.stage.home()
-    made.stage.move({"a": 40.0, "b": 30.0})
+    made = bench("micromanager").homed({"a": 40.0, "b": 30.0})
     box, seek = made.line.emulator, made.line.emulator.seek
     mocker.patch.object(box, "seek", side_effect=lambda channel: channel != held and seek(channel))
     with pytest.raises(MotionStopped, match="after its reference run"):
@@ -444,8 +435,7 @@ def test_a_question_that_fails_in_motion_stops_what_moves(made, mocker):
 
 def test_a_stage_that_pauses_on_its_way_has_its_time_anew(bench, library):
     """It rests twice for 0.7 s: before it begins, and half way."""
-    made = bench(library, firmware={"begins_late_s": 0.7})
-    made.stage.home()
+    made = bench(library, firmware={"begins_late_s": 0.7}).homed(None)
     box, channel, begun_s = made.line.emulator, made.table.axes["a"].channel, made.clock.now_s()
     made.clock.at(begun_s + 1.2, lambda: box.stop(channel))
     made.clock.at(begun_s + 2.0, lambda: box._go(channel, 50.0))

@@ -89,9 +89,7 @@ class Noisy:
 
 def test_no_position_from_a_corrupt_answer(bench, driver):
     """Every answer damaged: the driver gives up; it never reports a place where the axis is not."""
-    made = bench(driver)
-    made.stage.home()
-    made.stage.move({"a": 40.0, "b": 70.0})
+    made = bench(driver).homed({"a": 40.0, "b": 70.0})
     axis, truth_mm = made.stage.axis("a"), made.stage.where_mm()["a"]
     made.line.emulator = Noisy(made.line.emulator, random.Random(driver))
     refused = 0

@@ -31,9 +31,7 @@ def offsets_mm(made):
 
 
 def test_a_late_answer_is_never_credited_to_the_next_question(bench, driver):
-    made = bench(driver, **brisk(driver))
-    made.stage.home()
-    made.stage.move({"a": 30.0, "b": 80.0})
+    made = bench(driver, **brisk(driver)).homed({"a": 30.0, "b": 80.0})
     constant_mm = offsets_mm(made)
     rng = random.Random(driver)
     answered = timed_out = 0
@@ -58,8 +56,7 @@ def test_a_late_answer_is_never_credited_to_the_next_question(bench, driver):
 
 def test_the_schedules_do_make_questions_time_out(bench, driver):
     """Without repeating, the same schedules are felt; otherwise the test above would prove nothing."""
-    made = bench(driver)
-    made.stage.home()
+    made = bench(driver).homed(None)
     felt = 0
     made.controller._ask_again = lambda ask: ask()
     for seed in range(10):

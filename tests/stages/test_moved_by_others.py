@@ -17,9 +17,7 @@ OTHER_PROGRAM = {
 @pytest.fixture(params=OTHER_PROGRAM)
 def creeping(request, bench):
     """A bench whose axis a creeps so slowly that two readings agree."""
-    made = bench(request.param)
-    made.stage.home()
-    made.stage.move({"a": 60.0, "b": 30.0})
+    made = bench(request.param).homed({"a": 60.0, "b": 30.0})
     made.line.emulator.feed(OTHER_PROGRAM[request.param])
     made.clock.sleep_s(0.5)
     made.line.emulator.take_answers()  # answered through the other interface

@@ -98,9 +98,7 @@ def doings(made):
 
 def brisk_bench(bench, variant):
     kind, firmware = VARIANTS[variant]
-    made = bench(kind, firmware=firmware)
-    made.stage.home()
-    made.stage.move({"a": 40.0, "b": 45.0})
+    made = bench(kind, firmware=firmware).homed({"a": 40.0, "b": 45.0})
     return made
 
 

@@ -11,9 +11,7 @@ from stages.states import AxisState
 @pytest.mark.parametrize("flag", ["FR", "FO", "FV", "FC", "FM", "FH", "FX"])
 def test_zaber_every_fault_flag_ends_the_motion_and_the_trust(bench, flag):
     """All flags that begin with F are faults; FX is none of today's, and a fault all the same."""
-    made = bench("zaber_ascii")
-    made.stage.home()
-    made.stage.move({"a": 20.0})
+    made = bench("zaber_ascii").homed({"a": 20.0})
     axis = made.line.emulator.axis(1, 1)
     made.clock.at(made.clock.now_s() + 1.0, lambda: axis._end({"FS"}))
     real, emulator = axis.__class__.flag, made.line.emulator

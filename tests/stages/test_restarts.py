@@ -23,10 +23,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 
 
 def homed(bench, driver, **changes):
-    made = bench(driver, **changes)
-    made.stage.home()
-    made.stage.move({"a": 60.0, "b": 30.0})
-    return made
+    return bench(driver, **changes).homed({"a": 60.0, "b": 30.0})
 
 
 @pytest.mark.parametrize("off_s", [0.0, slow(0.02), slow(0.3), 2.0])
@@ -125,9 +122,7 @@ def test_a_board_unlocked_at_a_pendant_is_not_believed(bench):
 
 def test_what_keeps_its_reference_over_power_is_believed(bench):
     """An absolute encoder knows where it is: homing it again would be a motion that nobody needs."""
-    made = bench("pi_gcs2", firmware={"stages": StageMake(absolute_encoders=True)})
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("pi_gcs2", firmware={"stages": StageMake(absolute_encoders=True)}).homed({"a": 60.0})
     made.line.power_cycle(0.3)
     made.clock.sleep_s(1.0)
     assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)
@@ -195,9 +190,7 @@ def test_a_person_who_stops_too_late_for_the_switch_has_stopped(bench, before_mm
 
 def test_a_jog_that_a_held_board_has_not_read_never_runs(bench):
     """Somebody holds the board just before the jog, and releases it when the program has long given up."""
-    made = bench("grbl")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("grbl").homed({"a": 60.0})
     transact = made.controller._transact
 
     def held_before_the_jog(data, *rest, **named):
@@ -235,9 +228,7 @@ def test_a_banner_from_before_a_reference_run_does_not_leave_it_alone(bench):
 
 def test_a_zaber_axis_that_moves_by_itself_tells_no_position(bench):
     """A motion that a killed program has begun, or a knob: slow enough that two readings agree."""
-    made = bench("zaber_ascii")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("zaber_ascii").homed({"a": 60.0})
     made.line.send(b"/1 1 7 set maxspeed 200\n")
     made.line.send(b"/1 1 8 move abs 30000\n")
     made.clock.sleep_s(0.2)
@@ -249,8 +240,7 @@ def test_a_zaber_axis_that_moves_by_itself_tells_no_position(bench):
 
 def test_nothing_is_homed_beside_a_motion_whose_port_was_lost(bench):
     """The box drives on to its target; who homes another axis meanwhile drives it into its way."""
-    made = bench("zaber_ascii")
-    made.stage.home()
+    made = bench("zaber_ascii").homed(None)
     made.clock.at(made.clock.now_s() + 0.3, made.line.unplug)
     with pytest.raises(DeviceLost):
         made.stage.move({"a": 110.0})

@@ -29,8 +29,7 @@ def noisy(bench):
 @pytest.mark.parametrize("box", KINDS)
 @pytest.mark.parametrize("noise_steps", [slow(1), 2, slow(5), slow(10), 20])
 def test_every_move_arrives(noisy, box, noise_steps):
-    made = noisy(box, noise_steps)
-    made.stage.home()
+    made = noisy(box, noise_steps).homed(None)
     for number in range(MOVES):
         target_mm = 40.0 + 0.37 * (number * 7 % 11)
         made.stage.move({"a": target_mm})
@@ -39,9 +38,7 @@ def test_every_move_arrives(noisy, box, noise_steps):
 
 @pytest.mark.parametrize("box", ["zaber_ascii", "pi_gcs2", "thorlabs_apt", "grbl"])
 def test_a_stop_at_the_box_ends_the_move_of_a_noisy_stage(noisy, box):
-    made = noisy(box, 20)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = noisy(box, 20).homed({"a": 40.0})
     made.clock.at(made.clock.now_s() + 0.5, made.line.emulator.person_stops)
     with pytest.raises(MotionStopped):
         made.stage.move({"a": 45.0})
@@ -52,9 +49,7 @@ def test_a_stop_at_the_box_ends_the_move_of_a_noisy_stage(noisy, box):
 @pytest.mark.parametrize("speed_mm_s", [0.5, 2.0])
 @pytest.mark.parametrize("box", ["micromanager", "positioners"])
 def test_a_knob_that_is_turned_is_motion_and_a_noisy_stage_is_not(noisy, box, speed_mm_s):
-    made = noisy(box, 5)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = noisy(box, 5).homed({"a": 40.0})
     motor = made.world.motors["a"]
     assert made.stage.axis("a").position_mm == pytest.approx(40.0, abs=0.005)
     motor.go(motor.steps + 20 * STEPS_PER_MM, speed_mm_s * STEPS_PER_MM, 1e7)
@@ -67,9 +62,7 @@ def test_a_knob_that_is_turned_is_motion_and_a_noisy_stage_is_not(noisy, box, sp
 @pytest.mark.parametrize("box", ["micromanager", "positioners"])
 def test_a_slowly_turned_knob_is_motion_within_the_noise(noisy, box):
     """At 40 um/s seven readings stay within 20 um and go one way."""
-    made = noisy(box, 0)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = noisy(box, 0).homed({"a": 40.0})
     motor = made.world.motors["a"]
     motor.go(motor.steps + 20 * STEPS_PER_MM, 0.04 * STEPS_PER_MM, 1e7)
     with pytest.raises(StageUsageError, match="moves; wait until it rests"):

@@ -197,9 +197,7 @@ def test_scales_are_demanded_and_refused_where_they_belong():
 @pytest.mark.parametrize("by_error", [False, True])
 def test_leaving_the_bench_stops_what_another_thread_still_moves(bench, driver, by_error):
     """The block ends while something moves: by itself, or by an error."""
-    made = bench(driver)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench(driver).homed({"a": 40.0})
     box, axis = made.controller, made.stage.axis("a").settings
     with suppress(ZeroDivisionError), made.stage:
         box.token = made.stage.latch.begin()
@@ -215,9 +213,7 @@ def test_leaving_the_bench_stops_what_another_thread_still_moves(bench, driver, 
 
 
 def test_an_axis_that_rests_a_millimetre_off_has_not_arrived(bench, mocker):
-    made = bench("zaber_ascii", in_position_um=10.0, retries=1)
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench("zaber_ascii", in_position_um=10.0, retries=1).homed({"a": 40.0})
     known = made.controller.rest_position_mm
     for off_mm, arrives in ((0.006, True), (0.014, False), (1.0, False)):
         mocker.patch.object(

@@ -28,9 +28,7 @@ def moments(first_s, last_s, count):
 @pytest.mark.parametrize("after_s", moments(0.0, 3.2, 25))
 def test_nothing_moves_after_a_stop_at_any_moment_of_a_move(bench, kind, after_s):
     """Two axes, two legs each, settling in between; from the other axis' first leg to the end."""
-    made = bench(kind, settle_s=0.5)
-    made.stage.home()
-    made.stage.move({"a": 40.0, "b": 40.0})
+    made = bench(kind, settle_s=0.5).homed({"a": 40.0, "b": 40.0})
     stopped_s = made.clock.now_s() + after_s
     made.clock.at(stopped_s, made.stage.stop)
     try:
@@ -56,8 +54,7 @@ def test_nothing_moves_after_a_stop_at_any_moment_of_a_move(bench, kind, after_s
 
 def test_a_stop_between_two_moves_is_not_forgotten(bench, kind):
     """What a runner does: move after move; the stop falls where nobody moves anything."""
-    made = bench(kind)
-    made.stage.home()
+    made = bench(kind).homed(None)
     made.stage.stop()
     rests_mm = made.world.true_mm("a")
     for _ in range(3):
@@ -67,8 +64,7 @@ def test_a_stop_between_two_moves_is_not_forgotten(bench, kind):
 
 
 def test_a_stop_ends_the_retries(bench, kind, mocker):
-    made = bench(kind)
-    made.stage.home()
+    made = bench(kind).homed(None)
     mocker.patch.object(
         made.controller, "rest_position_mm", side_effect=lambda channel: 1.0
     )  # never where it was sent
@@ -87,8 +83,7 @@ def test_a_stop_ends_the_retries(bench, kind, mocker):
 
 
 def test_a_halt_ends_what_has_begun_and_no_more(bench, kind):
-    made = bench(kind)
-    made.stage.home()
+    made = bench(kind).homed(None)
     made.clock.at(made.clock.now_s() + 0.5, made.stage.halt)
     with pytest.raises(MotionStopped):
         made.stage.move({"a": 100.0, "b": 40.0})
@@ -97,8 +92,7 @@ def test_a_halt_ends_what_has_begun_and_no_more(bench, kind):
 
 def test_no_byte_that_moves_is_written_between_a_stop_and_its_clearing(bench, driver, mocker):
     """The stop falls between the look at the latch and the write: the gate has to hold it up, or the byte."""
-    made = bench(driver)
-    made.stage.home()
+    made = bench(driver).homed(None)
     latch, order, stoppers = made.stage.latch, [], []
     gate_held = threading.Event()
     written = made.controller.port.write
@@ -235,9 +229,7 @@ def test_the_table_of_states_is_whole():
 
 def test_a_stop_that_overtakes_a_command_is_said_again_although_no_answer_comes(bench):
     """On a Grbl board a cancel before the jog line is read does nothing; here the answer is two seconds late."""
-    made = bench("grbl")
-    made.stage.home()
-    made.stage.move({"a": 60.0})
+    made = bench("grbl").homed({"a": 60.0})
     begin = made.controller._transact
 
     def stop_behind_the_jog(data, *rest, **named):
@@ -256,9 +248,7 @@ def test_a_stop_that_overtakes_a_command_is_said_again_although_no_answer_comes(
 @pytest.mark.parametrize("after_s", [0.02, 0.3, 0.7])
 def test_a_stop_at_a_mute_box_whose_one_word_is_lost_is_a_stop(bench, after_s):
     """An isel says nothing but the end of a motion: a person stops it, and the character is lost."""
-    made = bench("isel_dnc")
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench("isel_dnc").homed({"a": 40.0})
 
     def pressed():
         made.line.faults.strike(Fault("lost", 2.0))
@@ -277,9 +267,7 @@ def test_a_stop_at_a_mute_box_whose_one_word_is_lost_is_a_stop(bench, after_s):
 
 def test_a_question_unanswered_before_a_move_is_no_stop(bench, mocker):
     """Nothing was sent that moves: a place that homing has left behind says nothing of a person."""
-    made = bench("isel_dnc")
-    made.stage.home()
-    made.stage.move({"a": 40.0})
+    made = bench("isel_dnc").homed({"a": 40.0})
     made.stage.home()
     confirm_reference, lost = made.controller.confirm_reference, [NoReply("lost"), None]
 
@@ -296,8 +284,7 @@ def test_a_question_unanswered_before_a_move_is_no_stop(bench, mocker):
 
 def test_one_look_at_rest_after_a_stop_is_not_believed(bench, kind, mocker):
     """A command that was under way begins behind the first look: it has to be stopped again."""
-    made = bench(kind)
-    made.stage.home()
+    made = bench(kind).homed(None)
     axis, token = made.stage.axis("a"), made.stage.latch.begin()
     looks = [False, False, True, False, False, False]  # it begins to move behind the second look
     asked, stops = [], []
