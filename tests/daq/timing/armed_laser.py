@@ -22,11 +22,16 @@ def laser_on(clock=None, head=HEAD, rules=RULES):
     return laser, box, clock
 
 
-def armed(clock=None, **options):
+def ready(clock=None, **options):
     laser, box, clock = laser_on(clock, **options)
     laser.warm(10.0)
     clock.sleep_s(laser.warm_in_s + 1e-3)
     laser.set(TIMING, EXPOSURES)
+    return laser, box, clock
+
+
+def armed(clock=None, **options):
+    laser, box, clock = ready(clock, **options)
     laser.arm(GOOD, laser.challenge)
     return laser, box, clock
 

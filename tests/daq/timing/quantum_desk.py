@@ -33,14 +33,23 @@ class Desk:
         self.box = QuantumComposersBox("laser", wiring, self.clock)
         self.laser = Laser("laser", self.box, head, Rules(warmup_s=1.0), self.clock)
 
-    def to_armed(self, dt_us=20.0, rate_hz=10.0, exposures=EXPOSURES):
+    def to_ready(self, dt_us=20.0, rate_hz=10.0, exposures=EXPOSURES):
         self.laser.open("sim://desk")
         if self.laser.state is LaserState.UNKNOWN:
             self.laser.safe()
         self.laser.warm(rate_hz)
         self.clock.sleep_s(1.1)
         self.laser.set(PulseTiming(dt_us, rate_hz), exposures)
+
+    def to_armed(self, dt_us=20.0, rate_hz=10.0, exposures=EXPOSURES):
+        self.to_ready(dt_us, rate_hz, exposures)
         self.laser.arm(GOOD, self.laser.challenge)
+
+    def firing(self, pairs=50, after_s=1.0):
+        """Arm, fire, and let some time pass."""
+        self.to_armed()
+        self.laser.fire(pairs)
+        self.clock.sleep_s(after_s)
 
     def burst(self, pairs=5):
         self.to_armed()

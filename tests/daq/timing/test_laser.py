@@ -11,7 +11,17 @@ from daq.timing.pulses import LaserHead, Pulse, PulseTiming, Role, Schedule
 from daq.timing.states import LaserState
 from sim.mechanics.clock import VirtualClock
 from stages.errors import DeviceLost, NoReply
-from tests.daq.timing.armed_laser import EXPOSURES, GOOD, HEAD, RULES, TIMING, armed, conditions_with, laser_on
+from tests.daq.timing.armed_laser import (
+    EXPOSURES,
+    GOOD,
+    HEAD,
+    RULES,
+    TIMING,
+    armed,
+    conditions_with,
+    laser_on,
+    ready,
+)
 from tests.daq.timing.fake_box import FakeBox
 
 
@@ -88,10 +98,7 @@ MISSING = {
 
 @pytest.mark.parametrize("words", MISSING)
 def test_a_condition_that_is_not_met_does_not_arm(words):
-    laser, box, clock = laser_on()
-    laser.warm(10.0)
-    clock.sleep_s(61.0)
-    laser.set(TIMING, EXPOSURES)
+    laser, box, clock = ready()
     with pytest.raises(NotArmed, match=words):
         laser.arm(conditions_with(**MISSING[words]), laser.challenge)
     with pytest.raises(NotNow, match="set\\(\\) and arm\\(\\) come first"):
@@ -124,10 +131,7 @@ def test_a_condition_that_is_lost_switches_off(words):
 
 @pytest.mark.parametrize("word", ["", "yes", "fire", "0000 ", "12345"])
 def test_only_the_word_that_is_asked_for_arms(word):
-    laser, _, clock = laser_on()
-    laser.warm(10.0)
-    clock.sleep_s(61.0)
-    laser.set(TIMING, EXPOSURES)
+    laser, _, _ = ready()
     with pytest.raises(NotArmed, match="type the code"):
         laser.arm(GOOD, word)
 
@@ -185,10 +189,7 @@ def test_a_box_that_would_go_on_beyond_its_count_is_ended_with_its_time():
 
 
 def test_a_restart_of_the_box_is_found_before_arming():
-    laser, box, clock = laser_on()
-    laser.warm(10.0)
-    clock.sleep_s(61.0)
-    laser.set(TIMING, EXPOSURES)
+    laser, box, _ = ready()
     box.lamps = False
     with pytest.raises(LaserDoubt):
         laser.arm(GOOD, laser.challenge)
@@ -203,10 +204,7 @@ def test_a_chunk_is_at_most_ten_seconds(pairs):
 
 
 def test_a_chunk_that_the_disk_cannot_take_is_not_begun():
-    laser, box, clock = laser_on()
-    laser.warm(10.0)
-    clock.sleep_s(61.0)
-    laser.set(TIMING, EXPOSURES)
+    laser, box, _ = ready()
     laser.arm(conditions_with(frames_fit=10), laser.challenge)
     with pytest.raises(NotArmed, match="room for 10 pairs, not for 11"):
         laser.fire(11)
@@ -214,11 +212,8 @@ def test_a_chunk_that_the_disk_cannot_take_is_not_begun():
 
 
 def test_a_box_that_cannot_count_needs_a_word_in_the_bench_file():
-    laser, box, clock = laser_on()
+    laser, box, _ = ready()
     box.counts = False
-    laser.warm(10.0)
-    clock.sleep_s(61.0)
-    laser.set(TIMING, EXPOSURES)
     with pytest.raises(NotArmed, match="uncounted"):
         laser.arm(GOOD, laser.challenge)
 
@@ -257,10 +252,7 @@ def test_whoever_watches_does_not_wait_for_another_verb():
 
 
 def test_an_exposure_that_is_too_long_for_the_room_is_refused():
-    laser, _, clock = laser_on(rules=Rules(warmup_s=1.0, dark_us=5_000.0))
-    laser.warm(10.0)
-    clock.sleep_s(2.0)
-    laser.set(TIMING, EXPOSURES)
+    laser, _, _ = ready(rules=Rules(warmup_s=1.0, dark_us=5_000.0))
     with pytest.raises(NotArmed, match="exposure B of 20000 us is longer"):
         laser.arm(GOOD, laser.challenge)
 

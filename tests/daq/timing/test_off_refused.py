@@ -56,9 +56,7 @@ def test_a_refusal_while_it_begins_switches_off():
 def test_a_slow_box_that_refuses_t0_loses_its_q_switches_though_no_answer_comes():
     """Found by the fuzz: of each write such a box hears the first line, which was always that of T0."""
     with desk(needs_s=0.04, echo=True) as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(0.5)
+        d.firing(50, 0.5)
         d.emulator.refuses_off[0] = 99
         stopped_s = d.clock.now_s()
         d.line.faults.mute()
@@ -76,9 +74,7 @@ def test_a_slow_box_that_refuses_t0_loses_its_q_switches_though_no_answer_comes(
 def test_a_slow_box_that_refuses_t0_and_a_q_switch_is_reset_before_anything_is_asked(role, times):
     """Found by the fuzz: light left for a second more while it was asked what it is, and what is on."""
     with desk(needs_s=0.04) as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(0.5)
+        d.firing(50, 0.5)
         number = 1 + OUTPUTS.index(d.box.wiring[role])
         d.emulator.refuses_off.update({0: 99, number: times})
         stopped_s = d.clock.now_s()
@@ -92,9 +88,7 @@ def test_a_slow_box_that_refuses_t0_and_a_q_switch_is_reset_before_anything_is_a
 def test_off_is_said_twice_to_a_box_that_refuses_it():
     """Found by the fuzz: every line of off was answered by ?8, and the burst went on."""
     with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=100.0), outputs=4) as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(0.5)
+        d.firing(50, 0.5)
         before = d.pulses(Role.Q_SWITCH_1)
         d.emulator.refuse = 5
         d.laser.stop("now")
@@ -106,9 +100,7 @@ def test_off_is_said_twice_to_a_box_that_refuses_it():
 def test_off_reaches_a_box_that_loses_lines_and_refuses_those_that_it_hears(refused):
     """Found by the fuzz: off was said twice, then it was asked who answers, and pulses left for two seconds."""
     with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=100.0), outputs=4, needs_s=0.04) as d:
-        d.to_armed()
-        d.laser.fire(90)
-        d.clock.sleep_s(0.5)
+        d.firing(90, 0.5)
         d.emulator.refuse = refused
         told_s = d.clock.now_s()
         d.laser.stop("now")
@@ -164,9 +156,7 @@ def test_an_output_that_can_never_be_switched_off_is_named_and_nothing_is_armed(
 def test_a_refusal_of_off_does_not_let_light_go_on(number, times):
     """T0 is refused: the Q-switches are off.  A Q-switch is refused: T0 is.  Said again it is all off."""
     with desk() as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
+        d.firing()
         before = d.pulses(Role.Q_SWITCH_1)
         d.emulator.refuses_off[number] = times
         d.laser.stop("now")
@@ -183,9 +173,7 @@ def test_a_refusal_of_off_does_not_let_light_go_on(number, times):
 def test_what_refuses_off_again_and_again_is_off_after_one_reading_back(number, needs_s):
     """Found by the fuzz: on a slow box each attempt takes two seconds, and who left the bench gave up before."""
     with desk(needs_s=needs_s) as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
+        d.firing()
         d.emulator.refuses_off[number] = 7 if needs_s else 11
         d.laser.stop("now")
         assert d.laser.confirm_off()
@@ -194,9 +182,7 @@ def test_what_refuses_off_again_and_again_is_off_after_one_reading_back(number, 
 
 def test_a_box_that_refuses_every_off_ends_with_its_count_and_stays_in_doubt():
     with desk() as d:
-        d.to_armed()
-        d.laser.fire(30)
-        d.clock.sleep_s(1.0)
+        d.firing(30)
         for number in (RESET, *range(9)):
             d.emulator.refuses_off[number] = 10**6
         d.laser.stop("now")
@@ -210,9 +196,7 @@ def test_a_box_that_refuses_every_off_ends_with_its_count_and_stays_in_doubt():
 @pytest.mark.parametrize("answers", [range(40), range(0, 40, 2), (0,), (3, 4, 5)])
 def test_off_that_is_answered_late_is_dark_at_once_and_believed_when_it_reads_back(answers):
     with desk() as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
+        d.firing()
         before = d.pulses(Role.Q_SWITCH_1)
         heard = d.line.faults._count
         for number in answers:

@@ -5,13 +5,14 @@ import itertools
 import pytest
 
 from daq.errors import DaqError
-from daq.timing.conditions import Conditions, Rules
+from daq.timing.conditions import Rules
 from daq.timing.errors import LaserDoubt, LaserStopped, PulsesRefused, TimingUsageError, WrongBox
 from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from stages.errors import CommandRejected, StageError
+from tests.daq.timing.armed_laser import conditions_with
 from tests.daq.timing.quantum_desk import EXPOSURES, GOOD, HEAD, PUMPED, WIRING, desk
 
 
@@ -48,16 +49,6 @@ def test_a_burst_of_n_is_n_whatever_arms_it(arms, wiring, head):
         assert d.pulses(Role.CAMERA) == 28 * (2 if wiring is PUMPED else 1)
         d.laser.safe()
         assert d.laser.state is LaserState.SAFE
-
-
-@pytest.mark.parametrize("arms", ["run", "run all", "state"])
-def test_a_dead_computer_leaves_nothing_firing(arms):
-    with desk(arms=arms) as d:
-        d.to_armed()
-        d.laser.fire(20)
-        d.line.unplug()
-        d.clock.sleep_s(60.0)
-        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 20
 
 
 def test_another_run_at_the_keys_after_a_burst_gives_nothing():
@@ -106,9 +97,7 @@ def test_a_box_without_any_word_for_its_clock_is_refused():
 def test_a_box_that_loses_lines_that_come_too_soon_is_asked_more_slowly():
     """A program for the 575 waits 50 ms between commands."""
     with desk(needs_s=0.045) as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
+        d.firing()
         before = d.pulses(Role.Q_SWITCH_1)
         d.laser.stop("now")  # of what is written at once such a box hears the first line
         d.clock.sleep_s(2.0)
@@ -218,10 +207,7 @@ def test_a_clock_that_is_not_locked_is_refused_at_opening_and_before_arming():
         with pytest.raises(WrongBox, match="XPL"):
             d.laser.open("sim://desk")
         d.emulator.locked = True
-        d.laser.open("sim://desk")
-        d.laser.warm(10.0)
-        d.clock.sleep_s(1.1)
-        d.laser.set(PulseTiming(20.0, 10.0), EXPOSURES)
+        d.to_ready()
         d.emulator.locked = False
         with pytest.raises(WrongBox, match="XPL"):
             d.laser.arm(GOOD, d.laser.challenge)
@@ -235,10 +221,7 @@ def test_a_clock_that_is_not_locked_is_refused_at_opening_and_before_arming():
 )  # fmt: skip
 def test_somebody_at_its_keys_is_found_before_it_is_armed(number, keyword, value):
     with desk() as d:
-        d.laser.open("sim://desk")
-        d.laser.warm(10.0)
-        d.clock.sleep_s(1.1)
-        d.laser.set(PulseTiming(20.0, 10.0), EXPOSURES)
+        d.to_ready()
         d.emulator.set_inside(number, keyword, value)
         with pytest.raises(LaserDoubt):
             d.laser.arm(GOOD, d.laser.challenge)
@@ -248,9 +231,7 @@ def test_somebody_at_its_keys_is_found_before_it_is_armed(number, keyword, value
 
 def keys_make_the_burst_endless(d):
     """In its middle somebody takes the count away from both Q-switches."""
-    d.to_armed()
-    d.laser.fire(20)
-    d.clock.sleep_s(1.0)
+    d.firing(20)
     for number in (2, 4):
         d.emulator.set_inside(number, "CMOD", "NORM")
 
@@ -354,9 +335,7 @@ def test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the
 @pytest.mark.parametrize("off_s", [0.2, 1.0])
 def test_a_restart_while_it_fires_is_not_taken_for_the_end(off_s):
     with desk() as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
+        d.firing()
         d.line.power_cycle(off_s)
         d.clock.sleep_s(6.0)
         with pytest.raises(LaserDoubt, match=r"stopped at its keys .* or lost power"):
@@ -401,9 +380,7 @@ def test_a_number_without_all_its_digits_is_not_believed(mocker):
 def test_off_is_written_while_another_thread_waits_for_an_answer():
     """The stop comes in the middle of a conversation, and is the next thing that the box hears."""
     with desk() as d:
-        d.to_armed()
-        d.laser.fire(50)
-        d.clock.sleep_s(1.0)
+        d.firing()
         d.line.faults.strike(Fault("lost"))
         d.line.hooks.press(1, "write", lambda: d.laser.stop("another thread"), lambda: False)
         with pytest.raises((DaqError, StageError)):
@@ -415,29 +392,10 @@ def test_off_is_written_while_another_thread_waits_for_an_answer():
         assert d.laser.state is LaserState.UNKNOWN
 
 
-def conditions_with(**changes):
-    values = {name: getattr(GOOD, name) for name in GOOD.__dataclass_fields__}
-    return Conditions(**{**values, **changes})
-
-
-BAD_REQUESTS = {
+BAD_REQUESTS = {  # one for each verb and judge; the others are those of test_pulses and test_laser
     "a dt longer than the period": lambda laser: laser.set(PulseTiming(120_000.0, 10.0), EXPOSURES),
-    "a dt longer than both frames": lambda laser: laser.set(PulseTiming(50_000.0, 10.0), EXPOSURES),
-    "a dt within the gap": lambda laser: laser.set(PulseTiming(2.0, 10.0), EXPOSURES),
-    "a rate above the camera's": lambda laser: laser.set(
-        PulseTiming(20.0, 10.0), PairExposures(100.0, 20_000.0, 2.0, max_rate_hz=8.0)
-    ),
-    "a rate above the laser's": lambda laser: laser.set(PulseTiming(20.0, 20.0), EXPOSURES),
     "another rate than that of the lamps": lambda laser: laser.set(PulseTiming(20.0, 5.0), EXPOSURES),
-    "no number": lambda laser: laser.set(PulseTiming(float("nan"), 10.0), EXPOSURES),
-    "exposures longer than the period": lambda laser: laser.set(
-        PulseTiming(20.0, 10.0), PairExposures(60_000.0, 60_000.0, 2.0)
-    ),
-    "a camera that sleeps": lambda laser: laser.arm(conditions_with(camera_armed=False), laser.challenge),
-    "old frames": lambda laser: laser.arm(conditions_with(buffers_empty=False), laser.challenge),
     "something moves": lambda laser: laser.arm(conditions_with(at_rest=False), laser.challenge),
-    "glass in the sheet": lambda laser: laser.arm(conditions_with(sheet_clearance_mm=1.0), laser.challenge),
-    "a full disk": lambda laser: laser.arm(conditions_with(frames_fit=0), laser.challenge),
     "nobody's word": lambda laser: laser.arm(GOOD, "yes"),
     "fire without arming": lambda laser: laser.fire(10),
     "warm what is warm": lambda laser: laser.warm(10.0),
@@ -448,10 +406,7 @@ BAD_REQUESTS = {
 @pytest.mark.parametrize("what", BAD_REQUESTS)
 def test_bad_input_is_one_sentence_and_nothing_fires(what):
     with desk() as d:
-        d.laser.open("sim://desk")
-        d.laser.warm(10.0)
-        d.clock.sleep_s(1.1)
-        d.laser.set(PulseTiming(20.0, 10.0), EXPOSURES)
+        d.to_ready()
         sent = d.line.hooks.passed["write"]
         with pytest.raises(TimingUsageError) as caught:
             BAD_REQUESTS[what](d.laser)
@@ -461,17 +416,6 @@ def test_bad_input_is_one_sentence_and_nothing_fires(what):
         assert d.laser.state is LaserState.READY
         d.clock.sleep_s(5.0)
         assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == d.pulses(Role.CAMERA) == 0
-
-
-@pytest.mark.parametrize("pairs", [0, -5, 101, 10**9])
-def test_a_chunk_that_is_none_or_too_long_does_not_begin(pairs):
-    with desk() as d:
-        d.to_armed()
-        with pytest.raises(TimingUsageError, match="1 to 100 fit"):
-            d.laser.fire(pairs)
-        d.clock.sleep_s(5.0)
-        assert d.laser.state is LaserState.ARMED
-        assert d.pulses(Role.Q_SWITCH_1) == 0
 
 
 def test_a_pulse_without_an_output_is_refused_and_not_left_out():

@@ -90,15 +90,6 @@ def test_a_burst_of_n_is_n_and_lies_where_it_was_placed(ends):
         d.laser.safe()
 
 
-def test_a_dead_computer_leaves_nothing_firing():
-    with desk() as d:
-        d.to_armed()
-        d.laser.fire(20)
-        d.line.unplug()
-        d.clock.sleep_s(60.0)
-        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 20
-
-
 @pytest.mark.parametrize("ends", ["mode", "nothing"])
 def test_off_in_a_burst_is_dark_at_once_and_it_goes_on_from_there(ends):
     with desk(ends=ends) as d:

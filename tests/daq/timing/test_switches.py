@@ -253,9 +253,7 @@ def test_the_gate_of_the_box_works_without_the_program(level):
     with desk() as d:
         d.box.gate = level
         d.emulator.set_gate(level == "high")
-        d.to_armed()
-        d.laser.fire(20)
-        d.clock.sleep_s(1.0)
+        d.firing(20)
         before = d.pulses(Role.Q_SWITCH_1)
         assert before > 0
         d.emulator.set_gate(level != "high")
