@@ -18,7 +18,7 @@ from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 
-FRAMES, SIDE_PX = 100, 64
+FRAMES, SIDE_PX = 60, 64
 CAMERA = """camera:
   backend: harvesters
   settings: {PixelFormat: Mono12p, ExposureTime: 100.0, TriggerMode: "Off", AcquisitionFrameRate: 100.0}

@@ -7,6 +7,7 @@ modules hidden from our code: stages and camera in the process, no terminals, no
 
 import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -25,11 +26,14 @@ NEED_THEM = {  # simulated hardware that real client libraries talk to; `Simulat
 
 @pytest.fixture(scope="module")
 def parsed():
-    return [
-        (path.relative_to(ROOT), ast.parse(path.read_text(encoding="utf-8")))
+    names = (*MODULES, *(name for those in FUNCTIONS.values() for name in those))
+    lacking = re.compile(rf"\b({'|'.join(map(re.escape, names))})\b")
+    texts = [
+        (path.relative_to(ROOT), path.read_text(encoding="utf-8"))
         for package in PACKAGES
         for path in sorted((ROOT / package).rglob("*.py"))
     ]
+    return [(path, ast.parse(text)) for path, text in texts if lacking.search(text)]
 
 
 def imported_at_once(tree):

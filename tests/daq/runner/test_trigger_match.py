@@ -100,7 +100,7 @@ faults = {
     "latency_us": st.sampled_from([(100,), (100, 15_000), (20_000, 50)]),
 }
 many = settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True
 )
 
 

@@ -22,7 +22,7 @@ def ground(made, monkeypatch):
 
 
 def test_command_lines_end_with_sentences(ground):
-    tally = hostile("fast", range(40), ground)
+    tally = hostile("fast", range(25), ground)
     assert not tally.findings
     assert len(tally.codes) > 1
 

@@ -75,7 +75,7 @@ def test_a_point_is_seen_where_and_as_bright_as_its_rays_say(name, z_mm):
     px_mm = tables.px_mm
     rng = np.random.default_rng(3)
     compared = 0
-    for _ in range(14):
+    for _ in range(9):
         u, v = rng.uniform(200.0, 800.0, 2)
         *way, part, _ = last_way(*camera_ray(u, v, 0.0, 0.0, tables.world.camera), tables.world)
         if part <= 0.0:
@@ -103,7 +103,7 @@ def test_a_point_is_seen_where_and_as_bright_as_its_rays_say(name, z_mm):
         assert centroid == pytest.approx(true_px, abs=0.01)
         assert light == pytest.approx(expected, rel=0.02)
         compared += 1
-    assert compared > 5
+    assert compared > 3
 
 
 def test_a_bare_view_is_the_pinhole_s_projection():

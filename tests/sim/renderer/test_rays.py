@@ -193,7 +193,7 @@ def test_two_formulations_agree(name, cores):
     scene = scene.with_bodies(bodies)
     scene = scene.with_bodies([*scene.bodies, Rod("support", (-62.0, -62.0, 10.0), (-62.0, -50.0, 40.0), 3.0)])
     tables = tables_of(scene, Pose(), None)
-    pixels = np.random.default_rng(1).uniform(0.0, 2015.0, (3000, 2))
+    pixels = np.random.default_rng(1).uniform(0.0, 2015.0, (2000, 2))
     traced = trace(scene, pixels)
     ours = np.array([to_plane(*camera_ray(u, v, 0.0, 0.0, tables.world.camera), tables.world) for u, v in pixels])
     good = traced.recovered

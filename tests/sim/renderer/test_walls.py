@@ -15,7 +15,7 @@ LEVEL = 0.05
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_rays_through_walls_are_those_of_the_tracer(seed: int) -> None:
     rng, judged, other = np.random.default_rng(seed), 0, 0
-    for _ in range(45):
+    for _ in range(20):
         scene = drawn_walls(rng)
         tables, start = tables_of(scene, Pose(), None), np.array(scene.camera.position_mm)
         ways = aimed(rng, scene, 50)
@@ -31,5 +31,5 @@ def test_rays_through_walls_are_those_of_the_tracer(seed: int) -> None:
                 )  # grazing: a root of a quadratic
                 assert light == pytest.approx(ray["transmittance"], abs=1e-6)
                 judged += 1
-    assert judged > 1500
+    assert judged > 600
     assert other <= 2
