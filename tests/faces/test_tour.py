@@ -20,7 +20,7 @@ def tour():
 
 
 def test_from_scene_to_pictures(tour, tmp_path, capsys):
-    tour(tmp_path, 560)
+    tour(tmp_path)
     said = capsys.readouterr().out
     found = next(line for line in said.splitlines() if line.startswith("far.z"))
     assert abs(float(found.split()[1]) - 75.0) < 1.5

@@ -86,6 +86,7 @@ def test_an_incomplete_frame_is_not_waited_for(rig):
     assert (books.triggered, books.incomplete, books.losses, books.imbalance) == (7, 3, 0, 0)
 
 
+@pytest.mark.parametrize("rig", slow_but(RIGS, "aravis", "memory"), indirect=True)  # the contract has the other
 @pytest.mark.parametrize("fault", ["reset_at", pytest.param("restart_at", marks=pytest.mark.slow)])
 def test_no_frame_is_kept_that_was_exposed_after_the_settings_were_lost(rig, tmp_path, fault):
     """The default gain shows in the pixels: a third of what was asked for."""
@@ -104,6 +105,7 @@ def test_no_frame_is_kept_that_was_exposed_after_the_settings_were_lost(rig, tmp
         assert shown == sorted(set(shown))
 
 
+@pytest.mark.parametrize("rig", slow_but(RIGS, "aravis", "memory"), indirect=True)  # test_late_frames has it
 @pytest.mark.parametrize("kind", [slow({"has_clock": False}), {"stamp_offset_ns": 10**15}])
 def test_a_clock_that_is_another_or_cannot_be_read_still_tells_late_frames(rig, kind):
     camera = rig.make(CameraConfig(**SMALL, faults=FaultPlan(late_s={"9": 1.6}), **kind))

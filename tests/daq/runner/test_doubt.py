@@ -19,6 +19,7 @@ from daq.runs.run_folder import frame_entries
 from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
+from tests.slow_cases import slow_but
 
 
 @pytest.fixture
@@ -108,7 +109,7 @@ def test_books_that_do_not_balance_are_not_forgotten_by_resuming(run):
     check_refused(folder)
 
 
-@pytest.mark.parametrize("rig", list(RIGS))
+@pytest.mark.parametrize("rig", slow_but(RIGS, "aravis", "memory"))  # test_late_frames has the other
 @pytest.mark.parametrize("late_s", [{"1": 0.8, "4": 0.8}, pytest.param({"2": 0.8}, marks=pytest.mark.slow)])
 def test_a_run_with_late_frames_is_right_and_whole(tmp_path, monkeypatch, rig, late_s):
     """Each frame carries its trigger, and each step's frame was triggered while that step was exposed."""

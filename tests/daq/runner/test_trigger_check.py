@@ -17,6 +17,7 @@ from sim.camera.config import CameraConfig
 from sim.camera.wires import Wires
 from tests.daq.cameras.rigs import RIGS
 from tests.daq.small_bench import write_bench, write_frames
+from tests.slow_cases import slow_but
 
 
 class Exposed(FilesCamera):
@@ -64,7 +65,7 @@ def test_what_is_wrong_is_said(tmp_path, changes, what, right, words):
     assert words in found[what][1]
 
 
-@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("rig", slow_but(RIGS, "aravis", "memory"))  # flows are triggered on lines of the other
 def test_pulses_on_a_line_arrive_or_not(tmp_path, rig):
     made, wires = RIGS[rig](tmp_path), Wires(tmp_path)
     end = threading.Event()
