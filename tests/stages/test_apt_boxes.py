@@ -78,7 +78,7 @@ def test_a_model_of_unknown_units_is_refused(bench, model):
 
 
 def test_true_speed_of_a_servo(cube):
-    made = cube().homed(None)
+    made = cube().homed()
     begun_s = made.clock.now_s()
     made.stage.move({"a": 40.0})
     took_s = made.clock.now_s() - begun_s
@@ -95,7 +95,7 @@ def test_true_speed_of_the_others(bench, model):
 
 
 def test_a_speed_that_is_not_taken_is_said(bench, monkeypatch):
-    made = bench("thorlabs_apt").homed(None)
+    made = bench("thorlabs_apt").homed()
     take = made.line.emulator._take
 
     def slower(data):
@@ -150,7 +150,7 @@ def test_a_servo_stops_at_once_and_a_stepper_along_its_ramp(request, make, how):
 
 
 def test_a_box_that_begins_late_is_waited_for(bench, monkeypatch):
-    made = bench("thorlabs_apt").homed(None)
+    made = bench("thorlabs_apt").homed()
     channel = made.line.emulator.channel("bay1")
     move = channel.move
     monkeypatch.setattr(
@@ -161,7 +161,7 @@ def test_a_box_that_begins_late_is_waited_for(bench, monkeypatch):
 
 
 def test_a_box_that_does_not_begin_says_why(bench, monkeypatch):
-    made = bench("thorlabs_apt").homed(None)
+    made = bench("thorlabs_apt").homed()
 
     def refuse(one, target):
         words = struct.pack("<HH64s", 0x0453, 17, b"out of range")
@@ -175,7 +175,7 @@ def test_a_box_that_does_not_begin_says_why(bench, monkeypatch):
 
 
 def test_a_box_that_just_does_nothing_holds_the_bench(bench, monkeypatch):
-    made = bench("thorlabs_apt").homed(None)
+    made = bench("thorlabs_apt").homed()
     monkeypatch.setattr(type(made.line.emulator.channel("bay1")), "move", lambda one, target: None)
     with pytest.raises(MotionStopped, match="at the box"):
         made.stage.move({"a": 50.0})
@@ -389,7 +389,7 @@ def test_impossible_channels(channels):
 
 def test_a_box_that_falls_silent_without_server_alive_is_driven_for_minutes(cube):
     """APT protocol, issue 26, p. 30: once a second, or no answer after about fifty commands."""
-    made = cube(firmware={"falls_silent": True}).homed(None)
+    made = cube(firmware={"falls_silent": True}).homed()
     for _ in range(3):
         made.stage.move({"a": 40.0})
         made.clock.sleep_s(30.0)

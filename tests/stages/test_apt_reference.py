@@ -45,14 +45,14 @@ def test_a_restart_between_the_last_look_and_the_move_is_noticed_at_once(bench, 
 
 def test_a_box_that_is_homed_no_more_is_not_believed_though_the_mark_is_there(bench):
     """A fault of its encoder, another program: it says so itself."""
-    made = bench("thorlabs_apt").homed(None)
+    made = bench("thorlabs_apt").homed()
     made.line.emulator.channel("bay1").is_homed = False
     assert made.stage.where_mm() == {"a": None, "b": None}
     assert made.again().axis("a").state is AxisState.UNREFERENCED
 
 
 def test_a_reference_run_that_is_set_otherwise_since_is_not_believed_by_the_next_program(bench):
-    made = bench("thorlabs_apt").homed(None)
+    made = bench("thorlabs_apt").homed()
     channel = made.line.emulator.channel("bay1")
     channel.homing = (*channel.homing[:3], 1234)
     assert made.again().axis("a").state is AxisState.UNREFERENCED

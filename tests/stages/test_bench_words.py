@@ -179,7 +179,7 @@ def test_isel_speeds_are_the_boxs_to_refuse():
 
 @pytest.mark.parametrize(("fastest", "moves"), [(10_000, False), (30_000, True)])
 def test_a_box_that_is_too_slow_says_so(bench, fastest, moves):
-    made = bench("isel_dnc", firmware={"fastest": fastest}, speed_mm_s=50.0).homed(None)
+    made = bench("isel_dnc", firmware={"fastest": fastest}, speed_mm_s=50.0).homed()
     if moves:
         made.stage.move({"a": 60.0})
         assert made.world.true_mm("a") == pytest.approx(60.0, abs=0.1)

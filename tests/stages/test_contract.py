@@ -44,7 +44,7 @@ def test_no_absolute_move_before_homing(bench, kind):
 
 
 def test_true_position_within_10_um_despite_50_um_backlash(bench, kind):
-    made = bench(kind, sim={"lead_error_um": 1.0, "power_up_mm": 75.0}).homed(None)
+    made = bench(kind, sim={"lead_error_um": 1.0, "power_up_mm": 75.0}).homed()
     errors = true_errors_um(made, TARGETS_MM)
     assert max(map(abs, errors)) <= 10.0
     positions = [random.Random(4).uniform(10.0, 115.0) for _ in range(10)]
@@ -52,13 +52,13 @@ def test_true_position_within_10_um_despite_50_um_backlash(bench, kind):
 
 
 def test_from_above_works_as_well(bench, kind):
-    made = bench(kind, approach={"side": "from_above", "distance_mm": 0.3, "speed_mm_s": 1.0}).homed(None)
+    made = bench(kind, approach={"side": "from_above", "distance_mm": 0.3, "speed_mm_s": 1.0}).homed()
     assert max(map(abs, true_errors_um(made, TARGETS_MM))) <= 10.0
 
 
 def test_without_approach_the_backlash_shows(bench, kind):
     """The judge must be able to see what the compensation removes."""
-    made = bench(kind, approach=None).homed(None)
+    made = bench(kind, approach=None).homed()
     assert max(map(abs, true_errors_um(made, TARGETS_MM))) > 40.0
 
 

@@ -27,7 +27,7 @@ def test_a_wrong_scale_shows_in_true_mm(bench, driver):
 
 def test_a_screw_of_another_lead_is_driven_right(bench, driver):
     changes = {"steps_per_mm": 500.0} if driver_class(driver).counts_steps else {}
-    made = bench(driver, sim={"lead_mm": 5.0, "steps_per_rev": 2500}, **changes).homed(None)
+    made = bench(driver, sim={"lead_mm": 5.0, "steps_per_rev": 2500}, **changes).homed()
     assert max(map(abs, true_errors_um(made, (70.0, 55.0)))) <= 10.0
 
 

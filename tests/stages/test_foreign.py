@@ -121,7 +121,7 @@ def test_a_stop_does_not_wait_for_a_call_and_is_said_after_it(made, hang):
 
 def test_after_a_stop_patience_is_short(bench, mocker):
     mocker.patch("stages.foreign.calls.AFTER_STOP_S", 0.2)
-    made = bench("micromanager", box={"call_s": 60.0}).homed(None)
+    made = bench("micromanager", box={"call_s": 60.0}).homed()
     until = made.line.emulator.hangs["send"] = threading.Event()
     threading.Timer(0.1, made.stage.stop).start()
     begun_s = time.monotonic()
@@ -221,7 +221,7 @@ def test_a_program_whose_library_hangs_goes_on_and_ends(program):
 
 @pytest.mark.parametrize("lie", [{"done_early_s": 0.4}, {"begins_late_s": 0.3}, {"begins_late_s": 0.8}])
 def test_done_that_is_said_too_early_is_not_believed(bench, library, lie):
-    made = bench(library, firmware=lie).homed(None)
+    made = bench(library, firmware=lie).homed()
     assert max(map(abs, true_errors_um(made, (60.0, 20.0, 20.3, 110.0)))) <= 10.0
 
 
@@ -245,7 +245,7 @@ def test_a_position_that_is_no_number_is_no_position(made, mocker):
 
 
 def test_a_stage_pushed_aside_has_lost_its_reference(bench, library):
-    made = bench(library, firmware={"encoder": True}).homed(None)
+    made = bench(library, firmware={"encoder": True}).homed()
     made.world.shove("a", 0.5)
     assert made.stage.where_mm()["a"] is None
     with pytest.raises(NotReferenced):
@@ -435,7 +435,7 @@ def test_a_question_that_fails_in_motion_stops_what_moves(made, mocker):
 
 def test_a_stage_that_pauses_on_its_way_has_its_time_anew(bench, library):
     """It rests twice for 0.7 s: before it begins, and half way."""
-    made = bench(library, firmware={"begins_late_s": 0.7}).homed(None)
+    made = bench(library, firmware={"begins_late_s": 0.7}).homed()
     box, channel, begun_s = made.line.emulator, made.table.axes["a"].channel, made.clock.now_s()
     made.clock.at(begun_s + 1.2, lambda: box.stop(channel))
     made.clock.at(begun_s + 2.0, lambda: box._go(channel, 50.0))

@@ -18,7 +18,6 @@ from stages.errors import (
     DeviceError,
     MotionStopped,
     NotReferenced,
-    OutOfRange,
     PortUnavailable,
     StageUsageError,
     WrongDevice,
@@ -169,29 +168,6 @@ def test_a_word_of_a_person_shifts_the_zero(stage):
     assert raw_mm(stage, "a") == pytest.approx(0.1, abs=0.002)
 
 
-def test_nothing_out_of_range_reaches_it(stage):
-    confirmed(stage)
-    before_mm = raw_mm(stage, "a")
-    for mm in (math.nan, math.inf, -0.26, 8.01):
-        with pytest.raises(OutOfRange):
-            stage.move({"b": 0.1, "a": mm})
-        assert (raw_mm(stage, "a"), raw_mm(stage, "b")) == (before_mm, 0.0), mm
-
-
-def test_approach_and_sign(library):
-    box, channels, _ = library
-    approach = {"side": "from_below", "distance_mm": 0.05, "speed_mm_s": 10.0}
-    with Stage.open(table(box(), channels, (-0.25, 0.25), sign=-1, approach=approach)) as stage:
-        confirmed(stage)
-        sent, controller = [], stage.controllers["box"]
-        send = controller._send
-        controller._send = lambda channel, mm: (sent.append(mm), send(channel, mm))
-        stage.move({"a": 0.1})
-        stage.move({"a": 0.0})
-        assert sent == pytest.approx([-0.1, 0.05, 0.0])
-        assert raw_mm(stage, "a") == pytest.approx(0.0, abs=0.002)
-
-
 @pytest.mark.parametrize("after_s", [0.02, 0.3])
 def test_a_stop_holds_at_any_moment(stage, library, after_s):
     confirmed(stage)
@@ -231,14 +207,6 @@ def test_a_stage_that_somebody_else_moves_is_not_believed(stage):
         stage.move({"a": 0.0})
     stage.confirm("a", 0.15)
     stage.move({"a": 0.0})
-
-
-def test_what_is_opened_again_has_no_reference(stage):
-    confirmed(stage)
-    stage.connect("box")
-    assert stage.where_mm() == {"a": None, "b": None}
-    confirmed(stage)
-    stage.move({"a": 0.1})
 
 
 def test_a_restart_in_motion_holds_the_bench():

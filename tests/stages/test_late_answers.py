@@ -56,7 +56,7 @@ def test_a_late_answer_is_never_credited_to_the_next_question(bench, driver):
 
 def test_the_schedules_do_make_questions_time_out(bench, driver):
     """Without repeating, the same schedules are felt; otherwise the test above would prove nothing."""
-    made = bench(driver).homed(None)
+    made = bench(driver).homed()
     felt = 0
     made.controller._ask_again = lambda ask: ask()
     for seed in range(10):

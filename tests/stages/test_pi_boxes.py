@@ -25,7 +25,7 @@ def sent(made):
 ])  # fmt: skip
 def test_what_finds_the_reference_is_asked(bench, firmware, how):
     """pipython's startup: FRF where there is a reference switch, FNL or FPL where there are limits only."""
-    made = bench("pi_gcs2", firmware=firmware).homed(None)
+    made = bench("pi_gcs2", firmware=firmware).homed()
     assert how in sent(made)
     datum_mm = made.world.true_mm("a")
     made.stage.move({"a": 60.0})
@@ -40,7 +40,7 @@ def test_what_finds_the_reference_is_asked(bench, firmware, how):
 
 def test_the_positive_end_is_a_word_of_a_subclass(bench, monkeypatch):
     monkeypatch.setattr(PiController, "at_limit", "FPL")
-    made = bench("pi_gcs2", firmware={"stages": StageMake(switches="limits")}).homed(None)
+    made = bench("pi_gcs2", firmware={"stages": StageMake(switches="limits")}).homed()
     assert b"FPL 1" in sent(made)
     made.stage.move({"a": 60.0})
     assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)

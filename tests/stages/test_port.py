@@ -12,10 +12,12 @@ import serial
 from sim.mechanics.clock import ScaledClock
 from sim.stages import SimulatedStages
 from stages.clock import SYSTEM_CLOCK
+from stages.drivers_by_name import DRIVERS
 from stages.errors import DeviceLost, MotionStopped, NoReply, NotReferenced, PortUnavailable, StageError
 from stages.port import Port
 from stages.stage import Stage
 from stages.states import AxisState
+from tests.slow_cases import slow_but
 from tests.stages.benches import screws, stages_table
 
 SPEED = 25.0  # the simulated world runs that much faster than the wall clock
@@ -40,8 +42,12 @@ def homed(stage):
     stage.move({"a": 40.0})
 
 
-def test_a_device_file_behaves_like_the_controller(served, driver):
-    stage, world = served(driver)
+SOME = slow_but(DRIVERS, "zaber_ascii", "grbl")
+
+
+@pytest.mark.parametrize("box", SOME)
+def test_a_device_file_behaves_like_the_controller(served, box):
+    stage, world = served(box)
     homed(stage)
     datum_mm = world.true_mm("a")
     for target_mm in (42.0, 41.0):
@@ -49,9 +55,10 @@ def test_a_device_file_behaves_like_the_controller(served, driver):
         assert world.true_mm("a") - datum_mm == pytest.approx(target_mm - 40.0, abs=0.010)
 
 
-def test_pulled_out_in_motion(served, driver):
+@pytest.mark.parametrize("box", SOME)
+def test_pulled_out_in_motion(served, box):
     """Error within half a second, position unknown, absolute moves refused."""
-    stage, world = served(driver)
+    stage, world = served(box)
     homed_in_haste(stage, world)
     line = world.lines["box"]
     pulled = []

@@ -240,7 +240,7 @@ def test_a_zaber_axis_that_moves_by_itself_tells_no_position(bench):
 
 def test_nothing_is_homed_beside_a_motion_whose_port_was_lost(bench):
     """The box drives on to its target; who homes another axis meanwhile drives it into its way."""
-    made = bench("zaber_ascii").homed(None)
+    made = bench("zaber_ascii").homed()
     made.clock.at(made.clock.now_s() + 0.3, made.line.unplug)
     with pytest.raises(DeviceLost):
         made.stage.move({"a": 110.0})

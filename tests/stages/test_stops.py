@@ -54,7 +54,7 @@ def test_nothing_moves_after_a_stop_at_any_moment_of_a_move(bench, kind, after_s
 
 def test_a_stop_between_two_moves_is_not_forgotten(bench, kind):
     """What a runner does: move after move; the stop falls where nobody moves anything."""
-    made = bench(kind).homed(None)
+    made = bench(kind).homed()
     made.stage.stop()
     rests_mm = made.world.true_mm("a")
     for _ in range(3):
@@ -64,7 +64,7 @@ def test_a_stop_between_two_moves_is_not_forgotten(bench, kind):
 
 
 def test_a_stop_ends_the_retries(bench, kind, mocker):
-    made = bench(kind).homed(None)
+    made = bench(kind).homed()
     mocker.patch.object(
         made.controller, "rest_position_mm", side_effect=lambda channel: 1.0
     )  # never where it was sent
@@ -83,7 +83,7 @@ def test_a_stop_ends_the_retries(bench, kind, mocker):
 
 
 def test_a_halt_ends_what_has_begun_and_no_more(bench, kind):
-    made = bench(kind).homed(None)
+    made = bench(kind).homed()
     made.clock.at(made.clock.now_s() + 0.5, made.stage.halt)
     with pytest.raises(MotionStopped):
         made.stage.move({"a": 100.0, "b": 40.0})
@@ -92,7 +92,7 @@ def test_a_halt_ends_what_has_begun_and_no_more(bench, kind):
 
 def test_no_byte_that_moves_is_written_between_a_stop_and_its_clearing(bench, driver, mocker):
     """The stop falls between the look at the latch and the write: the gate has to hold it up, or the byte."""
-    made = bench(driver).homed(None)
+    made = bench(driver).homed()
     latch, order, stoppers = made.stage.latch, [], []
     gate_held = threading.Event()
     written = made.controller.port.write
@@ -284,7 +284,7 @@ def test_a_question_unanswered_before_a_move_is_no_stop(bench, mocker):
 
 def test_one_look_at_rest_after_a_stop_is_not_believed(bench, kind, mocker):
     """A command that was under way begins behind the first look: it has to be stopped again."""
-    made = bench(kind).homed(None)
+    made = bench(kind).homed()
     axis, token = made.stage.axis("a"), made.stage.latch.begin()
     looks = [False, False, True, False, False, False]  # it begins to move behind the second look
     asked, stops = [], []

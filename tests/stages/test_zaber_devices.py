@@ -27,7 +27,7 @@ def test_settings_are_left_alone_where_a_motion_takes_its_own(bench, firmware, w
 
 
 def test_older_firmware_refuses_a_motion_with_a_speed(bench):
-    made = bench("zaber_ascii", firmware={"firmware": "6.28"}).homed(None)
+    made = bench("zaber_ascii", firmware={"firmware": "6.28"}).homed()
     with pytest.raises(CommandRejected, match="BADDATA"):
         made.controller._tell("1/1", "move abs 4000 1000 20")
 

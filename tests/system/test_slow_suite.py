@@ -2,17 +2,15 @@
 
 import datetime as dt
 import json
-import re
 import subprocess
 import sys
 import textwrap
 
 import pytest
 
-from tests.slow_suite import KEPT, ROOT, SHARDS, balance, commit, main, shard_of, summary, write
+from tests.slow_suite import ROOT, SHARDS, balance, commit, main, shard_of, write
 
 NOW = dt.datetime(2026, 11, 24, 12, 0, tzinfo=dt.UTC)
-SECONDS = (900, 20, 30, 400, 300, 200, 10, 5, 500, 60, 70, 80)
 TAKES_S = {
     f"tests/test_{n}.py": float(s) for n, s in enumerate((900, 20, 30, 400, 300, 200, 10, 5, 500, 60, 70, 80))
 }
@@ -57,46 +55,6 @@ def test_known_files_are_dealt_out_evenly_and_a_new_one_moves_no_other():
     assert {file: shard_of(file, TAKES_S, 4) for file in TAKES_S} == of
     spread = {shard_of(f"tests/test_new_{n}.py", TAKES_S, SHARDS) for n in range(200)}
     assert spread == set(range(1, SHARDS + 1))
-
-
-def test_what_is_kept_is_of_shards_that_there_are():
-    kept = json.loads(KEPT.read_text("utf-8"))
-    assert set(kept["last"]) <= {str(shard) for shard in range(1, SHARDS + 1)}
-
-
-@pytest.mark.parametrize(
-    ("last", "said"),
-    [
-        ({}, "slow suite: 0 of 16 shards green; 16 never run"),
-        (
-            {str(shard): result("abc1234", 3) for shard in range(1, 13)},
-            "slow suite: 12 of 16 shards green at abc1234, 3 days ago; 4 never run",
-        ),
-        (
-            {
-                str(shard): result("abc1234" if shard == 5 else "def5678", 2 * (shard == 5))
-                for shard in range(1, 17)
-            },
-            "slow suite: 16 of 16 shards green at abc1234 or later, 2 days ago",
-        ),
-        (
-            {"3": result("abc1234", 2, "tests/test_a.py::test_b", "c", "d"), "2": result("def5678", 0, "e")},
-            "slow suite: 0 of 16 shards green; 2 red at def5678: e; "
-            "3 red at abc1234: tests/test_a.py::test_b and 2 more; 14 never run",
-        ),
-    ],
-)
-def test_one_line_says_what_is_green_how_old_and_what_was_never_run(last, said):
-    assert summary(last, NOW) == said
-
-
-def test_the_line_is_cheap():
-    ran = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", "tests.slow_suite"], cwd=ROOT, capture_output=True, text=True
-    )
-    assert ran.returncode == 0
-    assert ran.stdout.startswith("slow suite: ")
-    assert not re.search(r"\b(pytest|numpy)\b", ran.stderr)
 
 
 def test_a_shard_counts_its_own_tests_and_keeps_what_they_say(tmp_path):
