@@ -11,6 +11,7 @@ import pytest
 from sim.mechanics.clock import VirtualClock
 from stages.drivers_by_name import FOREIGN
 from stages.errors import DeviceLost, StageError
+from tests.slow_cases import slow
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 STEPS = 12
@@ -133,13 +134,7 @@ def run(bench, library, seed):
     return player
 
 
+@pytest.mark.parametrize("count", [4, slow(200)])
 @pytest.mark.parametrize("library", FOREIGN)
-@pytest.mark.parametrize("seed", range(4))
-def test_nothing_passes_a_limit_moves_after_a_stop_or_is_told_falsely(bench, library, seed):
-    run(bench, library, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("library", FOREIGN)
-def test_many_sequences(bench, library):
-    assert sum(run(bench, library, seed).lost for seed in range(100, 300)) > 50
+def test_nothing_passes_a_limit_moves_after_a_stop_or_is_told_falsely(bench, library, count):
+    assert sum(run(bench, library, seed).lost for seed in range(count)) >= count // 4

@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.slow_cases import slow
 from tests.stages.killed import Killed, ToldWatchdog
 
 WATCHDOG_S = (0.02, 0.05, 0.1, 0.22)  # after a kill, when it writes what stops
@@ -85,15 +86,8 @@ def play_all(bench, driver, doing, how, number):
     return ended
 
 
+@pytest.mark.parametrize("number", [2, slow(30)])
 @pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
 @pytest.mark.parametrize("doing", DOINGS)
-def test_nothing_moves_on_when_a_program_has_ended(bench, driver, doing, how):
-    assert play_all(bench, driver, doing, how, 2) > 4
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
-@pytest.mark.parametrize("doing", DOINGS)
-def test_nothing_moves_on_wherever_a_program_has_ended(bench, driver, doing, how):
-    assert play_all(bench, driver, doing, how, 30) > 60
+def test_nothing_moves_on_when_a_program_has_ended(bench, driver, doing, how, number):
+    assert play_all(bench, driver, doing, how, number) > 2 * number

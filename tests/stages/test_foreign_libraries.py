@@ -195,20 +195,6 @@ def test_a_stop_holds_at_any_moment(stage, library, after_s):
         assert raw_mm(stage, "a") == pytest.approx(0.0, abs=0.002)
 
 
-def test_a_stage_that_somebody_else_moves_is_not_believed(stage):
-    """A joystick, another program, or a restart: it reads something else than where it came to rest."""
-    confirmed(stage)
-    stage.move({"a": 0.1})
-    controller, channel = stage.controllers["box"], stage.axis("a").settings.channel
-    controller._send(channel, 0.15)
-    time.sleep(0.3)
-    assert stage.where_mm()["a"] is None
-    with pytest.raises(NotReferenced):
-        stage.move({"a": 0.0})
-    stage.confirm("a", 0.15)
-    stage.move({"a": 0.0})
-
-
 def test_a_restart_in_motion_holds_the_bench():
     with Stage.open(table(own_box(), ("x", "y"))) as stage:
         confirmed(stage)

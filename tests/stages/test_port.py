@@ -1,7 +1,5 @@
 """The port on real pseudo-terminals: unplugging, sharing, deadlines, threads."""
 
-import subprocess
-import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -99,16 +97,6 @@ def test_stop_from_another_thread_gets_through(served, driver):
     rests_mm = world.true_mm("a")
     time.sleep(0.1)
     assert world.true_mm("a") == rests_mm < 109.0
-
-
-def test_a_second_process_is_refused(served):
-    stage, _ = served("zaber_ascii")
-    path = stage.controllers["box"].port.url
-    script = "import sys; from stages.port import Port; Port(sys.argv[1], 115200)"
-    other = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, timeout=60)
-    assert other.returncode != 0
-    assert "in use by another process" in other.stderr
-    homed(stage)
 
 
 def test_a_port_that_is_not_there_says_so():

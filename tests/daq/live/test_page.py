@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.slow_cases import slow_but
+
 pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
@@ -355,7 +357,7 @@ def test_whoever_is_killed_leaves_nothing_in_memory(tmp_path: Path) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("heard", ["all", "half", "nothing"])
+@pytest.mark.parametrize("heard", slow_but(["all", "half", "nothing"], "half"))
 def test_a_server_whose_program_is_killed_as_it_begins_says_nothing_and_gives_memory_back(heard: str) -> None:
     slot = SlotWriter(1000)
     command, environment = child("daq.live.serve", str(slot.path))
