@@ -196,7 +196,7 @@ MUTANTS: tuple[tuple[str, str, str], ...] = (
     ("            if box.may_be_on:\n", "            if box.is_lost and not box.may_be_on:\n",
      "test_leaving_a_laser_that_is_out_of_reach_says_that_it_may_still_give_light"),
     ("self._try_stop(str(error) or type(error).__name__)", "self._mark_unknown(str(error))",
-     "test_a_refusal_while_it_begins_switches_off"),
+     "test_a_start_whose_first_answer_is_0_is_switched_off_at_once"),
     ("if self.box.is_lost:", "if not self.box.is_lost:",
      "test_a_burst_made_endless_at_the_keys_while_the_cable_is_out_is_off_with_the_first_word"),
     ("if now_s - self._asking_s.get(name, now_s) > SILENCE_S:", "if self._asking_s.get(name, now_s) > now_s:",

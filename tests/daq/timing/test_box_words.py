@@ -1,7 +1,6 @@
 """The first day at a laser's box: each way in which it does not answer is a sentence of its own, with its cure."""
 
 import pytest
-import serial
 
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
@@ -11,9 +10,8 @@ from sim.emulators.device import Emulator
 from sim.emulators.grbl import GrblEmulator
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
-from sim.emulators.pty import PtyPort
 from sim.emulators.zaber_ascii import ZaberEmulator
-from sim.mechanics.clock import ScaledClock, VirtualClock
+from sim.mechanics.clock import VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
 from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.timing_boxes.pulsing import PulsingEmulator
@@ -113,22 +111,7 @@ def test_a_box_that_falls_silent_half_way(driver, on_line):
         box.silence()
 
 
-def test_a_port_that_is_not_there_busy_or_forbidden(driver, monkeypatch):
-    said = rf"laser .{WIRED[driver][2]} baud.: "
-    with pytest.raises(PortUnavailable, match=rf"{said}/dev/no-port does not exist; is the controller"):
+def test_a_port_that_cannot_be_opened_is_said_with_the_rate(driver):
+    """Busy and forbidden ones are those of all boxes: tests/stages/test_bench_words.py."""
+    with pytest.raises(PortUnavailable, match=rf"laser .{WIRED[driver][2]} baud.: /dev/no-port does not exist"):
         box_of(driver).connect("/dev/no-port")
-    clock = ScaledClock()
-    with PtyPort(Line(Mute({}, clock), clock)) as port:
-        holder = serial.Serial(port.path, exclusive=True)
-        with pytest.raises(PortUnavailable, match=rf"{said}/dev/.* is in use by another process"):
-            box_of(driver, clock).connect(port.path)
-        holder.close()
-
-    def forbidden(self):
-        raise serial.SerialException(13, "Permission denied")
-
-    monkeypatch.setattr("serial.Serial.open", forbidden)
-    with pytest.raises(
-        PortUnavailable, match=r"laser .*may not be opened by this user; add the user to the group"
-    ):
-        box_of(driver).connect("/dev/ttyUSB9")
