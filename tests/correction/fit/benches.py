@@ -67,9 +67,9 @@ def photograph(
 
 
 @cache
-def fitted(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tuple[float, ...] = ()) -> SceneFit:
+def fitted(name: str, seed: int, *more: object) -> SceneFit:
     """Fit of `bench`."""
-    made = bench(name, seed, bare_mm, glass_mm)
+    made = bench(name, seed, *more)  # type: ignore[arg-type]
     return fit_scene(made.nominal, made.frames, made.board)
 
 

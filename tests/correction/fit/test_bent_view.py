@@ -106,13 +106,6 @@ def test_what_the_bending_of_a_view_does_to_corners_is_taken_off():
 
 
 @pytest.mark.slow
-def test_two_balls_pull_more_than_half_as_much_as_is_taken_off():
-    shown, away, sigma, doubt = found("three_spheres_500", 2.5)
-    chain = shown.ways == "sphere3 > sphere2"
-    assert abs(left(away[chain], sigma[chain], doubt[chain])) < 2.0 * LEFT
-
-
-@pytest.mark.slow
 def test_a_view_that_hardly_bends_leaves_no_doubt_of_its_corners():
     shown, _, _, doubt = found("pair_off_axis", 3.5)
     clear = shown.rim_px > 20.0

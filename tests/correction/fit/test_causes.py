@@ -19,7 +19,7 @@ from tests.slow_cases import slow
 from tracer.board import LARGE_DOTS, Dots
 from tracer.scene.scene_file import load_priors, load_scene
 
-MADE = "two_spheres_500", 6, (-10.0, 10.0), (), 714
+MADE = "two_spheres_500", 6, (-10.0, 10.0), (), 504
 TANK = """
 wavelength_nm: 532.0
 camera: {focal_px: 1600.0, position_mm: [0.0, 0.0, 700.0], sensor_px: [480, 384]}

@@ -138,19 +138,6 @@ def test_a_bent_board_is_named_and_what_it_does_to_the_camera_is_in_sigma(seed):
     assert np.sqrt(np.mean((error / sigma) ** 2)) < 1.7  # of one lab; 3.8 where the bend gets one linear step
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [57020, 57027])
-def test_a_lens_term_too_small_for_an_alarm_is_said_and_what_it_does_to_balls_is_in_sigma(seed):
-    lab = drawn_lab(seed, "lens term", draw=stranger)
-    verdict = lab.fit.verdict
-    assert verdict.is_right  # residuals bend less than corners may err alike
-    assert "a lens term is missing" in verdict.sentences[1]
-    for error, sigma in ((lab.error_px, lab.sigma_px), lab.beside[1:]):
-        inside = np.abs(error) < 2.0 * sigma
-        assert np.mean(inside) > 0.8
-        assert np.sum(error**2 * inside) > 0.9 * np.sum(error**2)
-
-
 def test_where_no_cause_is_named_all_that_may_be_reach_sigma_as_far_as_they_are_likely():
     changes = np.arange(1.0, 7.0).reshape(2, 3, 1)
     rivals = tuple(

@@ -1,9 +1,6 @@
 """Centres of dots: what perspective and balls do to their pictures is known from the rays, and taken off."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.bent_view import window_bias
@@ -15,7 +12,6 @@ from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import DotGrid, Pose, place
 from sim.renderer.render import render, render_irradiance
 from sim.renderer.sensor import Sensor
-from tests.correction.fit.benches import errors_behind
 from tests.correction.target.drawn_boards import camera
 from tracer.board import LARGE_DOTS, Dots
 from tracer.scene.scene import Scene
@@ -71,29 +67,6 @@ def test_centres_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_of
     assert np.sqrt(np.mean(off[there] ** 2)) < 0.02
 
 
-def seen(paper, seed, samples):
-    """A nominal scene, the true one, and frames of the grid, bare and through two balls."""
-    nominal = at_size(demo_scene("two_spheres_500"), 1008)
-    truth = misalign(nominal, seed)
-    frames = [
-        TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=samples, seed=1), False),
-        TargetFrame("glass", render(truth, paper, Sensor(), samples=samples, seed=2), True),
-    ]
-    return nominal, truth, frames
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 4, 5])
-def test_the_map_behind_two_balls_is_right_by_dots(seed):
-    board, paper = grid(3.5)
-    nominal, truth, frames = seen(paper, seed, 8)
-    fit = fit_scene(nominal, frames, board)
-    error, _, compared = errors_behind(fit, truth)
-    assert compared > 0.99
-    assert np.sqrt(np.mean(error**2)) < 0.01
-    assert fit.board == replace(board, scale=fit.board.scale)
-
-
 def test_dots_that_are_all_alike_fit_a_camera_by_the_origin_pointed_at_in_the_first_of_three_heights():
     nominal = at_size(demo_scene("two_spheres_500"), 504)
     truth = misalign(nominal, 3).with_bodies(())
@@ -101,7 +74,7 @@ def test_dots_that_are_all_alike_fit_a_camera_by_the_origin_pointed_at_in_the_fi
     paper = DotGrid(5.0, 2.0, **words)
     frames = [
         TargetFrame(
-            f"z{z:g}", render(truth, place(paper, Pose((0.0, 0.0, z))), Sensor(), samples=4, seed=1), False, z
+            f"z{z:g}", render(truth, place(paper, Pose((0.0, 0.0, z))), Sensor(), samples=2, seed=1), False, z
         )
         for z in (0.0, 12.0, -12.0)
     ]

@@ -16,6 +16,8 @@ from sim.renderer.patterns import CodedBoard
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import SQUARE_MM, errors_behind
+from tests.correction.fit.test_dots import grid
+from tests.correction.fit.test_plates import plate
 from tracer.board import Codes
 
 CODES = Codes("DICT_4X4_1000", 0.7)
@@ -30,28 +32,33 @@ BOARDS = {
     ),
 }
 
-
-def seen(paper, seed=3):
-    """A nominal scene, the true one, and frames of the target, bare and through two balls."""
-    nominal = at_size(demo_scene("two_spheres_500"), 1008)
-    truth = misalign(nominal, seed)
-    frames = [
-        TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=3, seed=1), False),
-        TargetFrame("glass", render(truth, paper, Sensor(), samples=3, seed=2), True),
-    ]
-    return nominal, truth, frames
+CASES = [
+    *(("discs", 3), ("plain", 3), ("charuco", 3), ("dots", 3), ("dots", 4), ("dots", 5), ("rows", 3), ("rows", 4)),
+    *(("rows", 5), ("alternating", 3), ("columns", 4)),
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", BOARDS)
-def test_the_map_is_right_by_any_board(kind):
-    board, paper = BOARDS[kind]
-    nominal, truth, frames = seen(paper)
+@pytest.mark.parametrize(("kind", "seed"), CASES)
+def test_the_map_behind_two_balls_is_right_by_any_board(kind, seed):
+    if kind == "dots":
+        board, paper = grid(SQUARE_MM)
+    elif kind in BOARDS:
+        board, paper = BOARDS[kind]
+    else:
+        board, paper = plate(kind, 1.0, SQUARE_MM, bright=kind == "rows")
+    nominal = at_size(demo_scene("two_spheres_500"), 1008)
+    truth, samples = misalign(nominal, seed), 3 if kind in BOARDS else 5
+    frames = [
+        TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=samples, seed=1), False),
+        TargetFrame("glass", render(truth, paper, Sensor(), samples=samples, seed=2), True),
+    ]
     fit = fit_scene(nominal, frames, board)
     error, _, compared = errors_behind(fit, truth)
     assert compared > 0.99
     assert np.sqrt(np.mean(error**2)) < (0.02 if kind == "charuco" else 0.01)  # whose squares are twice as large
-    assert fit.board.odd_bright == (paper.odd_bright if kind != "charuco" else board.odd_bright)
+    assert not fit.verdict.unlisted
+    assert fit.board.odd_bright == (paper.odd_bright if kind in ("discs", "plain") else board.odd_bright)
 
 
 def test_a_plain_board_of_another_count_is_refused_with_both():

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from correction.errors import FitFailed
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import in_target_frame
@@ -17,9 +16,6 @@ from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tracer.bodies import Rod
-from tracer.light_table import LightTable
-from tracer.media import MEDIA
-from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 
@@ -109,28 +105,3 @@ def test_the_map_is_true_and_its_sigma_honest(name):
     assert known.mean() > 0.9
     assert np.sqrt(np.mean(error[known] ** 2)) <= 0.05
     assert np.mean(error < 5.0 * sigma + 0.01) > 0.99
-
-
-@pytest.mark.slow  # the fast suite has one in test_refusals.py
-@pytest.mark.parametrize("square_mm", [3.6, 2.5])
-def test_another_square_than_described_is_said(square_mm):
-    lab = Lab("pair_off_axis", 4)
-    nominal, truth = scenes(lab)
-    words = rf"the camera should see those of {square_mm:g} mm .* give the right square_mm \(about 3\.5\)"
-    with pytest.raises(FitFailed, match=words):
-        fit_scene(nominal, photographs(lab, truth), Chessboard(square_mm, 0.4 * square_mm))
-
-
-@pytest.mark.slow
-def test_target_frames_in_led_light_give_the_index_of_the_laser():
-    """N-BK7 differs by 0.0028 between 590 and 532 nm; half a pixel behind a ball."""
-    lab = Lab("pair_off_axis", 4)
-    nominal, truth = scenes(lab)
-    glass = MEDIA["N-BK7"]
-    nominal, truth = (s.with_bodies([replace(b, medium=glass) for b in s.bodies]) for s in (nominal, truth))
-    frames = photographs(lab, replace(truth, wavelength_nm=590.0))
-    fit = fit_scene(nominal, frames, Chessboard(3.5, 1.4), FitTable(light=LightTable(mean_nm=590.0)))
-    sigma = fit.sigmas[fit.names.index("glass N-BK7.n")]
-    assert fit.measured_scene.spheres[0].medium.n(532.0) == pytest.approx(glass.n(532.0), abs=3.0 * sigma)
-    assert 3.0 * sigma < glass.n(532.0) - glass.n(590.0)  # else the bound above says nothing
-    assert fit.measured_scene.wavelength_nm == 532.0

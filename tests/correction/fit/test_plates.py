@@ -17,7 +17,6 @@ from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import DotGrid, Plate
 from sim.renderer.render import render, render_irradiance
 from sim.renderer.sensor import Sensor
-from tests.correction.fit.benches import errors_behind
 from tests.correction.fit.test_dots import EXACT
 from tests.slow_cases import slow
 from tracer.board import LARGE_DOTS, Dots
@@ -106,26 +105,6 @@ def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles
         there = fit.valid & np.isfinite(aside[:, 0]) & own
         assert there.sum() > 12
         assert np.sqrt(np.mean(off[there] ** 2)) < 0.02
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "levels", "bright"),
-    [(3, "rows", True), (4, "rows", True), (5, "rows", True), (3, "alternating", False), (4, "columns", False)],
-)
-def test_the_map_behind_two_balls_is_right_by_plates(seed, levels, bright):
-    board, paper = plate(levels, 1.0, 3.5, bright)
-    nominal = at_size(demo_scene("two_spheres_500"), 1008)
-    truth = misalign(nominal, seed)
-    frames = [
-        TargetFrame("clear", render(truth.with_bodies(()), paper, Sensor(), samples=5, seed=1), False),
-        TargetFrame("glass", render(truth, paper, Sensor(), samples=5, seed=2), True),
-    ]
-    fit = fit_scene(nominal, frames, board)
-    error, _, compared = errors_behind(fit, truth)
-    assert not fit.verdict.unlisted
-    assert compared > 0.99
-    assert np.sqrt(np.mean(error**2)) < 0.01
 
 
 FREE = FitCameraTable(position_mm=20.0, rotation_deg=3.0, focal_px=100.0, principal_px=30.0)

@@ -105,13 +105,6 @@ def test_wrong_glass_is_never_silent():
     assert caught.value.value != caught.value.limit
 
 
-@pytest.mark.slow
-def test_a_sphere_that_the_scene_does_not_list_is_never_silent():
-    nominal = bench(*MADE).nominal
-    with pytest.raises((FitFailed, GlassNotSeen)):
-        fit_scene(nominal.with_bodies(nominal.bodies[:1]), clear_and_glass(), BOARD)
-
-
 def test_another_square_than_believed_is_noticed_by_the_distance():
     truth = bench(*MADE).truth
     clear = photograph(truth.with_bodies(()), False, 0.0, 1, square_mm=1.1 * SQUARE_MM)

@@ -14,21 +14,23 @@ from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
 from correction.target import Chessboard
 from ground.errors import MapFileError
-from tests.correction.fit.benches import BOARD, bench, fitted, map_error_px, photograph
+from tests.correction.fit.benches import bench, fitted, map_error_px, photograph
+from tests.slow_cases import slow
 from tracer.bodies import Core
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 
-CASES = [("two_spheres_500", 6)]
-SLOW = [("pair_off_axis", 4), ("three_spheres_500", 3), ("pyramid_500", 5), ("one_sphere_250", 7), ("tilted", 8)]
+SMALL = "two_spheres_500", 6, (), (), 714
+SLOW = [("two_spheres_500", 6), ("pair_off_axis", 4), ("three_spheres_500", 3), ("pyramid_500", 5)]
+SLOW += [("one_sphere_250", 7), ("tilted", 8)]
 STACK = ((-20.0, 20.0), (-10.0, -20.0))
-PARAMS = [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW)]
+PARAMS = [SMALL, *map(slow, SLOW)]
 
 
-@pytest.mark.parametrize(("name", "seed"), PARAMS)
-def test_fitted_map_is_the_true_map(name, seed):
-    made, fit = bench(name, seed), fitted(name, seed)
+@pytest.mark.parametrize("lab", PARAMS, ids=lambda lab: lab[0])
+def test_fitted_map_is_the_true_map(lab):
+    made, fit = bench(*lab), fitted(*lab)
     assert fit.verdict.is_right, fit.verdict.sentences
     grid = grid_of(made.truth.camera)
     truth = build_correction_map(made.truth, build_ray_map(made.truth), grid)
@@ -48,7 +50,7 @@ def test_fitted_map_is_the_true_map(name, seed):
 
 
 def test_map_sigma_covers_the_recovered_map_and_survives_the_disk(tmp_path):
-    fit = fitted(*CASES[0])
+    fit = fitted(*SMALL)
     sigma = map_sigma(fit, step=8)
     known = np.isfinite(sigma.sigma_px[..., 0])
     whole = build_correction_map(fit.scene, build_ray_map(fit.scene)).recovered[::8, ::8]
@@ -92,9 +94,9 @@ def filled(scene: Scene) -> Scene:
     return scene.with_bodies([replace(ball, cores=(Core(0.8 * ball.radius_mm, water),)) for ball in scene.spheres])
 
 
-@pytest.mark.parametrize(("name", "seed"), PARAMS)
-def test_spheres_are_found_within_their_sigmas_and_the_bounds_asked_for(name, seed):
-    made, fit = bench(name, seed), fitted(name, seed)
+@pytest.mark.parametrize("lab", PARAMS, ids=lambda lab: lab[0])
+def test_spheres_are_found_within_their_sigmas_and_the_bounds_asked_for(lab):
+    made, fit = bench(*lab), fitted(*lab)
     for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
         off = np.subtract(found.centre_mm, true.centre_mm)
         assert np.abs(off[:2]).max() <= 0.020
@@ -105,19 +107,19 @@ def test_spheres_are_found_within_their_sigmas_and_the_bounds_asked_for(name, se
             assert abs(off[axis]) < 4.0 * sigma
 
 
-@pytest.mark.parametrize(("name", "seed"), PARAMS)
-def test_corners_behind_glass_are_found_and_explained(name, seed):
-    fit = fitted(name, seed)
+@pytest.mark.parametrize("lab", PARAMS, ids=lambda lab: lab[0])
+def test_corners_behind_glass_are_found_and_explained(lab):
+    fit = fitted(*lab)
     assert fit.share >= 0.85
     assert fit.corners.rms_px(behind=True).max() <= 0.07
     assert fit.corners.rms_px(behind=False).max() <= 0.03
 
 
 def test_corrected_target_lies_on_the_regular_grid():
-    made, fit = bench("two_spheres_500", 6), fitted("two_spheres_500", 6)
+    made, fit = bench(*SMALL), fitted(*SMALL)
     corrector = Corrector(build_correction_map(fit.scene, build_ray_map(fit.scene)))
     frame = next(frame for frame in made.frames if frame.glass)
-    behind = target_error(corrector(frame.image), corrector, BOARD).regions["behind glass"]
+    behind = target_error(corrector(frame.image), corrector, made.board).regions["behind glass"]
     assert behind.found >= 40
     assert max(behind.rms_px) <= 0.10
 
@@ -135,7 +137,7 @@ def test_stack_separates_depth_from_n():
 
 
 def test_what_one_plane_cannot_tell_is_said_with_the_cure():
-    found = weaknesses(fitted("two_spheres_500", 6))
+    found = weaknesses(fitted(*SMALL))
     mixed = [weak for weak in found if any(name.endswith(".n") for name in weak.names) and len(weak.names) > 1]
     assert mixed
     assert "add target planes at -10 and -20 mm" in mixed[0].sentence
@@ -144,8 +146,6 @@ def test_what_one_plane_cannot_tell_is_said_with_the_cure():
 
 @pytest.mark.slow
 def test_the_same_frames_give_the_same_fit():
-    from correction.fit.scene_fit import fit_scene
-
-    made, fit = bench(*CASES[0]), fitted(*CASES[0])
-    again = fit_scene(made.nominal, list(reversed(made.frames)), BOARD)
+    made, fit = bench(*SMALL), fitted(*SMALL)
+    again = fit_scene(made.nominal, list(reversed(made.frames)), made.board)
     assert again.scene.content_hash() == fit.scene.content_hash()

@@ -1,6 +1,6 @@
 """Labs that resemble none of ours: right ones raise no alarm, one sigma is one sigma, wrong ones are named.
 
-``make labs LABS=300`` draws so many of them.
+``make labs LABS=300`` draws so many of them; some are photographed as well.
 """
 
 import os
@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.correction.fit.drawn_labs import Drawn, drawn_lab
+from tests.correction.fit.lab_table import KNOWN_PX, Row, fitted
 from tests.correction.fit.strangers import stranger
 
 LABS = int(os.environ.get("LABS", "20"))
 FIRST = 52000
 COSTLY_PX = 0.05
-KNOWN_PX = 0.1  # larger sigmas are what a scene leaves open, and come from what was believed beforehand
 FAULTS = ("index", "ball off", "lens term", "bent board")
 
 
@@ -55,3 +55,11 @@ def test_a_wrong_lab_that_costs_something_is_named_or_held_by_its_sigma(fault):
         inside = np.abs(lab.error_px) < 2.0 * lab.sigma_px
         held = np.sum(lab.error_px**2 * inside) / np.sum(lab.error_px**2)
         assert lab.cost_px < COSTLY_PX or not lab.fit.verdict.is_right or held > 0.95, lab.fit.verdict.sentences
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_photographed_labs_are_right_or_refused_and_never_wrong_in_silence():
+    rows = [fitted(Row("stranger", "", FIRST + n)) for n in range(LABS // 2)]
+    assert not [row for row in rows if row.said == "error" or row.is_silent]
+    assert sum(row.said == "right" for row in rows) >= len(rows) // 2

@@ -14,6 +14,7 @@ from correction.target import Chessboard
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
+from tests.slow_cases import slow
 from tracer.bodies import Sphere
 from tracer.camera import Camera, look_at
 from tracer.media import ConstantMedium, Medium
@@ -23,6 +24,7 @@ from tracer.strategies.sensitivity import TargetPose
 SIZE_PX, VIEW_MM, AWAY_MM = (560, 480), 64.0, 290.0
 BOARD = Chessboard(3.7, 1.5)  # so wide that few corners are seen through a ball
 LATTICE = [np.array([[-10, -9], [10, 9]])]
+MORE_RADII = ("high", -0.01), ("alone", 0.01), ("low", 0.02)
 FLINT, CROWN = ConstantMedium(1.62), ConstantMedium(1.47)
 
 
@@ -87,7 +89,7 @@ def test_a_print_that_is_larger_than_measured_is_compared_as_large_as_it_was_fou
 
 @pytest.mark.parametrize(
     ("ball", "share"),
-    [("high", 0.02), ("high", -0.01), ("alone", 0.01), ("alone", -0.02), ("low", 0.02), ("low", -0.01)],
+    [("high", 0.02), ("alone", -0.02), ("low", -0.01), *(slow(*one) for one in MORE_RADII)],
 )
 def test_a_radius_that_is_a_hundredth_off_is_named(ball, share):
     found = compared(with_ball(ball, radius=share), frame(lab()))
@@ -101,7 +103,7 @@ def test_a_radius_that_is_a_hundredth_off_is_named(ball, share):
         assert all(word in str(misfit) for word in ("radius", "glass", "place", "hollow", "does not list"))
 
 
-@pytest.mark.parametrize(("ball", "n"), [("high", 0.1), ("alone", -0.05), ("low", 0.02), ("low", 0.08)])
+@pytest.mark.parametrize(("ball", "n"), [slow("high", 0.1), ("alone", -0.05), ("low", 0.02), slow("low", 0.08)])
 def test_another_glass_is_a_misfit_of_its_view_and_no_body(ball, n):
     found = compared(with_ball(ball, n=n), frame(lab()))
     assert found.misfits
@@ -146,7 +148,7 @@ def heap(seed: int) -> Scene:
     return Scene(lab().camera, tuple(Sphere(f"h{n}", b, radius, glass) for n, b in enumerate(balls)))
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 12))])
+@pytest.mark.parametrize("seed", [0, *map(slow, range(1, 12))])
 def test_a_right_heap_of_touching_balls_is_not_doubted(seed):
     scene, board = heap(seed), Chessboard(1.9, 0.76)
     image = render(scene, Print(1.9, 0.76), Sensor(), samples=3, seed=seed)

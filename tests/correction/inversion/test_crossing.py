@@ -7,6 +7,7 @@ import pytest
 
 from correction.maps.correction_map import build_correction_map, nodes_in_glass
 from correction.node_status import NodeStatus
+from tests.slow_cases import slow
 from tests.tracer.scenes import ball, camera_at
 from tests.tracer.second_formulation import second
 from tests.tracer.test_crossing import crossing_scene
@@ -33,7 +34,9 @@ def sight(scene: Scene, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return free, room
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [*range(4), *map(slow, range(4, 8))]
+)  # few balls and many, with cores and without
 def test_every_node_is_where_a_second_tracer_lands(seed: int) -> None:
     """To 1e-6 px of a straight view; nodes with a free line of sight are direct, no others; none in glass."""
     rng = np.random.default_rng(40 + seed)

@@ -1,6 +1,7 @@
 """A map through a pupil: particles' centroids where they are small moves, left out where they are not."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -27,9 +28,14 @@ def at(f_number: float | None):
     return scene.with_camera(replace(scene.camera, pupil=pupil))
 
 
+@cache
+def map_of(f_number: float | None):
+    return prepare(at(f_number)).corrector.map
+
+
 def test_nodes_are_looked_up_at_centroids():
     scene = at(5.6)
-    pinhole, wide = prepare(at(None)).corrector.map, prepare(scene).corrector.map
+    pinhole, wide = map_of(None), map_of(5.6)
     behind = wide.behind_glass
     step = (wide.pixel[0] - pinhole.pixel[0])[behind][::7]
     own = pupil_views(scene, scene.camera.pupil, pinhole.pixel[0][behind][::7]).of_particles()
@@ -47,7 +53,7 @@ def test_nodes_are_looked_up_at_centroids():
 def test_raw_centroids_go_back_to_their_chief_rays(f_number, moved_px, left_px):
     """Tracks and raw vectors are traced along chief rays: what the pupil moved is taken off, or left out."""
     scene = at(f_number)
-    pinhole = prepare(at(None)).corrector.map
+    pinhole = map_of(None)
     chief = pinhole.pixel[0][pinhole.behind_glass][::13]
     blur = pupil_views(scene, scene.camera.pupil, chief).of_particles()
     seen = np.isfinite(blur.shift_px).all(axis=1) & (blur.lost == 0.0)
@@ -66,7 +72,7 @@ def test_raw_centroids_go_back_to_their_chief_rays(f_number, moved_px, left_px):
 
 def test_between_traced_nodes_the_blur_is_interpolated():
     scene = at(11.0)
-    pinhole = prepare(at(None)).corrector.map
+    pinhole = map_of(None)
     behind = np.count_nonzero(pinhole.behind_glass)
     every, some = blur_map(pinhole, scene), blur_map(pinhole, scene, nodes=behind // 9)
     off = np.abs(every.shift_px - some.shift_px)[every.usable & some.usable]
@@ -76,11 +82,11 @@ def test_between_traced_nodes_the_blur_is_interpolated():
 
 def test_what_a_wide_pupil_blurs_is_left_out():
     scene = at(1.4)
-    found = prepare(scene).corrector.map
+    found = map_of(1.4)
     left_out = found.status == NodeStatus.BLURRED
     assert left_out.any()
-    blur = blur_map(prepare(at(None)).corrector.map, scene)
-    assert np.array_equal(left_out | found.behind_glass, prepare(at(None)).corrector.map.behind_glass)
+    blur = blur_map(map_of(None), scene)
+    assert np.array_equal(left_out | found.behind_glass, map_of(None).behind_glass)
     assert not blur.usable[left_out].any()
     assert np.isnan(found.pixel[0][left_out]).all()
 

@@ -188,7 +188,7 @@ def test_white_paper_at_full_scale_moves_no_corner():
     assert miss_mm(found, to_board) < 0.012
 
 
-@pytest.mark.parametrize(("counts", "blur_px"), [(8.0, 0.7), (12.0, 0.7), (4.0, 2.5), (8.0, 2.5)])
+@pytest.mark.parametrize(("counts", "blur_px"), [slow(8.0, 0.7), (12.0, 0.7), slow(4.0, 2.5), (8.0, 2.5)])
 def test_noise_and_soft_edges_do_not_break_the_lattice(counts, blur_px):
     """Counts of noise of a contrast of 140, in squares of 60 px."""
     to_board = view(4.0, px_per_mm=24.0)
