@@ -8,6 +8,7 @@ all digits. (The kernels know polynomials in x, y, z, tangents and gradients, an
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import mpmath
 from mpmath import mpf
@@ -21,6 +22,7 @@ STEP = mpf(10) ** -17  # of difference quotients: what is left of the third orde
 GOLDEN = (mpmath.sqrt(5) - 1) / 2
 ROUNDS = 200
 SEARCHES = 120
+STEEPEST = 2  # of the distance to a surface along a line; 1 for a sphere
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,7 @@ def column(order: int, sine: mpf, cosine: mpf) -> list[mpf]:
     return found
 
 
+@cache
 def scale(degree: int, order: int) -> mpf:
     """What makes a Legendre function times its wave of mean square 1 over the sphere: the same, 1-77."""
     count = mpmath.factorial(degree - order) / mpmath.factorial(degree + order)
@@ -130,11 +133,11 @@ def chord(ball: Ball, p: Vector, d: Vector) -> tuple[mpf, mpf] | None:
         a, b = low, high
         for _ in range(SEARCHES):
             c, e = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
-            if min(at(c), at(e)) < 0:
+            least, inner = min((at(c), c), (at(e), e))
+            if least < 0 or least > STEEPEST * (b - a):  # from there no lower point is within reach of 0
                 break
-            a, b = (a, e) if at(c) < at(e) else (c, b)
-        inner = c if at(c) < at(e) else e
-        if at(inner) >= 0:
+            a, b = (a, e) if inner == c else (c, b)
+        if least >= 0:
             return None
     return _root(at, low, inner), _root(at, high, inner)
 

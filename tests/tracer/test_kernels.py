@@ -1,6 +1,4 @@
-"""Kernels one by one: compiled against interpreted, derivatives against 50 digits, rods against a minimiser."""
-
-from typing import Any
+"""Kernels one by one: derivatives against 50 digits, rods against a minimiser, losses by the textbook."""
 
 import mpmath
 import numpy as np
@@ -10,132 +8,16 @@ from scipy.optimize import minimize_scalar
 
 from benchmarks.reference import follow, pixel_direction
 from benchmarks.scenes import PAPER, aimed_pixels
-from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, flat, random_scene, scene
+from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.bodies.rod import meets_rod
 from tracer.camera import Lens
-from tracer.kernels import sensor
-from tracer.kernels.camera import ideal_xy, pixel_ray, pixel_ray_tangents
 from tracer.kernels.rays import (
-    MAX_EVENTS,
     trace_pixel_tangents,
-    trace_rays,
-    trace_rows,
-    trace_to_plane,
-    trace_trails,
 )
-from tracer.kernels.sensor import MapArrays, RowOptions, sensor_rows
-from tracer.kernels.sphere import angles, foot, rotate, through, transmittance
-from tracer.kernels.world import next_body
+from tracer.kernels.sphere import transmittance
 from tracer.scene.scene import Scene
-from tracer.strategies.lockstep import find_mirrors, pack_chain, row_scratch
-from tracer.strategies.trace import RAY, RayStatus, pack_camera, trace, trace_from, world_of
-
-
-def both(kernel: Any, *arguments: object) -> tuple[np.ndarray, np.ndarray]:
-    """A kernel's numbers, compiled and as plain Python."""
-    one, other = kernel(*arguments), kernel.py_func(*arguments)
-    return (
-        (np.array(flat(one)), np.array(flat(other)))
-        if isinstance(one, tuple)
-        else (np.array([one]), np.array([other]))
-    )
-
-
-def test_small_kernels_compiled_and_interpreted() -> None:
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        d = rng.normal(size=3)
-        d /= np.linalg.norm(d)
-        w = rng.normal(size=3) * 50.0
-        radius, n = float(rng.uniform(1.0, 40.0)), float(rng.uniform(1.0, 3.0))
-        b2 = float(rng.uniform(0.0, 1.0)) * radius**2
-        cos_i, cos_t = angles(b2, radius, n)
-        cosine, q = through(b2, radius, n, cos_i, cos_t)
-        for kernel, arguments in (
-            (foot, (tuple(w.tolist()), tuple(d.tolist()))),
-            (angles, (b2, radius, n)),
-            (through, (b2, radius, n, cos_i, cos_t)),
-            (transmittance, (cos_i, cos_t, n)),
-            (rotate, (tuple(w.tolist()), tuple(d.tolist()), b2, (cosine, q))),
-            (
-                meets_rod,
-                (
-                    tuple(w.tolist()),
-                    tuple(d.tolist()),
-                    rng.normal(size=7) * 20.0 + np.array([0, 0, 0, 0, 0, 0, 40.0]),
-                ),
-            ),
-        ):
-            compiled, plain = both(kernel, *arguments)
-            # A fused multiply-add rounds once where Python rounds twice.
-            np.testing.assert_allclose(compiled, plain, rtol=1e-12, atol=1e-12 * max(1.0, np.abs(w).max()))
-
-
-@pytest.mark.parametrize("name", [PAPER[0], "pyramid_500", TILTED, HOLLOW])
-def test_ray_kernels_compiled_and_interpreted(name: str) -> None:
-    where = scene(name)
-    rod = Rod("rod", (60.0, 60.0, 20.0), (70.0, 70.0, 20.0), 3.0)
-    camera, world = pack_camera(where.camera), world_of(where.with_bodies([*where.bodies, rod]))
-    for u, v in np.random.default_rng(2).uniform(0.0, 1800.0, (25, 2)).tolist():
-        for kernel in (ideal_xy, pixel_ray, pixel_ray_tangents):
-            np.testing.assert_allclose(*both(kernel, u, v, camera), rtol=1e-12, atol=1e-15)
-        d = pixel_ray(u, v, camera)
-        eye = tuple(camera[:3].tolist())
-        assert next_body(eye, d, -1, 0, world) == next_body.py_func(eye, d, -1, 0, world)
-        compiled, plain = both(trace_to_plane, eye, d, world)
-        np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)
-        compiled, plain = both(trace_pixel_tangents, u, v, camera, world)
-        np.testing.assert_allclose(compiled, plain, rtol=1e-7, atol=1e-9)
-
-
-def test_array_kernels_compiled_and_interpreted() -> None:
-    where = scene("two_spheres_500")
-    camera, world = pack_camera(where.camera), world_of(where)
-    camera[12], camera[13], camera[14] = camera[12] / 84.0, 11.5, 11.5
-    outcomes = []
-    for kernel in (trace_rows, trace_rows.py_func):
-        plane, status, key = np.empty((24, 24, 2)), np.empty((24, 24), np.uint8), np.empty((24, 24), np.int64)
-        kernel(camera, world, 0, 24, plane, status, key)
-        outcomes.append((plane, status, key))
-    np.testing.assert_array_equal(outcomes[0][1], outcomes[1][1])
-    np.testing.assert_array_equal(outcomes[0][2], outcomes[1][2])
-    np.testing.assert_allclose(outcomes[0][0], outcomes[1][0], rtol=1e-10, atol=1e-10)
-
-    ways = where.camera.directions(aimed_pixels(where, np.random.default_rng(3), 50))
-    starts = np.ascontiguousarray(np.broadcast_to(np.array(where.camera.position_mm), ways.shape))
-    records = []
-    for kernel in (trace_rays, trace_rays.py_func):
-        rays = np.zeros(50, RAY).view(np.recarray)
-        kernel(starts, ways, world, 0, 50, rays)
-        records.append(rays)
-    for field in ("status", "events", "key"):
-        np.testing.assert_array_equal(records[0][field], records[1][field])
-    np.testing.assert_allclose(records[0]["x_mm"], records[1]["x_mm"], rtol=1e-9, atol=1e-9)
-    trails = [np.full((50, MAX_EVENTS), -1, np.int32) for _ in range(2)]
-    trace_trails(starts, ways, world, trails[0])
-    trace_trails.py_func(starts, ways, world, trails[1])
-    np.testing.assert_array_equal(*trails)
-
-
-@pytest.mark.parametrize("name", ["one_sphere_250", "pyramid_500"])
-def test_rows_of_the_sensor_compiled_and_interpreted(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both ways through a block, and the mirrors."""
-    where = scene(name)
-    camera, balls = pack_camera(where.camera), pack_chain(where)
-    camera[12], camera[13], camera[14] = camera[12] / 84.0, 11.5, 11.5
-    outcomes = []
-    for kernel in (sensor_rows, sensor_rows.py_func):
-        point, status = np.empty((24, 48)), np.empty((24, 24), np.uint8)
-        unknown, out = np.empty(24, np.int64), MapArrays(point, status, np.empty((24, 24), np.uint16))
-        options, scratch = RowOptions(True, True, 3), row_scratch(24, len(balls))
-        if kernel is not sensor_rows:  # compiled code hands no slice of an array to Python
-            monkeypatch.setattr(sensor, "part_of_row", sensor.part_of_row.py_func)
-        with np.errstate(over="ignore"):  # NumPy warns where the branch number of an unknown way wraps
-            kernel((camera, balls), options, find_mirrors(where), 0, 12, scratch, unknown, out)
-        outcomes.append((unknown, *out))
-    for one, other in zip(*outcomes, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+from tracer.strategies.trace import RayStatus, pack_camera, trace, trace_from, world_of
 
 
 def exact_derivatives(where: Scene, u: float, v: float) -> np.ndarray:

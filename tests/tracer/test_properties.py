@@ -114,16 +114,6 @@ def test_the_order_of_the_bodies_does_not_matter(seed: int) -> None:
     assert one.branches == two.branches
 
 
-@pytest.mark.parametrize("name", PAPER)
-def test_shuffled_paper_scenes(name: str) -> None:
-    where = scene(name)
-    where = where.with_camera(where.camera.with_width(126))
-    one, two = build_ray_map(where), build_ray_map(where.with_bodies(where.bodies[::-1]))
-    assert one.plane_mm.tobytes() == two.plane_mm.tobytes()
-    assert one.branch.tobytes() == two.branch.tobytes()
-    assert one.branches == two.branches
-
-
 @some
 @given(seed=seeds)
 def test_angular_momentum_about_a_sphere_is_kept(seed: int) -> None:

@@ -13,7 +13,6 @@ from sim.demo.scenes import demo_scene
 from tests.loops import loop_over
 from tracer.bodies import Core
 from tracer.camera import Lens
-from tracer.kernels.landing import LandingArrays, trace_landings
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import (
@@ -23,9 +22,7 @@ from tracer.strategies.sensitivity import (
     TargetPose,
     landings,
     parameter_names,
-    sweep_scratch,
 )
-from tracer.strategies.trace import pack_camera, world_of
 
 STEP = mpf(10) ** -16  # of 50 digits: truncation and rounding both below 1e-30
 POSE = TargetPose(
@@ -135,23 +132,10 @@ def test_every_derivative_agrees_with_fifty_digits(name, pixel):
         assert error <= 1e-8 * np.abs(exact).max() + 1e-18, parameter
 
 
-def test_compiled_and_interpreted_agree_and_lost_rays_are_nan():
+def test_lost_rays_are_nan():
     scene = exact_scene("two_spheres_500")
-    pixels = np.array([(1100.0, 1000.0), (1172.3, 1007.0), (300.0, 500.0)])
-    found = landings(scene, pixels, POSE)
+    found = landings(scene, np.random.default_rng(1).uniform(700.0, 1300.0, (2000, 2)), POSE)
+    assert 1000 < np.count_nonzero(found.recovered) < 2000
     assert np.isnan(found.rate[~found.recovered]).all()
     assert np.isfinite(found.rate[found.recovered]).all()
-    count = len(found.names)
-    out = LandingArrays(
-        np.empty(3, np.uint8),
-        np.empty(3, np.int64),
-        np.empty((3, 2)),
-        np.empty((3, 2, 2)),
-        np.empty((3, 2, count)),
-        np.empty((0, 2, 2, 50)),
-    )
-    rays, tables = (pixels, scene.camera.directions(pixels)), (pack_camera(scene.camera), world_of(scene))
-    trace_landings.py_func(rays, tables, POSE.packed(), scene.n_ambient, 0, 3, sweep_scratch(), out)
-    np.testing.assert_array_equal(out[0], found.status)
-    np.testing.assert_allclose(out[4], found.rate, rtol=1e-9, atol=1e-12)
-    assert count == len(CAMERA) + 2 * len(SPHERE) + len(TARGET)
+    assert len(found.names) == len(CAMERA) + 2 * len(SPHERE) + len(TARGET)

@@ -17,20 +17,13 @@ from benchmarks.reference import Glass, Vector, along, cross, dot, roots
 from benchmarks.scenes import aimed_pixels
 from rtpiv.analysis.views.field_of_view import field_of_view
 from tests.slow_cases import one_in_three
-from tests.tracer.scenes import HOLLOW, ball, camera_at, flat, one_ray, random_scene, scene
+from tests.tracer.scenes import HOLLOW, ball, camera_at, one_ray, random_scene, scene
 from tests.tracer.second_formulation import inside
 from tests.tracer.second_formulation import met as meet
 from tracer.bodies import Core, Sphere
 from tracer.errors import SceneError
 from tracer.kernels.sphere import (
     SOLID,
-    angles,
-    core_turn,
-    core_turn_rates,
-    through,
-    way_through,
-    with_cores,
-    with_cores_rates,
 )
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
@@ -287,28 +280,6 @@ def test_scaled_and_mirrored_scenes_have_the_same_bits(matrix: np.ndarray, scale
     np.testing.assert_array_equal(there.plane_mm, scale * here.plane_mm @ matrix[:2, :2])
     np.testing.assert_array_equal(there.rays["key"], here.rays["key"])
     assert len(here.branches) > 10
-
-
-def test_kernels_compiled_and_interpreted() -> None:
-    rng = np.random.default_rng(5)
-    row = scene(HOLLOW).sphere_table()[4]
-    met = set()
-    for _ in range(200):
-        b2 = float(rng.uniform(0.0, 1.0)) * row[3] ** 2
-        way = way_through(b2, row)
-        assert way_through.py_func(b2, row) == way
-        met.add(way)
-        turn = through(b2, row[3], row[4], *angles(b2, row[3], row[4]))
-        for kernel, arguments in (
-            (with_cores, (b2, row, way, turn)),
-            (with_cores_rates, (b2, row, way, turn, (0.3, -0.2), 0.7, 0.1)),
-            (core_turn, (b2, 26.0, 0.8, b2 > 430.0)),
-            (core_turn_rates, (b2, 26.0, 0.8, b2 > 430.0, 0.1, 0.2, 0.3)),
-        ):
-            np.testing.assert_allclose(
-                flat(kernel(*arguments)), flat(kernel.py_func(*arguments)), rtol=1e-9, atol=1e-12
-            )
-    assert len(met) >= 3
 
 
 def test_the_names_of_the_ways() -> None:

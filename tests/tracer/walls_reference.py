@@ -8,6 +8,7 @@ is, have tables relative to rooms, and never look a hair ahead.)
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import mpmath
 from mpmath import mpf
@@ -43,11 +44,13 @@ class End:
     steepest: mpf
 
 
+@cache  # the same walls are asked about at every step of a ray
 def vector(values: tuple[float, ...]) -> Vector:
     """Three exact numbers."""
     return tuple(mpf(value) for value in values)
 
 
+@cache
 def unit(values: tuple[float, ...]) -> Vector:
     """A direction of length 1 in all digits: points on a surface are told by a hair from those beside it."""
     v = vector(values)
