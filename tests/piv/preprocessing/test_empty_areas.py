@@ -6,6 +6,7 @@ import pytest
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.vector_field import VectorFlag
 from piv.preprocessing.empty_areas import empty_areas
+from tests.slow_cases import slow_but
 
 SIDE = 224
 FLOWS = {
@@ -49,7 +50,7 @@ def judged(field, flow):
     return np.hypot(field.u_px - u, field.v_px - v), sigma
 
 
-@pytest.mark.parametrize("name", FLOWS)
+@pytest.mark.parametrize("name", slow_but(FLOWS, "shear"))
 def test_vectors_at_the_edge_of_a_round_window_are_right(name):
     """Each of these frames had wrong and silent vectors at the edge, and a ring of vectors beyond it."""
     flow, away = FLOWS[name], beyond(80.0)

@@ -18,6 +18,7 @@ from piv.statistics.kernels.cell_planes import cell_products
 from piv.statistics.moments import Moments
 from piv.statistics.sweep import sweep_with
 from tests.piv.conftest import draw
+from tests.slow_cases import slow
 
 PAIRS = 60
 
@@ -115,7 +116,7 @@ def test_without_fluctuations_there_are_no_stresses_and_sigma_covers():
     assert np.abs(np.nanmean(field.stress_px2, axis=(0, 1))).max() < 0.04  # the limit named in `ensemble`
 
 
-@pytest.mark.parametrize("noise", [0.5, 30.0])
+@pytest.mark.parametrize("noise", [slow(0.5), 30.0])
 def test_noise_of_the_camera_is_no_stress(noise):
     """Half way between pixels, where sampling spreads it most; 30 counts are a sixth of an average particle."""
     noisy = [frames(lambda u, v: (1.0 + 0 * u, 1.0 + 0 * u), k, (128, 128), noise=noise) for k in range(20)]
@@ -125,7 +126,7 @@ def test_noise_of_the_camera_is_no_stress(noise):
         assert np.abs(np.nanmean(stress, axis=(0, 1))).max() < 0.03
 
 
-@pytest.mark.parametrize("diameter", [2.0, 2.4, 4.4, 6.4])
+@pytest.mark.parametrize("diameter", [2.0, slow(2.4), slow(4.4), 6.4])
 def test_particle_images_of_any_size_add_no_stress(diameter):
     """Small ones were taken for noise (-0.14, -0.05 px^2), large ones fitted elsewhere than pairs (-0.08)."""
     pairs = [
@@ -435,7 +436,7 @@ def test_what_cannot_be_is_refused():
         sweep_with((96, 96), nothing, np.zeros((*grid.shape, 3)), grid, 0.6)
 
 
-@pytest.mark.parametrize(("length_px", "window_px"), [(40, 8), (40, 16), (80, 16), (64, 8)])
+@pytest.mark.parametrize(("length_px", "window_px"), [(40, 8), slow(40, 16), (80, 16), slow(64, 8)])
 def test_what_windows_of_an_ensemble_average_out_stands_in_its_sigma(length_px, window_px):
     """Random sigma alone was 1.3 to 9 times less than the error, in every pair the same."""
     truth = lambda u, v: (2.0 + np.sin(2 * np.pi * v / length_px), 0 * u)  # noqa: E731
