@@ -75,13 +75,6 @@ def test_what_is_no_pair_is_one_sentence(good, tmp_path, capsys, kind):
     assert not (tmp_path / "out" / "vectors.nc").exists()
 
 
-def test_what_cannot_go_together_is_named(good, tmp_path, capsys):
-    scene, frames = good
-    options = ("--target-clear", str(tmp_path / "a.tif"), "--tracking")
-    assert evaluate(tmp_path, scene, frames, *options) == USAGE
-    assert "traces raw pixels" in capsys.readouterr().err
-
-
 def test_the_removed_route_is_one_sentence(good, tmp_path, capsys):
     scene, frames = good
     assert evaluate(tmp_path, scene, frames, "--route", "velocity") == USAGE

@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 from correction import Corrector, build_correction_map
-from ground.file_lock import folder_held
+from piv.files.vector_file import read_vectors
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
@@ -29,18 +29,12 @@ def day(tmp_path_factory):
     return folder
 
 
-def opened(path):
-    import xarray  # here, and pandas with it: all processes of the tests would wait for them
-
-    return xarray.open_dataset(path)
-
-
 def right(folder, name="vectors.nc"):
     """Velocities are the shift's, x to the right and y up."""
-    with opened(folder / name) as file:
-        assert file["u"].attrs["units"] == "m s-1"
-        assert "dxdz" not in file  # nothing is known of the camera that would tell
-        u, v = (float(np.nanmedian(file[name])) for name in ("u", "v"))
+    vectors = read_vectors(folder / name)
+    assert vectors.units["u"] == "m s-1"
+    assert "dxdz" not in vectors.by_place  # nothing is known of the camera that would tell
+    u, v = (float(np.nanmedian(vectors.fields[name])) for name in ("u", "v"))
     m_s_per_px = 1e-3 * MM / (1e-6 * DT_US)
     np.testing.assert_allclose((u, v), np.multiply(SHIFT, m_s_per_px) * (1.0, -1.0), atol=0.03 * m_s_per_px)
     return True
@@ -73,8 +67,8 @@ def test_a_mean_goes_on_in_its_folder_and_with_another_ruler_begins_anew(day, tm
     assert right(tmp_path / "evaluation", "mean.nc")
     (tmp_path / "evaluation" / "fit.npz").write_bytes(b"of another scene")
     assert main(["mean", str(day), "--mm-per-px", str(2 * MM), *TOLD[2:]]) == DONE  # the ruler was read wrongly
-    with opened(tmp_path / "evaluation" / "mean.nc") as file:
-        assert float(np.nanmedian(file["u"])) == pytest.approx(2e-3 * SHIFT[0] * MM / (1e-6 * DT_US), rel=0.01)
+    u = read_vectors(tmp_path / "evaluation" / "mean.nc").fields["u"]
+    assert float(np.nanmedian(u)) == pytest.approx(2e-3 * SHIFT[0] * MM / (1e-6 * DT_US), rel=0.01)
     assert not (tmp_path / "evaluation" / "fit.npz").exists()
 
 
@@ -97,18 +91,6 @@ def test_a_scale_and_a_scene_are_one_too_many(day, tmp_path, capsys):
     with pytest.raises(SystemExit, match=str(USAGE)):
         main(["evaluate", *frames, "--mm-per-px", "-0.04"])
     assert "--mm-per-px: should be above 0" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("verb", ["evaluate", "mean"])
-def test_two_at_once_do_not_mix_their_files(day, tmp_path, verb, capsys):
-    """The second is refused before it has written anything: not even its scene beside the vectors of the first."""
-    out = tmp_path / "out"
-    out.mkdir()
-    given = [str(day)] if verb == "mean" else [str(day / f"im{n:04d}.tif") for n in (0, 1)]
-    with folder_held(out):
-        assert main([verb, *given, *TOLD, "-o", str(out)]) == USAGE
-    assert "another process puts results there; let it finish" in " ".join(capsys.readouterr().err.split())
-    assert not list(out.iterdir())
 
 
 WORDS_OF_GLASS = (
@@ -139,12 +121,3 @@ def test_pages_of_frames_without_glass_do_not_speak_of_it(day, tmp_path, capsys)
     for said in [*map(words_of, pages), re.sub(BY_NAME, "", " ".join(capsys.readouterr().out.split()))]:
         found = re.search(f".{{0,60}}{WORDS_OF_GLASS}.{{0,60}}", said)
         assert found is None, found[0]
-
-
-def test_a_frame_of_another_size_is_told_without_a_scene(day, tmp_path, capsys):
-    tifffile.imwrite(tmp_path / "other.tif", np.zeros((80, 140), np.uint8))
-    words = ["evaluate", str(day / "im0000.tif"), str(tmp_path / "other.tif"), *TOLD, "-o", str(tmp_path / "out")]
-    assert main(words) == USAGE
-    said = " ".join(capsys.readouterr().err.split())
-    assert "is 140 x 80 px, and 140 x 96 px are expected" in said
-    assert "scene" not in said

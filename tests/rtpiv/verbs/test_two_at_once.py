@@ -30,6 +30,7 @@ WORDS = {  # verb -> one call and another, of other settings, into one folder
 }
 ALONE = {  # what the second is refused before it reads anything, or has nothing to read
     "calibrate": [".", "--scene", "one.yaml"],
+    "evaluate": ["frame.tif", "frame2.tif", "--mm-per-px", "0.1"],
     "sheet": ["frame.tif", "frame2.tif", "--scene", "one.yaml"],
     "report": ["report_of"],
     "mean --join": ["a", "b"],

@@ -9,7 +9,7 @@ import pytest
 
 from correction.target import Chessboard
 from correction.target.codes import with_codes
-from rtpiv.analysis.pictures.kernels.patterns import add_markers, add_particles, add_target
+from rtpiv.analysis.pictures.kernels.patterns import add_particles
 from rtpiv.analysis.pictures.patterns import (
     MarkerBoard,
     Particles,
@@ -68,22 +68,6 @@ def test_any_board_is_drawn_as_it_is(kind):
     board = with_codes(board, Codes("DICT_4X4_50", 0.7)) if kind == "charuco" else board
     points = np.random.default_rng(1).uniform(-14.0, 18.0, (3000, 2))
     assert np.array_equal(drawn(Target(board), points)[:, 0], board.shade(points))
-
-
-def test_kernels_do_what_python_does():
-    discs, colours = np.array([[0.5, 0.5, 0.4], [-1.5, 0.5, 0.4]]), np.eye(3)
-    lines = np.array([[-4.0, -np.inf], [3.0, np.inf]])
-    for kernel, arguments, channels in (
-        (add_target, (np.array([2.5, 2.4]), discs, lines, True), 1),
-        (add_markers, (2.5, 4.2, 1.9, colours), 3),
-        (add_particles, (2.0, 0.8, np.empty((9, 3))), 1),
-    ):
-        pictures = np.zeros((2, len(POINTS), channels), np.float32)
-        kernel(POINTS, *arguments, pictures[0])
-        if kernel is not add_particles:  # its hash wraps round, which plain Python warns of
-            kernel.py_func(POINTS, *arguments, pictures[1])
-            assert pictures[0] == pytest.approx(pictures[1])
-        assert pictures[0].max() > 0.5
 
 
 def shuffled(i: int, j: int, turn: int) -> float:
