@@ -22,17 +22,26 @@ from rtpiv.options.signature import REQUIRED, signature
 from rtpiv.verbs.completion import completion_script
 from tests.loops import loop_over
 
+OFFERED = {
+    ("tr",): ["trace"],
+    ("acquire", "--sim"): ["--simulate"],
+    ("correct", "--method", "q"): ["quintic"],
+    ("bench", "camera", "l"): ["list"],
+    ("bench", "st"): ["stage"],
+    ("acquire", "--resume", "--ret"): ["--retake"],
+    ("trace", "sc"): ["scene.yaml"],
+}
 
-def completed(tmp_path, *words):
-    """What bash offers for the last word."""
-    script = tmp_path / "completion.sh"
-    script.write_text(completion_script("bash"))
-    line = " ".join(f'"{word}"' for word in words)
-    program = (
-        f'source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _rtpiv; echo "${{COMPREPLY[@]}}"'
-    )
-    ran = subprocess.run(["bash", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
-    return ran.stdout.split()
+
+def completed(folder, lines):
+    """What bash offers for the last word of each line."""
+    program = [completion_script("bash")]
+    for words in lines:
+        line = " ".join(f'"{word}"' for word in ("rtpiv", *words))
+        program.append(f'COMP_WORDS=({line}); COMP_CWORD={len(words)}; _rtpiv; echo "${{COMPREPLY[@]}}"')
+    command = ["bash", "-c", "\n".join(program)]
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    return [line.split() for line in ran.stdout.splitlines()]
 
 
 def test_every_function_is_a_command_and_at_most_twenty_verbs_are_listed():
@@ -137,14 +146,9 @@ def test_what_cannot_be_is_refused_in_a_sentence(words, said, capsys):
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 def test_completion(tmp_path):
     (tmp_path / "scene.yaml").touch()
-    assert completed(tmp_path, "rtpiv", "tr") == ["trace"]
-    assert {"init", "check", "--version"} <= set(completed(tmp_path, "rtpiv", ""))
-    assert completed(tmp_path, "rtpiv", "acquire", "--sim") == ["--simulate"]
-    assert completed(tmp_path, "rtpiv", "correct", "--method", "q") == ["quintic"]
-    assert completed(tmp_path, "rtpiv", "bench", "camera", "l") == ["list"]
-    assert completed(tmp_path, "rtpiv", "bench", "st") == ["stage"]
-    assert completed(tmp_path, "rtpiv", "acquire", "--resume", "--ret") == ["--retake"]
-    assert completed(tmp_path, "rtpiv", "trace", "sc") == ["scene.yaml"]
+    *offered, for_nothing = completed(tmp_path, [*OFFERED, ("",)])
+    assert offered == list(OFFERED.values())
+    assert {"init", "check", "--version"} <= set(for_nothing)
 
 
 @loop_over("shell", ["bash", "zsh", "fish"])

@@ -134,8 +134,10 @@ def test_every_derivative_agrees_with_fifty_digits(name, pixel):
 
 def test_lost_rays_are_nan():
     scene = exact_scene("two_spheres_500")
-    found = landings(scene, np.random.default_rng(1).uniform(700.0, 1300.0, (2000, 2)), POSE)
-    assert 1000 < np.count_nonzero(found.recovered) < 2000
+    lens = replace(scene.camera.lens, k1=0.3, k2=-20.0)  # one that folds far from its axis
+    scene = replace(scene, camera=replace(scene.camera, lens=lens))
+    found = landings(scene, np.random.default_rng(1).uniform(-2e4, 2e4, (400, 2)), POSE)
+    assert 0 < np.count_nonzero(found.recovered) < 400
     assert np.isnan(found.rate[~found.recovered]).all()
     assert np.isfinite(found.rate[found.recovered]).all()
     assert len(found.names) == len(CAMERA) + 2 * len(SPHERE) + len(TARGET)

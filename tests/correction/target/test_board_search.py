@@ -21,6 +21,7 @@ BOARD = Chessboard()
 SHAPE = (420, 460)
 
 
+@cache
 def view(turn_deg=3.0, tilt=0.0, barrel=0.0, px_per_mm=9.0, centre=(231.4, 208.7)):
     """Pixel -> board through barrel distortion, perspective, turn; board upright at turn 0."""
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
@@ -35,8 +36,13 @@ def view(turn_deg=3.0, tilt=0.0, barrel=0.0, px_per_mm=9.0, centre=(231.4, 208.7
     return to_board
 
 
+@cache
+def painted(to_board, **kwargs):
+    return soft_board(to_board, SHAPE, discs=BOARD.discs, **kwargs)
+
+
 def rendered(to_board, seed=0, **kwargs):
-    return photographed(soft_board(to_board, SHAPE, discs=BOARD.discs, **kwargs), seed)
+    return photographed(painted(to_board, **kwargs), seed)
 
 
 def miss_mm(found, to_board):

@@ -16,7 +16,7 @@ from correction.target.board_search import find_board, track_board
 from tests.correction.target.photographs import FOLDER
 from tests.slow_cases import slow
 
-NAMES = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+NAMES = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
 SIDE_PX, MARGIN = 36, 2  # of a square, and squares of paper around
 MIDDLE = 0.37, -0.21  # of the origin, from a whole pixel
 
@@ -103,7 +103,7 @@ def test_corners_beside_markers_lie_where_they_were_drawn(side, tilt_deg, blur, 
     assert np.median(np.linalg.norm(theirs[:, 0] - truth, axis=1)) > 3.0 * np.median(ours)
 
 
-def told(columns, rows, layout=None, dictionary="DICT_5X5_1000", **more):
+def told(columns, rows, layout=None, dictionary="DICT_5X5_100", **more):
     """The board as its file describes it."""
     file = PrintedBoard(
         kind="charuco", square_mm=1.0, marker_mm=0.7, squares=[columns, rows], dictionary=dictionary,

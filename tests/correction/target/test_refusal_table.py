@@ -3,6 +3,7 @@
 import ast
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -69,10 +70,14 @@ def test_every_refusal_has_a_row_and_every_row_its_message_and_its_test():
     assert not missing
 
 
-def board_image(turn_deg=3.0, aside_mm=(0.0, 0.0), blur=0.0, noise=0.0):
+@cache
+def painted(turn_deg, aside_mm):
     base = view(turn_deg)
-    image = soft_board(lambda pixels: base(pixels) + aside_mm, SHAPE)
-    image += np.random.default_rng(1).normal(0.0, noise, SHAPE)
+    return soft_board(lambda pixels: base(pixels) + aside_mm, SHAPE)
+
+
+def board_image(turn_deg=3.0, aside_mm=(0.0, 0.0), blur=0.0, noise=0.0):
+    image = painted(turn_deg, tuple(aside_mm)) + np.random.default_rng(1).normal(0.0, noise, SHAPE)
     return photographed(cv2.GaussianBlur(image, (0, 0), blur) if blur else image, 0)
 
 

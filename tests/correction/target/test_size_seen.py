@@ -22,7 +22,7 @@ from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 
 SIDE_MM = {"discs": 3.0, "plain": 3.0, "charuco": 4.8, "dots": 3.0}
-CODES = Codes("DICT_4X4_1000", 0.7)
+CODES = Codes("DICT_4X4_100", 0.7)
 LARGER = slow_but((0.5, 0.7, 0.8, 0.91, 0.95, 1.05, 1.1, 1.25, 1.5, 2.0), 0.5, 0.95, 1.25, 2.0)
 FLAT = Pose()
 OFF = camera((3.0, -2.0, 298.0), (2.0, 1.0), 0.02)

@@ -75,17 +75,16 @@ def test_a_question_writes_nothing(runs, finished, tmp_path, monkeypatch, capsys
     assert "made again" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("action", ["plan", "run"])
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("action", "changed", "said"),
     [
-        (("--chunk", "8"), "chunk_pairs 4 there, 8 now"),
-        ((), "chunk_pairs 4 there, 128 now"),
-        (("--final-window", "32"), "windows_px (32, 16, 16, 16) there, (32, 32, 32, 32) now"),
-        (("--prepare", "none"), "prepare sliding-minimum there, none now"),
-        (("--scene", "OTHER"), "another scene"),
-        (("ONE RUN",), "two: left out"),
-        (("SAME NAME",), "other frames"),
+        ("plan", ("--chunk", "8"), "chunk_pairs 4 there, 8 now"),
+        ("plan", (), "chunk_pairs 4 there, 128 now"),
+        ("run", ("--final-window", "32"), "windows_px (32, 16, 16, 16) there, (32, 32, 32, 32) now"),
+        ("run", ("--prepare", "none"), "prepare sliding-minimum there, none now"),
+        ("run", ("--scene", "OTHER"), "another scene"),
+        ("plan", ("ONE RUN",), "two: left out"),
+        ("run", ("SAME NAME",), "other frames"),
     ],
 )
 def test_another_recipe_in_a_used_folder_is_refused(

@@ -38,12 +38,25 @@ def day(tmp_path_factory):
     (folder / "style/matplotlibrc").write_text(STYLE)
     for letter, image in zip("ab", make_pair(lambda u, v: (2.0, 1.0), (64, 64)), strict=True):
         tifffile.imwrite(folder / f"im_{letter}.tif", image)
-    command(folder, "plain", {})
     return folder
 
 
-def command(folder, out, environment):
+@pytest.fixture(scope="module")
+def plain(day):
+    """Folder with what a script of other settings than those below evaluates and draws; it keeps its own."""
+    with mpl.rc_context({"text.usetex": True, "axes.edgecolor": "green", "figure.dpi": 37.0}):
+        before = dict(mpl.rcParams)
+        rtpiv.evaluate(
+            [day / "im_a.tif", day / "im_b.tif"],
+            out=day / "plain",
+            recipe=CorrectionRecipe(mm_per_px=0.1),
+            output=EvaluationOutput(figures=True),
+        )
+        assert dict(mpl.rcParams) == before
+    return day / "plain"
 
+
+def command(folder, out, environment):
     words = ["evaluate", "im_a.tif", "im_b.tif", "--mm-per-px", "0.1", "--figures", "-o", out]
     done = subprocess.run(
         [sys.executable, "-m", "rtpiv", *words],
@@ -66,28 +79,14 @@ def pictures_of(folder):
 
 
 @pytest.mark.parametrize("environment", [SETTINGS[1], slow(SETTINGS[0])], ids=" ".join)
-def test_a_command_draws_the_same_pictures(day, tmp_path, environment):
-    assert command(day, str(tmp_path / "out"), environment) == pictures_of(day / "plain")
-    vectors = [read_vectors(folder / "vectors.nc").fields["u"] for folder in (tmp_path / "out", day / "plain")]
+@pytest.mark.draws
+def test_a_command_draws_the_same_pictures_as_a_script_that_keeps_its_settings(day, plain, tmp_path, environment):
+    assert command(day, str(tmp_path / "out"), environment) == pictures_of(plain)
+    vectors = [read_vectors(folder / "vectors.nc").fields["u"] for folder in (tmp_path / "out", plain)]
     np.testing.assert_array_equal(*vectors)
 
 
-@pytest.mark.draws
-def test_a_script_keeps_its_settings_and_pictures_ours(day, tmp_path):
-    with mpl.rc_context({"text.usetex": True, "axes.grid": True, "figure.dpi": 37.0}):
-        before = dict(mpl.rcParams)
-        rtpiv.evaluate(
-            [day / "im_a.tif", day / "im_b.tif"],
-            out=tmp_path / "out",
-            recipe=CorrectionRecipe(mm_per_px=0.1),
-            output=EvaluationOutput(figures=True),
-        )
-        assert dict(mpl.rcParams) == before
-    assert pictures_of(tmp_path / "out") == pictures_of(day / "plain")
-
-
 def test_a_script_under_settings_that_stop_libraries(day, tmp_path):
-
     frames = [str(day / f"im_{letter}.tif") for letter in "ab"]
     script = SCRIPT.format(frames=frames, out=str(tmp_path / "out"))
     done = subprocess.run(

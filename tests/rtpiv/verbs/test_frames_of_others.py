@@ -87,11 +87,13 @@ def test_two_frames_of_a_video_are_a_pair_as_they_are(tmp_path):
 
 
 def test_a_page_that_would_show_the_same_is_not_drawn_again(tmp_path, folder, monkeypatch):
-    from rtpiv.analysis.report import mean as page
+    drawn, out = [], tmp_path / "s"
 
-    drawn, write = [], page.write_mean_page
-    monkeypatch.setattr(page, "write_mean_page", lambda *given: (drawn.append(1), write(*given)))
-    out = tmp_path / "s"
+    def write(path, *given):
+        drawn.append(path)
+        path.write_text(f"page {len(drawn)}")
+
+    monkeypatch.setattr("rtpiv.analysis.report.mean.write_mean_page", write)
 
     def again(**options):
         with terminal.silence():

@@ -2,7 +2,6 @@
 
 import csv
 import re
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from piv.files.vector_file import read_vectors
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
-from tests.rtpiv.conftest import undrawn
 
 SHIFT = (3.0, -1.5)
 MORE = ["--final-window", "32"]
@@ -47,7 +45,6 @@ def words_of(page):
     return re.sub(r'src="data:[^"]*"', "", page.read_text("utf-8"))
 
 
-@pytest.mark.draws
 def test_two_frames_alone_are_evaluated_in_pixels(day, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     frames = [str(day / f"B000_{letter}.tif") for letter in "ab"]
@@ -63,14 +60,12 @@ def test_two_frames_alone_are_evaluated_in_pixels(day, tmp_path, monkeypatch, ca
     right(tmp_path / "timed" / "vectors.nc", "pixel")  # a time makes no velocity of pixels
 
 
-@pytest.mark.draws
 @pytest.mark.parametrize(
     ("more", "unit", "scale"),
     [([], "pixel", 1.0), (["--mm-per-px", "0.2"], "mm", 0.2), (["--dt-us", "9"], "pixel", 1.0)],
 )
 def test_a_mean_without_a_time_is_one_of_displacements(day, tmp_path, capsys, more, unit, scale):
-    with undrawn() if more else nullcontext():
-        assert main(["mean", str(day), *MORE, *more, "--workers", "1", "-o", str(tmp_path / "out")]) == DONE
+    assert main(["mean", str(day), *MORE, *more, "--workers", "1", "-o", str(tmp_path / "out")]) == DONE
     right(tmp_path / "out" / "mean.nc", unit, scale)
     said = capsys.readouterr().out
     short = "px" if unit == "pixel" else "mm"
@@ -84,6 +79,7 @@ def test_a_mean_without_a_time_is_one_of_displacements(day, tmp_path, capsys, mo
         assert "[mm]" not in page
 
 
+@pytest.mark.usefixtures("no_mean_page")
 def test_the_mean_of_a_series_that_was_evaluated_without_a_time(day, tmp_path, capsys):
     assert (
         main(["evaluate", str(day), *MORE, "--no-pictures", "--workers", "1", "-o", str(tmp_path / "out")]) == DONE
@@ -93,6 +89,7 @@ def test_the_mean_of_a_series_that_was_evaluated_without_a_time(day, tmp_path, c
     right(tmp_path / "out" / "mean.nc", "pixel")
 
 
+@pytest.mark.usefixtures("no_mean_page")
 def test_the_ensemble_mean_has_the_same_units(day, tmp_path):
     words = ["mean", str(day), *MORE, "--ensemble", "32", "--workers", "1", "-o", str(tmp_path / "out")]
     assert main(words) == DONE

@@ -25,7 +25,7 @@ BALL = Sphere("ball", (0.0, 0.0, 12.0), 10.0, ConstantMedium(1.5))
 RIGHT = PrintedBoard(kind="chessboard", square_mm=2.5, disc_mm=1.0)
 CODES = PrintedBoard(
     kind="charuco", square_mm=2.5, marker_mm=1.8, squares=[20, 20], origin_corner=[10, 10],
-    dictionary="DICT_4X4_1000",
+    dictionary="DICT_4X4_250",
 )  # fmt: skip
 WRONG = {  # what the file says of the board in the picture -> what is said of that
     "squares of 4 mm": (
@@ -90,7 +90,7 @@ KINDS = {
     "charuco": {"square_mm": 4.8, "marker_mm": 3.36},
     "dots": {"pitch_mm": 3.0, "dot_mm": 1.2, "large_dot_mm": 1.95},
 }
-MORE = {"charuco": {"squares": [12, 10], "origin_corner": [6, 5], "dictionary": "DICT_4X4_1000"}}
+MORE = {"charuco": {"squares": [12, 10], "origin_corner": [6, 5], "dictionary": "DICT_4X4_100"}}
 
 
 @pytest.fixture(scope="module", params=KINDS)

@@ -9,11 +9,15 @@ from rtpiv.analysis.pictures.plane_axes import colour_bar, plane_panels
 from tests.loops import loop_over
 
 LABELS = ("speed [m/s]", "difference from the known shift [px]", "sigma by the flow through the sheet [m/s]")
+RATIOS, HIGHEST = (0.15, 0.375, 1.0, 3.0), (0.0035, 0.9, 120.0)
+CASES = [  # every shape with every label, and with every range
+    (ratio, label, HIGHEST[(row + column) % 3])
+    for row, ratio in enumerate(RATIOS)
+    for column, label in enumerate(LABELS)
+]
 
 
-@loop_over("ratio", [0.15, 0.375, 1.0, 3.0])
-@loop_over("label", LABELS)
-@loop_over("highest", [0.0035, 0.9, 120.0])
+@loop_over("ratio, label, highest", CASES)
 def test_no_label_is_cut_off_and_no_number_touches_another(ratio, label, highest):
     figure, (axes,) = plane_panels(ratio)
     FigureCanvasAgg(figure)

@@ -18,6 +18,7 @@ from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
 from piv.errors import PairError, SeriesError
 from rtpiv.analysis.series import clean_frames as clean
+from rtpiv.analysis.series import workers
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.mean_flow import mean_flow
 from rtpiv.analysis.series.run_series import run_series
@@ -25,6 +26,7 @@ from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder, marker_pat
 from rtpiv.analysis.series.series_mean import mean_vectors, write_statistics
 from rtpiv.analysis.series.series_pairs import is_flow, is_one_series
 from rtpiv.analysis.series.series_plan import chunk_path, jobs_of, usual_chunk
+from rtpiv.analysis.series.workers import worker_processes
 from tests.rtpiv.analysis.series.small_series import (
     DT_US,
     PX_PER_MM,
@@ -183,8 +185,17 @@ def test_a_series_that_is_there_stays_cut_as_it_is(folder, run, made):
     assert (other.chunk, len(other.jobs())) == (2, 6)
 
 
-def test_two_processes_write_the_same_bytes_as_none(folder, run, made):
+def test_processes_write_the_same_bytes_as_none(folder, run, made, monkeypatch):
+    """Of several that are asked for one is started: it stands for all of them."""
+    started = []
+
+    def one(count):
+        started.append(count)
+        return worker_processes(1)
+
+    monkeypatch.setattr(workers, "worker_processes", one)
     run_series(series_of(folder / "two", given_of(run), method_of(folder, "sliding-minimum")), 2, 4)
+    assert started == [2]
     assert content_of(folder / "two") == content_of(made.series.path)
 
 

@@ -11,6 +11,7 @@ from rtpiv.analysis.series.run_series import run_series
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
 from tests.rtpiv.analysis.series.small_series import flow_run, frames_of, given_of, method_of, series_of
+from tests.slow_cases import slow
 
 OPTIONS = ["--final-window", "32", "--no-pictures", "--workers", "1"]
 SCALE = ["--mm-per-px", "0.1", "--dt-us", "1000"]
@@ -32,8 +33,14 @@ def evaluated(capsys, path, out, *more):
     return " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize(("lost", "pair"), [((3,), "f2.tif + f3.tif"), ((5,), "f4.tif + f5.tif")])
-@pytest.mark.parametrize("shift", [(2.0, 1.0), (-3.0, 0.0), (0.0, 4.0)])
+@pytest.mark.parametrize(
+    ("shift", "lost", "pair"),
+    [
+        ((2.0, 1.0), (3,), "f2.tif + f3.tif"),
+        ((-3.0, 0.0), (5,), "f4.tif + f5.tif"),
+        slow((0.0, 4.0), (5,), "f4.tif + f5.tif"),
+    ],
+)
 def test_a_frame_lost_before_the_files_were_numbered(tmp_path, capsys, lost, pair, shift):
     folder = time_resolved(tmp_path / "day", 8, shift, lost)
     said = evaluated(capsys, f"{folder}@1-2,2-3", tmp_path / "out", *SCALE)
@@ -91,6 +98,7 @@ def test_a_scale_that_is_wrong_is_asked_about_in_pairs_and_series(tmp_path, caps
     assert "faster than sound in air" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.usefixtures("no_mean_page")
 def test_a_folder_with_vectors_of_other_frames_is_not_overwritten(tmp_path, capsys):
     one, other = (time_resolved(tmp_path / name, 4) for name in ("one", "other"))
     pair, again = ([str(folder / f"f{k}.tif") for k in range(2)] for folder in (one, other))
@@ -112,6 +120,7 @@ def test_a_folder_with_vectors_of_other_frames_is_not_overwritten(tmp_path, caps
     assert main(["mean", str(one), "--final-window", "32", *SCALE, "--workers", "1", "-o", str(out)]) == DONE
 
 
+@pytest.mark.usefixtures("no_mean_page")
 def test_a_mean_with_another_time_between_its_frames_is_kept_beside_the_first(tmp_path, monkeypatch, capsys):
     """The second replaced the first: the same vectors, at twice the speed."""
     day = time_resolved(tmp_path / "day", 4)

@@ -101,6 +101,7 @@ def test_a_frame_that_changes_is_read_again_and_its_chunk_made_anew(recorded, tm
     assert "0 chunks made, 2 were there" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("no_mean_page")
 def test_what_nobody_says_is_asked_for(recorded, tmp_path, capsys):
     frames, out = str(recorded / "stack.tif"), ("-o", str(tmp_path / "out"))
     scene = ("--scene", str(recorded / "scene.yaml"))

@@ -5,6 +5,7 @@ import pytest
 import tifffile
 
 from ground.map_file import load_arrays
+from piv.files.vector_file import read_vectors
 from rtpiv.analysis.series.shared_file import SharedFile
 from rtpiv.analysis.series.still_frames import KIND, load_still
 from rtpiv.command_line.cli import DONE, main
@@ -24,12 +25,6 @@ def day(tmp_path_factory):
     return folder
 
 
-def open_vectors(path):
-    import xarray  # here, and pandas with it: all processes of the tests would wait for them
-
-    return xarray.open_dataset(path)
-
-
 def kept(out):
     """Mask of a series."""
     header, _ = load_arrays(out / "still.npz", KIND)
@@ -44,19 +39,19 @@ def test_what_flickers_in_both_pulses_has_no_vector_and_no_mean(day, tmp_path):
     assert still.shape == SHAPE
     assert still[WALL + 2 :].mean() > 0.99
     assert not still[: WALL - 16].any()
-    with open_vectors(out / "chunks" / "00000.nc") as file:
-        solid = file["y"].values < (SHAPE[0] - 1) / 2 * MM - MM * WALL
-        assert solid.sum() > 5
-        assert (file["flag"].values[:, solid] == 4).all()
-        assert np.isnan(file["u"].values[:, solid]).all()
-        assert (file["flag"].values[:, ~solid][:, 6:] == 0).mean() > 0.95
-        assert "4 still" in file.attrs["flag_meanings"]
+    found = read_vectors(out / "chunks" / "00000.nc")
+    solid = found.y_mm < (SHAPE[0] - 1) / 2 * MM - MM * WALL
+    assert solid.sum() > 5
+    assert (found.fields["flag"][:, solid] == 4).all()
+    assert np.isnan(found.fields["u"][:, solid]).all()
+    assert (found.fields["flag"][:, ~solid][:, 6:] == 0).mean() > 0.95
+    assert "4 still" in found.attributes["flag_meanings"]
     for name in ("mean.nc", "mean_ensemble.nc"):
-        with open_vectors(out / name) as file:
-            solid = file["y"].values < (SHAPE[0] - 1) / 2 * MM - MM * WALL
-            assert solid.any()
-            assert not file["chc"].values[:, solid].any(), name
-            assert file["chc"].values[:, ~solid][:, 4:].mean() > 0.95, name
+        found = read_vectors(out / name)
+        solid = found.y_mm < (SHAPE[0] - 1) / 2 * MM - MM * WALL
+        assert solid.any()
+        assert not found.fields["chc"][:, solid].any(), name
+        assert found.fields["chc"][:, ~solid][:, 4:].mean() > 0.95, name
 
 
 def test_it_is_looked_for_once_and_again_if_its_file_is_lost(day, tmp_path):
