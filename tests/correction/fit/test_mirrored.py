@@ -1,4 +1,4 @@
-"""A camera that looks by a mirror: the same frames from right to left give the same scene."""
+"""Frames of a camera that looks by a mirror: named where nobody said so, and kept by the scene file."""
 
 from dataclasses import replace
 
@@ -12,28 +12,8 @@ from ground.errors import ConfigError
 from tests.correction.fit.benches import bench
 from tests.slow_cases import slow_but
 from tracer.scene.scene_file import dump_scene, load_scene
-from tracer.strategies.trace import trace
 
-MADE = "two_spheres_500", 6, (), (), 714
 UNLIKE = "one_sphere_500", 3, (), (), 504  # along its axes: two balls behind each other are alike
-
-
-def test_frames_from_right_to_left_give_the_same_scene_and_map():
-    made = bench(*MADE)
-    camera = made.nominal.camera
-    mirrored = [replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1])) for frame in made.frames]
-    usual = fit_scene(made.nominal, made.frames, made.board).measured_scene
-    found = fit_scene(replace(made.nominal, camera=camera.mirrored()), mirrored, made.board).measured_scene
-    assert found.camera.is_mirrored
-    assert np.abs(np.subtract(found.camera.position_mm, usual.camera.position_mm)).max() < 1e-3
-    for one, other in zip(found.spheres, usual.spheres, strict=True):
-        assert np.abs(np.subtract(one.centre_mm, other.centre_mm)).max() < 5e-3
-    last = camera.sensor_px[0] - 1.0
-    pixels = np.stack(np.meshgrid(*[np.arange(5.0, last, 31.0)] * 2), axis=-1).reshape(-1, 2)
-    seen, same = trace(usual, pixels), trace(found, pixels * (-1.0, 1.0) + (last, 0.0))
-    both = seen.recovered & same.recovered
-    assert both.mean() > 0.6
-    assert np.median(np.linalg.norm((seen.plane_mm - same.plane_mm)[both], axis=1)) < 1e-3
 
 
 TURNS = {
@@ -68,7 +48,7 @@ def test_frames_with_glass_that_alone_are_turned_or_mirrored_are_refused(words):
 
 
 def test_a_scene_file_keeps_that_its_camera_is_mirrored(tmp_path):
-    scene = bench(*MADE).nominal
+    scene = bench(*UNLIKE).nominal
     scene = replace(scene, camera=scene.camera.mirrored())
     path = tmp_path / "scene.yaml"
     path.write_text(dump_scene(scene))

@@ -73,24 +73,6 @@ def test_spheres_missing_in_the_frame():
         fit_scene(bench(*MADE).nominal, [clear, replace(clear, glass=True, name="glass")], BOARD)
 
 
-def test_a_frame_with_saturated_paper_is_fitted_with_a_warning():
-    """Bright squares widen towards all sides alike, so corners stay where they are."""
-    frames = bench(*MADE).frames
-    top = [np.percentile(frame.image, 70.0) for frame in frames]
-    bright = [
-        replace(frame, image=np.minimum(np.rint(frame.image * (4095.0 / high)), 4095.0).astype(np.uint16))
-        for frame, high in zip(frames, top, strict=True)
-    ]
-    said = []
-    fit = fit_scene(bench(*MADE).nominal, bright, BOARD, say=said.append)
-    assert len([line for line in said if "of the pixels are saturated" in line]) == len(frames)
-    usual = fit_scene(bench(*MADE).nominal, frames, BOARD)
-    off = np.array(fit.scene.camera.position_mm) - np.array(usual.scene.camera.position_mm)
-    assert np.abs(off).max() < 0.05, off
-    for one, other in zip(fit.scene.spheres, usual.scene.spheres, strict=True):
-        assert np.abs(np.subtract(one.centre_mm, other.centre_mm)).max() < 0.1
-
-
 @pytest.mark.slow
 def test_wrong_glass_is_never_silent():
     """A scene whose balls have another size and index than those photographed."""

@@ -20,6 +20,7 @@ from tracer.bodies import Core
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import trace
 
 SMALL = "two_spheres_500", 6, (), (), 714
 SLOW = [("two_spheres_500", 6), ("pair_off_axis", 4), ("three_spheres_500", 3), ("pyramid_500", 5)]
@@ -66,6 +67,42 @@ def test_map_sigma_covers_the_recovered_map_and_survives_the_disk(tmp_path):
     (tmp_path / "s.npz").write_bytes(b"PK nonsense")
     with pytest.raises(MapFileError):
         MapSigma.load(tmp_path / "s.npz")
+
+
+def test_frames_from_right_to_left_give_the_same_scene_and_map():
+    """A camera that looks by a mirror."""
+    made, usual = bench(*SMALL), fitted(*SMALL).measured_scene
+    camera = made.nominal.camera
+    mirrored = [replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1])) for frame in made.frames]
+    found = fit_scene(replace(made.nominal, camera=camera.mirrored()), mirrored, made.board).measured_scene
+    assert found.camera.is_mirrored
+    assert np.abs(np.subtract(found.camera.position_mm, usual.camera.position_mm)).max() < 1e-3
+    for one, other in zip(found.spheres, usual.spheres, strict=True):
+        assert np.abs(np.subtract(one.centre_mm, other.centre_mm)).max() < 5e-3
+    last = camera.sensor_px[0] - 1.0
+    pixels = np.stack(np.meshgrid(*[np.arange(5.0, last, 31.0)] * 2), axis=-1).reshape(-1, 2)
+    seen, same = trace(usual, pixels), trace(found, pixels * (-1.0, 1.0) + (last, 0.0))
+    both = seen.recovered & same.recovered
+    assert both.mean() > 0.6
+    assert np.median(np.linalg.norm((seen.plane_mm - same.plane_mm)[both], axis=1)) < 1e-3
+
+
+def test_a_frame_with_saturated_paper_is_fitted_with_a_warning():
+    """Bright squares widen towards all sides alike, so corners stay where they are."""
+    made, usual = bench(*SMALL), fitted(*SMALL)
+    frames = made.frames
+    top = [np.percentile(frame.image, 70.0) for frame in frames]
+    bright = [
+        replace(frame, image=np.minimum(np.rint(frame.image * (4095.0 / high)), 4095.0).astype(np.uint16))
+        for frame, high in zip(frames, top, strict=True)
+    ]
+    said = []
+    fit = fit_scene(made.nominal, bright, made.board, say=said.append)
+    assert len([line for line in said if "of the pixels are saturated" in line]) == len(frames)
+    off = np.array(fit.scene.camera.position_mm) - np.array(usual.scene.camera.position_mm)
+    assert np.abs(off).max() < 0.05, off
+    for one, other in zip(fit.scene.spheres, usual.scene.spheres, strict=True):
+        assert np.abs(np.subtract(one.centre_mm, other.centre_mm)).max() < 0.1
 
 
 @pytest.mark.slow
