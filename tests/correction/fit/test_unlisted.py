@@ -71,7 +71,7 @@ def nodes_off(scene: Scene, stray: str) -> int:
     return int(np.count_nonzero(~(error < 0.5)))
 
 
-@pytest.mark.parametrize("stray", slow_but(BODIES, "wire", "drop"))
+@pytest.mark.parametrize("stray", slow_but(BODIES, "wire"))
 def test_a_stray_body_is_masked_and_little_else(stray):
     scene = masked_by(frame(stray))
     assert scene.masked

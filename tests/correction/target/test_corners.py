@@ -6,8 +6,7 @@ import tifffile
 
 from correction.target import Chessboard
 from correction.target.corners import CornerReason, find_smeared, fraction_saturated, refine_corners
-from correction.target.kernels import corner_block, corner_fit, corner_model
-from ground.kernels import cholesky
+from correction.target.kernels import corner_block, corner_model
 from piv.errors import FrameError
 from tests.correction.frame_truth import FRAMES, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
@@ -222,26 +221,6 @@ def test_products_are_those_of_all_pixels_and_of_no_other(count):
     assert (np.abs(sums[:, :14] - wanted) <= 1e-13 * scale).all()
 
 
-def test_compiled_and_interpreted_fits_agree():
-    matrix, origin, shape = np.array(VIEWS["small"]) * 1.3, np.array((30.3, 31.7)), (64, 64)
-    image = photographed(soft_board(affine(matrix, origin), shape), 2).astype(np.float32)
-    start, axes = origin[None] + 0.2, (matrix * SQUARE)[None]
-    compiled = refine_corners(image, start, axes)
-    out, verdict = np.full((1, 11), np.nan), np.zeros(1, np.uint8)
-    with pytest.MonkeyPatch.context() as context:
-        for module in (corner_model, corner_block, cholesky, corner_fit):
-            for name, value in list(vars(module).items()):
-                if hasattr(value, "py_func") and name != "fit_corners":
-                    context.setattr(module, name, value.py_func)
-        corner_fit.fit_corners.py_func(
-            image, np.ones((1, 1), np.uint8), start, axes, np.array([0.45]), 0.15, 4.0, 0.45, 5.0, 0, 1,
-            corner_fit.new_scratch(), out, verdict,
-        )  # fmt: skip
-    assert verdict[0] == CornerReason.OK
-    assert np.allclose(out[0, :2], compiled.position_px[0], atol=1e-6)
-    assert np.allclose(np.sqrt(out[0, 2:4]), compiled.sigma_px[0], rtol=1e-4)
-
-
 @pytest.mark.parametrize("squares_px", [12.0, 22.0, 35.0])
 def test_a_smeared_corner_is_as_blurred_as_it_is_found_in_a_frame(squares_px):
     turn, way, spread, count = 0.3, 1.0, 0.4, 12
@@ -259,23 +238,6 @@ def test_a_smeared_corner_is_as_blurred_as_it_is_found_in_a_frame(squares_px):
     _, blurs = find_smeared(axes[None], np.array([0.42]), own, steps[:, None], share)
     found = blurs[0] ** 2
     np.testing.assert_allclose(found - alone.mean(), seen - alone, atol=0.15 * spread**2)
-
-
-def test_compiled_and_interpreted_drawings_agree():
-    axes, steps = np.array([[[9.0, 3.0], [2.0, -8.0]]]), np.array([[[0.2, 0.1]], [[-0.3, 0.0]]])
-    drawn = [np.empty((1, 15, 15)) for _ in range(2)]
-
-    def scratch():
-        return np.empty(13), np.empty(4), np.empty((16, corner_block.PIXEL_LANES))
-
-    with pytest.MonkeyPatch.context() as context:
-        corner_block.draw_smeared(axes, np.array([0.6]), steps, np.full((2, 1), 0.5), 0, 1, *scratch(), drawn[0])
-        plain = corner_block.draw_smeared.py_func
-        for name in ("polynomial", "gradients", "set_turn"):
-            context.setattr(corner_block, name, getattr(corner_block, name).py_func)
-        plain(axes, np.array([0.6]), steps, np.full((2, 1), 0.5), 0, 1, *scratch(), drawn[1])
-    np.testing.assert_allclose(drawn[0], drawn[1], atol=1e-9)
-    assert drawn[0].min() < -0.9 < 0.9 < drawn[0].max()
 
 
 def test_frames_that_are_none_are_refused():

@@ -17,6 +17,7 @@ from tests.loops import loop_over
 from tests.piv.correlation import flows
 from tests.piv.fixed_windows import evaluate_pair
 from tests.piv.sigma_table import figures, flows_of, of_vectors, pair_of
+from tests.slow_cases import slow
 
 FOUND = PivSettings(finest_px=16)
 SHAPE, MARGIN = (512, 512), 48
@@ -198,7 +199,7 @@ def test_particle_images_are_as_wide_as_frames_are_sampled(particle_pair, diamet
     assert pair.spread_as_sampled_px2 == pytest.approx(0.75 / np.log(one / two), rel=0.12)
 
 
-@pytest.mark.parametrize("overlap", [0.5, 0.75])
+@pytest.mark.parametrize("overlap", [0.5, slow(0.75)])
 def test_in_dim_turbulence_without_an_end_sigma_is_not_half_of_the_error(particle_pair, overlap):
     """Sharp particle images are blurred when frames are sampled; halving explains more of a displacement there."""
     off, total = [], []

@@ -11,11 +11,12 @@ from daq.bench.scene_plausibility import scene_questions
 from daq.errors import RunUsageError
 from rtpiv.verbs.check import check
 from rtpiv.verbs.init import GivenLab, init
+from tests.slow_cases import slow
 from tracer.scene.scene_file import load_scene
 
 
 @pytest.mark.parametrize(
-    ("shape", "balls", "plane"), [("bcc", 22, 1.0), ("bcc", 22, 1.5), ("sc", 27, 1.3), ("hcp", 17, 2.0)]
+    ("shape", "balls", "plane"), [("bcc", 22, 1.5), ("hcp", 17, 2.0), slow("bcc", 22, 1.0), slow("sc", 27, 1.3)]
 )
 def test_a_bed_of_layers_has_its_sheet_between_the_balls(tmp_path, shape, balls, plane):
     bed = GivenLab(arrangement=shape, layers=3, plane=plane, ball_mm=30.0, lens_mm=16.0)
