@@ -28,9 +28,9 @@ def three():
 @pytest.fixture(autouse=True)
 def few_places(monkeypatch):
     """Enough for these frames, and quick."""
-    monkeypatch.setattr(self_calibration, "MOST_PLACES", 2500)
-    monkeypatch.setattr(disparities, "MODELLED", 150)
-    monkeypatch.setattr(disparities, "LEAST_MODELLED", 6)
+    monkeypatch.setattr(self_calibration, "MOST_PLACES", 4000)
+    monkeypatch.setattr(disparities, "MODELLED", 300)
+    monkeypatch.setattr(disparities, "LEAST_MODELLED", 12)
 
 
 def numbers(sheet):
