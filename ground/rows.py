@@ -8,15 +8,18 @@ an output row, hence the result has the same bits for any number of threads and 
 """
 
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from functools import cache
 from typing import TypeVar
 
 T = TypeVar("T")
 LEAST_ROWS = 16  # of a block whose length is not prescribed
+NAME = "rtpiv-rows"
 SHARES = 3  # a block is at most this part of what is left, for each core
+_pools: dict[int, ThreadPoolExecutor] = {}
+_one_at_a_time = threading.Lock()
 
 
 def thread_count() -> int:
@@ -29,9 +32,18 @@ def thread_count() -> int:
     return os.cpu_count() or 1
 
 
-@cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="rtpiv-rows")
+    with _one_at_a_time:
+        if threads not in _pools:
+            _pools[threads] = ThreadPoolExecutor(threads, thread_name_prefix=NAME)
+        return _pools[threads]
+
+
+def end_idle_threads() -> None:
+    """End the threads of a program that has no others beside its first, which calls this; they begin anew later."""
+    if all(each.name.startswith(NAME) for each in threading.enumerate() if each is not threading.main_thread()):
+        while _pools:
+            _pools.popitem()[1].shutdown()
 
 
 def run_rows(

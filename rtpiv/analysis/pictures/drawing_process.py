@@ -20,11 +20,10 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
-import ground.jit.compile_news as compile_news
+from ground.forking import ENDINGS, begin_child
 from ground.rows import thread_count
 
 Job = tuple[str, tuple[Any, ...]]
-ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class Draw(Protocol):
@@ -157,10 +156,7 @@ def _no_description(artist: object) -> str:
 def _draw_what_comes(jobs: Connection, others: Connection, modules: Sequence[str]) -> None:
     """Be the child."""
     others.close()  # else it would never see the other end closed
-    for number in ENDINGS:
-        signal.signal(number, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDINGS)
-    compile_news.watch = compile_news.complain = compile_news.make_helper = compile_news.helper = None
+    begin_child()
     with suppress(ImportError, AttributeError):  # said by what needs it
         artist: Any = import_module("matplotlib.artist")
         artist.kwdoc = _no_description  # else a third of the time goes into docstrings of ``set``, of every class
