@@ -11,8 +11,8 @@ the share of the magnification that counts are at most 1.  A node whose last lay
 take it, so it is not solved: what is seen directly is not sought through glass unless several views are wanted.
 Nor is a node sought with care where there is no hope (``kernels.views``): four of five that a bed's blocks leave.
 
-A bed has tens of thousands of sheets: small ones are solved in one call, each large one on all cores; both verify
-what they find in bundles (``kernels.bed_sheets``).
+A bed has tens of thousands of sheets: each core solves all of them for some rows of nodes, and verifies what it
+finds in bundles (``kernels.bed_sheets``).
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,21 +24,19 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.inversion.kernels.bed_sheets import (
-    LANES,
-    MEASURES,
+    TILING,
+    BedSheets,
     BundleScratch,
-    SmallSheets,
-    StartScratch,
-    solve_in_bundle,
-    solve_small_sheets,
+    solve_sheets,
 )
 from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, BehindScratch, direct_rows_behind
 from correction.inversion.kernels.direct import DirectScratch, DirectView, direct_rows
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, BranchSequences, SheetPath
+from correction.inversion.kernels.sheets import FIRST_ROW, LAST_ROW
 from correction.inversion.kernels.views import InverseProblem, NodeScratch, ViewMaps, join_weights, solve_nodes
-from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts
+from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts, start_scratch
 from correction.masked import mask_branches, mask_pixels
-from ground.rows import run_parts, run_rows
+from ground.rows import run_parts, run_rows, thread_count
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.sphere import OPAQUE
 from tracer.strategies.beds import Balls
@@ -46,6 +44,8 @@ from tracer.strategies.branches import chain_trip, event_numbers, key_of
 from tracer.strategies.lockstep import block_scratch, sphere_discs
 from tracer.strategies.ray_map import RayMap
 from tracer.strategies.strategy import Kind, Strategy
+
+PARTS, LEAST_ROWS = 3, 64  # parts of a bed's nodes for each core, and rows of the smallest
 
 
 def solve_bed(problem: InverseProblem, maps: ViewMaps, sheets: Sheets, balls: Balls) -> None:
@@ -60,34 +60,30 @@ def solve_bed(problem: InverseProblem, maps: ViewMaps, sheets: Sheets, balls: Ba
     balls : Balls
         The spheres, as bundles take them.
     """
-    every = sheets.ordered()
-    small = _listed(every, sheets.sequences, balls, problem.every)
-    start = StartScratch(
-        np.zeros(3, np.int64),
-        np.empty(LANES, np.int64),
-        np.empty(MEASURES),
-        np.empty(NEWTON_NUMBERS),
-        *sheets.room_for_starts(),
-    )
-    room = start, np.zeros(1 << (2 * sheets.room).bit_length(), np.int64)
-    scratch, progress = _bundle_scratch(balls), np.zeros(2, np.int64)
-    while progress[0] < len(every.branch):
-        progress[1] = sheets.stamp
-        solve_small_sheets(problem, balls.bed, small, sheets.sensor, progress, room, scratch, maps)
-        sheets.stamp = int(progress[1])
-        if progress[0] < len(every.branch):  # a large sheet is solved on all cores
-            k = int(progress[0])
-            sheet, own = every.sheet(k), slice(small.begin[k], small.begin[k + 1])
-            path = SheetPath(small.events[own], small.balls[own], 0, -1, sheet.branch, sheet.sign, True)
+    every, threads = sheets.ordered(), thread_count()
+    listed = _listed(every, sheets.sequences, balls, problem.every)
+    top = np.minimum.reduceat(every.runs[:, FIRST_ROW], every.first[:-1])
+    bottom = np.maximum.reduceat(every.runs[:, LAST_ROW], every.first[:-1])
 
-            def work(part: Starts, path: SheetPath = path) -> None:
-                solve_in_bundle(problem, path, *part, balls.bed, _bundle_scratch(balls), maps)
+    def work(first: int, last: int) -> None:
+        some = np.nonzero((top < last) & (bottom >= first))[0]
+        start = start_scratch(np.array([TILING, 0, 0, sheets.portion]), *sheets.room_for_starts())
+        room = start, np.zeros(1 << (2 * sheets.room).bit_length(), np.int64)
+        scratch = BundleScratch(
+            balls.bundle(),
+            np.empty(GROUP, np.int64),
+            np.empty(NEWTON_NUMBERS),
+            np.empty(GROUP, np.int64),
+            block_scratch()[1],
+        )
+        solve_sheets(problem, balls.bed, listed, some, (first, last), sheets.sensor, room, scratch, maps)
 
-            run_parts(work, sheets.starts(sheet, maps.weight[-1], small.enough[k]))
-            progress[0] += 1
+    # What may reach the nodes of two parts is measured twice, so that parts are few.
+    height = len(sheets.taken)
+    run_rows(work, height, max(LEAST_ROWS, height // (PARTS * threads)) if threads > 1 else height)
 
 
-def _listed(every: Ordered, sequences: BranchSequences, balls: Balls, all_nodes: bool) -> SmallSheets:
+def _listed(every: Ordered, sequences: BranchSequences, balls: Balls, all_nodes: bool) -> BedSheets:
     """All sheets with their spheres, as kernels take them."""
     sizes = np.diff(sequences.begin)[every.branch]
     ends = np.cumsum(sizes)
@@ -98,13 +94,7 @@ def _listed(every: Ordered, sequences: BranchSequences, balls: Balls, all_nodes:
     begin = np.concatenate(([0], ends))
     enough = (np.full(len(sizes), np.inf) if all_nodes else 1.0 / (1.0 + every.events)).astype(np.float32)
     own = events, place[events], begin
-    return SmallSheets(every.branch, every.sign, *own, every.runs, every.first, enough, sequences)
-
-
-def _bundle_scratch(balls: Balls) -> BundleScratch:
-    """Memory of one thread of `solve_in_bundle`."""
-    passed, state = np.empty(GROUP, np.int64), np.empty(GROUP, np.int64)
-    return BundleScratch(balls.bundle(), passed, np.empty(NEWTON_NUMBERS), state, block_scratch()[1])
+    return BedSheets(every.branch, every.sign, *own, every.runs, every.first, enough, sequences)
 
 
 class Inversion:

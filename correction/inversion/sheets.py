@@ -6,7 +6,7 @@ taken a node); starts are made some thousand at a time, so that a map needs litt
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +102,8 @@ class Sheets:
         self.sensor = Sensor(plane, ray_map.branch, self.flags, self.taken)
         # A pixel's largest square, two wide, is sqrt(8) of its longest side across.
         across = math.sqrt(8.0) * longest_mm / grid.pitch_mm
-        self.room = ENOUGH_NODES + min(math.prod(grid.shape), (int(across) + 3) ** 2)
+        self.portion = max(ENOUGH_NODES, 2 * grid.shape[1])  # more than a row of nodes
+        self.room = self.portion + min(math.prod(grid.shape), (int(across) + 3) ** 2)
         self.spare: list[Starts] = []
         counts, box = np.empty(height, np.int64), np.array(grid.shape[::-1]) - 1.0
         scale = NodeScale(problem.grid, box, longest_mm, least)
@@ -117,7 +118,7 @@ class Sheets:
 
         def cut(first: int, last: int) -> None:
             ends, edges = np.empty(width, np.int64), np.empty(width, np.uint8)
-            list_runs(self.flags, ray_map.branch, first, last, self.begin, ends, self.runs)
+            list_runs(self.sensor, scale, first, last, self.begin, ends, self.runs)
             flag_edges(self.flags, ray_map.branch, first, last, self.begin, edges)
 
         run_rows(cut, height)
@@ -151,15 +152,14 @@ class Sheets:
         if self.stamp == LAST_STAMP:
             self.taken[...], self.stamp = 0, 0
         self.stamp += 1
-        cursor = np.zeros(3, np.int64)
-        scratch = np.empty(LANES, np.int64), np.empty(MEASURES), np.empty(NEWTON_NUMBERS)
+        cursor, rows = np.array([TILING, 0, 0, self.portion]), (0, len(weight))
         tiles: list[Starts] = []
         edges: list[Starts] = []
         # The kernel fills what memory it is given and says by `cursor` where to go on.
         while cursor[0] < DONE:
             starts, nodes = self.spare.pop() if self.spare else self.room_for_starts()
-            start, wanted = StartScratch(cursor, *scratch, starts, nodes), Wanted(weight, enough, self.stamp)
-            tiled, found = scatter_sheet(self.problem, self.sensor, sheet.runs, self.sequences, wanted, start)
+            wanted, start = Wanted(weight, enough, self.stamp, *rows), start_scratch(cursor, starts, nodes)
+            tiled, found = scatter_sheet(self.problem, self.sensor, sheet.runs, self.sequences, wanted, 0, start)
             if found == 0:
                 self.spare.append((starts, nodes))
             elif cursor[0] == TILING:
@@ -176,6 +176,11 @@ class Sheets:
     def room_for_starts(self) -> Starts:
         """Fresh memory for what one call of `scatter_sheet` gives."""
         return np.empty((self.room, 4)), np.empty((self.room, 2), np.int32)
+
+
+def start_scratch(cursor: NDArray[np.int64], *room: NDArray[Any]) -> StartScratch:
+    """Return the memory of `scatter_sheet` with `room` for starts and nodes."""
+    return StartScratch(cursor, np.empty(LANES, np.int64), np.empty(MEASURES), np.empty(NEWTON_NUMBERS), *room)
 
 
 def _joined(parts: list[Starts]) -> Starts:

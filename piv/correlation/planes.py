@@ -131,13 +131,13 @@ def smooth_field(
     ndarray of float64, shape (ny, nx, 2)
         Finite everywhere.
     """
-    fill, _ = fill_gaps(field, valid)
     if sigma_steps <= 0.0 or min(valid.shape) < 2:
-        return fill
+        return fill_gaps(field, valid)[0]
     fit = PlaneFit(valid.astype(float) if trust is None else np.where(valid, trust, 0.0), sigma_steps)
-    result, rest = np.zeros_like(fill), np.where(valid[..., None], field, 0.0)
+    result, rest = np.zeros(field.shape), np.where(valid[..., None], field, 0.0)
     for _ in range(order):
         plane = fit.of(rest)
         result += plane
         rest = np.where(valid[..., None], rest - plane, 0.0)
-    return np.where((fit.total > LEAST_SMOOTH)[..., None], result, fill)
+    known = fit.total > LEAST_SMOOTH
+    return result if known.all() else np.where(known[..., None], result, fill_gaps(field, valid)[0])

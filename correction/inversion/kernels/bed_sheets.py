@@ -1,12 +1,14 @@
-"""Many small sheets in one call: the map behind a bed has tens of thousands, mostly of some dozen nodes.
+"""Many sheets in one call: the map behind a bed has tens of thousands, mostly of some dozen nodes.
 
-What ``correction.inversion.invert`` does for one large sheet after the other is done here for one small sheet
+What ``correction.inversion.invert`` does for one large sheet after the other is done here for all of them, one
 after the other: starts scattered, of those from the edges the nearest of each node kept, nodes solved in blocks
 and verified.  A bed's rays are verified in a bundle (``tracer.kernels.bundle``): what a block of Newton has
 solved is traced once more with all bodies, and only counts if the ray meets the very spheres of the sheet, in
 this order, and nothing else.
 
-A sheet that is not done within one portion of starts is left to the caller, who then calls again.
+All cores work on it: each takes some rows of nodes, and of every sheet that may reach them those nodes alone.
+A node's views come in the order of the sheets and its starts from the sheet alone, so its bits are those of one
+call for all rows.
 
 **Starts** (`scatter_sheet`) give every node that a sheet may show the pixel from which Newton begins.  Every
 useful pixel covers, to first order, the parallelogram of the plane that a square around it sees; nodes in there
@@ -38,7 +40,7 @@ from correction.inversion.kernels.newton import (
     inverse_2x2,
     slopes_along,
 )
-from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, Sensor, slopes
+from correction.inversion.kernels.sheets import BORDER, EDGE, FIRST_ROW, HALF, LAST_ROW, NEAR, Sensor, slopes
 from correction.inversion.kernels.views import OTHER_PATH, InverseProblem, ViewMaps, solve_sheet
 from ground.jit import Array, kernel, kernel_inlined
 from piv.resampling.kernels.bspline import NON_NEGATIVE
@@ -57,7 +59,7 @@ SHARP = 1e-7  # relative error of derivatives that are not traced again after th
 LOOSE_PX = 1e-4  # the last step is never larger, however straight the view: it leaves about its square
 MOST_BEND_PX = 0.05  # a second order larger than this is not to be trusted
 TILING, EDGES, DONE = 0, 1, 2  # how far a sheet is
-ENOUGH_NODES = 8192  # starts after which the caller is asked to take them
+ENOUGH_NODES = 8192  # starts of one portion
 LANES = 128  # pixels measured at a time
 STEP = LANES + 8  # columns a cache line's multiple apart, but no power of two
 REACHED, C, R, LEFT, RIGHT, TOP, BOTTOM = (k * STEP for k in range(7))
@@ -89,13 +91,13 @@ class StartScratch(NamedTuple):
 
     Parameters
     ----------
-    cursor : (3,) int64
-        Where to begin and then where to go on: TILING, EDGES or DONE, run, column.
+    cursor : (4,) int64
+        Where to begin and then where to go on: TILING, EDGES or DONE, run, column; starts that fill a portion.
     listed, measured, block : (LANES,) int64, (MEASURES,), (NEWTON_NUMBERS,)
         Scratch.
     starts, nodes : (N, 4), (N, 2) int32
         Start u, v, its squared distance from the pixel and how small a Newton step must be to be the last; row and
-        column.  Both hold what one pixel gives beyond ENOUGH_NODES.
+        column.  Both hold what one pixel gives beyond a portion.
     """
 
     cursor: Array
@@ -107,11 +109,21 @@ class StartScratch(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """Nodes that a sheet may show: those whose ``weight`` (h, w) is below `enough` and not taken with `stamp`."""
+    """Nodes that a sheet may show.
+
+    Parameters
+    ----------
+    weight, enough, stamp : (h, w) float32, float32, int
+        Those whose weight is below `enough`, and that are not taken with `stamp`.
+    first, last : int
+        In rows first..last-1.
+    """
 
     weight: Array
     enough: np.float32
     stamp: int
+    first: int
+    last: int
 
 
 @kernel
@@ -160,8 +172,9 @@ def trace_isolated_pixels(
 
 
 @kernel
-def invert_measures(count: int, per_mm: float, right: float, bottom: float, m: Array) -> None:
-    """Boxes of nodes around measured pixels, and their derivatives by those of u and v by x and y, in place."""
+def invert_measures(count: int, per_mm: float, right: float, wanted: Wanted, m: Array) -> None:
+    """Boxes of wanted nodes around measured pixels, and derivatives by those of u and v by x and y, in place."""
+    top, bottom = float(wanted.first), wanted.last - 1.0
     for k in range(count):
         xu, xv, yu, yv = m[XU + k], m[XV + k], m[YU + k], m[YV + k]
         xuu, xuv, xvv, yuu, yuv, yvv = m[XUU + k], m[XUV + k], m[XVV + k], m[YUU + k], m[YUV + k], m[YVV + k]
@@ -169,7 +182,7 @@ def invert_measures(count: int, per_mm: float, right: float, bottom: float, m: A
         c, r, reach = m[C + k], m[R + k], m[REACHED + k] * per_mm
         c_half, r_half = reach * (abs(xu) + abs(xv)), reach * (abs(yu) + abs(yv))
         m[LEFT + k], m[RIGHT + k] = max(0.0, np.ceil(c - c_half)), min(right, np.floor(c + c_half))
-        m[TOP + k], m[BOTTOM + k] = max(0.0, np.ceil(r - r_half)), min(bottom, np.floor(r + r_half))
+        m[TOP + k], m[BOTTOM + k] = max(top, np.ceil(r - r_half)), min(bottom, np.floor(r + r_half))
         m[UX + k], m[UY + k], m[VX + k], m[VY + k] = ux, uy, vx, vy
         m[UUU + k], m[VUU + k] = 0.5 * (ux * xuu + uy * yuu), 0.5 * (vx * xuu + vy * yuu)
         m[UUV + k], m[VUV + k] = ux * xuv + uy * yuv, vx * xuv + vy * yuv
@@ -191,10 +204,10 @@ def give_starts(
     scratch: StartScratch,
 ) -> tuple[int, int]:
     """Starts for the nodes around measured pixels; of how many pixels, and nodes with the `found` ones before."""
-    _, listed, m, _, starts, nodes = scratch
-    weight, enough, stamp = wanted
+    cursor, listed, m, _, starts, nodes = scratch
+    weight, enough, stamp, _, _ = wanted
     for k in range(count):
-        if found >= ENOUGH_NODES:
+        if found >= cursor[3]:
             return k, found
         i, c, r, reach = listed[k], m[C + k], m[R + k], m[REACHED + k]
         ux, uy, vx, vy = m[UX + k], m[UY + k], m[VX + k], m[VY + k]
@@ -226,20 +239,21 @@ def give_starts(
 
 @kernel
 def scatter_sheet(
-    problem: InverseProblem, sensor: Sensor, runs: Array, sequences: BranchSequences, wanted: Wanted,
+    problem: InverseProblem, sensor: Sensor, runs: Array, sequences: BranchSequences, wanted: Wanted, found: int,
     scratch: StartScratch,
 ) -> tuple[int, int]:  # fmt: skip
-    """Scatter starts of one sheet, whose ``runs`` are (R, RUN), until there are ENOUGH_NODES or it is done.
+    """Scatter starts of one sheet, whose ``runs`` are (R, RUN), until a portion is full or it is done.
 
-    Returns how many came from the tiling, and how many with those from the edges, which may name a node again.
-    Nodes get the stamp of the sheet from the tiling.
+    Returns how many came from the tiling, and how many with those from the edges, which may name a node again,
+    with the `found` ones that are there.  Nodes get the stamp of the sheet from the tiling.
     """
     flags, taken, grid, tables = sensor.flags, sensor.taken, problem.grid, problem.tables
-    cursor, listed, measured = scratch.cursor, scratch.listed, scratch.measured
-    tiled = found = 0
+    cursor, listed, measured, tiled = scratch.cursor, scratch.listed, scratch.measured, found
     for sweep in range(cursor[0], DONE):
         asked = NEAR | EDGE | BORDER if sweep == TILING else EDGE | BORDER
         for run in range(cursor[1], runs.shape[0]):
+            if runs[run, LAST_ROW] < wanted.first or runs[run, FIRST_ROW] >= wanted.last:
+                continue
             line, i, last = runs[run, 0], max(runs[run, 1], cursor[2]), runs[run, 2]
             while i < last:
                 count = 0
@@ -250,7 +264,7 @@ def scatter_sheet(
                     i += 1
                 if measure_pixels(line, count, sweep == TILING, sensor, grid, listed, measured) != 0:
                     trace_isolated_pixels(line, count, tables, sensor.branch, sequences, scratch)
-                invert_measures(count, 1.0 / grid[2], taken.shape[1] - 1.0, taken.shape[0] - 1.0, measured)
+                invert_measures(count, 1.0 / grid[2], taken.shape[1] - 1.0, wanted, measured)
                 given, found = give_starts(line, count, sweep == TILING, grid[2], taken, wanted, found, scratch)
                 if given < count:
                     cursor[0], cursor[1], cursor[2] = sweep, run, listed[given]
@@ -262,7 +276,7 @@ def scatter_sheet(
     return tiled, found
 
 
-class SmallSheets(NamedTuple):
+class BedSheets(NamedTuple):
     """Sheets in the order in which they are solved.
 
     Parameters
@@ -377,35 +391,67 @@ def solve_in_bundle(
 
 
 @kernel
-def solve_small_sheets(
-    problem: InverseProblem, bed: Bed, sheets: SmallSheets, sensor: Sensor, progress: Array,
+def solve_edges(
+    problem: InverseProblem, path: SheetPath, runs: Array, sequences: BranchSequences, sensor: Sensor,
+    wanted: Wanted, call: int, bed: Bed, room: tuple[StartScratch, Array], scratch: BundleScratch, maps: ViewMaps,
+) -> int:  # fmt: skip
+    """Solve the nodes at the edges of a sheet where they are more than a portion: some rows at a time.
+
+    `call` numbers calls of `keep_nearest`; returns the last one.
+    """
+    start, slots = room
+    first, last = wanted.first, wanted.last
+    while first < wanted.last:
+        part = Wanted(wanted.weight, wanted.enough, wanted.stamp, first, last)
+        start.cursor[0], start.cursor[1], start.cursor[2] = EDGES, 0, 0
+        found = 0
+        while start.cursor[0] < DONE and (found < start.cursor[3] // 2 or first + 1 == last):
+            _, found = scatter_sheet(problem, sensor, runs, sequences, part, found, start)
+            call += 1
+            found = keep_nearest(0, found, call, start.starts, start.nodes, slots)
+        if start.cursor[0] < DONE:
+            last = first + (last - first) // 2
+            continue
+        solve_in_bundle(problem, path, start.starts[:found], start.nodes[:found], bed, scratch, maps)
+        first, last = last, wanted.last
+    return call
+
+
+@kernel
+def solve_sheets(
+    problem: InverseProblem, bed: Bed, sheets: BedSheets, some: Array, rows: tuple[int, int], sensor: Sensor,
     room: tuple[StartScratch, Array], scratch: BundleScratch, maps: ViewMaps,
 ) -> None:  # fmt: skip
-    """Solve sheets from number progress[0] on, until one is too large, which then is progress[0], or all are done.
+    """Solve the nodes of `rows` (from the first to before the last) of sheets, whose numbers ``some`` (S,) holds.
 
-    ``progress`` (2,) int64: next sheet, stamp of the last one; `room` is scratch for starts and the slots of
-    `keep_nearest`.
+    `room` is scratch for starts and the slots of `keep_nearest`.
     """
-    (start, slots), weight = room, maps.weight
-    while progress[0] < sheets.branch.shape[0]:
-        s = progress[0]
-        if progress[1] == LAST_STAMP:
-            sensor.taken[:] = 0
-            progress[1] = 0
-        progress[1] += 1
-        start.cursor[:] = 0
+    (start, slots), weight, stamp, call = room, maps.weight, 0, 0
+    for k in range(some.shape[0]):
+        s = some[k]
+        if stamp == LAST_STAMP:
+            sensor.taken[rows[0] : rows[1]] = 0
+            stamp = 0
+        stamp += 1
+        start.cursor[0], start.cursor[1], start.cursor[2] = TILING, 0, 0
         runs = sheets.runs[sheets.first[s] : sheets.first[s + 1]]
-        wanted = Wanted(weight[weight.shape[0] - 1], sheets.enough[s], progress[1])
-        tiled, found = scatter_sheet(problem, sensor, runs, sheets.sequences, wanted, start)
-        if start.cursor[0] < DONE:
-            return
-        found = keep_nearest(tiled, found, s + 1, start.starts, start.nodes, slots)
+        wanted = Wanted(weight[weight.shape[0] - 1], sheets.enough[s], stamp, rows[0], rows[1])
         low, high = sheets.begin[s], sheets.begin[s + 1]
         path = SheetPath(
             sheets.events[low:high], sheets.balls[low:high], 0, MET, sheets.branch[s], sheets.sign[s], True
         )
+        tiled, found = scatter_sheet(problem, sensor, runs, sheets.sequences, wanted, 0, start)
+        while start.cursor[0] == TILING:
+            solve_in_bundle(problem, path, start.starts[:found], start.nodes[:found], bed, scratch, maps)
+            tiled, found = scatter_sheet(problem, sensor, runs, sheets.sequences, wanted, 0, start)
+        is_done = start.cursor[0] == DONE
+        call += 1
+        found = keep_nearest(tiled, found, call, start.starts, start.nodes, slots) if is_done else tiled
         solve_in_bundle(problem, path, start.starts[:found], start.nodes[:found], bed, scratch, maps)
-        progress[0] = s + 1
+        if not is_done:
+            call = solve_edges(
+                problem, path, runs, sheets.sequences, sensor, wanted, call, bed, room, scratch, maps
+            )
 
 
 assert np.iinfo(np.uint8).max == LAST_STAMP

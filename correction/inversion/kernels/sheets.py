@@ -32,7 +32,8 @@ KIND = SIGN | GLASS
 ISOLATED = 0xFF
 HALF = 0.55  # first order is right to 0.05 px halfway to the next pixel, unless BENT
 MOST_BENT = 0.2  # change of the derivatives a pixel: an eighth of it is the error halfway
-RUN = 4  # row, first column, last column + 1, 2 branch + (det < 0)
+RUN = 6  # row, first column, last column + 1, 2 branch + (det < 0); first and last row of nodes that it may show
+FIRST_ROW, LAST_ROW = 4, 5
 
 singular_values = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
 
@@ -168,12 +169,16 @@ def flag_rows(
 
 
 @kernel
-def list_runs(flags: Array, branch: Array, first: int, last: int, begin: Array, ends: Array, runs: Array) -> None:
+def list_runs(
+    sensor: Sensor, scale: NodeScale, first: int, last: int, begin: Array, ends: Array, runs: Array
+) -> None:
     """Write the runs of rows first..last-1 to runs (R, RUN) int64; those of row r begin at begin[r].
 
-    ``ends`` (W,) int64 is scratch.
+    A useful pixel reaches nodes within |dy/du| + |dy/dv| of the point that it sees, which is at most sqrt(2) times
+    its largest singular value; a row more is for rounding.  ``ends`` (W,) int64 is scratch.
     """
-    width = flags.shape[1]
+    (plane, branch, flags, _), width = sensor, sensor.flags.shape[1]
+    per_mm, reach = 1.0 / scale.grid[2], math.sqrt(2.0) * scale.longest / scale.grid[2] + 1.0
     for row in range(first, last):
         k = begin[row]
         if begin[row + 1] == k:
@@ -189,6 +194,13 @@ def list_runs(flags: Array, branch: Array, first: int, last: int, begin: Array, 
             if flags[row, start] != 0:
                 number, sign = branch[row, start], flags[row, start] & SIGN
                 runs[k, 0], runs[k, 1], runs[k, 2], runs[k, 3] = row, start, ends[j + 1], 2 * number + sign
+                top, bottom = math.inf, -math.inf
+                for i in range(start, ends[j + 1]):
+                    r = (scale.grid[1] - plane[row, 2 * i + 1]) * per_mm
+                    useful = flags[row, i] & USEFUL != 0
+                    top, bottom = min(top, r if useful else top), max(bottom, r if useful else bottom)
+                top, bottom = max(top - reach, 0.0), min(bottom + reach, scale.box[1])
+                runs[k, FIRST_ROW], runs[k, LAST_ROW] = (int(top), int(bottom)) if top <= bottom else (1, 0)
                 k += 1
 
 

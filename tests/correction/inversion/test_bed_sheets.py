@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scenes import bed
-from correction.inversion import invert
+from correction.inversion import invert, sheets
 from correction.inversion.kernels import bed_sheets as starts
 from correction.inversion.kernels.bed_sheets import keep_nearest
 from correction.inversion.sheets import _nearest
@@ -37,6 +37,20 @@ def test_same_bits_as_one_by_one(layers: int, monkeypatch: pytest.MonkeyPatch) -
         assert made.behind_glass.sum() > 100
 
 
+@pytest.mark.parametrize("rows", [16, 37])
+def test_same_bits_however_nodes_are_shared_by_cores(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Views that cross from one part into the next, and sheets whose edges alone fill a portion of starts."""
+    where = small(bed(16), 8.0)
+    ray_map = build_ray_map(where)
+    expected = bits(one_by_one(where, ray_map, 2, monkeypatch))
+    monkeypatch.setenv("RTPIV_THREADS", "2")
+    monkeypatch.setattr(invert, "LEAST_ROWS", rows)
+    monkeypatch.setattr(invert, "PARTS", 1000)
+    assert bits(build_correction_map(where, ray_map, layers=2)) == expected
+    monkeypatch.setattr(sheets, "ENOUGH_NODES", 1)  # then two rows of nodes
+    assert bits(build_correction_map(where, ray_map, layers=2)) == expected
+
+
 @pytest.mark.parametrize("place", ["packed", "mixed"])
 def test_what_is_given_up_had_no_hope(place: str) -> None:
     """The bits of solving every node with care that a block has not solved."""
@@ -46,7 +60,7 @@ def test_what_is_given_up_had_no_hope(place: str) -> None:
     assert bits(build_correction_map(where, ray_map, layers=2)) == bits(every)
 
 
-def test_sheets_that_are_too_large_for_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sheets_of_more_nodes_than_a_portion(monkeypatch: pytest.MonkeyPatch) -> None:
     """A bed of sixteen balls on many pixels: sheets of more nodes than one portion of starts."""
     where = small(bed(16), 2.5)
     ray_map = build_ray_map(where)
