@@ -1,7 +1,7 @@
 """Forking of a process that has one thread: the child starts with its modules, loaded kernels and maps.
 
-A forked copy holds every lock that another thread held at that moment, for ever (fork(2)).  So a process forks only
-on Linux and only while its first thread is its only one, by the count of the system, which knows threads of
+A forked copy holds every lock that another thread held at that moment, for ever (fork(2)).  So a process forks
+only on Linux and only while its first thread is its only one, by the count of the system, which knows threads of
 libraries as well.
 """
 
@@ -18,7 +18,7 @@ TASKS = Path("/proc/self/task")
 
 
 def can_fork() -> bool:
-    """Return whether this process may be forked; idle threads of kernels and of OpenCV end, and begin anew later."""
+    """Return whether this process may be forked; ends idle threads, which begin anew later."""
     if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
         return False
     end_idle_threads()

@@ -40,7 +40,7 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 def end_idle_threads() -> None:
-    """End the threads of a program that has no others beside its first, which calls this; they begin anew later."""
+    """End the threads of a program that has no others beside its first, the caller; they begin anew later."""
     if all(each.name.startswith(NAME) for each in threading.enumerate() if each is not threading.main_thread()):
         while _pools:
             _pools.popitem()[1].shutdown()
