@@ -31,6 +31,7 @@ import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -189,10 +190,9 @@ class CorrectionMap(SceneBound):
         }
 
         def work(first: int, last: int) -> None:
-            part = slice(first, last)
-            for name, (_, trailing, hidden) in FIELDS.items():
-                here = np.expand_dims(seen[:, part], axis=[-1] * bool(trailing))
-                fields[name][:, part] = round_to_step(getattr(self, name)[:, part], here, steps[name], hidden)
+            for layer, (name, (_, _, hidden)) in product(range(self.layers), FIELDS.items()):
+                part = layer, slice(first, last)
+                round_to_step(getattr(self, name)[part], seen[part], steps[name], hidden, fields[name][part])
 
         run_rows(work, self.status.shape[0], block=16)  # few rows stay in a core's cache
         return replace(self, **fields)

@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-NO_NUMBER, MOST = -(2**31), 2**31 - 1
+from correction.maps.kernels.steps import to_fields, to_steps
+
 LEVEL = 1  # of deflate: higher ones take five times as long for a tenth of the size
 
 
 def pack(values: NDArray[Any], shown: NDArray[np.bool_], step: float) -> NDArray[np.uint8]:
     """Return the bytes (B,) of fields (..., h, w) to half a step; 0 where nothing is shown."""
-    whole = _whole(values, shown, step).view(np.uint32)
+    steps = np.empty(values.shape, np.int32)
+    to_steps(_flat(values), _flat(shown), step, steps.reshape(-1))
+    whole = steps.view(np.uint32)
     for axis in (-1, -2):
         whole = np.diff(whole, axis=axis, prepend=np.uint32(0))
     return deflate(np.ascontiguousarray(whole.reshape(-1, 1).view(np.uint8).T))
@@ -33,24 +36,23 @@ def unpack(data: NDArray[np.uint8], shown: NDArray[np.bool_], step: float, hidde
     whole = np.ascontiguousarray(parts.T).view(np.uint32).reshape(shown.shape)
     for axis in (-1, -2):
         whole = np.cumsum(whole, axis=axis, dtype=np.uint32)
-    return _fields(whole.view(np.int32), shown, step, hidden)
+    fields = np.empty(shown.shape)
+    to_fields(_flat(whole.view(np.int32)), _flat(shown), step, hidden, fields.reshape(-1))
+    return fields
 
 
 def round_to_step(
-    values: NDArray[Any], shown: NDArray[np.bool_], step: float, hidden: float
-) -> NDArray[np.float64]:
-    """Return fields as `unpack` gives them."""
-    return _fields(_whole(values, shown, step), shown, step, hidden)
+    values: NDArray[Any], shown: NDArray[np.bool_], step: float, hidden: float, out: NDArray[Any]
+) -> None:
+    """Write fields (h, w, ...), of which nodes (h, w) are shown, to `out` as `unpack` gives them."""
+    flat, shown = _flat(values), np.repeat(shown, values.size // shown.size)
+    whole = np.empty(flat.shape, np.int32)
+    to_steps(flat, shown, step, whole)
+    to_fields(whole, shown, step, hidden, out.reshape(-1))
 
 
-def _whole(values: NDArray[Any], shown: NDArray[np.bool_], step: float) -> NDArray[np.int32]:
-    """Fields in steps; NO_NUMBER where they are not finite."""
-    steps = np.rint(np.where(shown, values, 0.0) / step)
-    return np.where(np.isfinite(steps), np.clip(steps, NO_NUMBER + 1, MOST), NO_NUMBER).astype(np.int32)
-
-
-def _fields(steps: NDArray[np.int32], shown: NDArray[np.bool_], step: float, hidden: float) -> NDArray[np.float64]:
-    return np.where(shown, np.where(steps == NO_NUMBER, np.nan, steps * step), hidden)
+def _flat(values: NDArray[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(values).reshape(-1)
 
 
 def deflate(values: NDArray[Any]) -> NDArray[np.uint8]:

@@ -1,0 +1,1 @@
+"""Compiled rounding of maps; numba and numpy only."""
