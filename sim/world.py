@@ -249,6 +249,7 @@ def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid | Pl
     on_paper = Board(
         board.square_mm, board.disc_mm, discs=board.discs, squares=board.squares,
         origin_corner=board.origin_corner, codes=board.codes, dots=board.dots, scale=(x, y),
+        staggered=board.staggered,
         odd_bright=bool(rng.integers(2)) if board.is_plain else True,
     )  # fmt: skip
     if board.dots is not None and board.dots.levels:

@@ -6,7 +6,8 @@ Without discs a board is plain, and its origin is counted from its edges.  Who f
 share this description and compute with it apart.
 
 A grid of dots has a dot at every corner (i a, j a) instead, a its pitch, and larger ones, its discs, at a few
-corners.
+corners.  Where its rows are staggered by half a pitch, the lattice stands on a corner: dots of a row are a sqrt(2)
+apart, rows a / sqrt(2), and corner (i, j) lies in row i + j, i - j half pitches to the right of the origin.
 
 A printer stretches, along the feed by another factor than across it: on paper a square is `sides_mm` wide and
 high.
@@ -57,17 +58,21 @@ class Dots:
         Diameter of the usual dots.
     bright : bool
         Whether dots are bright on dark; otherwise dark on bright.
-    levels : {"", "rows", "columns", "alternating"}
+    levels : {"", "rows", "columns", "alternating", "staggered"}
         Of a plate with two levels, what lies on the other level than the origin: every second row or column, or
-        every second dot, like the squares of a chessboard.
+        every second dot, like the squares of a chessboard; of staggered rows every second one.
     step_mm : float
         How far that level lies behind the origin's, which is the plane of the target; negative, before it.
+    marks : {"large", "between", "missing"}
+        What the discs of the board are: dots that are larger, marks in the middle of squares, between the dots, or
+        dots that are left out.
     """
 
     dot_mm: float
     bright: bool = False
     levels: str = ""
     step_mm: float = 0.0
+    marks: str = "large"
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,8 @@ class Board:
         Markers in its bright squares.
     dots : Dots, optional
         Of a grid of dots.
+    staggered : bool
+        Whether its rows are staggered by half a pitch; `squares` and `origin_corner` then count half pitches and rows.
     scale : (float, float)
         How much larger than that it is on paper, in x and in y.
     """
@@ -105,6 +112,7 @@ class Board:
     odd_bright: bool = field(default=True, kw_only=True)
     codes: Codes | None = field(default=None, kw_only=True)
     dots: Dots | None = field(default=None, kw_only=True)
+    staggered: bool = field(default=False, kw_only=True)
     scale: tuple[float, float] = field(default=(1.0, 1.0), kw_only=True)
 
     @property

@@ -218,7 +218,7 @@ def _levels(
 ) -> tuple[float, float]:
     """Intensity of dark and bright parts: the middles of squares beside some corners, or of dots and between."""
     marks = board.place_mm(index)
-    asked = marks + np.append(0.5 * board.sides_mm, 0.0)
+    asked = marks + np.append(0.5 * board.corner_mm((1, 1)), 0.0)
     asked = asked if board.dots is None else np.concatenate((marks, asked))
     middle = camera.project(asked + board_mm)
     at = np.rint(middle).astype(np.intp)

@@ -183,7 +183,7 @@ def _error_of(
         board,
         index[seen][~known],
         expected[~known],
-        np.array([[across, 0.0], [0.0, -up]]),
+        np.array([[across, 0.0], [0.0, -up]]) @ board.steps,
         usable,
         search=CornerSearch(board.arm, max_shift=MAX_SHIFT),
     )

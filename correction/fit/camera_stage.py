@@ -195,10 +195,9 @@ def _predict_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64])
     if not len(view):
         return by_camera
     places = {(i, j): pixel for (i, j), pixel in zip(view.index.tolist(), view.pixel, strict=True)}
-    sides = work.board.sides_mm
 
     def through_walls(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        index = np.rint(place_mm[:, :2] / sides).astype(np.int64).tolist()
+        index = work.board.nearest_index(place_mm[:, :2]).tolist()
         return np.array([places.get((i, j), (np.nan, np.nan)) for i, j in index]).reshape(-1, 2)
 
     return through_walls

@@ -22,7 +22,7 @@ from correction.fit.judge.verdict import PRIOR_LIMIT
 from correction.fit.progress import Progress
 from correction.fit.solve.solver import land_corners, residuals
 from correction.fit.solve.unknowns import Unknowns
-from correction.target.chessboard import LEVEL_BY
+from correction.target.chessboard import LEVEL_BY, Chessboard
 from tracer.board import Dots
 
 MUCH = 0.25  # of the squares: lines that a printer has set aside look like levels by a fiftieth
@@ -55,7 +55,7 @@ def levels_shown(work: Progress, limit_px: float) -> str:
     described = work.board.dots
     if described is None:
         return ""
-    tried = [_try_levels(work, levels) for levels in LEVEL_BY]
+    tried = [_try_levels(work, levels) for levels in _ways(work.board)]
     fits = [one for one in tried if one.rms_px <= limit_px and one.pull <= PRIOR_LIMIT]
     if not fits:
         return ""
@@ -70,9 +70,10 @@ def levels_shown(work: Progress, limit_px: float) -> str:
         and abs(best.step_mm - described.step_mm) < CLEAR_STEP_SIGMAS * best.sigma_mm
     ):
         return ""
+    name = "rows" if work.board.staggered else best.levels
     return (
-        f"the frames show dots on two levels, by {best.levels}, the other one {best.step_mm:.4g} mm behind that of"
-        f" the origin, and the board file says {_describe_levels(described)}; say levels: {best.levels} and"
+        f"the frames show dots on two levels, by {name}, the other one {best.step_mm:.4g} mm behind that of"
+        f" the origin, and the board file says {_describe_levels(described)}; say levels: {name} and"
         f" step_mm: {best.step_mm:.4g}, or show the plate that it describes"
     )
 
@@ -97,7 +98,7 @@ def look_like_levels(work: Progress, unknowns: Unknowns, x: NDArray[np.float64])
     known = np.isfinite(value) & np.isfinite(rate).all(axis=1)
     value, rate = value[known], rate[known]
     inverse = np.linalg.inv(rate.T @ rate + np.eye(len(x)))
-    for way in LEVEL_BY.values():
+    for way in _ways(work.board).values():
         odd = [frame.index @ way % 2 != 0 for frame in work.bare]
         g = np.concatenate([(by * here[:, None]).ravel() for by, here in zip(by_depth, odd, strict=True)])[known]
         g = g - rate @ (inverse @ (rate.T @ g))
@@ -125,6 +126,12 @@ def _try_levels(work: Progress, levels: str) -> _Tried:
     return _Tried(levels, rms_px, found_mm, abs(step_mm) * sigma, solution.pull)
 
 
+def _ways(board: Chessboard) -> dict[str, tuple[int, int]]:
+    """Patterns of levels that a board may have: from row to row where they are staggered."""
+    return {name: way for name, way in LEVEL_BY.items() if (name == "staggered") == board.staggered}
+
+
 def _describe_levels(dots: Dots) -> str:
     """Describe the levels of a board file."""
-    return f"levels: {dots.levels}, step_mm: {dots.step_mm:g}" if dots.levels else "nothing of levels"
+    levels = "rows" if dots.levels == "staggered" else dots.levels
+    return f"levels: {levels}, step_mm: {dots.step_mm:g}" if dots.levels else "nothing of levels"

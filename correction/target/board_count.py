@@ -90,7 +90,7 @@ def origin_basis(board: Chessboard, index: NDArray[np.int64], reach: float | Non
     lines = board.outer_lines
     if board.origin_px is not None and reach is not None:
         return "origin_px of the board file"
-    if lines is not None and (np.ptp(index, axis=0) >= np.diff(lines, axis=0)[0] - 2).all():
+    if lines is not None and (np.ptp(board.lines_of(index), axis=0) >= np.diff(lines, axis=0)[0] - 2).all():
         return "the number of its rows and columns"
     if lines is not None and board.dots is None:
         return "its edges"
@@ -175,34 +175,33 @@ def _possible(
     reach: float,
 ) -> list[Placing]:
     """All places that a patch may have."""
-    low, high = np.sort(_extent(patch) @ turn, axis=0)
-    moves = []
-    for axis, middle in enumerate(expected.tolist()):
-        near = (
-            np.arange(np.ceil(middle - reach), np.floor(middle + reach) + 1.0)
-            if reach > HALF_SQUARE
-            else np.rint([middle])
-        )
-        if board.outer_lines is not None:
-            first, last = board.outer_lines[:, axis]
-            near = near[(low[axis] + near > first) & (high[axis] + near < last)]
-            for line, edge in zip(ends.ends_along(turn)[axis], (first, last), strict=True):
-                near = near if line is None else near[line + near == edge]
-        moves.append(near.astype(int).tolist())
-    (a, b), (c, d) = turn.tolist()
-    places = [
-        Placing(((a, b), (c, d)), (-(a * x + b * y), -(c * x + d * y))) for x, y in itertools.product(*moves)
+    near = [
+        np.arange(np.ceil(middle - reach), np.floor(middle + reach) + 1.0)
+        if reach > HALF_SQUARE
+        else np.rint([middle])
+        for middle in expected.tolist()
     ]
+    moves = np.array(list(itertools.product(*near))).reshape(-1, 2).astype(np.int64)
+    if board.outer_lines is not None:
+        (low, high), by = _extent(board.lines_of(patch.index @ turn)), board.lines_of(moves)
+        first, last = board.outer_lines
+        held = ((low + by > first) & (high + by < last)).all(axis=1)
+        for axis, seen in enumerate(ends.ends_along(turn)):
+            for line, edge in zip(seen, (first[axis], last[axis]), strict=True):
+                held &= line is None or line + by[:, axis] == edge
+        moves = moves[held]
+    (a, b), (c, d) = turn.tolist()
+    places = [Placing(((a, b), (c, d)), (-(a * x + b * y), -(c * x + d * y))) for x, y in moves.tolist()]
     if board.dots is not None:
         return places
     return [one for one in places if not board.discs or _odd_bright(patch, one) == board.odd_bright]
 
 
-def _extent(patch: Patch) -> NDArray[np.int64]:
-    """Lowest and highest line (2, 2) of the lattice along i and j with corners enough to count."""
+def _extent(on_lines: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Lowest and highest line (2, 2) along x and y with enough of the corners on lines (N, 2) to count."""
     extent = np.empty((2, 2), np.int64)
     for axis in range(2):
-        lines, count = np.unique(patch.index[:, axis], return_counts=True)
+        lines, count = np.unique(on_lines[:, axis], return_counts=True)
         kept = lines[count >= min(LEAST_LINE, count.max())]
         extent[:, axis] = kept.min(), kept.max()
     return extent
@@ -224,7 +223,7 @@ def _why(
     reach: float,
 ) -> str:
     """Say why a patch has no place, or several."""
-    across, up = (np.abs(np.diff(_extent(patch) @ turn, axis=0)[0]) + 1).tolist()
+    across, up = (np.diff(_extent(board.lines_of(patch.index @ turn)), axis=0)[0] + 1).tolist()
     seen = f"a lattice of {across} x {up} corners is in the frame"
     if board.dots is not None:
         return _why_no_dot_place(len(found), (across, up), board, reach)
@@ -258,7 +257,8 @@ def _why_no_dot_place(places: int, seen: tuple[int, int], board: Chessboard, rea
     if board.squares is not None:
         columns, rows = board.squares
         grid = f"a grid of {columns - 1} x {rows - 1}"
-    words = f"{seen[0]} x {seen[1]} dots are in the frame, all alike"
+    dots = "half pitches and rows of dots" if board.staggered else "dots"
+    words = f"{seen[0]} x {seen[1]} {dots} are in the frame, all alike"
     if not places:
         return (
             f"{words}, which is no part of {grid} within {reach:.2g} pitches of where the camera should see it;"

@@ -26,29 +26,37 @@
     levels: rows                 # every second row is on the other level; or columns, or alternating
     step_mm: 1.0                 # behind that of the origin, which is the plane of the target
 
+    plate: lavision-106-10       # kind, pitch, rows, levels and step of that plate (`correction.target.makers`)
+    dot_mm: 2.0                  # as measured
+    marks_mm: [[-30.0, -5.0]]    # the middle of a square, or triangle, between the dots, from the dot at the origin
+
 A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured,
 it is 1 to half a per cent: what printers differ by; that of a plate to 0.01 %, as makers of plates say.  A bench
 names the file (`target: {board: board.yaml}`), a run keeps it.
 """
 
 from dataclasses import replace
+from math import sqrt
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
 from correction.errors import BoardError
-from correction.target.chessboard import Chessboard
+from correction.target.chessboard import LINES, STAGGERED, Chessboard
 from correction.target.codes import with_codes
+from correction.target.makers import with_plate
 from ground.config import Pair, Table, read
 from ground.whole_file import whole_file
-from tracer.board import LARGE_DOTS, OLDER, Codes, Dots
+from tracer.board import LARGE_DOTS, OLDER, Codes, Dots, Square
 
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
 UNMEASURED = 0.005  # by which printers stretch
 MACHINED, MACHINED_MM = 1e-4, 0.01  # by which the pitch of a plate is off, and its step
+OFF_MIDDLE = 0.15  # pitches that a mark between dots may be off their middle, as measured
 DEEPEST = 0.8  # pitches: a step beyond hides dots at oblique viewing
 SIZES = {
     "chessboard": ("square_mm",),
@@ -83,11 +91,20 @@ class PrintedBoard(Table):
         calib.io and others print it, with a bright square in the upper left corner. Default: as a frame shows it,
         and new for a board with bars, which `rtpiv setup target` has drawn.
     pitch_mm, dot_mm, large_dot_mm : float, optional
-        Of dots: from one to the next, and diameters of the usual and of the large ones.
+        Of dots: from one to the next along a row, and diameters of the usual and of the large ones.
     large_dots, bright_dots : optional
         Which are large, columns and rows from the origin, and whether dots are bright on dark.
+    rows : {"staggered"}, optional
+        Rows of dots half a pitch apart, every second one displaced by half a pitch; `squares`, `origin_corner` and
+        places of dots then count half pitches and rows.
+    marks_mm : list of (float, float), optional
+        Of dots: where other marks stand in the middle between dots, x and y from the origin; they show it.
+    missing_dots : list, optional
+        Dots that are left out and show the origin, columns and rows from it.
+    plate : str, optional
+        Name of a plate in `correction.target.makers`, whose lines the file then has; those in the file count.
     origin_px : (float, float), optional
-        Of dots without large ones: u and v of the one at the origin, in the bare frame at z = 0.
+        Of dots without such marks: u and v of the one at the origin, in the bare frame at z = 0.
     levels, step_mm : optional
         Of a plate: which dots are on another level than the origin (``rows``: every second row), and how far it
         lies behind; negative, before.
@@ -97,6 +114,7 @@ class PrintedBoard(Table):
         Of particles: how many, how wide, drawn from which seed on which area.
     """
 
+    plate: str | None = None
     kind: Literal["chessboard", "charuco", "dots", "particles"]
     square_mm: Positive | None = None
     disc_mm: Positive | None = None
@@ -111,6 +129,9 @@ class PrintedBoard(Table):
     large_dot_mm: Positive | None = None
     large_dots: list[Annotated[list[int], Field(min_length=2, max_length=2)]] | None = None
     bright_dots: bool | None = None
+    rows: Literal["staggered"] | None = None
+    marks_mm: Annotated[list[Pair], Field(min_length=1)] | None = None
+    missing_dots: Annotated[list[Annotated[list[int], Field(min_length=2, max_length=2)]], Field(min_length=1)] | None = None
     origin_px: Pair | None = None
     levels: Literal["rows", "columns", "alternating"] | None = None
     step_mm: Annotated[float, Field(ge=-1e3, le=1e3)] | None = None
@@ -123,6 +144,11 @@ class PrintedBoard(Table):
     measured_mm: Pair | None = None
     read_sigma_mm: Positive = READ_MM
 
+    @model_validator(mode="before")
+    @classmethod
+    def _as_its_maker_says(cls, said: Any) -> Any:
+        return with_plate(said) if isinstance(said, dict) and "plate" in said else said
+
     @model_validator(mode="after")
     def _has_its_sizes(self) -> "PrintedBoard":
         missing = [key for key in SIZES[self.kind] if getattr(self, key) is None]
@@ -134,17 +160,21 @@ class PrintedBoard(Table):
             raise ValueError(
                 "step_sigma_mm is how well the step of a plate is known; say levels and step_mm as well"
             )
-        if self.step_mm is not None and not 0.0 < abs(self.step_mm) <= DEEPEST * (self.pitch_mm or 0.0):
+        if self.step_mm is not None and not 0.0 < abs(self.step_mm) <= DEEPEST * self._side_mm:
             raise ValueError(
                 f"step_mm is not 0 and at most {DEEPEST:g} of pitch_mm; a deeper level is hidden at"
                 " oblique viewing"
             )
         if self.large_dots is not None and self.large_dot_mm is None:
             raise ValueError("large_dots say which dots are large; say large_dot_mm, their diameter, as well")
-        if self.levels is not None and self.large_dot_mm is None:
-            raise ValueError("a plate with levels needs large_dot_mm: large dots say which level is which")
-        if self.origin_px is not None and (self.kind != "dots" or self.large_dot_mm is not None):
-            raise ValueError("origin_px is the origin of dots without large ones; leave it out")
+        marks = [self.large_dot_mm, self.marks_mm, self.missing_dots, self.origin_px]
+        if sum(one is not None for one in marks) > (self.kind == "dots"):
+            raise ValueError(
+                "large_dot_mm, marks_mm, missing_dots and origin_px are the origin of dots; say one of them, or"
+                " leave it out"
+            )
+        if self.rows is not None and (self.kind != "dots" or self.levels not in (None, "rows")):
+            raise ValueError("rows are staggered of dots, whose levels change from row to row (levels: rows)")
         if self.layout is not None and self.kind != "charuco":
             raise ValueError("layout is that of the markers of a charuco board; leave it out")
         if self.measured_mm is not None and self.bars_mm is None:
@@ -165,18 +195,18 @@ class PrintedBoard(Table):
             raise BoardError(
                 "a board of kind particles has no corners to calibrate by; take a chessboard, charuco or dots"
             )
-        side = self.pitch_mm if self.kind == "dots" else self.square_mm
-        assert side is not None
+        side = self._side_mm
         board = Chessboard(side, discs=(), scale=self.scale, scale_sigma=self.scale_sigma)
         if self.kind == "dots":
             assert self.dot_mm is not None
-            large = tuple((i, j) for i, j in self.large_dots) if self.large_dots is not None else LARGE_DOTS
-            dots = Dots(self.dot_mm, bool(self.bright_dots), self.levels or "", self.step_mm or 0.0)
-            if self.large_dot_mm is None:
-                origin = None if self.origin_px is None else (self.origin_px[0], self.origin_px[1])
-                board = replace(board, disc_mm=self.dot_mm, dots=dots, origin_px=origin)
-            else:
-                board = replace(board, disc_mm=self.large_dot_mm, discs=large, dots=dots)
+            marks, discs = self._dots_of_origin()
+            levels = "staggered" if self.rows and self.levels else self.levels or ""
+            dots = Dots(self.dot_mm, bool(self.bright_dots), levels, self.step_mm or 0.0, marks)
+            origin = None if self.origin_px is None else (self.origin_px[0], self.origin_px[1])
+            wide = self.large_dot_mm or self.dot_mm
+            board = replace(
+                board, disc_mm=wide, discs=discs, dots=dots, origin_px=origin, staggered=self.rows is not None
+            )
             if self.levels is not None:
                 board = replace(board, step_sigma_mm=self.step_sigma_mm or MACHINED_MM)
         elif self.disc_mm is not None:
@@ -193,6 +223,36 @@ class PrintedBoard(Table):
             layout = self.layout or ("" if self.bars_mm is None else "new")  # bars are of `rtpiv setup target`
             board = with_codes(board, Codes(self.dictionary, self.marker_mm / self.square_mm, layout))
         return board
+
+    @property
+    def _side_mm(self) -> float:
+        """Side of a square of the lattice, which stands on a corner where rows are staggered."""
+        side = self.pitch_mm if self.kind == "dots" else self.square_mm
+        assert side is not None
+        return side * sqrt(0.5) if self.rows else side
+
+    def _dots_of_origin(self) -> tuple[str, tuple[Square, ...]]:
+        """What shows the origin of dots (`Dots.marks`), and where: dots, or squares between dots, of the lattice."""
+        if self.marks_mm is not None:
+            place = np.array(self.marks_mm) / self._side_mm
+            cells = (place @ STAGGERED if self.rows else place) - 0.5
+            off = np.abs(cells - np.rint(cells)).max()
+            if off > OFF_MIDDLE:
+                raise BoardError(
+                    f"marks_mm are the middles of marks between dots, and one is {off:.2g} pitches off the middle of"
+                    " four dots; measure it from the dot at the origin"
+                )
+            return "between", tuple((round(i), round(j)) for i, j in cells.tolist())
+        named = self.large_dots if self.missing_dots is None else self.missing_dots
+        if self.large_dot_mm is None and self.missing_dots is None:
+            return "large", ()
+        lines = np.array(LARGE_DOTS if named is None else named)
+        if self.rows and named is None:
+            raise BoardError("say large_dots of staggered rows: half pitches and rows from the origin")
+        if self.rows and (lines.sum(axis=1) % 2).any():
+            raise BoardError("no dot stands there: a row of odd number has dots at odd half pitches alone")
+        index = lines @ LINES // 2 if self.rows else lines
+        return "large" if self.missing_dots is None else "missing", tuple((i, j) for i, j in index.tolist())
 
     @property
     def scale(self) -> tuple[float, float]:

@@ -6,7 +6,8 @@ exactly one of four turns and one shift, or the frame does not show this board. 
 from the middle to the edge gives the disc's diameter: another ratio of disc to square is another board.
 
 Of a grid of dots the large ones do the same: every dot is sampled in the frame of its neighbours, and those that
-are wider than halfway between both kinds count.
+are wider than halfway between both kinds count.  Other marks are squares whose middle is as bright as the dots around
+it, whatever stands there, or dots that are left out: a place amid four neighbours that is as bright as the ground.
 
 Prediction: every corner votes for the turn and shift that put it on the nearest predicted corner of its
 kind; right votes agree, wrong ones scatter.
@@ -23,12 +24,13 @@ from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
-from correction.target.lattice_growth import Patch
+from correction.target.lattice_growth import STEPS, Patch
 from correction.target.scale_search import crossing_corners
 from tracer.board import CHIRAL, OLDER
 
 RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
 MIN_VOTE_SHARE = 0.5  # of the votes
+PRESENT = 0.5  # of the contrast of dots, in the middle of a mark
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
 
 
@@ -60,7 +62,7 @@ def place_by_discs(
     TargetNotFound
         The discs are there, but of another size or with the shades exchanged, or they fit more than once.
     """
-    find = _disc_squares if board.dots is None else _large_dots
+    find = _disc_squares if board.dots is None else _FIND[board.dots.marks]
     cells, bright, diameter = find(frame, patch, board)
     wanted = np.array(board.discs)
     shades = board.is_bright(wanted) if board.dots is None else np.zeros(len(wanted), bool)
@@ -102,7 +104,7 @@ def place_by_discs(
         return None
     placing, members = fits[0]
     ratio, expected = float(np.mean(diameter[members])), board.disc_mm / board.square_mm
-    if abs(ratio - expected) > RATIO_TOLERANCE * expected:
+    if (board.dots is None or board.has_large_dots) and abs(ratio - expected) > RATIO_TOLERANCE * expected:
         raise TargetNotFound(
             f"the {board.origin_marks} measure {ratio:.2f} squares across, those of the board described"
             f" {expected:.2f}; put the described board into the frame, or describe this one"
@@ -202,7 +204,8 @@ def _matches(
 ) -> list[tuple[Placing, list[int]]]:
     """All turns and shifts in which every disc of the board meets a disc square of its shade."""
     place = {(int(i), int(j), bool(b)): n for n, ((i, j), b) in enumerate(zip(cells, bright, strict=True))}
-    middle = 0.5 if board.dots is None else 0.0  # of what carries a disc, from its index
+    # Of what carries a disc, from its index:
+    middle = 0.5 if board.dots is None or board.dots.marks == "between" else 0.0
     fits = []
     for turn in QUARTER_TURNS:
         centres = (wanted + middle) @ np.array(turn).T  # a square's middle turns, its corner does not
@@ -254,6 +257,51 @@ def _large_dots(
     diameter = dot_diameters(frame, patch, board)
     chosen = diameter > 0.5 * (board.dots.dot_mm + board.disc_mm) / board.square_mm
     return patch.index[chosen], np.zeros(np.count_nonzero(chosen), bool), diameter[chosen]
+
+
+def _marks_between(
+    frame: NDArray[Any], patch: Patch, _: Chessboard
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Squares (N, 2) of a patch with a mark in their middle, their shade (N,), which is one, no diameter (N,)."""
+    place = {(i, j): n for n, (i, j) in enumerate(patch.index.tolist())}
+    corners = ((0, 0), (1, 0), (1, 1), (0, 1))
+    cells = [c for c in place if all((c[0] + a, c[1] + b) in place for a, b in corners)]
+    dots = patch.position_px[[[place[i + a, j + b] for a, b in corners] for i, j in cells]].reshape(-1, 4, 2)
+    # Two opposite corners are of the row of the mark, and on its level, where rows are staggered.
+    share = [_share_of_dots(frame, patch, dots[:, first::2].mean(axis=1), dots) for first in (0, 1)]
+    marked = np.maximum(*share) > PRESENT
+    chosen = np.array(cells, np.int64).reshape(-1, 2)[marked]
+    return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
+
+
+def _missing_dots(
+    frame: NDArray[Any], patch: Patch, _: Chessboard
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Places (N, 2) in a patch at which a dot is left out, their shade (N,), which is one, no diameter (N,)."""
+    place = {(i, j): n for n, (i, j) in enumerate(patch.index.tolist())}
+    empty = {(i + a, j + b) for i, j in place for a, b in STEPS} - place.keys()
+    holes = sorted(c for c in empty if all((c[0] + a, c[1] + b) in place for a, b in STEPS))
+    dots = patch.position_px[[[place[i + a, j + b] for a, b in STEPS] for i, j in holes]].reshape(-1, 4, 2)
+    around = dots[:, [0, 2, 1, 3]]  # so that neighbours stand side by side
+    missing = _share_of_dots(frame, patch, dots.mean(axis=1), around) < PRESENT
+    chosen = np.array(holes, np.int64).reshape(-1, 2)[missing]
+    return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
+
+
+def _share_of_dots(
+    frame: NDArray[Any], patch: Patch, middle: NDArray[np.float64], dots: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Level (N,) at some places (N, 2), 0 of the ground and 1 of the four dots (N, 4, 2) around each in turn."""
+    between = 0.5 * (dots + np.roll(dots, 1, axis=1))
+    asked = np.concatenate((middle[:, None], dots, between), axis=1)
+    size = float(np.median(np.linalg.norm(patch.axes_px, axis=1)))
+    points = asked[:, None] + size * _AROUND[:_MIDDLE].reshape(-1, 1, 2)
+    value = _rings(frame, points.transpose(0, 2, 1, 3)).astype(np.float64)
+    dot, ground = value[:, 1:5].mean(axis=1), value[:, 5:].mean(axis=1)
+    return np.asarray((value[:, 0] - ground) / np.where(dot == ground, np.inf, dot - ground))
+
+
+_FIND = {"large": _large_dots, "between": _marks_between, "missing": _missing_dots}
 
 
 def dot_diameters(frame: NDArray[Any], patch: Patch, board: Chessboard) -> NDArray[np.float64]:

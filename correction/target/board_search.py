@@ -178,8 +178,9 @@ def track_board(
     if board.dots is not None and board.discs and marked is None and reach is not None:
         raise TargetNotFound(
             _why_another_size(frame, patches[0], view, board)
-            or f"a grid of {len(patches[0].index)} dots is in the frame, but not the {len(board.discs)} large"
-            " dots that mark the origin, whole and as large as the camera should see them; bring them into view,"
+            or f"a grid of {len(patches[0].index)} dots is in the frame, but not the {len(board.discs)}"
+            f" {board.origin_marks} that mark the origin, whole and as large as the camera should see them; bring"
+            " them into view,"
             " or correct pitch and camera"
         )
     counted = marked is None and not placed and (reach is not None or board.is_plain)

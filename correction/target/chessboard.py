@@ -5,8 +5,9 @@ Corner (i, j) is the point (i a, j b), a and b the sides of a square on paper: t
 The pattern of the discs looks different after every quarter turn, so it fixes both the origin and the orientation;
 it cannot tell a mirror image, which no camera shows of a board in air.
 
-A grid of dots is the same with a dot at each corner; its discs are the dots that are larger.  Dots of a plate
-stand on two levels: that of the origin, which is the plane of the target, and one behind it, or before it.
+A grid of dots is the same with a dot at each corner; its discs are the dots that are larger, or other marks.  Dots
+of a plate stand on two levels: that of the origin, which is the plane of the target, and one behind it, or before
+it.  Staggered rows are a lattice turned by 45 degrees: every index is one of its steps, whichever way they lead.
 
 Around a corner two edges cross.  What a fit may look at is a cross of arms along them: the arms end before
 the next corner (1 square away) and are thinner than the distance from an edge to a disc.
@@ -29,7 +30,11 @@ WIDEST_MARKER = 0.8  # squares
 SMALLEST_DOT, WIDEST_DOT = 0.15, 0.75  # pitches: smaller ones are lost behind glass, wider ones touch the next
 LARGER = 1.3  # times that large dots are wider than the others: blur must not make one of the other
 CLEAR_ARM = 0.7  # of the room between an edge and what is printed in the square: blur takes the rest
-LEVEL_BY = {"rows": (0, 1), "columns": (1, 0), "alternating": (1, 1)}  # index times this odd: on the other level
+STAGGERED = np.sqrt(0.5) * np.array([(1.0, -1.0), (1.0, 1.0)])  # columns: its steps, along x and y
+LINES = np.array([(1, -1), (1, 1)])  # on which corner (i, j) of staggered rows lies: half pitches i - j, row i + j
+LEVEL_BY = {  # index times this odd: on the other level
+    "rows": (0, 1), "columns": (1, 0), "alternating": (1, 1), "staggered": (1, 1),
+}  # fmt: skip
 QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
     ((1, 0), (0, 1)),
     ((0, -1), (1, 0)),
@@ -69,7 +74,7 @@ class Chessboard(Board):
     ------
     BoardError
         A size is not positive, a disc does not leave room for the edges, or the discs look the same after a turn
-        (of dots on one level they may: the camera then shows how the grid is turned).
+        (of dots they may, but for large ones on two levels: the camera then shows how the grid is turned).
     """
 
     scale_sigma: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
@@ -100,10 +105,11 @@ class Chessboard(Board):
                 f"discs of {self.disc_mm:g} mm leave no clear edge in squares of {self.square_mm:g} mm;"
                 f" use {0.6 * self.square_mm:g} mm or less"
             )
-        least = 1 if self._is_flat_grid else 2
+        may_repeat = self.dots is not None and not (self.dots.levels and self.has_large_dots)
+        least = 1 if may_repeat else 2
         if len(set(self.discs)) != len(self.discs) or len(self.discs) < least:
             raise BoardError("the origin needs at least two discs, each in a square of its own, or none")
-        if self.is_turn_symmetric and not self._is_flat_grid:
+        if self.is_turn_symmetric and not may_repeat:
             raise BoardError(
                 "the discs look the same after a turn of the board; place them so that no turn repeats"
             )
@@ -114,15 +120,18 @@ class Chessboard(Board):
             raise BoardError(f"levels {dots.levels!r} are not known; say one of {', '.join(LEVEL_BY)}")
         if bool(dots.levels) != (dots.step_mm != 0.0):
             raise BoardError("a plate has levels, and a step_mm from one to the other which is not 0; say both")
-        if self.codes is not None or (dots.levels and not self.discs):
-            raise BoardError("a plate with levels has large dots at its origin, and no grid of dots has markers")
-        least, most = SMALLEST_DOT * self.square_mm, WIDEST_DOT * self.square_mm / (LARGER if self.discs else 1.0)
+        if self.codes is not None:
+            raise BoardError("no grid of dots has markers")
+        if dots.levels and self.staggered != (dots.levels == "staggered"):
+            raise BoardError("levels of a plate with staggered rows change from row to row, and only these")
+        large = self.has_large_dots
+        least, most = SMALLEST_DOT * self.square_mm, WIDEST_DOT * self.square_mm / (LARGER if large else 1.0)
         if not least <= dots.dot_mm <= most:
             raise BoardError(
                 f"dots of {dots.dot_mm:g} mm every {self.square_mm:g} mm are too small, or leave no room for"
                 f" larger ones; use {least:.3g} to {most:.3g} mm"
             )
-        if self.discs and not LARGER * dots.dot_mm <= self.disc_mm <= WIDEST_DOT * self.square_mm:
+        if large and not LARGER * dots.dot_mm <= self.disc_mm <= WIDEST_DOT * self.square_mm:
             raise BoardError(
                 f"large dots of {self.disc_mm:g} mm are too like those of {dots.dot_mm:g} mm, or touch the"
                 f" next; use {LARGER * dots.dot_mm:.3g} to {WIDEST_DOT * self.square_mm:.3g} mm"
@@ -132,8 +141,14 @@ class Chessboard(Board):
         return _turn_discs(self.discs, self.odd_bright if self.dots is None else None, turn)
 
     @property
-    def _is_flat_grid(self) -> bool:
-        return self.dots is not None and not self.dots.levels
+    def has_large_dots(self) -> bool:
+        """True if its discs are dots that are larger than the others."""
+        return self.dots is not None and bool(self.discs) and self.dots.marks == "large"
+
+    @property
+    def pitch_mm(self) -> float:
+        """Side of a square as drawn, or from dot to dot along a row."""
+        return self.square_mm * (np.sqrt(2.0) if self.staggered else 1.0)
 
     @property
     def is_turn_symmetric(self) -> bool:
@@ -152,13 +167,40 @@ class Chessboard(Board):
     def has_corner(self, index: ArrayLike) -> NDArray[np.bool_]:
         """True for indices (..., 2) int of corners that the board has: not those on its edges."""
         lines, index = self.outer_lines, np.asarray(index)
-        if lines is None:
-            return np.ones(index.shape[:-1], dtype=bool)
-        return np.asarray(((index > lines[0]) & (index < lines[1])).all(axis=-1))
+        there = np.ones(index.shape[:-1], dtype=bool)
+        if lines is not None:
+            at = self.lines_of(index)
+            there = np.asarray(((at > lines[0]) & (at < lines[1])).all(axis=-1))
+        return there & ~self._is_disc(index) if self.dots is not None and self.dots.marks == "missing" else there
+
+    @property
+    def steps(self) -> NDArray[np.float64]:
+        """Steps of the lattice, along i and along j (columns, 2), as drawn, in squares."""
+        return STAGGERED if self.staggered else np.eye(2)
+
+    def lines_of(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Lines along x and y (..., 2) of corners (..., 2): their index, or half pitches and row where staggered."""
+        return index @ LINES.T if self.staggered else index
+
+    def along_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return points (..., 2) of the board along the steps of the lattice [mm]: x and y where not staggered."""
+        if not self.staggered:
+            return points_mm
+        return np.asarray((points_mm / self.scale) @ STAGGERED * self.scale)
+
+    def on_board_mm(self, along_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (..., 2) of the board [mm] from those along the steps of the lattice; undoes `along_mm`."""
+        if not self.staggered:
+            return along_mm
+        return np.asarray((along_mm / self.scale) @ STAGGERED.T * self.scale)
+
+    def nearest_index(self, points_mm: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Index (..., 2) of the corners nearest to points (..., 2) of the board [mm]."""
+        return np.rint(self.along_mm(points_mm) / self.sides_mm).astype(np.int64)
 
     def corner_mm(self, index: ArrayLike) -> NDArray[np.float64]:
         """Positions (..., 2) [mm] of the corners with index (..., 2) int."""
-        return np.asarray(index, dtype=np.float64) * self.sides_mm
+        return self.on_board_mm(np.asarray(index, dtype=np.float64) * self.sides_mm)
 
     @property
     def print_sigma(self) -> tuple[float, ...]:
@@ -226,8 +268,9 @@ class Chessboard(Board):
         if len(outline) == 2:
             (x0, y0), (x1, y1) = outline
             outline = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-        low = np.ceil(outline.min(axis=0) / self.sides_mm).astype(np.int64)
-        high = np.floor(outline.max(axis=0) / self.sides_mm).astype(np.int64)
+        along = self.along_mm(outline)
+        low = np.ceil(along.min(axis=0) / self.sides_mm).astype(np.int64)
+        high = np.floor(along.max(axis=0) / self.sides_mm).astype(np.int64)
         columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
         index = np.stack((columns.ravel(), rows.ravel()), axis=-1)
         return index[points_in(outline, self.corner_mm(index)) & self.has_corner(index)]
@@ -236,15 +279,22 @@ class Chessboard(Board):
         """Diameters (...) in pitches of the dots with index (..., 2) int."""
         assert self.dots is not None
         index = np.asarray(index)
-        large = np.zeros(index.shape[:-1], bool)
+        if not self.has_large_dots:
+            return np.full(index.shape[:-1], self.dots.dot_mm / self.square_mm)
+        return np.where(self._is_disc(index), self.disc_mm, self.dots.dot_mm) / self.square_mm
+
+    def _is_disc(self, index: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """True for indices (..., 2) that its discs have."""
+        own = np.zeros(index.shape[:-1], bool)
         for disc in self.discs:
-            large |= (index == np.array(disc)).all(axis=-1)
-        return np.where(large, self.disc_mm, self.dots.dot_mm) / self.square_mm
+            own |= (index == np.array(disc)).all(axis=-1)
+        return own
 
     def _beside_dots(self, drawn_mm: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Index (..., 2) of the nearest dot of points (..., 2), and how far (...) [mm] they are from its rim."""
-        node = np.rint(drawn_mm / self.square_mm).astype(np.int64)
-        away = np.linalg.norm(drawn_mm - node * self.square_mm, axis=-1)
+        place = drawn_mm @ STAGGERED if self.staggered else drawn_mm
+        node = np.rint(place / self.square_mm).astype(np.int64)
+        away = np.linalg.norm(place - node * self.square_mm, axis=-1)
         return node, away - 0.5 * self.square_mm * self.dot_share(node)
 
     def from_edges_mm(self, points_mm: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
@@ -258,7 +308,9 @@ class Chessboard(Board):
     @property
     def origin_marks(self) -> str:
         """The marks of the origin, in words."""
-        return "large dots" if self.dots is not None else "discs"
+        if self.dots is None:
+            return "discs"
+        return {"large": "large dots", "between": "marks between dots", "missing": "missing dots"}[self.dots.marks]
 
     def shade(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Reflectance (...) of board points (..., 2) [mm]: 0 dark, 1 bright."""
@@ -266,6 +318,9 @@ class Chessboard(Board):
         if self.dots is not None:
             node, beside = self._beside_dots(points)
             inside = (beside < 0.0) & self.has_corner(node)
+            for cell in self.discs if self.dots.marks == "between" else ():  # of whatever shape: as wide as a dot
+                middle = self.on_board_mm((np.array(cell) + 0.5) * self.sides_mm) / self.scale
+                inside |= np.linalg.norm(points - middle, axis=-1) < 0.5 * self.dots.dot_mm
             return np.where(inside, float(self.dots.bright), float(not self.dots.bright))
         squares = np.floor(points / self.square_mm).astype(np.int64)
         bright = self.is_bright(squares)

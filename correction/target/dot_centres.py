@@ -95,6 +95,8 @@ def refine_dots(
         for begin in range(first, last, DOTS_AT_ONCE):
             some = order[begin : min(begin + DOTS_AT_ONCE, last)]
             batch = _Batch(pixels, usable, start_px[some], axes_px[some], share[some], reach[some])
+            if dots.levels == "staggered":
+                batch.ask_row()
             out[some], verdict[some] = batch.fit(search.max_shift)
 
     run_rows(rows, len(order), block=DOTS_AT_ONCE, threads=threads)
@@ -153,7 +155,11 @@ class _Batch:
         self.free = np.zeros((len(start_px), DOT_NUMBERS))
         self.free[:, 2], self.free[:, 3], self.free[:, 4] = root[:, 0, 0], root[:, 0, 1], root[:, 1, 1]
         self.free[:, 5] = START_PX
-        self.inside, self.clear = inside, clear
+        self.inside, self.clear, self.place = inside, clear, place
+
+    def ask_row(self) -> None:
+        """Leave out what is not of the dot's own row, where rows are staggered: i + j is 1 in the next one."""
+        self.weight *= np.abs(self.place.sum(axis=-1)) <= REACH_ON_PLATE
 
     def fit(self, max_shift: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Return the rows (n, 11) that `refine_dots` keeps of each dot, and the outcome (n,)."""

@@ -23,6 +23,7 @@ FAINTEST = 0.12  # of the paper: what is less dark is noise
 SMALLEST_PX = 5  # pixels in a dot
 ELLIPSE = 0.8, 1.2  # area of a dot over that of an ellipse with its covariance
 NEAREST_DOTS = 9  # nearest dots that are asked for the grid's directions
+AROUND, NEARER_THAN_DOTS = 4, 0.82  # dots around a mark, 0.71 pitches away; of what dots are from four others
 RIGHT_ANGLE = 0.5  # cosine between both directions at most, in the frame in which the dot is a circle
 ALIKE, ALIKE_ON_PLATE = 0.6, 0.45  # shorter over longer step, there
 USUAL_PX = 24.0  # a dot, if no width is known
@@ -77,6 +78,8 @@ def find_dots(
         whole &= mask[at[:, 1], at[:, 0]]
     found = np.flatnonzero(whole)
     found = found[np.argsort(-depths[found], kind="stable")]
+    if dots.marks == "between":
+        found = found[~_stand_between(mean[found], covariance[found])]
     towards = _directions(mean[found], covariance[found], ALIKE_ON_PLATE if dots.levels else ALIKE)
     return Saddles(mean[found], towards, depths[found], alike=True, levels=dots.levels)
 
@@ -98,6 +101,16 @@ def _moments(
     pixel = 1.0 / 12.0  # a pixel is no point
     covariance = np.array([[mean_of(du * du) + pixel, across], [across, mean_of(dv * dv) + pixel]])
     return mean, covariance.transpose(2, 0, 1), mean_of(depth[v, u])
+
+
+def _stand_between(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """True (N,) for what stands in the middle of four dots, of whatever size and shape, in the dots' own measure."""
+    if len(mean) <= AROUND:
+        return np.zeros(len(mean), bool)
+    near = scipy.spatial.cKDTree(mean).query(mean, k=AROUND + 1)[1][:, 1:]
+    step = mean[near] - mean[:, None]
+    far = np.sqrt(np.einsum("nmi,nij,nmj->nm", step, np.linalg.inv(covariance[near[:, -1]]), step)).mean(axis=1)
+    return np.asarray(far < NEARER_THAN_DOTS * np.median(far))
 
 
 def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64], alike: float) -> NDArray[np.float64]:

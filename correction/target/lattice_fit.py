@@ -176,9 +176,12 @@ def measure_lattice(
 
 
 def holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:
-    """True if all four corners of every disc square, or all large dots, are among the corners (N, 2)."""
-    have, size = {(int(i), int(j)) for i, j in index}, (0, 1) if board.dots is None else (0,)
-    return all((i + a, j + b) in have for i, j in board.discs for a in size for b in size)
+    """True if all large dots, or the marks around other discs, are among the corners (N, 2)."""
+    have = {(int(i), int(j)) for i, j in index}
+    around: tuple[tuple[int, int], ...] = ((0, 0), (1, 0), (0, 1), (1, 1))
+    if board.dots is not None and board.dots.marks != "between":
+        around = ((0, 0),) if board.has_large_dots else STEPS
+    return all((i + a, j + b) in have for i, j in board.discs for a, b in around)
 
 
 def _claims(

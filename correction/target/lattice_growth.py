@@ -317,7 +317,7 @@ def _grow(
     Steps along which the level changes lead `aside` as well, from the other level back again.
     """
     changes = np.zeros(2, bool)
-    if saddles.levels == "alternating":
+    if saddles.levels in ("alternating", "staggered"):
         changes[:] = True
     elif saddles.levels:
         changes[np.linalg.norm(asides / np.linalg.norm(axes, axis=0), axis=0).argmax()] = True

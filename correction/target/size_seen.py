@@ -54,7 +54,7 @@ class SizeSeen:
     @property
     def sentence(self) -> str:
         """Describe apparent and expected size, and what to correct."""
-        told_mm = self.board.square_mm
+        told_mm = self.board.pitch_mm
         what, wide, key = (
             ("squares", "wide", "square_mm")
             if self.board.dots is None

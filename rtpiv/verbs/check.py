@@ -188,7 +188,7 @@ def _describe_board(path: Path) -> str:
     levels = "" if printed.levels is None else f", by {printed.levels} on two levels {printed.step_mm:g} mm apart"
     wide, high = (100.0 * sigma for sigma in board.scale_sigma)
     return (
-        f"{printed.kind} of {board.square_mm:g} mm{levels}; width and height known to {wide:.2g} and {high:.2g} %"
+        f"{printed.kind} of {board.pitch_mm:g} mm{levels}; width and height known to {wide:.2g} and {high:.2g} %"
     )
 
 

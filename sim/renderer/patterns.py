@@ -26,6 +26,7 @@ from sim.renderer.kernels.reflectance import (
     plate,
     sharp_image,
 )
+from sim.renderer.kernels.staggered import staggered_dots
 from tracer.board import Board
 from tracer.camera import Vector3
 from tracer.errors import SceneError
@@ -145,7 +146,11 @@ class DotGrid(PrintedBoard):
         radii = 0.5 * np.array((self.dots.dot_mm, self.disc_mm))
         shades = (self.bright, self.dark) if self.dots.bright else (self.dark, self.bright)
         drawn_mm = points_mm / np.array(self.scale)
-        dot_grid(drawn_mm, self.square_mm, radii, large, self.ends(), np.array(shades, np.float32), out)
+        if self.staggered:
+            draw_staggered(self, (drawn_mm, drawn_mm), (*shades, 0.0), out)
+        else:
+            dot_grid(drawn_mm, self.square_mm, radii, large, self.ends(), np.array(shades, np.float32), out)
+        draw_other_marks(self, (drawn_mm, drawn_mm), shades, out)
         return out
 
 
@@ -165,6 +170,8 @@ class Plate(PrintedBoard):
         super().__post_init__()
         if self.dots is None or self.dots.levels not in GROOVES or self.dots.step_mm == 0.0:
             raise SceneError("a plate has dots on levels, and a step between these")
+        if self.dots.marks != "large" and not self.staggered:
+            raise SceneError("a plate with other marks than large dots has staggered rows")
 
     @property
     def face_mm(self) -> float:
@@ -191,12 +198,53 @@ class Plate(PrintedBoard):
         dot, ground = (self.bright, self.dark) if self.dots.bright else (self.dark, self.bright)
         groove = np.array((*GROOVES[self.dots.levels], self.dots.step_mm < 0.0), np.int64)
         shades = np.array((dot, ground, self.wall), np.float32)
-        drawn = [points / np.array(self.scale) for points in (face_mm, ground_mm)]
-        plate(drawn[0], drawn[1], sizes, large, self.ends(), groove, shades, out)
+        drawn = face_mm / np.array(self.scale), ground_mm / np.array(self.scale)
+        if self.staggered:
+            draw_staggered(self, drawn, (dot, ground, self.wall), out)
+            draw_other_marks(self, drawn, (dot, ground), out)
+        else:
+            plate(drawn[0], drawn[1], sizes, large, self.ends(), groove, shades, out)
         return out
 
 
-GROOVES = {"columns": (1, 0), "rows": (0, 1), "alternating": (1, 1)}
+def draw_staggered(
+    board: PrintedBoard, levels: tuple[Points, Points], shades: tuple[float, ...], out: NDArray[np.float32]
+) -> None:
+    """Draw staggered rows where rays cross face and ground of the board as drawn, (N, 2) [mm] each."""
+    assert board.dots is not None
+    half = board.square_mm / np.sqrt(2.0)
+    if max(board.dots.dot_mm, board.disc_mm) > half:
+        raise SceneError("staggered dots are no wider than the distance of rows")
+    discs = np.array(board.discs if board.dots.marks == "large" else ()).reshape(-1, 2)
+    large = np.stack((discs[:, 0] - discs[:, 1], discs[:, 0] + discs[:, 1]), axis=-1).astype(np.float64)
+    sizes = np.array((half, 0.5 * board.dots.dot_mm, 0.5 * board.disc_mm))
+    groove = np.array((bool(board.dots.levels), board.dots.step_mm < 0.0), np.int64)
+    staggered_dots(*levels, sizes, large, board.ends(), groove, np.array(shades, np.float32), out)
+
+
+def draw_other_marks(
+    board: PrintedBoard, levels: tuple[Points, Points], shades: tuple[float, float], out: NDArray[np.float32]
+) -> None:
+    """Draw a square, a triangle and so on between dots, or the ground over dots that are missing."""
+    assert board.dots is not None
+    between = 0.5 if board.dots.marks == "between" else 0.0
+    radius = 0.5 * board.dots.dot_mm
+    for number, (i, j) in enumerate(board.discs if board.dots.marks != "large" else ()):
+        x, y = i + between, j + between
+        if board.staggered:
+            x, y = (x - y) / np.sqrt(2.0), (x + y) / np.sqrt(2.0)
+        row = round(y * np.sqrt(2.0))
+        is_deep = bool(board.dots.levels) and (row % 2 != 0) != (board.dots.step_mm < 0.0)
+        dx, dy = (levels[int(is_deep)] - board.square_mm * np.array((x, y))).T
+        if not between:
+            out[np.hypot(dx, dy) < 1.05 * radius] = shades[1]
+        elif number % 2 == 0:
+            out[np.maximum(np.abs(dx), np.abs(dy)) < 0.9 * radius] = shades[0]
+        else:  # a triangle that points up
+            out[(dy > -0.8 * radius) & (dy + np.sqrt(3.0) * np.abs(dx) < 1.6 * radius)] = shades[0]
+
+
+GROOVES = {"columns": (1, 0), "rows": (0, 1), "alternating": (1, 1), "staggered": (1, 1)}
 
 
 @dataclass(frozen=True)

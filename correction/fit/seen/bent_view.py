@@ -101,7 +101,7 @@ def find_bent_corners(
         off = pixel - expected.pixel[some][:, None, None]
         affine = np.linalg.inv(expected.axes_px[some]) * board.sides_mm[:, None]
         flat = np.einsum("nij,nvuj->nvui", affine, off)
-        point = rays.plane_mm - node[some][:, None, None]
+        point = board.along_mm(rays.plane_mm - node[some][:, None, None])
         nearest = nearest_there(there)
         squares = (flat + (point - flat)[nearest]) / board.sides_mm
         passed = rays.rays["transmittance"][nearest]

@@ -52,13 +52,13 @@ def off_centre(
     angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     around = np.concatenate((np.zeros((1, 2)), np.column_stack((np.cos(angle), np.sin(angle)))))
     offset = 0.5 * board.dot_share(index)[:, None, None] * around  # pitches; the centre first
-    target = board.corner_mm(index)[:, None] + offset * board.sides_mm
+    target = board.corner_mm(index)[:, None] + board.on_board_mm(offset * board.sides_mm)
     at = pixel[:, None] + np.einsum("nij,nkj->nki", axes_px, offset)
     step = np.zeros_like(at)
     ways = trace(scene, pixel).rays["key"]
     for _ in range(ROUNDS):
         rays = trace(scene, at)
-        step = np.einsum("nij,nkj->nki", axes_px, (target - rays.plane_mm) / board.sides_mm)
+        step = np.einsum("nij,nkj->nki", axes_px, board.along_mm(target - rays.plane_mm) / board.sides_mm)
         at = at + step
     there = (rays.rays["key"] == ways[:, None]) & (np.linalg.norm(step, axis=-1) < NEAR_PX)  # False for NaN
     whole = there.all(axis=1)

@@ -159,10 +159,11 @@ def _nearest_nodes(
     depth_mm: float,
 ) -> NDArray[np.float64]:
     """Nearest mark of the right kind, and level, (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
-    x, y = (point_mm / board.sides_mm).T
+    place = board.along_mm(point_mm) / board.sides_mm
+    x, y = place.T
     if board.dots is not None:  # all of one kind
         if not board.dots.levels:
-            return np.asarray(np.rint(point_mm / board.sides_mm) * board.sides_mm)
+            return board.on_board_mm(np.rint(place) * board.sides_mm)
         odd = np.full(len(x), float(depth_mm != 0.0))
         if board.dots.levels == "rows":
             return np.asarray(
@@ -177,7 +178,7 @@ def _nearest_nodes(
         odd = np.where((towards[:, 0] * towards[:, 1] > 0.0) == board.odd_bright, 1.0, 0.0)
     p = 2.0 * np.rint((x + y - odd) / 2.0) + odd
     q = 2.0 * np.rint((x - y - odd) / 2.0) + odd
-    return np.asarray(np.stack((p + q, p - q), axis=-1) * 0.5 * board.sides_mm)
+    return board.on_board_mm(np.stack((p + q, p - q), axis=-1) * 0.5 * board.sides_mm)
 
 
 def pairing_residuals(

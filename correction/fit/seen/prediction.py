@@ -30,6 +30,7 @@ from correction.fit.seen.dot_rims import off_centre
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
+from correction.target.chessboard import LINES
 from correction.target.corners import MIN_HALF_WINDOW_PX, CornerFit, CornerSearch, half_widths_px
 from correction.target.marks import refine_marks
 from tracer.camera import Vector3
@@ -167,18 +168,22 @@ def _on_level(scene: Scene, pose: TargetPose, board: Chessboard, depth_mm: float
     searched = seen_from_target.coarser(times)
     ray_map = build_ray_map(searched)
     grid = _lattice(searched, board)
+    finer = grid.pitch_mm / float(board.sides_mm.mean())
     found = build_correction_map(
         searched,
         ray_map,
         grid,
         layers=CORNER_SHEETS if scene.spheres else 1,
-        min_magnification=MIN_VIEW_SQUARE_PX / times,
-        max_magnification=LARGEST_SQUARE_PX / times,
+        min_magnification=MIN_VIEW_SQUARE_PX / times * finer,
+        max_magnification=LARGEST_SQUARE_PX / times * finer,
     )
     seen = np.isfinite(found.pixel[..., 0])
+    if board.staggered:  # every second node of the raster is a corner
+        seen &= np.add.outer(np.arange(grid.shape[0]), np.arange(grid.shape[1])) % 2 == 0
     _, rows, columns = np.nonzero(seen)
     middle = (grid.shape[0] - 1) // 2
-    index = np.stack((columns - middle, middle - rows), axis=-1)
+    raster = np.stack((columns - middle, middle - rows), axis=-1)
+    index = raster @ LINES // 2 if board.staggered else raster  # LINES LINES^T = 2
     axes = found.jacobian[seen].astype(np.float64).reshape(-1, 2, 2) * np.array([1.0, -1.0]) * times
     branch = np.where(ray_map.recovered, ray_map.branch.astype(np.float64), -1.0)  # a type that OpenCV takes
     kernel = np.ones((3, 3), np.uint8)
@@ -187,10 +192,11 @@ def _on_level(scene: Scene, pose: TargetPose, board: Chessboard, depth_mm: float
     pixel = (found.pixel[seen] + 0.5) * times - 0.5
     held = np.ones(len(pixel), bool)
     if np.ptp(board.sides_mm):
-        node_mm, node_axes = grid.pitch_mm * index.astype(np.float64), axes / grid.pitch_mm
+        node_mm, node_axes = grid.pitch_mm * raster.astype(np.float64), axes / grid.pitch_mm
         pixel, held = _move_onto(seen_from_target, pixel, node_axes, node_mm, board.corner_mm(index))
-        axes *= board.sides_mm / grid.pitch_mm
-    window, bent = _windows(seen_from_target, pixel, axes, board.square_mm)
+    if np.ptp(board.sides_mm) or board.staggered:
+        axes = axes * (board.sides_mm / grid.pitch_mm) @ board.steps
+    window, bent = _windows(seen_from_target, pixel, axes, board)
     at = np.rint(found.pixel[seen]).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64) * times
     branches = tuple(found.branches)
@@ -281,7 +287,7 @@ def _move_onto(
 
 
 def _windows(
-    scene: Scene, pixel: NDArray[np.float64], axes_px: NDArray[np.float64], square_mm: float
+    scene: Scene, pixel: NDArray[np.float64], axes_px: NDArray[np.float64], board: Chessboard
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Half lengths (N,) of windows [squares] in which the view is straight but for an even curvature.
 
@@ -291,10 +297,11 @@ def _windows(
     for axis in range(2):
         reach = PREDICTED_WINDOW * axes_px[:, :, axis]
         ahead, behind = trace(scene, pixel + reach).plane_mm, trace(scene, pixel - reach).plane_mm
-        odd = 0.5 * (ahead - behind) / square_mm - PREDICTED_WINDOW * np.eye(2)[axis]
+        odd = 0.5 * board.along_mm(ahead - behind) / board.square_mm - PREDICTED_WINDOW * np.eye(2)[axis]
         in_px = np.linalg.norm((axes_px @ odd[:, :, None])[:, :, 0], axis=1)
         twist = np.maximum(twist, np.nan_to_num(in_px, nan=np.inf))
-        uneven += (axes_px @ (0.5 * (ahead + behind) - middle)[:, :, None])[:, :, 0] / square_mm
+        bend = board.along_mm(0.5 * (ahead + behind) - middle)
+        uneven += (axes_px @ bend[:, :, None])[:, :, 0] / board.square_mm
     shorter = np.minimum(1.0, np.cbrt(TWIST_PX / np.maximum(twist, 1e-12)))
     half_px = np.fmax(
         PREDICTED_WINDOW * shorter * np.linalg.norm(axes_px, axis=1).mean(axis=1), MIN_HALF_WINDOW_PX
@@ -304,12 +311,15 @@ def _windows(
 
 
 def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:
-    """Raster whose nodes are the lattice corners around the bare view, with corner (0, 0) in its middle."""
+    """Raster whose nodes are the lattice corners around the bare view, with corner (0, 0) in its middle.
+
+    Of staggered rows every second node is a corner.
+    """
     width, height = scene.camera.sensor_px
     border = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
     rays = scene.camera.directions(border)
     x, y, z = scene.camera.position_mm
     reach = np.abs(np.array([x, y]) - z * rays[:, :2] / rays[:, 2:]).max()
-    a = float(board.sides_mm.mean())
+    a = float(board.sides_mm.mean()) * (np.sqrt(0.5) if board.staggered else 1.0)
     half = int(np.ceil(TARGET_WIDENING * reach / a))
     return PlaneGrid((-half * a, half * a), a, (2 * half + 1, 2 * half + 1))

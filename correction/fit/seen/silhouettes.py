@@ -244,7 +244,7 @@ def find_outlines(
     pixel, bright = saddles.position_px[strong], saddles.edges[strong].sum(axis=1)
     _, rays, node = nearest_marks(unknowns, full, (height_number, False), pixel, bright, board)
     at_node = np.linalg.norm(rays.point_mm - node, axis=1) < SAME * board.square_mm
-    found = {tuple(index) for index in np.rint(node[at_node] / board.sides_mm).astype(np.int64).tolist()}
+    found = {tuple(index) for index in board.nearest_index(node[at_node]).tolist()}
     hidden = np.array([tuple(index) not in found for index in bare.index.tolist()], dtype=np.bool_)
     pose = unknowns.pose(full, height_number)
     corners = pose.to_world(board.corner_mm(bare.index)) - np.multiply.outer(

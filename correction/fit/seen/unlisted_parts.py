@@ -166,8 +166,8 @@ def compare_views(
     if not lattice:
         return Compared()
     place = dict(place_mm or {})
-    index = np.concatenate(lattice)
-    bounds = board.corner_mm(index.min(axis=0)), board.corner_mm(index.max(axis=0))
+    corners = board.corner_mm(np.concatenate(lattice))
+    bounds = corners.min(axis=0), corners.max(axis=0)
     found: list[Unlisted] = []
     rims: dict[str, RimSeen] = {}
     misfits: dict[str, Misfit] = {}
