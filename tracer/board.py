@@ -66,6 +66,8 @@ class Dots:
     marks : {"large", "between", "missing"}
         What the discs of the board are: dots that are larger, marks in the middle of squares, between the dots, or
         dots that are left out.
+    triangle : (int, int), optional
+        Square whose mark is a triangle; those of all others are squares then.
     """
 
     dot_mm: float
@@ -73,6 +75,7 @@ class Dots:
     levels: str = ""
     step_mm: float = 0.0
     marks: str = "large"
+    triangle: Square | None = None
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,8 @@ class Board:
     dots : Dots, optional
         Of a grid of dots.
     staggered : bool
-        Whether its rows are staggered by half a pitch; `squares` and `origin_corner` then count half pitches and rows.
+        Whether its rows are staggered by half a pitch; `squares` and `origin_corner` then count half pitches and
+        rows.
     scale : (float, float)
         How much larger than that it is on paper, in x and in y.
     """

@@ -28,7 +28,7 @@
 
     plate: lavision-106-10       # kind, pitch, rows, levels and step of that plate (`correction.target.makers`)
     dot_mm: 2.0                  # as measured
-    marks_mm: [[-30.0, -5.0]]    # the middle of a square, or triangle, between the dots, from the dot at the origin
+    marks_mm: {square: [-30.0, -5.0], triangle: [20.0, 5.0]}  # in the middle of four dots, from that at the origin
 
 A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured,
 it is 1 to half a per cent: what printers differ by; that of a plate to 0.01 %, as makers of plates say.  A bench
@@ -38,7 +38,7 @@ names the file (`target: {board: board.yaml}`), a run keeps it.
 from dataclasses import replace
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import yaml
@@ -95,10 +95,11 @@ class PrintedBoard(Table):
     large_dots, bright_dots : optional
         Which are large, columns and rows from the origin, and whether dots are bright on dark.
     rows : {"staggered"}, optional
-        Rows of dots half a pitch apart, every second one displaced by half a pitch; `squares`, `origin_corner` and
-        places of dots then count half pitches and rows.
-    marks_mm : list of (float, float), optional
-        Of dots: where other marks stand in the middle between dots, x and y from the origin; they show it.
+        Rows of dots half a pitch apart, every second one displaced by half a pitch; `squares`, `origin_corner`
+        and places of dots then count half pitches and rows.
+    marks_mm : mapping, optional
+        Of dots: where a ``square``, a ``triangle`` or one ``other`` mark stands in the middle of four, x and y
+        from the origin, which they show.
     missing_dots : list, optional
         Dots that are left out and show the origin, columns and rows from it.
     plate : str, optional
@@ -130,8 +131,10 @@ class PrintedBoard(Table):
     large_dots: list[Annotated[list[int], Field(min_length=2, max_length=2)]] | None = None
     bright_dots: bool | None = None
     rows: Literal["staggered"] | None = None
-    marks_mm: Annotated[list[Pair], Field(min_length=1)] | None = None
-    missing_dots: Annotated[list[Annotated[list[int], Field(min_length=2, max_length=2)]], Field(min_length=1)] | None = None
+    marks_mm: Annotated[dict[Literal["square", "triangle", "other"], Pair], Field(min_length=1)] | None = None
+    missing_dots: (
+        Annotated[list[Annotated[list[int], Field(min_length=2, max_length=2)]], Field(min_length=1)] | None
+    ) = None
     origin_px: Pair | None = None
     levels: Literal["rows", "columns", "alternating"] | None = None
     step_mm: Annotated[float, Field(ge=-1e3, le=1e3)] | None = None
@@ -146,7 +149,7 @@ class PrintedBoard(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _as_its_maker_says(cls, said: Any) -> Any:
+    def _as_its_maker_says(cls, said: object) -> object:
         return with_plate(said) if isinstance(said, dict) and "plate" in said else said
 
     @model_validator(mode="after")
@@ -201,7 +204,9 @@ class PrintedBoard(Table):
             assert self.dot_mm is not None
             marks, discs = self._dots_of_origin()
             levels = "staggered" if self.rows and self.levels else self.levels or ""
-            dots = Dots(self.dot_mm, bool(self.bright_dots), levels, self.step_mm or 0.0, marks)
+            named = zip(self.marks_mm or (), discs, strict=False)
+            triangle = next((disc for name, disc in named if name == "triangle"), None)
+            dots = Dots(self.dot_mm, bool(self.bright_dots), levels, self.step_mm or 0.0, marks, triangle)
             origin = None if self.origin_px is None else (self.origin_px[0], self.origin_px[1])
             wide = self.large_dot_mm or self.dot_mm
             board = replace(
@@ -232,15 +237,15 @@ class PrintedBoard(Table):
         return side * sqrt(0.5) if self.rows else side
 
     def _dots_of_origin(self) -> tuple[str, tuple[Square, ...]]:
-        """What shows the origin of dots (`Dots.marks`), and where: dots, or squares between dots, of the lattice."""
+        """Marks of the origin of dots (`Dots.marks`) and where they are: dots, or squares between dots."""
         if self.marks_mm is not None:
-            place = np.array(self.marks_mm) / self._side_mm
+            place = np.array(list(self.marks_mm.values())) / self._side_mm
             cells = (place @ STAGGERED if self.rows else place) - 0.5
             off = np.abs(cells - np.rint(cells)).max()
             if off > OFF_MIDDLE:
                 raise BoardError(
-                    f"marks_mm are the middles of marks between dots, and one is {off:.2g} pitches off the middle of"
-                    " four dots; measure it from the dot at the origin"
+                    f"marks_mm are the middles of marks between dots, and one is {off:.2g} pitches off the middle"
+                    " of four dots; measure it from the dot at the origin"
                 )
             return "between", tuple((round(i), round(j)) for i, j in cells.tolist())
         named = self.large_dots if self.missing_dots is None else self.missing_dots

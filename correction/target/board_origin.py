@@ -6,8 +6,8 @@ exactly one of four turns and one shift, or the frame does not show this board. 
 from the middle to the edge gives the disc's diameter: another ratio of disc to square is another board.
 
 Of a grid of dots the large ones do the same: every dot is sampled in the frame of its neighbours, and those that
-are wider than halfway between both kinds count.  Other marks are squares whose middle is as bright as the dots around
-it, whatever stands there, or dots that are left out: a place amid four neighbours that is as bright as the ground.
+are wider than halfway between both kinds count.  Other marks are squares whose middle is as bright as the dots
+around it, whatever stands there, or dots that are left out: a place amid neighbours that is as bright as ground.
 
 Prediction: every corner votes for the turn and shift that put it on the nearest predicted corner of its
 kind; right votes agree, wrong ones scatter.
@@ -24,12 +24,15 @@ from numpy.typing import NDArray
 
 from correction.errors import TargetNotFound
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
-from correction.target.lattice_growth import STEPS, Patch
+from correction.target.lattice_growth import Patch
 from correction.target.scale_search import crossing_corners
-from tracer.board import CHIRAL, OLDER
+from tracer.board import CHIRAL, OLDER, Square
 
 RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
 MIN_VOTE_SHARE = 0.5  # of the votes
+AROUND_SQUARE, AROUND_DOT = ((0, 0), (1, 0), (1, 1), (0, 1)), ((1, 0), (0, 1), (-1, 0), (0, -1))  # in turn
+WITHIN_ROW = 0.8  # of the rings around a dot: walls stand closer between staggered rows of a plate
+MARK_EDGE, TRIANGULAR = 0.25, 0.35  # of the contrast, where a mark begins; see `_is_triangle`
 PRESENT = 0.5  # of the contrast of dots, in the middle of a mark
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
 
@@ -65,7 +68,7 @@ def place_by_discs(
     find = _disc_squares if board.dots is None else _FIND[board.dots.marks]
     cells, bright, diameter = find(frame, patch, board)
     wanted = np.array(board.discs)
-    shades = board.is_bright(wanted) if board.dots is None else np.zeros(len(wanted), bool)
+    shades = board.disc_kinds()
     fits = _matches(cells, bright, board, wanted, shades)
     if len(fits) > 1 and board.dots is None:  # squares that something covers in part look like discs
         cells, bright, diameter = find(frame, _crossings(frame, patch, board), board)
@@ -260,32 +263,68 @@ def _large_dots(
 
 
 def _marks_between(
-    frame: NDArray[Any], patch: Patch, _: Chessboard
+    frame: NDArray[Any], patch: Patch, board: Chessboard
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Squares (N, 2) of a patch with a mark in their middle, their shade (N,), which is one, no diameter (N,)."""
-    place = {(i, j): n for n, (i, j) in enumerate(patch.index.tolist())}
-    corners = ((0, 0), (1, 0), (1, 1), (0, 1))
-    cells = [c for c in place if all((c[0] + a, c[1] + b) in place for a, b in corners)]
-    dots = patch.position_px[[[place[i + a, j + b] for a, b in corners] for i, j in cells]].reshape(-1, 4, 2)
+    """Squares (N, 2) of a patch with a mark in their middle, which are triangles (N,), no diameter (N,)."""
+    place, _holes = _with_holes(patch)
+    cells = [(i, j) for i, j in place if all((i + a, j + b) in place for a, b in AROUND_SQUARE)]
+    dots = np.array([[place[i + a, j + b] for a, b in AROUND_SQUARE] for i, j in cells]).reshape(-1, 4, 2)
     # Two opposite corners are of the row of the mark, and on its level, where rows are staggered.
-    share = [_share_of_dots(frame, patch, dots[:, first::2].mean(axis=1), dots) for first in (0, 1)]
-    marked = np.maximum(*share) > PRESENT
+    middle = [dots[:, first::2].mean(axis=1) for first in (0, 1)]
+    share = np.stack([_share_of_dots(frame, patch, at, dots) for at in middle])
+    marked = share.max(axis=0) > PRESENT
     chosen = np.array(cells, np.int64).reshape(-1, 2)[marked]
-    return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
+    at = np.where((share[0] > share[1])[:, None], *middle)[marked]
+    assert board.dots is not None
+    if board.dots.triangle is None:
+        return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
+    axes = np.median(patch.axes_px, axis=0)
+    pointed = [_is_triangle(frame, one, axes, board.dots.bright) for one in at]
+    return chosen, np.array(pointed, bool), np.zeros(len(chosen))
+
+
+def _is_triangle(
+    frame: NDArray[Any], at_px: NDArray[np.float64], axes_px: NDArray[np.float64], bright: bool
+) -> bool:
+    """Return whether a mark at a place (2,) in a lattice with axes (2, 2) is a triangle, not a square or disc.
+
+    |<z^3>| / <|z|^2>^(3/2), z the complex place within the mark, is 0.8 of a triangle and 0 of both others.
+    """
+    light = _rings(frame, (at_px + _WITHIN_MARK @ axes_px.T)[None, :, None])[0].astype(np.float64)
+    light = light if bright else -light
+    weight = np.clip((light - np.median(light)) / max(float(np.ptp(light)), 1e-9) - MARK_EDGE, 0.0, None)
+    z = _WITHIN_MARK @ np.array((1.0, 1.0j))
+    z = z - np.average(z, weights=weight)
+    spread = float(np.average(np.abs(z) ** 2, weights=weight))
+    return bool(np.abs(np.average(z**3, weights=weight)) > TRIANGULAR * spread**1.5)
 
 
 def _missing_dots(
     frame: NDArray[Any], patch: Patch, _: Chessboard
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
     """Places (N, 2) in a patch at which a dot is left out, their shade (N,), which is one, no diameter (N,)."""
-    place = {(i, j): n for n, (i, j) in enumerate(patch.index.tolist())}
-    empty = {(i + a, j + b) for i, j in place for a, b in STEPS} - place.keys()
-    holes = sorted(c for c in empty if all((c[0] + a, c[1] + b) in place for a, b in STEPS))
-    dots = patch.position_px[[[place[i + a, j + b] for a, b in STEPS] for i, j in holes]].reshape(-1, 4, 2)
-    around = dots[:, [0, 2, 1, 3]]  # so that neighbours stand side by side
-    missing = _share_of_dots(frame, patch, dots.mean(axis=1), around) < PRESENT
-    chosen = np.array(holes, np.int64).reshape(-1, 2)[missing]
+    place, holes = _with_holes(patch)
+    holes = [(i, j) for i, j in holes if all((i + a, j + b) in place for a, b in AROUND_DOT)]
+    dots = np.array([[place[i + a, j + b] for a, b in AROUND_DOT] for i, j in holes]).reshape(-1, 4, 2)
+    middle = np.array([place[hole] for hole in holes]).reshape(-1, 2)
+    chosen = np.array(holes, np.int64).reshape(-1, 2)[_share_of_dots(frame, patch, middle, dots) < PRESENT]
     return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
+
+
+def _with_holes(patch: Patch) -> tuple[dict[Square, NDArray[np.float64]], list[Square]]:
+    """Places [px] of a patch by index, and of its holes; and these, which have two neighbours along a diagonal.
+
+    Those are on the level of what stands between them, if the patch is that of a plate.
+    """
+    place = {(i, j): patch.position_px[n] for n, (i, j) in enumerate(patch.index.tolist())}
+    beside = {(i + a, j + b) for i, j in place for a, b in AROUND_DOT} - place.keys()
+    holes: dict[Square, NDArray[np.float64]] = {}
+    for i, j in sorted(beside):
+        ends = [((i + a, j + b), (i - a, j - b)) for a, b in ((1, 1), (1, -1))]
+        there = [0.5 * (place[one] + place[other]) for one, other in ends if one in place and other in place]
+        if there:
+            holes[i, j] = np.mean(there, axis=0)
+    return place | holes, list(holes)
 
 
 def _share_of_dots(
@@ -307,8 +346,9 @@ _FIND = {"large": _large_dots, "between": _marks_between, "missing": _missing_do
 def dot_diameters(frame: NDArray[Any], patch: Patch, board: Chessboard) -> NDArray[np.float64]:
     """Diameters (N,) of dots in pitches; TargetNotFound if the usual ones are of another size than described."""
     assert board.dots is not None
-    points = patch.position_px[:, None, None] + np.einsum("rak,nck->nrac", _AROUND, patch.axes_px)
-    diameter = _diameters(_rings(frame, points))
+    within = WITHIN_ROW if board.dots.levels == "staggered" else 1.0
+    points = patch.position_px[:, None, None] + np.einsum("rak,nck->nrac", within * _AROUND, patch.axes_px)
+    diameter = within * _diameters(_rings(frame, points))
     usual = board.dots.dot_mm / board.square_mm
     seen = float(np.median(diameter))
     if abs(seen - usual) > RATIO_TOLERANCE * usual:
@@ -319,6 +359,8 @@ def dot_diameters(frame: NDArray[Any], patch: Patch, board: Chessboard) -> NDArr
     return diameter
 
 
+_GRID = np.stack(np.meshgrid(np.linspace(-0.3, 0.3, 21), np.linspace(-0.3, 0.3, 21)), axis=-1).reshape(-1, 2)
+_WITHIN_MARK = _GRID[np.hypot(*_GRID.T) <= 0.3]  # squares from the middle of a mark, clear of the dots around
 _RADII = np.linspace(0.02, 0.42, 21)  # squares
 _ANGLES = np.arange(16) * (np.pi / 8.0) + 0.1
 _AROUND = _RADII[:, None, None] * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)

@@ -45,16 +45,15 @@ QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
 
 @cache
 def _turn_discs(
-    discs: tuple[Square, ...], odd_bright: bool | None, turn: tuple[Square, Square]
+    discs: tuple[Square, ...], other: tuple[bool, ...], turn: tuple[Square, Square]
 ) -> frozenset[tuple[int, int, bool]]:
-    """Disc squares after a turn, relative to their lowest column and row, with their shade (None: all alike).
+    """Disc squares after a turn, relative to their lowest column and row, and which are of the other kind.
 
     Cached, since a fit makes a stretched board for each evaluation of its residuals.
     """
     cells = np.array(discs) @ np.array(turn).T
     cells -= cells.min(axis=0)
-    bright = (np.array(discs).sum(axis=1) % 2 == 1) == odd_bright
-    return frozenset((int(i), int(j), bool(b)) for (i, j), b in zip(cells, bright, strict=True))
+    return frozenset((int(i), int(j), b) for (i, j), b in zip(cells, other, strict=True))
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class Chessboard(Board):
             )
 
     def _shape(self, turn: tuple[Square, Square]) -> frozenset[tuple[int, int, bool]]:
-        return _turn_discs(self.discs, self.odd_bright if self.dots is None else None, turn)
+        return _turn_discs(self.discs, tuple(self.disc_kinds().tolist()), turn)
 
     @property
     def has_large_dots(self) -> bool:
@@ -149,6 +148,12 @@ class Chessboard(Board):
     def pitch_mm(self) -> float:
         """Side of a square as drawn, or from dot to dot along a row."""
         return self.square_mm * (np.sqrt(2.0) if self.staggered else 1.0)
+
+    def disc_kinds(self) -> NDArray[np.bool_]:
+        """True for its discs (N,) in bright squares; of dots for triangles."""
+        if self.dots is None:
+            return self.is_bright(np.array(self.discs).reshape(-1, 2))
+        return np.array([disc == self.dots.triangle for disc in self.discs], bool)
 
     @property
     def is_turn_symmetric(self) -> bool:
@@ -179,7 +184,7 @@ class Chessboard(Board):
         return STAGGERED if self.staggered else np.eye(2)
 
     def lines_of(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Lines along x and y (..., 2) of corners (..., 2): their index, or half pitches and row where staggered."""
+        """Lines along x and y (..., 2) of corners (..., 2): their index, or half pitch and row where staggered."""
         return index @ LINES.T if self.staggered else index
 
     def along_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -310,7 +315,7 @@ class Chessboard(Board):
         """The marks of the origin, in words."""
         if self.dots is None:
             return "discs"
-        return {"large": "large dots", "between": "marks between dots", "missing": "missing dots"}[self.dots.marks]
+        return {"large": "large dots", "between": "interstitial marks", "missing": "missing dots"}[self.dots.marks]
 
     def shade(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Reflectance (...) of board points (..., 2) [mm]: 0 dark, 1 bright."""

@@ -104,7 +104,10 @@ def _moments(
 
 
 def _stand_between(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """True (N,) for what stands in the middle of four dots, of whatever size and shape, in the dots' own measure."""
+    """True (N,) for what stands in the middle of four dots, of whatever size and shape.
+
+    Distances are in the measure of the dots themselves, so that no bent view changes them.
+    """
     if len(mean) <= AROUND:
         return np.zeros(len(mean), bool)
     near = scipy.spatial.cKDTree(mean).query(mean, k=AROUND + 1)[1][:, 1:]

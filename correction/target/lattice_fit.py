@@ -176,12 +176,13 @@ def measure_lattice(
 
 
 def holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:
-    """True if all large dots, or the marks around other discs, are among the corners (N, 2)."""
+    """True if all four corners of every disc square, all large dots, or three around each other mark are there."""
     have = {(int(i), int(j)) for i, j in index}
     around: tuple[tuple[int, int], ...] = ((0, 0), (1, 0), (0, 1), (1, 1))
     if board.dots is not None and board.dots.marks != "between":
         around = ((0, 0),) if board.has_large_dots else STEPS
-    return all((i + a, j + b) in have for i, j in board.discs for a, b in around)
+    least = len(around) if board.dots is None or board.has_large_dots else len(around) - 1
+    return all(sum((i + a, j + b) in have for a, b in around) >= least for i, j in board.discs)
 
 
 def _claims(

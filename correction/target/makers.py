@@ -1,9 +1,9 @@
 """Calibration plates by name: what their makers print in their names.
 
-LaVision names its two-sided plates of two levels by width, distance of the dots on one level, and distance of the
-levels [mm]: 106-10-2.  Dots of the other level stand in the middle of four, so that rows are staggered by half a
-pitch.  Other figures are in no public document that could be verified: diameter and marks are measured by the user,
-and so are plates of other makers.
+LaVision names its two-sided plates of two levels by width, distance of the dots on one level, and distance of
+the levels [mm]: 106-10-2.  Dots of the other level stand in the middle of four, so that rows are staggered by half
+a pitch.  Other figures are in no public document that could be verified: diameter and marks are measured by the
+user, and so are plates of other makers.
 """
 
 from typing import Any
@@ -22,8 +22,8 @@ def with_plate(said: dict[str, Any]) -> dict[str, Any]:
     name = said["plate"]
     if name not in LAVISION:
         raise ValueError(
-            f"no plate {name!r} is known; say one of {', '.join(LAVISION)}, or its pitch_mm, dot_mm, rows, levels and"
-            " step_mm"
+            f"no plate {name!r} is known; say one of {', '.join(LAVISION)}, or leave plate out and say its kind,"
+            " pitch_mm, rows, levels and step_mm"
         )
     pitch_mm, step_mm = LAVISION[name]
     lines = {"kind": "dots", "pitch_mm": pitch_mm, "rows": "staggered", "bright_dots": True}

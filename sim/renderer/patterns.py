@@ -225,11 +225,11 @@ def draw_staggered(
 def draw_other_marks(
     board: PrintedBoard, levels: tuple[Points, Points], shades: tuple[float, float], out: NDArray[np.float32]
 ) -> None:
-    """Draw a square, a triangle and so on between dots, or the ground over dots that are missing."""
+    """Draw squares and a triangle between dots, or the ground over dots that are missing."""
     assert board.dots is not None
     between = 0.5 if board.dots.marks == "between" else 0.0
     radius = 0.5 * board.dots.dot_mm
-    for number, (i, j) in enumerate(board.discs if board.dots.marks != "large" else ()):
+    for i, j in board.discs if board.dots.marks != "large" else ():
         x, y = i + between, j + between
         if board.staggered:
             x, y = (x - y) / np.sqrt(2.0), (x + y) / np.sqrt(2.0)
@@ -238,7 +238,7 @@ def draw_other_marks(
         dx, dy = (levels[int(is_deep)] - board.square_mm * np.array((x, y))).T
         if not between:
             out[np.hypot(dx, dy) < 1.05 * radius] = shades[1]
-        elif number % 2 == 0:
+        elif (i, j) != board.dots.triangle:
             out[np.maximum(np.abs(dx), np.abs(dy)) < 0.9 * radius] = shades[0]
         else:  # a triangle that points up
             out[(dy > -0.8 * radius) & (dy + np.sqrt(3.0) * np.abs(dx) < 1.6 * radius)] = shades[0]

@@ -154,8 +154,7 @@ def _on_plate(rays: RayMap, other: RayMap, board: Chessboard) -> RayMap:
     before = board.depths_mm[1] < 0.0  # the second is then before the first
     near, far = (other, rays) if before else (rays, other)
     on_near, on_far = (
-        one.recovered
-        & ((board.depth_mm(board.nearest_index(np.nan_to_num(one.plane_mm))) != 0.0) == odd)
+        one.recovered & ((board.depth_mm(board.nearest_index(np.nan_to_num(one.plane_mm))) != 0.0) == odd)
         for one, odd in ((near, before), (far, not before))
     )
     plane = np.where(on_near[..., None], near.plane_mm, far.plane_mm)

@@ -23,8 +23,8 @@ def staggered_dots(
     points (N, 2) and below (N, 2): where rays cross the face, and where they would cross the ground of the grooves
     [mm]; sizes (3,): half a pitch, which is the distance of rows as well, and the radii of usual and large dots;
     large (M, 2) places of the large ones and lines (2, 2), before and beyond which there are none, in half pitches
-    and rows.  groove (2,): whether every second row is one, and whether that of the origin is.  shades (3,) of dots,
-    ground and walls.
+    and rows.  groove (2,): whether every second row is one, and whether that of the origin is.  shades (3,) of
+    dots, ground and walls.
     """
     half = sizes[0]
     for index in range(points.shape[0]):
