@@ -167,7 +167,7 @@ def _board_in(path: Path) -> "PrintedBoard | None":
     from ground.config import open_document, validate
 
     document = open_document(path)
-    if not isinstance(document.tree, dict) or "kind" not in document.tree:
+    if not isinstance(document.tree, dict) or not {"kind", "plate"} & document.tree.keys():
         return None
     board = validate(document, PrintedBoard)
     if board.kind != "chessboard":

@@ -26,7 +26,7 @@ from sim.renderer.kernels.reflectance import (
     plate,
     sharp_image,
 )
-from sim.renderer.kernels.staggered import staggered_dots
+from sim.renderer.kernels.staggered import dots_in_rows
 from tracer.board import Board
 from tracer.camera import Vector3
 from tracer.errors import SceneError
@@ -147,7 +147,7 @@ class DotGrid(PrintedBoard):
         shades = (self.bright, self.dark) if self.dots.bright else (self.dark, self.bright)
         drawn_mm = points_mm / np.array(self.scale)
         if self.staggered:
-            draw_staggered(self, (drawn_mm, drawn_mm), (*shades, 0.0), out)
+            draw_staggered_rows(self, (drawn_mm, drawn_mm), (*shades, 0.0), out)
         else:
             dot_grid(drawn_mm, self.square_mm, radii, large, self.ends(), np.array(shades, np.float32), out)
         draw_other_marks(self, (drawn_mm, drawn_mm), shades, out)
@@ -200,14 +200,14 @@ class Plate(PrintedBoard):
         shades = np.array((dot, ground, self.wall), np.float32)
         drawn = face_mm / np.array(self.scale), ground_mm / np.array(self.scale)
         if self.staggered:
-            draw_staggered(self, drawn, (dot, ground, self.wall), out)
+            draw_staggered_rows(self, drawn, (dot, ground, self.wall), out)
             draw_other_marks(self, drawn, (dot, ground), out)
         else:
             plate(drawn[0], drawn[1], sizes, large, self.ends(), groove, shades, out)
         return out
 
 
-def draw_staggered(
+def draw_staggered_rows(
     board: PrintedBoard, levels: tuple[Points, Points], shades: tuple[float, ...], out: NDArray[np.float32]
 ) -> None:
     """Draw staggered rows where rays cross face and ground of the board as drawn, (N, 2) [mm] each."""
@@ -219,7 +219,7 @@ def draw_staggered(
     large = np.stack((discs[:, 0] - discs[:, 1], discs[:, 0] + discs[:, 1]), axis=-1).astype(np.float64)
     sizes = np.array((half, 0.5 * board.dots.dot_mm, 0.5 * board.disc_mm))
     groove = np.array((bool(board.dots.levels), board.dots.step_mm < 0.0), np.int64)
-    staggered_dots(*levels, sizes, large, board.ends(), groove, np.array(shades, np.float32), out)
+    dots_in_rows(*levels, sizes, large, board.ends(), groove, np.array(shades, np.float32), out)
 
 
 def draw_other_marks(

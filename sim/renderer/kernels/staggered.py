@@ -8,7 +8,7 @@ from sim.renderer.kernels.surfaces import Float64
 
 
 @kernel
-def staggered_dots(
+def dots_in_rows(
     points: Float64,
     below: Float64,
     sizes: Float64,
