@@ -177,20 +177,20 @@ def _draw_particles(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:
     dpi = float(np.clip(SMOOTH / (sigma_mm * MM), LEAST_DPI, MOST_DPI))
     per_mm = dpi * MM
     shape = round((y1 - y0) * per_mm), round((x1 - x0) * per_mm)
-    picture = np.zeros(shape, np.float32)
     reach = int(np.ceil(REACH_SIGMAS * sigma_mm * per_mm))
     around = np.arange(-reach, reach + 1)
-    for x, y in sheet.particles_mm:
-        u, v = (x - x0) * per_mm - 0.5, (y1 - y) * per_mm - 0.5
-        i, j = round(u), round(v)
-        if not (-reach <= i < shape[1] + reach and -reach <= j < shape[0] + reach):
-            continue
-        across = np.exp(-0.5 * ((around + i - u) / (sigma_mm * per_mm)) ** 2)
-        down = np.exp(-0.5 * ((around + j - v) / (sigma_mm * per_mm)) ** 2)
-        top, left = max(0, j - reach), max(0, i - reach)
-        part = picture[top : j + reach + 1, left : i + reach + 1]
-        part += np.outer(down[top - j + reach :][: part.shape[0]], across[left - i + reach :][: part.shape[1]])
-    grey = np.rint(255.0 * np.minimum(picture, 1.0)).astype(np.uint8)
+    place = (sheet.particles_mm - (x0, y1)) * (per_mm, -per_mm) - 0.5
+    near = np.rint(place).astype(np.int64)
+    seen = ((near >= -reach) & (near < np.array(shape[::-1]) + reach)).all(axis=1)
+    off = (near - place)[seen][:, :, None] + around
+    across, down = np.exp(-0.5 * (off / (sigma_mm * per_mm)) ** 2).astype(np.float32).transpose(1, 2, 0)
+    picture = np.zeros((shape[0] + 4 * reach, shape[1] + 4 * reach), np.float32)  # room for what lies beyond
+    first = (near[seen] + reach) @ (1, picture.shape[1])
+    for row, high in enumerate(down):  # all particles at once, a pixel of each at a time
+        for column, wide in enumerate(across):
+            np.add.at(picture.ravel(), first + (row * picture.shape[1] + column), high * wide)
+    within = picture[2 * reach : shape[0] + 2 * reach, 2 * reach : shape[1] + 2 * reach]
+    grey = np.rint(255.0 * np.minimum(within, 1.0)).astype(np.uint8)
     axes.imshow(grey, cmap="gray", vmin=0, vmax=255, extent=(x0, x1, y0, y1), interpolation="none", aspect="auto")
 
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from correction.errors import BoardError, TargetNotFound
+from correction.errors import BoardError, FitFailed, TargetNotFound
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import expect
@@ -187,3 +187,25 @@ def test_the_map_behind_two_balls_is_right_by_staggered_rows(levels, discs, mark
     assert compared > 0.99
     assert np.sqrt(np.mean(error**2)) < 0.1  # upright rows: 0.04 to 0.13 px, from frames of this size
     assert fit.board.scale == pytest.approx(scale, abs=1.5e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shown_mm", "told_mm", "words"),
+    [
+        (1.2, 1.0, r"by rows, the other one 1\.(19|20)\d* mm behind .* say levels: rows and step_mm: 1\.(19|20)"),
+        (1.2, 0.0, "by rows, .* the board file says nothing of levels"),
+        (0.0, 1.2, "the frames show all dots on one level"),
+    ],
+)
+def test_levels_of_staggered_rows_that_are_said_wrong_are_named(shown_mm, told_mm, words):
+    def board(step_mm):
+        dots = Dots(1.8, True, "staggered" if step_mm else "", step_mm)
+        words = {"discs": ((0, 0), (1, 0), (0, 2)), "dots": dots, "staggered": True}
+        return Chessboard(5.0, 2.7, **words, scale_sigma=(1e-4, 1e-4), step_sigma_mm=0.01)
+
+    nominal = at_size(demo_scene("two_spheres_500"), 360)
+    scene = misalign(nominal, 3).with_bodies(())
+    frame = TargetFrame("clear", render(scene, printed(board(shown_mm)), Sensor(), samples=4, seed=1), False)
+    with pytest.raises(FitFailed, match=words):
+        fit_scene(nominal.with_bodies(()), [frame], board(told_mm))
