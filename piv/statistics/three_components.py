@@ -78,7 +78,9 @@ class ThreeComponents:
         return np.where(np.isnan(self.uvw), np.nan, found)
 
 
-def combine_views(uv: Floats, variance: Floats, slope: Floats, sigma_w: Floats, limit: float) -> ThreeComponents:
+def combine_views(
+    uv: Floats, variance: Floats, slope: Floats, sigma_w: Floats, limit: float | Floats
+) -> ThreeComponents:
     """Combine n views of one field into its three components.
 
     Parameters
@@ -91,7 +93,7 @@ def combine_views(uv: Floats, variance: Floats, slope: Floats, sigma_w: Floats, 
         dX/dz and dY/dz of the rays; a view without slopes counts as none.
     sigma_w : ndarray of float64, shape (ny, nx)
         Assumed size of w where it is not determined; NaN counts as 0.
-    limit : float
+    limit : float or ndarray of float64, shape (ny, nx)
         Standard uncertainty of w up to which it is reported.
 
     Returns
@@ -110,7 +112,7 @@ def combine_views(uv: Floats, variance: Floats, slope: Floats, sigma_w: Floats, 
     middle = (share * slopes).sum(axis=0)
     lever = weight * (slopes - middle)  # centred: nothing cancels where slopes are alike
     information = (lever * (slopes - middle)).sum(axis=(0, -1))
-    has_w = (views > 1) & (information > 0.0) & (information >= limit**-2)
+    has_w = (views > 1) & (information > 0.0) & (information >= np.asarray(limit) ** -2.0)
 
     assumed = np.square(np.nan_to_num(sigma_w))
     # 1/(S + 1/sigma^2) = sigma^2/(1 + S sigma^2), which is 0 where nothing is assumed

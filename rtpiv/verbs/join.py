@@ -26,6 +26,7 @@ from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.paths import Named, paths_of
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_series
+from tracer.scene.scene import Scene
 
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
 TOO_FAR_APART = (
@@ -128,12 +129,14 @@ def join(
             screen.print(f"{at_last.summary}, from {moved.places} places")
             if moved.residual_sigma > STRANGERS:
                 screen.print(APART.format(moved.residual_mm, moved.residual_sigma), style="bold red")
+        made = [SeriesView(folder).scene for folder in folders if (folder / FILE).is_file() and folder in paths]
+        is_focus = _differ_in_focus([*made, *(each.method.scene for each in given)])
         for each in given:
-            show_series(screen, run_series(each, workers))
+            show_series(screen, run_series(each if is_focus else _unfiltered(each), workers))
         series = [SeriesView(folder) for folder in folders]
-        if _differ_in_focus(series):
+        if is_focus:
             return _join_focus(screen, series, out)
-        joined = join_views(series, out, at_once, w_limit_px)
+        joined = join_views(series, out, at_once, w_limit_px, choice.settings.denoise)
         from rtpiv.analysis.report.joined_views import write_views_page  # draws
 
         write_views_page(out / PAGE, series, joined)
@@ -151,10 +154,16 @@ def _on_grid(given: SeriesInput, grid: PlaneGrid | None) -> SeriesInput:
     return given if grid in (None, own) else replace(given, method=replace(given.method, grid=grid))
 
 
-def _differ_in_focus(series: Sequence[SeriesView]) -> bool:
+def _unfiltered(given: SeriesInput) -> SeriesInput:
+    """Return the same series without the noise filter, which is applied to what views are combined to."""
+    settings = replace(given.method.settings, denoise=0.0)
+    return replace(given, method=replace(given.method, settings=settings))
+
+
+def _differ_in_focus(scenes: Sequence[Scene]) -> bool:
     """Return whether two views through glass are those of one camera at one place."""
-    cameras = {replace(each.scene.camera, pupil=None) for each in series}
-    return len(series) == 2 and len(cameras) == 1 and any(each.about["glass"] for each in series)
+    cameras = {replace(scene.camera, pupil=None) for scene in scenes}
+    return len(scenes) == 2 and len(cameras) == 1 and any(scene.bodies for scene in scenes)
 
 
 def _is_one_run(paths: Sequence[Path]) -> bool:

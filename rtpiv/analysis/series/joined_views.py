@@ -40,8 +40,10 @@ from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
 from ground.short_repr import short_repr
+from piv.correlation.settings import PivSettings
 from piv.errors import SeriesError
 from piv.files.vector_file import LENGTH, SPEED, Vectors
+from piv.statistics.denoised_components import NoiseFilter
 from piv.statistics.out_of_plane import SlantedField
 from piv.statistics.six_stresses import COMPONENTS, StressSums
 from piv.statistics.three_components import ThreeComponents, combine_views
@@ -56,9 +58,12 @@ from rtpiv.analysis.through_glass import percent, through_glass
 MAX_SIGMA_W_PX = 0.3  # of a pair or a mean whose w is reported
 MOST_OFTEN = 0.5  # of the pairs of a place that must have w, for its mean to have one
 MIN_W_PLACES = 30  # with w that tell its size where it is not determined
+NEVER = 1e-100  # standard uncertainty that no w has
 UNLIKE_SIGMA = 2.0  # residual of views that do not show one flow, or not where they are calibrated
+DENOISE = PivSettings.denoise
 UVW = ("u", "v", "w")
 Floats = NDArray[np.float64]
+Filtered = tuple[Floats, Floats, Floats]  # u, v, w, covariance of their noise, variance of the flow taken off
 
 
 @short_repr
@@ -171,8 +176,37 @@ class _Fit:
     tests: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """Standard uncertainty of w up to which it is reported, after the noise filter."""
+
+    sigma_w: float
+    filter: NoiseFilter
+
+    def reported(self, found: ThreeComponents, noise: Floats) -> NDArray[np.bool_]:
+        """Return where w of all that may be is sure enough; `noise` (ny, nx, 3, 3) is a part of its covariance."""
+        _, filtered, taken = self.filter.filter_w(found.uvw[..., 2], noise[..., 2, 2])
+        variance = found.covariance[..., 2, 2] - noise[..., 2, 2] + filtered + taken
+        return found.has_w & (variance <= self.sigma_w**2)
+
+
+def _variance(covariance: Floats) -> Floats:
+    return np.diagonal(covariance, axis1=-2, axis2=-1)
+
+
+def _noise_of(found: ThreeComponents, noise: Floats) -> Floats:
+    """Covariance (ny, nx, 3, 3) of u, v, w by the variances (n, ny, nx, 2) of the noise of views."""
+    there = np.where(np.isfinite(noise) & (noise > 0.0), noise, 0.0)
+    return np.asarray(np.einsum("nyxkc,nyxlc,nyxc->yxkl", found.gains, found.gains, there, optimize=True))
+
+
 def _combine(
-    views: Sequence[_View], uv: Floats, noise: Floats, resolution: Floats, sigma_w: Sequence[Floats], limit: float
+    views: Sequence[_View],
+    uv: Floats,
+    noise: Floats,
+    resolution: Floats,
+    sigma_w: Sequence[Floats],
+    limits: _Limits,
 ) -> _Fit:
     """Combine vectors (n, ny, nx, 2) with the variance of their noise; `resolution` (n, ny, nx) is a sigma."""
     slope = np.stack([view.slope for view in views])
@@ -180,16 +214,16 @@ def _combine(
     variance = noise + unresolved + np.stack([view.map_variance for view in views])
     known = np.isfinite(sigma_w)
     typical = np.sqrt(np.where(known, np.square(sigma_w), 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
-    found = combine_views(uv, variance, slope, typical, limit)
-    if np.count_nonzero(found.has_w) >= MIN_W_PLACES:  # w is as large elsewhere as where it is measured
-        size = np.nanmean(
-            np.square(found.uvw[..., 2]) - np.where(found.has_w, found.covariance[..., 2, 2], np.nan)
-        )
+    # Everywhere where the filter may make w sure enough, then where it has done so.
+    found = combine_views(uv, variance, slope, typical, limits.sigma_w / limits.filter.least)
+    limit = np.where(limits.reported(found, _noise_of(found, noise)), np.inf, NEVER)
+    known_w = np.isinf(limit)
+    if np.count_nonzero(known_w) >= MIN_W_PLACES:  # w is as large elsewhere as where it is measured
+        size = np.mean(np.square(found.uvw[known_w, 2]) - found.covariance[known_w, 2, 2])
         typical = np.maximum(typical, np.sqrt(max(float(size), 0.0)))
-        found = combine_views(uv, variance, slope, typical, limit)
-    there = np.where(np.isfinite(noise) & (noise > 0.0), noise, 0.0)
-    own = np.einsum("nyxkc,nyxlc,nyxc->yxkl", found.gains, found.gains, there, optimize=True)
-    systematic = np.maximum(np.diagonal(found.covariance - own, axis1=-2, axis2=-1), 0.0)
+    found = combine_views(uv, variance, slope, typical, limit)
+    own = _noise_of(found, noise)
+    systematic = np.maximum(_variance(found.covariance - own), 0.0)
     # Windows of all views miss the same detail, so that u and v of several views miss it as well.
     is_used = np.any(found.gains != 0.0, axis=(-2, -1))[..., None]
     common = np.nan_to_num(np.where(is_used, unresolved, np.inf).min(axis=0), posinf=0.0)
@@ -202,7 +236,9 @@ def _combine(
     return _Fit(found, own, systematic, tests)
 
 
-def join_views(series: Sequence[SeriesView], out: Path, at_once: bool, limit_px: float) -> JoinedViews:
+def join_views(
+    series: Sequence[SeriesView], out: Path, at_once: bool, limit_px: float, denoise: float = DENOISE
+) -> JoinedViews:
     """Join series of several views and write mean.nc, and the vectors of pairs, into `out`.
 
     Parameters
@@ -215,6 +251,9 @@ def join_views(series: Sequence[SeriesView], out: Path, at_once: bool, limit_px:
         Their pairs were recorded at the same time, in the same order.
     limit_px : float
         Standard uncertainty of w up to which it is reported [px of the corrected image].
+    denoise : float
+        How many times its noise detail of u, v and w must exceed; 0 keeps all.  Views that were evaluated with a
+        noise filter get no other.
 
     Raises
     ------
@@ -230,32 +269,37 @@ def join_views(series: Sequence[SeriesView], out: Path, at_once: bool, limit_px:
     means, first = [view.mean for view in views], views[0].mean
     for mean in means[1:]:
         _require_one_grid(first, mean)
-    limit = limit_px / first.px_per_m_s
+    settings = [each.settings for each in series]
+    beta = 0.0 if any(each.denoise for each in settings) else denoise
+    limits = _Limits(limit_px / first.px_per_m_s, NoiseFilter.of(settings[0], first.step_px, beta))
     uv, sigma = np.stack([mean.mean_m_s for mean in means]), np.stack([mean.sigma_m_s for mean in means])
     # Cameras at the same time see the same fluctuations: between them the noise of vectors counts alone.
     noise = np.stack([mean.moments.noise for mean in means]) if at_once else np.square(sigma)
     sigma_w = [
         view.mean.out_of_plane.of_mean(view.field(*each)) for view, *each in zip(views, uv, sigma, strict=True)
     ]
-    fit = _combine(views, uv, noise, np.stack([mean.resolution_m_s for mean in means]), sigma_w, limit)
+    fit = _combine(views, uv, noise, np.stack([mean.resolution_m_s for mean in means]), sigma_w, limits)
     samples = np.min([np.nan_to_num(m.effective.samples, nan=np.inf).min(axis=-1) for m in means], axis=0)
-    uvw, random, sums = fit.found.uvw, np.diagonal(fit.noise, axis1=-2, axis2=-1), None
+    uvw, random, sums = fit.found.uvw, _variance(fit.noise), None
     tests, chi2, freedom = fit.tests, fit.found.chi2, fit.found.freedom
     if at_once:
         sums = PairSums(fit.found.uvw)
-        for number, (pairs, fits) in enumerate(_fits_of_pairs(views, limit)):
-            for each in fits:
-                sums.add(each)
-            write_statistics(chunk_path(out, number), _pair_vectors(views, pairs, fits))
+        for number, (pairs, fits) in enumerate(_fits_of_pairs(views, limits)):
+            filtered = [limits.filter.apply(each.found.uvw, _variance(each.noise), each.found) for each in fits]
+            for each in zip(fits, filtered, strict=True):
+                sums.add(*each)
+            write_statistics(chunk_path(out, number), _pair_vectors(views, pairs, fits, filtered))
         tests, chi2, freedom = sums.tests, sums.chi2, sums.freedom
         uvw, random = sums.mean(samples)
+    uvw, noise, taken = limits.filter.apply(uvw, random, fit.found)
+    random = _variance(noise)
     with np.errstate(divide="ignore", invalid="ignore"):
         residuals, chi = np.sqrt(tests[:, 0] / tests[:, 1]), np.sqrt(chi2 / freedom)
     is_used = np.any(fit.found.gains != 0.0, axis=(-2, -1))
     bits = (1 << np.arange(len(views)))[:, None, None]
     joined = JoinedViews(
         first.x_mm, first.y_mm, uvw, np.sqrt(np.where(np.isnan(uvw), np.nan, random)),
-        np.sqrt(np.where(np.isnan(uvw), np.nan, random + fit.systematic)), fit.found.views,
+        np.sqrt(np.where(np.isnan(uvw), np.nan, random + fit.systematic + taken)), fit.found.views,
         np.asarray((is_used * bits).sum(axis=0), np.int32), chi, tuple(residuals.tolist()), _shares(series),
         None if sums is None else sums.with_w, samples, first.px_per_m_s, first.unit,
     )  # fmt: skip
@@ -284,6 +328,9 @@ def _shares(series: Sequence[SeriesView]) -> tuple[float, ...]:
 class PairSums:
     """Sums over the pairs of cameras at the same time.
 
+    Means are those of vectors before the noise filter, which takes the same detail off every pair; stresses are
+    those of vectors after it, as the noise of a single vector of w exceeds the fluctuations.
+
     Parameters
     ----------
     reference : (ny, nx, 3) float64
@@ -291,14 +338,15 @@ class PairSums:
     """
 
     def __init__(self, reference: Floats) -> None:
-        self.with_w, self._any = StressSums(reference), StressSums(reference)
+        self.with_w, self._any, self._all = (StressSums(reference) for _ in range(3))
         self.tests = np.zeros((1, 2))
         self.chi2, self.freedom = np.zeros(reference.shape[:2]), np.zeros(reference.shape[:2], np.int64)
 
-    def add(self, fit: _Fit) -> None:
+    def add(self, fit: _Fit, filtered: Filtered) -> None:
         """Add the vectors of a pair."""
         found = fit.found
-        self.with_w.add(found.uvw, fit.noise)
+        self.with_w.add(filtered[0], filtered[1])
+        self._all.add(found.uvw, fit.noise)
         self._any.add(np.where(np.arange(3) < 2, found.uvw, 0.0), fit.noise)
         self.tests = self.tests + fit.tests
         self.chi2 += np.nan_to_num(found.chi2)
@@ -309,14 +357,14 @@ class PairSums:
 
         Pairs without w have u and v with a perspective error: they count only where most pairs have none.
         """
-        often = self.with_w.count >= np.maximum(MOST_OFTEN * self._any.count, 2)
-        uvw = np.where(often[..., None], self.with_w.mean, self._any.mean)
+        often = self._all.count >= np.maximum(MOST_OFTEN * self._any.count, 2)
+        uvw = np.where(often[..., None], self._all.mean, self._any.mean)
         uvw[..., 2] = np.where(often, uvw[..., 2], np.nan)
-        scatter = np.where(often[..., None, None], self.with_w.covariance, self._any.covariance)
-        return uvw, np.diagonal(scatter, axis1=-2, axis2=-1) / samples[..., None]
+        scatter = np.where(often[..., None, None], self._all.covariance, self._any.covariance)
+        return uvw, _variance(scatter) / samples[..., None]
 
 
-def _fits_of_pairs(views: Sequence[_View], limit: float) -> Iterator[tuple[list[SeriesField], list[_Fit]]]:
+def _fits_of_pairs(views: Sequence[_View], limits: _Limits) -> Iterator[tuple[list[SeriesField], list[_Fit]]]:
     """Fields of the first view and fits of the pairs, in chunks; SeriesError if the numbers of pairs differ."""
     counts = {view.folder.about["pairs"] for view in views}
     if len(counts) > 1:
@@ -336,16 +384,18 @@ def _fits_of_pairs(views: Sequence[_View], limit: float) -> Iterator[tuple[list[
                 for view, *one in zip(views, uv, sigma, strict=True)
             ]
             resolution = np.stack([one.resolution_m_s for one in pair])
-            fits.append(_combine(views, uv, np.square(sigma), resolution, sigma_w, limit))
+            fits.append(_combine(views, uv, np.square(sigma), resolution, sigma_w, limits))
         yield [pair[0] for pair in chunk], fits
 
 
-def _pair_vectors(views: Sequence[_View], pairs: Sequence[SeriesField], fits: Sequence[_Fit]) -> Vectors:
-    """Vectors of the pairs of a chunk."""
+def _pair_vectors(
+    views: Sequence[_View], pairs: Sequence[SeriesField], fits: Sequence[_Fit], filtered: Sequence[Filtered]
+) -> Vectors:
+    """Vectors of the pairs of a chunk, and the same after the noise filter."""
     mean, fields = views[0].mean, dict[str, NDArray[Any]]()
-    uvw = np.stack([fit.found.uvw for fit in fits])
-    noise = np.stack([np.diagonal(fit.noise, axis1=-2, axis2=-1) for fit in fits])
-    whole = noise + np.stack([fit.systematic for fit in fits])
+    uvw, covariance, taken = (np.stack(part) for part in zip(*filtered, strict=True))
+    noise = _variance(covariance)
+    whole = noise + taken + np.stack([fit.systematic for fit in fits])
     for before, values in (("", uvw), ("sigma_", np.sqrt(noise)), ("total_sigma_", np.sqrt(whole))):
         shown = np.where(np.isnan(uvw), np.nan, values)
         fields |= {f"{before}{name}": shown[..., k] for k, name in enumerate(UVW)}

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rtpiv.analysis.series.joined_views import MIN_W_PLACES, _combine
+from piv.statistics.denoised_components import NoiseFilter
+from rtpiv.analysis.series.joined_views import MIN_W_PLACES, _combine, _Limits
 
 GRID = (8, 10)
 NOISE, RESOLUTION = 0.02, 0.03
+UNFILTERED = _Limits(1.0, NoiseFilter((), (1.0,), 0.0))
 
 
 def combined(w, seen_twice, resolution=0.0, seed=0):
@@ -21,7 +23,7 @@ def combined(w, seen_twice, resolution=0.0, seed=0):
     uv[1][~seen_twice] = np.nan
     views = [SimpleNamespace(slope=slope, map_variance=np.zeros((*GRID, 2))) for slope in slopes]
     nothing = [np.zeros(GRID)] * 2  # assumed: w as u and v vary, which is not at all
-    fit = _combine(views, uv, np.full(uv.shape, NOISE**2), np.full((2, *GRID), resolution), nothing, 1.0)
+    fit = _combine(views, uv, np.full(uv.shape, NOISE**2), np.full((2, *GRID), resolution), nothing, UNFILTERED)
     return true, fit
 
 
