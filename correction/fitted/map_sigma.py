@@ -26,7 +26,7 @@ These are errors of the map, common to all pairs of a calibration: averaging ove
 The random sigma of the correlation comes on top, in squares.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -229,10 +229,14 @@ class VectorMapSigma:
         Of the place, along u and v, in corrected pixels; NaN where nothing is known.
     displacement_px : (ny, nx, 2) float64
         Of the displacement.
+    common_px : (ny, nx, 2, C) float64
+        Errors of the displacement by the draws that cameras of a joint fit have in common (`SceneSigma.joint`),
+        one standard deviation each; a part of `displacement_px`.
     """
 
     position_px: NDArray[np.float64]
     displacement_px: NDArray[np.float64]
+    common_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0, 2, 0)))
 
 
 def vector_map_sigma(
@@ -272,7 +276,9 @@ def vector_map_sigma(
     position, displacement = np.full((2, *shape, 2), np.nan)
     position[known] = np.sqrt((here**2).sum(axis=2)) / pitch
     displacement[known] = np.sqrt((difference**2).sum(axis=2)) / pitch
-    return VectorMapSigma(position, displacement)
+    common = np.full((*shape, 2, sigma.joint[1]), np.nan)
+    common[known] = difference[:, :, : sigma.joint[1]] / pitch
+    return VectorMapSigma(position, displacement, common)
 
 
 def _nearest(correction_map: CorrectionMap, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:

@@ -59,6 +59,8 @@ class FitHeader(Table):
     history: list[str]
     systematic_px: dict[str, Annotated[float, Field(ge=0.0, lt=1e6)]] = Field(default_factory=dict)
     shape_balls: list[str] = Field(default_factory=list)
+    joint: str = ""
+    common: Annotated[int, Field(ge=0)] = 0
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,9 @@ class SceneSigma(SceneBound):
         Names of the Q numbers; empty: there are only camera and spheres.
     shapes : ShapeRoot
         Of the shapes of balls that the scene takes for spheres.
+    joint : (str, int)
+        Key of a joint fit of several cameras, and number of the first columns of `root` that are the same draws in
+        all of them.
     """
 
     scene_hash: str
@@ -89,6 +94,7 @@ class SceneSigma(SceneBound):
     plane_root: NDArray[np.float64] = field(default_factory=lambda: np.zeros((len(TARGET), 0)))
     numbers: tuple[str, ...] = ()
     shapes: ShapeRoot = field(default_factory=ShapeRoot)
+    joint: tuple[str, int] = ("", 0)
     noun: ClassVar[str] = "fit"
     cure: ClassVar[str] = "calibrate again"
 
@@ -109,7 +115,8 @@ class SceneSigma(SceneBound):
         numbers = known_as[: unknowns.glass.stop + len(rows)] + unknowns.full_names[unknowns.all_shapes]
         numbers = numbers if len(rows) or len(shapes) else ()
         known = fit.verdict.systematic_px
-        return cls(fit.measured_scene.content_hash(), root, known, numbers=numbers, shapes=of_shapes)
+        scene_hash = fit.measured_scene.content_hash()
+        return cls(scene_hash, root, known, numbers=numbers, shapes=of_shapes, joint=fit.joint)
 
     @classmethod
     def load(cls, path: Path | str) -> "SceneSigma":
@@ -130,8 +137,9 @@ class SceneSigma(SceneBound):
         whole = of_shapes.dtype.str == "<f8" and of_shapes.shape == (len(SHAPES) * len(balls), root.shape[1])
         if not whole or not np.isfinite(of_shapes).all():
             raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
-        shapes = ShapeRoot(balls, of_shapes)
-        return cls(said.scene_hash, root, said.systematic_px, numbers=tuple(said.numbers), shapes=shapes)
+        shapes, joint = ShapeRoot(balls, of_shapes), (said.joint, min(said.common, root.shape[1]))
+        numbers = tuple(said.numbers)
+        return cls(said.scene_hash, root, said.systematic_px, numbers=numbers, shapes=shapes, joint=joint)
 
     def with_draw(self, change: NDArray[np.float64]) -> "SceneSigma":
         """Return the same with one standard deviation more: a change (Q,) of the scene's numbers."""
@@ -306,7 +314,7 @@ def save_fit(path: Path | str, fit: "SceneFit") -> None:
 
     Header: ``names``, ``numbers``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``,
     ``systematic_px`` (way -> its own error), ``shape_balls`` (`ShapeRoot`), ``right``, ``verdict`` and ``ways``
-    (`StoredVerdict`).  Arrays:
+    (`StoredVerdict`), of a joint fit ``joint`` and ``common`` (`SceneSigma`).  Arrays:
     ``values`` (P,), ``covariance`` (P, P) in the units of the names, ``scene_root`` (Q, R) (see `SceneSigma`),
     ``shape_root`` (5 B, R),
     ``corner_frame``, ``corner_way`` (N,), ``corner_index`` (N, 2), ``corner_px``, ``residual_px``, ``smooth_px``
@@ -327,6 +335,8 @@ def save_fit(path: Path | str, fit: "SceneFit") -> None:
         "verdict": list(found.sentences),
         "ways": list(found.ways),
     }
+    if sigma.joint[1]:
+        header |= {"joint": sigma.joint[0], "common": sigma.joint[1]}
     arrays = {
         "values": fit.values,
         "covariance": fit.covariance * np.outer(unit, unit),

@@ -28,6 +28,7 @@ PARTS_HELP = {
 }
 VARIANTS = {  # options that make another function of a verb, with other options
     "acquire": {"--resume": "resume"},
+    "calibrate": {"--join": "calibrate_cameras"},
     "mean": {"--join": "join", "--at": "timeseries", "--line": "timeseries"},
     "doctor": {"--probe": "probe"},
 }

@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from correction.errors import ViewsMissing
@@ -37,6 +37,7 @@ FITTED = ("scene.yaml", "fit.npz", "map_sigma.npz", "calibration.json")
 DRAWN = ("map_sigma.png", "convergence.png", "smooth_residuals.png", "residuals.png", "calibration.html")
 NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm)?")
 OR_BY_HAND = "; or give three or more of a board held by hand, without glass, for the lens alone"
+Work = tuple[Callable[[str], None], float]  # tells each step, and seconds that the fit took
 WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear_z+10mm.tif and so on"
 
 
@@ -114,23 +115,30 @@ def calibrate(
             progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
         say(f"{quantity(len(frames), 'frame')} of the target in {folder}")
-        fit = fit_scene(nominal, frames, target, _with_read_heights(priors, folder), say)
+        fit = fit_scene(nominal, frames, target, with_read_heights(priors, folder), say)
         seconds = time.monotonic() - began
-        say("standard deviation of the map")
-        sigma = map_sigma(fit)
-        say("errors before and after")
-        found = calibration_of(fit, sigma, frames, seconds)
-        save_fit(out / "fit.npz", fit)
-        sigma.save(out / "map_sigma.npz")
-        write_json(out / "calibration.json", found.to_dict())
-        write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
-        show_calibration(console(), found, pictures)
-        if pictures:
-            _draw(out, found, nominal.camera.shape, readable_name(folder))
-        console().print(
-            f"scene.yaml, covariance{', map sigma and pictures' if pictures else ' and map sigma'} are in {out}"
-        )
+        write_fit(out, fit, frames, priors, readable_name(folder) if pictures else "", (say, seconds))
         return fit
+
+
+def write_fit(
+    out: Path, fit: SceneFit, frames: Sequence[TargetFrame], priors: FitTable, name: str, work: Work
+) -> None:
+    """Write all results of a fit, and pictures of a calibration with that name; none if it is ""."""
+    say, seconds = work
+    say("standard deviation of the map")
+    sigma = map_sigma(fit)
+    say("errors before and after")
+    found = calibration_of(fit, sigma, frames, seconds)
+    save_fit(out / "fit.npz", fit)
+    sigma.save(out / "map_sigma.npz")
+    write_json(out / "calibration.json", found.to_dict())
+    write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
+    show_calibration(console(), found, bool(name))
+    if name:
+        _draw(out, found, fit.scene.camera.shape, name)
+    results = f"covariance{', map sigma and pictures' if name else ' and map sigma'}"
+    console().print(f"scene.yaml, {results} are in {out}")
 
 
 def _draw(out: Path, found: Calibration, shape: tuple[int, int], name: str) -> None:
@@ -167,7 +175,7 @@ def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
     return load_kept(RunFolder.open(folder), "scene", lambda file: (load_scene(file), load_priors(file)))
 
 
-def _with_read_heights(priors: FitTable, folder: Path) -> FitTable:
+def with_read_heights(priors: FitTable, folder: Path) -> FitTable:
     """Return the priors, with the uncertainty of heights that a person has read."""
     read_mm = height_sigma_mm(folder) if is_run(folder) else 0.0
     if read_mm <= priors.target.z_mm:

@@ -23,6 +23,7 @@ from tests.slow_cases import slow
 
 WORDS = {
     "trace": ["scene.yaml"], "calibrate": ["folder", "-o", "out"],
+    "calibrate --join": ["a", "b"],
     "correct": ["a.tif", "--scene", "s", "-o", "out"],
     "evaluate": ["a.tif", "b.tif", "--scene", "s", "-o", "out"], "focus": ["run"], "mean --join": ["a", "b"],
     "mean": ["run"], "report": ["run"], "acquire": ["plan"], "acquire --resume": ["run"], "check": ["run"],

@@ -133,6 +133,9 @@ class SceneFit:
         What is not known of the shapes of balls taken for spheres, in the draws of `root`.
     board : Chessboard
         The target, as large as its print was found to be.
+    joint : (str, int)
+        Key of a joint fit of several cameras, and number of the first columns of `root` that are the same draws in
+        all of them (`correction.fit.joint_cameras`).
     """
 
     scene: Scene
@@ -152,6 +155,7 @@ class SceneFit:
     light: LightUncertainty = field(default_factory=LightUncertainty)
     shapes: ShapeRoot = field(default_factory=ShapeRoot)
     board: Chessboard = field(default_factory=Chessboard)
+    joint: tuple[str, int] = ("", 0)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ out, elsewhere a vector keeps its perspective error.
 
 Errors of correlation and of the fitted maps count as independent between views.  Those of resolution are common in
 part: in w they count as independent, in u and v as common, which is the larger of both.  Errors of a fit that
-cameras share (balls fitted once for both) are not independent: then sigma of u and v is somewhat too small.
+cameras share (`rtpiv calibrate --join`) count as common, draw by draw.
 
 mean.nc, where rows begin at the lowest y:
 
@@ -141,12 +141,17 @@ class JoinedViews:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Mean of a view, and what does not differ between its pairs: slopes and variance of the map."""
+    """Mean of a view, and what does not differ between its pairs: slopes and variance of the map.
+
+    `common` (ny, nx, 2, C) is the part of the map's error that views with the same key `joint` have in common.
+    """
 
     folder: SeriesView
     mean: MeanFlow
     slope: Floats
     map_variance: Floats
+    joint: str = ""
+    common: Floats | None = None
 
     @classmethod
     def of(cls, folder: SeriesView) -> "_View":
@@ -155,7 +160,9 @@ class _View:
         if mean.slope is None:
             raise SeriesError(f"{folder.folder}: only a scale is known of its camera; evaluate it with a scene")
         map_sigma = np.zeros_like(mean.mean_m_s) if mean.map_sigma_m_s is None else mean.map_sigma_m_s
-        return cls(folder, mean, mean.slope, np.square(np.nan_to_num(map_sigma)))
+        joint = "" if isinstance(folder.sigma, str) else folder.sigma.joint[0]
+        variance = np.square(np.nan_to_num(map_sigma))
+        return cls(folder, mean, mean.slope, variance, joint, mean.map_common_m_s)
 
     def field(self, uv: Floats, sigma: Floats) -> SlantedField:
         """Vectors (ny, nx, 2) of the view under its slopes."""
@@ -200,6 +207,16 @@ def _noise_of(found: ThreeComponents, noise: Floats) -> Floats:
     return np.asarray(np.einsum("nyxkc,nyxlc,nyxc->yxkl", found.gains, found.gains, there, optimize=True))
 
 
+def _more_by_common(views: Sequence[_View], found: ThreeComponents) -> Floats:
+    """Variance (ny, nx, 3) that the maps of a joint fit add, or take off, as their errors are not independent."""
+    parts = [view.common for view in views if view.common is not None and view.joint]
+    if len(parts) < len(views) or len({view.joint for view in views}) > 1:
+        return np.zeros_like(found.uvw)
+    common = np.nan_to_num(np.stack(parts))
+    each = np.einsum("nyxkc,nyxcm->nyxkm", found.gains, common)
+    return np.asarray(np.square(each.sum(axis=0)).sum(axis=-1) - np.square(each).sum(axis=(0, -1)))
+
+
 def _combine(
     views: Sequence[_View],
     uv: Floats,
@@ -224,6 +241,7 @@ def _combine(
     found = combine_views(uv, variance, slope, typical, limit)
     own = _noise_of(found, noise)
     systematic = np.maximum(_variance(found.covariance - own), 0.0)
+    systematic = np.maximum(systematic + _more_by_common(views, found), 0.0)
     # Windows of all views miss the same detail, so that u and v of several views miss it as well.
     is_used = np.any(found.gains != 0.0, axis=(-2, -1))[..., None]
     common = np.nan_to_num(np.where(is_used, unresolved, np.inf).min(axis=0), posinf=0.0)

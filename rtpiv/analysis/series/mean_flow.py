@@ -81,8 +81,10 @@ class MeanFlow:
         smaller.
     map_sigma_position_mm : (ny, nx, 2) float64 or None
         That of the places.
+    map_common_m_s : (ny, nx, 2, C) float64 or None
+        The part of `map_sigma_m_s` by errors that cameras of a joint fit have in common, draw by draw.
     no_map_sigma : str
-        Why these two are None.
+        Why these three are None.
     too_few : (ny, nx) bool or None
         Places without a mean: fewer than half of the pairs that looked there have a vector, or none is beside it.
     slope : (ny, nx, 2) float64 or None
@@ -116,6 +118,7 @@ class MeanFlow:
     left_out: tuple[tuple[str, str], ...]
     map_sigma_m_s: Floats | None = None
     map_sigma_position_mm: Floats | None = None
+    map_common_m_s: Floats | None = None
     no_map_sigma: str = ""
     too_few: NDArray[np.bool_] | None = None
     slope: Floats | None = None

@@ -94,6 +94,7 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
         mean,
         map_sigma_m_s=found.displacement_px[::-1] / mean.px_per_m_s,
         map_sigma_position_mm=found.position_px[::-1] / mean.px_per_mm,
+        map_common_m_s=found.common_px[::-1] / mean.px_per_m_s,
     )
 
 

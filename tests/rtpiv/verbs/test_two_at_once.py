@@ -33,6 +33,7 @@ ALONE = {  # what the second is refused before it reads anything, or has nothing
     "evaluate": ["frame.tif", "frame2.tif", "--mm-per-px", "0.1"],
     "sheet": ["frame.tif", "frame2.tif", "--scene", "one.yaml"],
     "report": ["report_of"],
+    "calibrate --join": ["a", "b"],
     "mean --join": ["a", "b"],
     "mean --line": ["0", "0", "1", "1", "series"],
     "focus": ["run"],
