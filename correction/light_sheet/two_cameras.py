@@ -9,10 +9,20 @@ at every place that both views see: two equations a place for three unknowns.  W
 across the difference of slopes, or changes otherwise than a plane does: a camera or a ball that stands elsewhere
 than calibrated.
 
+**Which camera.**  If the pose p of camera k is off by dp, the frame shows at X what stands at X + G_k dp, with the
+derivatives G_k = dX/dp of the landing points: the disparity of view 2 against view 1 becomes
+
+    d = -(a_2 - a_1) h - G_2 dp_2 + G_1 dp_1
+
+Beside glass a shift of one camera looks like the opposite one of the other; behind a ball G is another, and only
+one of them looks through that ball at that place.  So each camera alone is fitted with the sheet, and the one is
+named that explains the residual where the others do not.
+
 B. Wieneke, Stereo-PIV using self-calibration on particle images, Exp. Fluids 39, 267 (2005).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -24,6 +34,8 @@ from tracer.light_sheet import LightSheet
 
 HUBER_SIGMA = 2.0  # residual from which a place counts less: rims, where two pictures meet in one window
 MIN_PLACES = 12
+POSE_SIGMA = np.array([1.0, 1.0, 1.0, *[np.deg2rad(0.2)] * 3])  # mm, rad: by how much a camera may have been moved
+LIKELIER = 20.0  # by how much chi^2 of a camera that is named is lower than those of the others
 Floats = NDArray[np.float64]
 
 
@@ -41,6 +53,10 @@ class SheetByViews:
         Root mean square of the disparity that no plane explains, robust; and in sigmas of its measurement.
     places : int
         Vectors of the disparity.
+    moved : int, optional
+        Number of the view whose camera does not stand where it was calibrated, from 0.
+    moved_mm : float
+        By how much its places on the plane are off (rms).
     """
 
     plane: Floats
@@ -48,10 +64,59 @@ class SheetByViews:
     residual_mm: float
     residual_sigma: float
     places: int
+    moved: int | None = None
+    moved_mm: float = 0.0
 
     def sheet(self, known: LightSheet) -> LightSheet:
         """Return the sheet, for frames that were corrected for the known one."""
         return sheet_with_plane(plane_of(known) + self.plane, self.covariance, known)
+
+
+def name_moved(
+    found: SheetByViews,
+    data: tuple[Floats, Floats, Floats, Floats],
+    pose_rates: Sequence[Floats],
+    independent: float,
+) -> SheetByViews:
+    """Return the fit with the view whose camera stands elsewhere, if one explains the residual and no other does.
+
+    Parameters
+    ----------
+    found : SheetByViews
+        Fit of the sheet alone.
+    data : tuple of ndarray
+        Places, disparities, their sigmas and differences of slopes, as for `fit_sheet`.
+    pose_rates : sequence of ndarray of float64, shape (N, 2, 6)
+        For each view, derivative of the disparity by its camera's position [mm] and rotation [rad].
+    independent : float
+        As for `fit_sheet`.
+    """
+    place, disparity, sigma, slope = data
+    good = np.isfinite(disparity * sigma * slope).all(axis=-1) & (sigma > 0.0).all(axis=-1)
+    good &= np.all([np.isfinite(rates).all(axis=(1, 2)) for rates in pose_rates], axis=0)
+    if np.count_nonzero(good) < MIN_PLACES:
+        return found
+    height = np.column_stack((np.ones(np.count_nonzero(good)), place[good]))
+    sheet = (-slope[good][..., None] * height[:, None, :]).reshape(-1, 3)
+    values, unsure = disparity[good].ravel(), sigma[good].ravel()
+    results = []
+    for rates in pose_rates:
+        of_pose = rates[good].reshape(-1, 6) * POSE_SIGMA
+        rows = np.column_stack((sheet, of_pose)) / unsure[:, None]
+        scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-12)
+        known = np.concatenate((np.zeros((6, 3)), np.eye(6)), axis=1) / np.sqrt(independent)
+
+        def residual(x: Floats, rows: Floats = rows, scale: Floats = scale, known: Floats = known) -> Floats:
+            return np.concatenate((values / unsure - rows @ (x / scale), known @ (x / scale)))
+
+        fit = scipy.optimize.least_squares(residual, np.zeros(9), loss="huber", f_scale=HUBER_SIGMA)
+        shift = (of_pose @ (fit.x / scale)[3:]).reshape(-1, 2)
+        results.append((2.0 * fit.cost * independent, float(np.sqrt(np.square(shift).sum(axis=1).mean()))))
+    costs = np.array([cost for cost, _ in results])
+    best = int(np.argmin(costs))
+    if np.partition(costs, 1)[1] - costs[best] < LIKELIER:
+        return found
+    return replace(found, moved=best, moved_mm=results[best][1])
 
 
 def fit_sheet(

@@ -37,6 +37,7 @@ APART = (
     "where no light sheet explains it the views are {:.3f} mm apart ({:.1f} sigma): one camera or a ball does not"
     " stand where it was calibrated"
 )
+MOVED = "view {} ({}) explains it: what its camera shows is {:.3f} mm from its place; calibrate this camera again"
 
 
 def join(
@@ -129,6 +130,9 @@ def join(
             screen.print(f"{at_last.summary}, from {moved.places} places")
             if moved.residual_sigma > STRANGERS:
                 screen.print(APART.format(moved.residual_mm, moved.residual_sigma), style="bold red")
+            if moved.moved is not None:
+                view = paths[moved.moved]
+                screen.print(MOVED.format(moved.moved + 1, view, moved.moved_mm), style="bold red")
         made = [SeriesView(folder).scene for folder in folders if (folder / FILE).is_file() and folder in paths]
         is_focus = _differ_in_focus([*made, *(each.method.scene for each in given)])
         for each in given:

@@ -7,7 +7,7 @@ from itertools import chain, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.light_sheet.two_cameras import SheetByViews, fit_sheet
+from correction.light_sheet.two_cameras import SheetByViews, fit_sheet, name_moved
 from correction.maps.slant import vector_slopes
 from daq.atomic_write import write_text
 from ground.terminal import progress
@@ -19,7 +19,9 @@ from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.series_input import SeriesInput
 from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
+from tracer.strategies.sensitivity import landings
 
+STRANGERS = 2.0  # sigma that no sheet explains, from which a camera is asked for that was moved
 MOST_FRAMES = 100  # that are compared, of both pulses
 COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
 Floats = NDArray[np.float64]
@@ -47,12 +49,20 @@ def sheet_of_views(series: Sequence[SeriesInput]) -> SheetByViews:
     slopes = [_slopes(each) for each in series]
     centres = np.stack(np.meshgrid(windows.x_px, windows.y_px), axis=-1)
     parts = list[tuple[Floats, Floats, Floats, Floats]]()
-    for other, slope in zip(others, slopes[1:], strict=True):
+    rates = [_pose_rates(each).reshape(-1, 2, 6) for each in series]
+    nothing = np.zeros_like(rates[0])
+    by_pose = [[rates[0]] + [nothing] * len(others) for _ in others]
+    for number, (other, slope) in enumerate(zip(others, slopes[1:], strict=True)):
+        by_pose[number][number + 1] = -rates[number + 1]
         disparity, sigma = _disparity(first, other)
         parts.append((grid.to_mm(centres), disparity * grid.pitch_mm, sigma * grid.pitch_mm, slope - slopes[0]))
     place, apart, unsure, slope = (np.concatenate([part[k].reshape(-1, 2) for part in parts]) for k in range(4))
     independent = min(1.0, (windows.step_px / windows.size_px) ** 2)
-    return fit_sheet(place, apart, unsure, slope, independent, COMMON_PX * grid.pitch_mm)
+    found = fit_sheet(place, apart, unsure, slope, independent, COMMON_PX * grid.pitch_mm)
+    if not found.residual_sigma > STRANGERS:
+        return found
+    of_views = [np.concatenate([part[k] for part in by_pose]) for k in range(len(series))]
+    return name_moved(found, (place, apart, unsure, slope), of_views, independent)
 
 
 def set_sheet(series: Sequence[SeriesInput], found: SheetByViews) -> LightSheet:
@@ -70,6 +80,16 @@ def _slopes(series: SeriesInput) -> Floats:
     method, found = series.method, correction_of(series.out / "maps", series.method).corrector.map
     windows = method.settings.result_grid(found.grid.shape)
     return vector_slopes(found, method.scene, windows, method.settings.window_sigma)
+
+
+def _pose_rates(series: SeriesInput) -> Floats:
+    """Derivatives (ny, nx, 2, 6) of the places that windows show by position and rotation of the camera."""
+    found = correction_of(series.out / "maps", series.method).corrector.map
+    windows = series.method.settings.result_grid(found.grid.shape)
+    pixels = found.pixel[0][np.ix_(*(np.rint(axis).astype(int) for axis in (windows.y_px, windows.x_px)))]
+    seen, rates = np.isfinite(pixels).all(axis=-1), np.full((*pixels.shape, 6), np.nan)
+    rates[seen] = landings(series.method.scene, pixels[seen].astype(np.float64)).rate[:, :, :6]
+    return rates
 
 
 def _frames(series: SeriesInput) -> Iterator[NDArray[np.float32] | str]:

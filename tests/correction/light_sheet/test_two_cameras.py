@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from correction.errors import SheetError
-from correction.light_sheet.two_cameras import fit_sheet
+from correction.light_sheet.two_cameras import fit_sheet, name_moved
 from tracer.light_sheet import LightSheet
 
 PLANE = np.array([0.4, 0.01, -0.02])
@@ -79,3 +79,51 @@ def test_views_that_are_alike_tell_nothing():
         fit_sheet(place, apart, sigma, 0.0 * slope, 1.0)
     with pytest.raises(SheetError, match="too few places"):
         fit_sheet(place, np.nan * apart, sigma, slope, 1.0)
+
+
+def pose_rates(rng, place):
+    """Derivatives of landing points by the poses of two cameras: each looks through a ball elsewhere."""
+    found = []
+    for middle in (-12.0, 12.0):
+        rates = np.zeros((len(place), 2, 6))
+        rates[:, 0, 0] = rates[:, 1, 1] = 1.0
+        rates[:, :, 2] = -place / 500.0
+        rates[:, 0, 4], rates[:, 1, 3] = 500.0, -500.0
+        rates[:, 0, 5], rates[:, 1, 5] = -place[:, 1], place[:, 0]
+        behind = np.hypot(place[:, 0] - middle, place[:, 1]) < 10.0
+        rates[behind] *= -0.6 + 0.1 * rng.standard_normal((behind.sum(), 1))[..., None]
+        found.append(rates)
+    return found
+
+
+@pytest.mark.parametrize("view", [0, 1])
+@pytest.mark.parametrize("change", [(0.1, 0, 0, 0, 0, 0), (0, 0.1, 0, 0, 0, 0), (0, 0, 0, 2e-4, 0, 0)])
+def test_the_camera_that_was_moved_is_named(view, change):
+    rng = np.random.default_rng(11)
+    place, apart, sigma, slope = disparity(rng)
+    rates = pose_rates(rng, place)
+    signed = [rates[0], -rates[1]]
+    apart = apart + signed[view] @ np.array(change, float)
+    alone = fit_sheet(place, apart, sigma, slope, 1.0)
+    found = name_moved(alone, (place, apart, sigma, slope), signed, 1.0)
+    assert found.moved == view
+    shift = np.sqrt(np.square(rates[view] @ np.array(change, float)).sum(axis=1).mean())
+    assert found.moved_mm == pytest.approx(shift, rel=0.3)
+
+
+def test_no_camera_is_named_without_cause():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        place, apart, sigma, slope = disparity(rng)
+        rates = pose_rates(rng, place)
+        data = place, apart, sigma, slope
+        assert name_moved(fit_sheet(*data, 1.0), data, [rates[0], -rates[1]], 1.0).moved is None
+
+
+def test_a_shift_that_no_ball_shows_names_none():
+    rng = np.random.default_rng(12)
+    place, apart, sigma, slope = disparity(rng)
+    rates = np.zeros((len(place), 2, 6))
+    rates[:, 0, 0] = rates[:, 1, 1] = 1.0
+    data = place, apart + np.array([0.0, 0.1]), sigma, slope
+    assert name_moved(fit_sheet(*data, 1.0), data, [rates, -rates], 1.0).moved is None
