@@ -190,16 +190,18 @@ def _find_all_lost(work: Progress, unknowns: Unknowns, coarse: Unknowns, first: 
     """Look for every lost sphere, and again for those that are still lost once others have been found.
 
     A sphere is looked for among the others where they are believed to stand: seen through one that is lost
-    itself, or touching it, it is found only after that one.
+    itself, or touching it, it is found only after that one.  One that is known to touch its neighbours is not
+    looked for: they hold it.
     """
+    held = {ball for pair in work.unknowns.packing.values() for ball in pair}
     frames = [first, *(_candidates(work, coarse, frame) for frame in work.glass_frames[1:LOOKED_THROUGH])]
-    lost, before = _spheres_lost(work), len(work.unknowns.scene.spheres) + 1
+    lost, before = set(_spheres_lost(work)) - held, len(work.unknowns.scene.spheres) + 1
     while 0 < len(lost) < before:
         before = len(lost)
-        for number in lost:
+        for number in sorted(lost):
             if number in _spheres_lost(work):
                 _find_lost(work, unknowns, coarse, frames, number)
-        lost = _spheres_lost(work)
+        lost = set(_spheres_lost(work)) - held
 
 
 def _find_lost(

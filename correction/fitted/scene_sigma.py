@@ -146,16 +146,22 @@ class SceneSigma(SceneBound):
         return replace(self, root=np.column_stack((self.root, change)), shapes=self.shapes.with_columns(1))
 
     def in_light_sheet(self, scene: Scene) -> "SceneSigma":
-        """Return the uncertainty of the scene as particles in its light sheet are seen (see `Scene`)."""
+        """Return the uncertainty of the scene as particles in its light sheet are seen (see `Scene`).
+
+        Balls wholly behind a sheet inside a bed are no part of that view, and their numbers are not asked for.
+        """
         root, axes = self.root.copy(), scene.lit.axes()
         for at in self._vectors():
             root[at : at + 3] = axes @ root[at : at + 3]
         for at, name in enumerate(self.numbers):
             if name.endswith(f".{NAMES[0]}"):
                 root[at : at + COUNT] = turning(axes) @ root[at : at + COUNT]
-        seen = scene.in_light_sheet().content_hash()
-        shapes = self.shapes.rotate(axes)
-        return replace(self, scene_hash=seen, root=root, plane_root=scene.lit.pose_root(), shapes=shapes)
+        seen, numbers = scene.in_light_sheet(), self.numbers
+        if len(seen.spheres) < len(scene.spheres):  # rows are then looked up by their names
+            numbers = numbers or parameter_names(scene)[: -len(TARGET)]
+        shapes = self.shapes.of_balls([sphere.name for sphere in seen.spheres]).rotate(axes)
+        hashed, plane = seen.content_hash(), scene.lit.pose_root()
+        return replace(self, scene_hash=hashed, root=root, plane_root=plane, numbers=numbers, shapes=shapes)
 
     def of_glass(self) -> "SceneSigma":
         """Return the same in a plane that is known exactly."""

@@ -8,6 +8,7 @@ stage accuracy, catalogue tolerance.  0 holds a number fixed; what is not given 
       spheres: {centre_mm: 1.0, radius_mm: 0.02}      # of every sphere ...; out_of_round_um: 10.0 frees its shape
       walls: {place_mm: 1.0, tilt_deg: 1.0, thickness_mm: 0.1, radius_mm: 0.3}     # of every window and tube
       named: {front: {radius_mm: 0.0}, window: {tilt_deg: 0.0}}                    # ... but these
+      contact_mm: 0.02                                # balls that touch in the file do so on the bench, this well
       n: 0.005                                        # of every glass ...
       glasses: {crown: 0.001}                         # ... but this one
       target: {sideways_mm: 0.02, z_mm: 0.01, rotation_deg: 0.0}    # planes other than z = 0
@@ -103,6 +104,7 @@ class FitTable(Table):
     spheres: FitSphereTable = FitSphereTable()
     walls: FitWallTable = FitWallTable()
     named: dict[str, FitNamedTable] = Field(default_factory=dict)
+    contact_mm: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
     n: Annotated[Sigma, Usual(0.0, 0.02)] = 0.005
     glasses: Annotated[dict[str, Sigma], Usual(0.0, 0.02)] = Field(default_factory=dict)
     target: FitTargetTable = FitTargetTable()

@@ -13,6 +13,7 @@ each by itself.  That is good to a few tenths of a millimetre sideways, and to s
 there corners are paired.  A ball behind another has no rim of its own: it goes where the others go.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,7 @@ from tracer.strategies.branches import DIRECT
 from tracer.strategies.trace import trace
 
 COMMON_MM, OWN_MM = 4.0, 2.0  # standard deviation of a move of all balls together, and of one by itself
+KEPT_GAP_MM = 0.2  # standard deviation of the gap that opens between balls that touch
 SOFT, SHARP = (2.0, 1.0, 0.4), 0.2  # width of the outline, in squares
 WRONG = 0.3  # standard deviation of a label: corners are missed, and found by chance
 NEAR_RIM = 1.5  # squares: corners so near to an outline tell about it
@@ -123,6 +125,7 @@ def outlines_of(
     corners_mm: NDArray[np.float64],
     hidden: NDArray[np.bool_],
     square_mm: float,
+    packed: Iterable[tuple[int, int]] = (),
 ) -> Outlines | None:
     """Find the balls by what they hide.
 
@@ -140,6 +143,8 @@ def outlines_of(
         Whether a corner is not seen where it stands.
     square_mm : float
         Side of a square of the lattice.
+    packed : iterable of (int, int)
+        Balls that touch each other, and stay so: the rim of a neighbour is not taken for theirs.
 
     Returns
     -------
@@ -161,6 +166,14 @@ def outlines_of(
     moving = np.flatnonzero(free)
     together = OWN_MM**2 * np.eye(len(moving)) + COMMON_MM**2
     tight = np.kron(np.linalg.inv(np.linalg.cholesky(together)), np.eye(3)) if len(moving) else np.zeros((0, 0))
+    place = {int(ball): k for k, ball in enumerate(moving)}
+    kept = [pair for pair in packed if pair[0] in place and pair[1] in place]
+    gaps = np.zeros((len(kept), len(moving), 3))  # by how much a move opens the gap of balls that touch
+    for row, (i, j) in enumerate(kept):
+        apart = table[j, :3] - table[i, :3]
+        gaps[row, place[j]] = apart / np.linalg.norm(apart) / KEPT_GAP_MM
+        gaps[row, place[i]] = -gaps[row, place[j]]
+    tight = np.concatenate((tight, gaps.reshape(len(kept), 3 * len(moving))))
 
     def margins(moves: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Margins (N, B) and their derivatives (N, B, 3) by the centres."""
@@ -257,7 +270,8 @@ def find_outlines(
     if rest:  # what hides a corner is then no ball
         seen = trace(scene.with_camera(camera).with_bodies(rest), camera.project(corners))
         clear = seen.recovered & (seen.rays["key"] == DIRECT)
-    return outlines_of(scene, camera, free, corners[clear], hidden[clear], board.square_mm)
+    packed = unknowns.packing.values()
+    return outlines_of(scene, camera, free, corners[clear], hidden[clear], board.square_mm, packed)
 
 
 def follow_outlines(

@@ -109,6 +109,12 @@ class ShapeRoot:
             out[here] += rate @ self.root[len(SHAPES) * place : len(SHAPES) * (place + 1)]
         return out
 
+    def of_balls(self, names: Sequence[str]) -> "ShapeRoot":
+        """Return that of the balls of these names alone."""
+        kept = np.array([ball in names for ball in self.balls], np.bool_)
+        balls = tuple(ball for ball in self.balls if ball in names)
+        return ShapeRoot(balls, self.root[np.repeat(kept, len(SHAPES))])
+
     def with_columns(self, count: int) -> "ShapeRoot":
         """Return the same with more draws, which do nothing to shapes."""
         return replace(self, root=np.column_stack((self.root, np.zeros((len(self.root), count)))))

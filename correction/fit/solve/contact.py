@@ -32,6 +32,7 @@ CLEARANCE_MM = 0.1 * CONTACT_TOL_MM
 WALL_MM = 1e-3
 CONTACT_ROUNDS = 500
 DOWN = (0.0, 0.0, -1.0)
+TOUCHING_MM = 0.05  # gap or overlap in the file up to which balls touch
 Shapes = Mapping[int, NDArray[np.float64]]
 NO_SHAPES: Shapes = {}
 
@@ -130,6 +131,16 @@ def reach_down_mm(number: int, sphere: NDArray[np.float64], shapes: Shapes) -> f
     if number not in shapes:
         return float(sphere[3])
     return reach_mm(float(sphere[3]), tuple((1e3 * shapes[number]).tolist()), -1.0)
+
+
+def touching_pairs(spheres: NDArray[np.float64]) -> dict[int, tuple[int, int]]:
+    """Pairs of spheres of a table (N, 6) that touch, by their row among the `walls`."""
+    pairs = combinations(range(len(spheres)), 2)
+    gaps_mm = (
+        (row, i, j, np.linalg.norm(spheres[j, :3] - spheres[i, :3]) - spheres[i, 3] - spheres[j, 3])
+        for row, (i, j) in enumerate(pairs, start=len(spheres))
+    )
+    return {row: (i, j) for row, i, j, gap in gaps_mm if abs(gap) <= TOUCHING_MM}
 
 
 def largest_overlap_mm(spheres: NDArray[np.float64], shapes: Shapes = NO_SHAPES) -> float:

@@ -290,7 +290,7 @@ def normal_equations(
     """Cost with walls, gradient (P,) of data and priors, normal matrix (P, P) of data alone."""
     free = len(x)
     cost, gradient, normal = float(x @ x), x.copy(), np.zeros((free, free))
-    for part in parts:
+    for part in (*parts, *packing_residuals(unknowns, x)):
         square = (part.value**2).sum(axis=1)
         seen = np.isfinite(square)
         cost += float(np.count_nonzero(~seen)) * knee**2 * np.log1p(LOST**2 / knee**2)
@@ -318,6 +318,16 @@ def contacts(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.
     rate[:, unknowns.all_shapes] = by_shape
     of_rooms, room_rate = room_depths(unknowns, full)
     return np.concatenate((depth, of_rooms)), np.concatenate((rate, room_rate))
+
+
+def packing_residuals(unknowns: Unknowns, x: NDArray[np.float64]) -> list[Residuals]:
+    """Residuals (K, 1) of the K contacts that are known, in units of `contact_mm`; [] if none is."""
+    if unknowns.contact_mm is None or not unknowns.packing:
+        return []
+    rows = list(unknowns.packing)
+    depth, rate = contacts(unknowns, unknowns.full(x))
+    by_free = rate[rows] @ unknowns.columns
+    return [Residuals(depth[rows, None] / unknowns.contact_mm, by_free[:, None, :] / unknowns.contact_mm)]
 
 
 def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

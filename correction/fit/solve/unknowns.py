@@ -30,7 +30,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.fit.solve.contact import carry_support
+from correction.fit.solve.contact import carry_support, touching_pairs
 from correction.fit.solve.other_bodies import OtherBodies
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, Vector3
@@ -66,6 +66,8 @@ class Unknowns:
         The full vector of the nominal scene.
     columns : (F, P) float64
         A: change of the full vector per sigma of each free number.
+    contact_mm : float or None
+        Standard deviation of the gap between balls that touch in the nominal scene; None: nothing is known of it.
     """
 
     scene: Scene
@@ -74,6 +76,7 @@ class Unknowns:
     full_names: tuple[str, ...]
     start: NDArray[np.float64]
     columns: NDArray[np.float64]
+    contact_mm: float | None = None
 
     @cached_property
     def blocks(self) -> dict[str, slice]:
@@ -118,6 +121,11 @@ class Unknowns:
     def other_bodies(self) -> OtherBodies:
         """Windows and tubes, and which numbers of theirs there are."""
         return OtherBodies(self.scene)
+
+    @cached_property
+    def packing(self) -> dict[int, tuple[int, int]]:
+        """Balls that are known to touch, by their row among the `contact.walls`."""
+        return {} if self.contact_mm is None else touching_pairs(self._table)
 
     @cached_property
     def _uneven(self) -> list[int]:
@@ -344,7 +352,9 @@ def unknowns_of(
             columns.append(column)
             names.append(name)
     matrix = np.stack(columns, axis=1) if columns else np.zeros((len(start.names), 0))
-    return Unknowns(scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix)
+    return Unknowns(
+        scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix, priors.contact_mm
+    )
 
 
 @lru_cache(maxsize=16)  # one scene is asked by every frame, and on every level

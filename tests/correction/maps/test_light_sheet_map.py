@@ -135,3 +135,20 @@ def test_what_lies_in_glass_is_masked():
     assert np.isnan(cut(np.full(ball.camera.shape, 9, np.uint8))[inside]).all()
     behind = prepare(replace(ball, sheet=LightSheet(-0.3)).in_light_sheet()).corrector
     assert not (behind.status == NodeStatus.IN_GLASS).any()
+
+
+def test_balls_behind_a_sheet_inside_a_bed_are_no_part_of_its_sigma(scene):
+    """The fit knows three balls; the view of the sheet has two, and the rows of the right ones."""
+    low, high = scene.spheres
+    deep = replace(low, name="deep", centre_mm=(30.0, -30.0, -40.0))
+    behind = tuple(body.moved(translate_by((0.0, 0.0, 80.0))) for body in (deep, low, high))
+    bed = replace(scene.with_bodies(behind), sheet=replace(SHEET, z_mm=79.6))
+    root = np.random.default_rng(8).normal(size=(len(CAMERA) + 3 * len(SPHERE), 6)) * 1e-3
+    sigma = SceneSigma(bed.content_hash(), root).in_light_sheet(bed)
+    alone = replace(bed.with_bodies(behind[1:]), sheet=bed.sheet)
+    rest = np.delete(root, np.arange(len(CAMERA), len(CAMERA) + len(SPHERE)), axis=0)
+    other = SceneSigma(alone.content_hash(), rest).in_light_sheet(alone)
+    pixels = np.random.default_rng(4).uniform(20.0, 230.0, (50, 2))
+    known = sigma.spread(bed.in_light_sheet(), pixels)
+    assert np.isfinite(known).any()
+    np.testing.assert_array_equal(known, other.spread(alone.in_light_sheet(), pixels))
