@@ -211,7 +211,7 @@ class World:
 
     def flow_truth(self) -> str:
         """Every number of the flow as YAML, in the words of `simulation.flow`."""
-        return self._table.flow.as_text(self._table.seed)
+        return self._table.flow.as_text(self._table.seed, self.scene)
 
     def _light(self, true_mm: Mapping[str, float]) -> NDArray[np.float32]:
         key = tuple(true_mm.values())

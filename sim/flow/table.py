@@ -2,7 +2,7 @@
 
 simulation:
   flow:
-    field: jet                          # uniform shear vortex jet channel turbulent_channel
+    field: jet                          # uniform shear vortex jet channel turbulent_channel between_balls
     parameters: {exit_mm_s: 1940.0}     # of the field, by the names in sim/flow/fields.py and jet.py
     turbulence: {length_mm: 8.0, memory_s: 0.02}     # none: a steady flow
     sheet: {thickness_mm: 1.0, offset_mm: 0.0, energies: [1.0, 1.0], apart_mm: 0.0}
@@ -19,6 +19,7 @@ import yaml
 from pydantic import Field, TypeAdapter, model_validator
 
 from ground.config import Table
+from sim.flow.between_balls import BetweenBalls
 from sim.flow.fields import Flow, LaminarChannel, Shear, TurbulentChannel, Uniform, Vortex
 from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
@@ -36,6 +37,7 @@ FIELDS: dict[str, Any] = {
     "jet": Jet,
     "channel": LaminarChannel,
     "turbulent_channel": TurbulentChannel,
+    "between_balls": BetweenBalls,
 }
 PARTS = {"sheet": LightSheet, "seeding": Seeding, "reflections": Reflections}
 
@@ -43,7 +45,7 @@ PARTS = {"sheet": LightSheet, "seeding": Seeding, "reflections": Reflections}
 class FlowTable(Table):
     """Flow of the simulated bench."""
 
-    field: Literal["uniform", "shear", "vortex", "jet", "channel", "turbulent_channel"] = "jet"
+    field: Literal["uniform", "shear", "vortex", "jet", "channel", "turbulent_channel", "between_balls"] = "jet"
     parameters: dict[str, Any] = Field(default_factory=dict)
     turbulence: dict[str, Any] | None = Field(default_factory=lambda: {"length_mm": 8.0})
     sheet: dict[str, Any] = Field(default_factory=dict)
@@ -61,8 +63,8 @@ class FlowTable(Table):
             raise ValueError(str(error)) from None
         return self
 
-    def flow(self, seed: int) -> Flow:
-        """The flow; `seed` is that of its turbulence unless the section says one.
+    def flow(self, seed: int, scene: Scene | None = None) -> Flow:
+        """The flow; `seed` is that of its turbulence unless the section says one, `scene` has its balls.
 
         Raises
         ------
@@ -70,13 +72,15 @@ class FlowTable(Table):
             A number is wrong.
         """
         base = _parse_part("parameters", FIELDS[self.field], self.parameters)
+        if isinstance(base, BetweenBalls) and scene is not None:
+            base = base.around(scene)
         if self.turbulence is None:
             return Flow(base)
         return Flow(base, _parse_part("turbulence", RandomModes, {"seed": seed, **self.turbulence}))
 
-    def as_text(self, seed: int) -> str:
+    def as_text(self, seed: int, scene: Scene | None = None) -> str:
         """Every number as YAML that this table reads again, defaults written out."""
-        flow = self.flow(seed)
+        flow = self.flow(seed, scene)
         numbers = {
             "field": self.field,
             "parameters": asdict(cast("Any", flow.base)),
@@ -90,7 +94,7 @@ class FlowTable(Table):
         """A camera that looks at the flow through a scene."""
         counts = self.particle_counts
         return FlowCamera(
-            scene, self.flow(seed), **self._parts(), particle_counts=counts, aperture=aperture, seed=seed
+            scene, self.flow(seed, scene), **self._parts(), particle_counts=counts, aperture=aperture, seed=seed
         )
 
     def _parts(self) -> dict[str, Any]:
