@@ -12,9 +12,10 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.maps.correction_map import CorrectionMap, nodes_in_glass
-from correction.maps.lit import PlaneLight
+from correction.maps.lit import PlaneLight, light_of
 from correction.masked import points_in
-from rtpiv.analysis.through_glass import percent
+from rtpiv.analysis.through_glass import SAID_PX, coarse_map, coarsen_scene, percent
+from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 
 RING = 0.25  # of the radius of a disc: the gas that counts as being around its ball
@@ -96,6 +97,18 @@ class Gaps:
             )
         areas = f"{self.recovered_mm2:.4g} of {self.gas_mm2:.4g} mm\u00b2"
         return f"inside a bed: {percent(self.share)} of the gaps is seen ({areas}); {percent(self.glass)} is glass"
+
+
+def gaps_of_scene(scene: Scene) -> Gaps | None:
+    """Measure the gaps of a scene in its sheet by a map of few pixels; None if it is no bed, or has no map."""
+    try:
+        if len(scene.spheres_in_plane) < 2:
+            return None
+        small = coarsen_scene(scene, SAID_PX)
+        found = coarse_map(small, SAID_PX)
+        return gap_share(small, found, light_of(small, found.grid))
+    except TracerError:
+        return None
 
 
 def gap_share(scene: Scene, found: CorrectionMap, light: PlaneLight | None = None) -> Gaps | None:

@@ -27,6 +27,8 @@ NAMES = {
     ("pyramid", 5): ("southwest", "southeast", "northeast", "northwest", "tip"),
 }
 CONDITION = re.compile(r"@([\w,]+)\|")
+# Displacement between two pulses [px] and speed [mm/s]: of the jet at its exit; between balls, strongly sheared.
+JET_FLOW, BED_FLOW = (8.0, 1300.0), (4.0, 700.0)
 
 
 class Marks(Template):
@@ -117,6 +119,8 @@ def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
         disc_mm=f"{0.4 * lab.board_mm:g}",
         clear_mm=f"{clear_mm:g}",
         sheet_mm=f"{lab.sheet_mm:g}",
+        ball_mm=f"{lab.ball_mm:g}",
+        wall_mm=f"{0.15 * lab.ball_mm:g}",
     )
 
 
@@ -146,11 +150,13 @@ def shift_plan(lab: Lab) -> str:
     return fill("plan-shift.yaml", {"hands" if lab.by_hand else "motors"})
 
 
-def flow_plan(lab: Lab, dt_us: float) -> str:
+def flow_plan(lab: Lab) -> str:
     """Return the plan of a flow lit by a double-pulse laser; glass too close to the sheet is moved away."""
+    moved_px, speed_mm_s = BED_FLOW if lab.layers else JET_FLOW
+    dt_us = max(20.0, round(1e6 * moved_px / lab.px_per_mm / speed_mm_s, -1))
     off_mm = SHEET_OFF_MM - lab.gap_mm
     conditions = {"near"} if off_mm > 0.0 and not lab.layers else set()
-    return fill("plan-flow.yaml", conditions, dt_us=f"{dt_us:g}", off_mm=f"{off_mm:.1f}")
+    return fill("plan-flow.yaml", conditions, dt_us=f"{dt_us:g}", px=f"{moved_px:g}", off_mm=f"{off_mm:.1f}")
 
 
 def ball_names(lab: Lab) -> tuple[str, ...]:

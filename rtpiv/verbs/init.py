@@ -23,7 +23,6 @@ from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.schema import write_schemas
 
-FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
 BED_GAP_MM = 5.0  # between a bed and the board behind it
 SHOWN_ARRANGEMENTS = 8  # other arrangements
 SAID = {"behind": ", one behind the other", "beside": " beside each other"}
@@ -185,8 +184,7 @@ def init(
         given = _answers(given)
     full = _lab(given, placed=True)
     room = room_of(full)
-    dt_us = max(20.0, round(1e6 * FLOW_PX / full.px_per_mm / FLOW_MM_S, -1))
-    flow = bench_text(full, room, laser=True), flow_plan(full, dt_us)
+    flow = bench_text(full, room, laser=True), flow_plan(full)
     each = scene_text(full), bench_text(full, room), target_plan(full, room), shift_plan(full), *flow
     texts = dict(zip(FILES, each, strict=True)) | ({} if full.square_mm else {BOARD: board_text(full)})
     with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
@@ -336,7 +334,7 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     screen.print(
         f"{', '.join(FILES)} are in {folder}, and pass `rtpiv check`. Next, in that folder:", soft_wrap=True
     )
-    for words in NEXT:
+    for words in (*FIRST, *(IN_BED if lab.layers else BEFORE_PLANE)):
         screen.print(f"  {words}", soft_wrap=True)
     screen.print("Comments at the top of each file tell what to edit for real hardware; then omit --simulate.")
 
@@ -378,10 +376,16 @@ def _print_others(lab: Lab, share: float, lens: bool) -> None:
     console().print(table)
 
 
-NEXT = (
+FIRST = (
     "rtpiv trace scene.yaml -o trace",
     "rtpiv acquire plan-target.yaml --bench bench.yaml --simulate --home",
     "rtpiv calibrate runs/*plan-target -o fit",
+)
+BEFORE_PLANE = (
     "rtpiv acquire plan-shift.yaml --bench bench.yaml --simulate --home --scene fit/scene.yaml",
     "rtpiv report runs/*plan-shift --scene fit/scene.yaml",
+)
+IN_BED = (  # a print does not fit between balls
+    "rtpiv acquire plan-flow.yaml --bench bench-flow.yaml --simulate --home --scene fit/scene.yaml",
+    "rtpiv mean runs/*plan-flow --scene fit/scene.yaml",
 )

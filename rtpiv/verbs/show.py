@@ -25,11 +25,12 @@ SHOWN_REASONS = 10  # pairs that are named one by one
 
 
 def show_through(screen: Console, scene: "Scene") -> None:
-    """Print the share seen through glass."""
+    """Print the share seen through glass, or inside a bed that of the gaps which is lit and seen."""
+    from rtpiv.analysis.gaps import gaps_of_scene
     from rtpiv.analysis.through_glass import through_scene
 
-    if (through := through_scene(scene)) is not None:
-        screen.print(through.sentence, style="bold")
+    if (shown := gaps_of_scene(scene.in_light_sheet()) or through_scene(scene)) is not None:
+        screen.print(shown.sentence, style="bold")
 
 
 def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:

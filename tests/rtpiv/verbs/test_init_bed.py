@@ -12,7 +12,7 @@ from daq.errors import RunUsageError
 from rtpiv.verbs.check import check
 from rtpiv.verbs.init import GivenLab, init
 from tests.slow_cases import slow
-from tracer.scene.scene_file import load_scene
+from tracer.scene.scene_file import load_priors, load_scene
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,9 @@ def test_a_bed_of_layers_has_its_sheet_between_the_balls(tmp_path, shape, balls,
     assert apart.min(axis=1) == pytest.approx(30.01, abs=1e-3)  # each in contact, but for a hundredth
     assert scene.sheet.sources
     assert scene.in_light_sheet().spheres_in_plane
+    assert load_priors(tmp_path / "scene.yaml").contact_mm == 0.02
     bench = load_bench(tmp_path / "bench-flow.yaml")
+    assert bench.table.simulation["flow"]["field"] == "between_balls"
     near = [mm for _, mm in sheet_clearances_mm(bench, bench.home_mm | {"target_z": -30.0})]
     assert min(near) >= bench.more["laser"].section.clear_mm
 

@@ -10,7 +10,9 @@ from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from daq.bench.scene_plausibility import scene_questions
 from ground.errors import ConfigError
+from ground.terminal import console
 from rtpiv.analysis.gaps import gap_share
+from rtpiv.verbs.show import show_through
 from rtpiv.verbs.trace import trace
 from tests.correction.small_scenes import EXAMPLES
 from tests.tracer.scenes import ball, camera_at
@@ -109,6 +111,13 @@ def test_the_sheet_in_the_bed_is_shown_and_not_the_board(tmp_path, capsys):
     assert behind.gaps.share == pytest.approx(plane.gaps.share, abs=0.01)
     assert behind.gaps.lit is None
     assert trace(bed(tmp_path, "z_mm: 0.2", height=30.0), pictures=False).gaps is None
+
+
+def test_verbs_of_vectors_begin_with_the_gaps_that_are_lit_and_seen(tmp_path, capsys):
+    show_through(console(), load_scene(bed(tmp_path, f"z_mm: 30.0, {FROM_LEFT}", height=30.0)))
+    out = capsys.readouterr().out
+    assert out.startswith("inside a bed: ")
+    assert "of the gaps is lit and seen" in out
 
 
 def test_a_correction_leaves_the_dark_out(tmp_path):
