@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +12,30 @@ from daq.errors import DiskError
 from ground.printable import utf8
 from ground.whole_file import whole_file
 
+TRY_AGAIN, GIVE_AGAIN = "make room, then try again", "make room, then give the same command again"
+OTHER_FOLDER = "choose another folder with -o"
+
+
+@contextmanager
+def disk_errors(place: Path, cure: str = TRY_AGAIN) -> Iterator[None]:
+    """Raise what the disk refuses within the block as DiskError, with the place and the cure."""
+    try:
+        yield
+    except OSError as error:
+        raise DiskError(f"{place}: {why(error)}; {cure}") from error
+
 
 def write_text(path: Path, text: str, among_many: bool = False) -> None:
-    """Write a text: temporary name, fsync, rename, fsync of the folder; `among_many` as for `whole_file`.
+    """Write a text as `write_bytes` does; `among_many` as for `whole_file`."""
+    write_bytes(path, utf8(text), among_many)
 
-    Raises
-    ------
-    DiskError
-        It cannot be written.
-    """
-    try:
+
+def write_bytes(path: Path, content: bytes, among_many: bool = False, cure: str = TRY_AGAIN) -> None:
+    """Write a file: temporary name, fsync, rename, fsync of the folder; DiskError if that fails."""
+    with disk_errors(path, cure):
         with whole_file(path, among_many=among_many) as stream:
-            stream.write(utf8(text))
+            stream.write(content)
         sync_folder(path.parent)
-    except OSError as error:
-        raise DiskError(f"{path}: {why(error)}; make room, then try again") from error
 
 
 def write_json(path: Path, tree: Any, among_many: bool = False) -> None:  # noqa: ANN401 - anything JSON can hold
@@ -42,11 +53,8 @@ def copy_whole(source: Path, copy: Path) -> None:
     """
     if source.resolve() == copy.resolve():
         return
-    try:
-        with source.open("rb") as stream, whole_file(copy) as written:
-            shutil.copyfileobj(stream, written)
-    except OSError as error:
-        raise DiskError(f"{copy}: {why(error)}; make room, then give the same command again") from error
+    with disk_errors(copy, GIVE_AGAIN), source.open("rb") as stream, whole_file(copy) as written:
+        shutil.copyfileobj(stream, written)
 
 
 def sync_folder(folder: Path) -> None:

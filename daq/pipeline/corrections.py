@@ -18,8 +18,7 @@ from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.maps.corrector import UINT16_OFFSET, Corrector, to_uint16
 from correction.maps.dewarp import Dewarp
 from correction.node_status import MEANING
-from daq.atomic_write import why
-from daq.errors import DiskError
+from daq.atomic_write import disk_errors
 from daq.pipeline.priority import lower_priority
 from daq.plans.steps import CLEAR, Step
 from daq.runs.acquired import read_acquired
@@ -82,10 +81,8 @@ class Corrections:
         grid = corrector.map.grid
         about = {"source": source, "offset": UINT16_OFFSET, "origin_mm": list(grid.origin_mm), "tag": step.tag}
         about |= {"scene_hash": corrector.map.scene_hash, "method": self.method}
-        try:
+        with disk_errors(path, "make room, then resume the run"):
             write_frame(path, stored, grid.px_per_mm, about)
-        except OSError as error:
-            raise DiskError(f"{path}: {why(error)}; make room, then resume the run") from error
 
     def write_masks(self, folder: Path) -> None:
         """Write the mask of every prepared view."""

@@ -147,16 +147,12 @@ class FrameCounters:
 
 
 def _add_counters(one: Counters, other: Counters) -> Counters:
-    ignored = [each.ignored_triggers for each in (one, other) if each.ignored_triggers is not None]
-    return Counters(
-        delivered=one.delivered + other.delivered,
-        incomplete=one.incomplete + other.incomplete,
-        underrun=one.underrun + other.underrun,
-        missing=one.missing + other.missing,
-        resent=one.resent + other.resent,
-        ignored_triggers=sum(ignored) if ignored else None,
-        unused=one.unused + other.unused,
-    )
+    """Add counts; what neither camera tells is None."""
+    total: dict[str, Any] = {}
+    for name in (field.name for field in fields(Counters)):
+        told = [count for each in (one, other) if (count := getattr(each, name)) is not None]
+        total[name] = sum(told) if told else None
+    return Counters(**total)
 
 
 def total_accounting(entries: Sequence[Entry]) -> tuple[FrameAccounting, list[dict[str, Any]]]:

@@ -33,6 +33,7 @@ from pathlib import Path
 
 from pydantic_core import from_json
 
+from daq.atomic_write import disk_errors
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs.journal_lines import LINE, FrameEntry
 from daq.runs.journal_lines import Entry as Entry  # what readers of a journal hold in their hands
@@ -145,15 +146,12 @@ class Journal:
         """
         record = json.dumps({"kind": kind, **fields}, separators=(",", ":"), allow_nan=False)
         line = add_seal(record.encode()) + b"\n"
-        with self._lock:
-            try:
-                self._write(line)
-                now_s = time.monotonic()
-                if sync or now_s - self._synced_s > SYNC_S:
-                    os.fsync(self._file.fileno())
-                    self._synced_s = now_s
-            except OSError as error:
-                raise DiskError(f"{self.path}: {error.strerror}; make room, then resume the run") from error
+        with self._lock, disk_errors(self.path, "make room, then resume the run"):
+            self._write(line)
+            now_s = time.monotonic()
+            if sync or now_s - self._synced_s > SYNC_S:
+                os.fsync(self._file.fileno())
+                self._synced_s = now_s
 
     def close(self) -> None:
         """Bring everything to the disk and close."""

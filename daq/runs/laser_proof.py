@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from daq.atomic_write import sync_folder, why
-from daq.errors import DiskError
+from daq.atomic_write import disk_errors, sync_folder
 from daq.runs.seal import SealBroken, check_seal, write_record
 from ground.plain_file import read_plain
 
@@ -89,11 +88,9 @@ def withdraw_proof(path: Path) -> None:
     DiskError
         It cannot be taken away.
     """
-    try:
+    with disk_errors(path, "the old proof is still there, so nothing was tried"):
         path.unlink(missing_ok=True)
         sync_folder(path.parent)
-    except OSError as error:
-        raise DiskError(f"{path}: {why(error)}; the old proof is still there, so nothing was tried") from error
 
 
 def read_proof(path: Path) -> Proof | None:

@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from daq.atomic_write import why
+from daq.atomic_write import disk_errors
 from daq.errors import DiskError, RunDamaged
 from ground.whole_file import whole_file
 from piv.errors import FrameError
@@ -44,18 +44,12 @@ def write_raw(path: Path, pixels: NDArray[np.uint16], about: dict[str, Any]) -> 
     facts = {"sensor_px": list(pixels.shape[::-1]), **about}
     if "crc32" not in facts:
         facts["crc32"] = checksum(pixels)
-    try:
-        with whole_file(path, let_go=True) as stream:
-            tifffile.imwrite(
-                stream,
-                pixels,
-                photometric="minisblack",
-                rowsperstrip=pixels.shape[0],
-                description=json.dumps(facts),
-                metadata=None,
-            )
-    except OSError as error:
-        raise DiskError(f"{path}: {why(error)}; make room or mend the disk, then resume the run") from error
+    about_disk = disk_errors(path, "make room or mend the disk, then resume the run")
+    with about_disk, whole_file(path, let_go=True) as stream:
+        tifffile.imwrite(
+            stream, pixels, photometric="minisblack", rowsperstrip=pixels.shape[0], description=json.dumps(facts),
+            metadata=None,
+        )  # fmt: skip
 
 
 def read_raw(path: Path, crc32: str | None = None) -> tuple[NDArray[np.uint16], dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Records that are read back: JSON becomes typed data here, or one sentence with file and line.
+"""Records that are read back: JSON becomes typed data here, or one sentence with file, line of a journal and key.
 
 What a run wrote may come back with a flipped bit, cut short, or edited.  Every record is checked once, where it is
 read, against its seal (runs.seal) and against types: whole numbers within bounds, finite positions, names that
@@ -7,10 +7,8 @@ Keys that this version does not know are kept: a newer one may have written them
 """
 
 import re
-from json import JSONDecoder
-from json.decoder import scanstring  # type: ignore[attr-defined]  # the half of the parser that knows where it is
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
@@ -61,12 +59,7 @@ def parse_record(adapter: TypeAdapter[T], record: bytes, path: Path, line: int, 
     RunDamaged
         In one sentence.
     """
-    try:
-        return adapter.validate_json(check_seal(record, sealed))
-    except SealBroken as error:
-        raise RunDamaged(f"{path}:{line}: {error}, so it is not what was written; {CURE}") from None
-    except ValidationError as error:
-        raise RunDamaged(f"{path}:{line}: {_sentence(error)}; {CURE}") from None
+    return _check(adapter, record, f"{path}:{line}", sealed)
 
 
 def read_record(adapter: TypeAdapter[T], path: Path, sealed: bool) -> T:
@@ -75,18 +68,23 @@ def read_record(adapter: TypeAdapter[T], path: Path, sealed: bool) -> T:
     Raises
     ------
     RunDamaged
-        It cannot be read, or is not what was written; with the line where that is known.
+        It cannot be read, or is not what was written.
     """
     try:
         data = read_plain(path, MAX_RECORD_BYTES)
     except OSError as error:
         raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
+    return _check(adapter, data, str(path), sealed)
+
+
+def _check(adapter: TypeAdapter[T], record: bytes, place: str, sealed: bool) -> T:
+    """Check the seal, then the types; RunDamaged names the place."""
     try:
-        return adapter.validate_json(check_seal(data, sealed))
+        return adapter.validate_json(check_seal(record, sealed))
     except SealBroken as error:
-        raise RunDamaged(f"{path}: {error}, so it is not what was written; {CURE}") from None
+        raise RunDamaged(f"{place}: {error}, so it is not what was written; {CURE}") from None
     except ValidationError as error:
-        raise RunDamaged(f"{path}:{_line(data, error)}: {_sentence(error)}; {CURE}") from None
+        raise RunDamaged(f"{place}: {_sentence(error)}; {CURE}") from None
 
 
 def _sentence(error: ValidationError) -> str:
@@ -110,42 +108,3 @@ def _sentence(error: ValidationError) -> str:
 def _format_value(value: object) -> str:
     text = repr(value)
     return text if len(text) <= LONGEST_SHOWN else text[: LONGEST_SHOWN - 3] + "..."
-
-
-def _line(data: bytes, error: ValidationError) -> int:
-    """Line of what is wrong, 1 first; of the nearest place around it where a key is missing."""
-    first = error.errors(include_url=False)[0]
-    if said := _PLACE.search(first["msg"]):
-        return int(said[1])
-    text, at = data.decode(errors="replace"), 0
-    try:
-        for part in first["loc"]:
-            at = _inside(text, _skip(text, at), part)
-    except (ValueError, IndexError):
-        pass
-    return text.count("\n", 0, at) + 1
-
-
-def _inside(text: str, at: int, part: int | str) -> int:
-    """Index of the value of a key, or of an item, within the object or list that begins at `at`."""
-    decoder: Any = JSONDecoder()
-    is_object, place = text[at] == "{", 0
-    at = _skip(text, at + 1)
-    while text[at] not in "]}":
-        key: int | str = place
-        if is_object:
-            key, at = scanstring(text, at + 1)
-            at = _skip(text, _skip(text, at) + 1)
-        if key == part:
-            return at
-        at = _skip(text, decoder.raw_decode(text, at)[1])
-        if text[at] == ",":
-            at = _skip(text, at + 1)
-        place += 1
-    raise ValueError(part)
-
-
-def _skip(text: str, at: int) -> int:
-    while text[at] in " \t\r\n":
-        at += 1
-    return at

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from daq.atomic_write import sync_folder, why
-from daq.errors import DiskError, RunUsageError
+from daq.atomic_write import disk_errors, sync_folder
+from daq.errors import RunUsageError
 from ground.plain_words import quantity
 from ground.terminal import console, progress_if_long
 from piv.files.vector_file import Vectors, read_vectors
@@ -92,15 +92,13 @@ def export(
         written: list[Path] = []
         said = MAPS_SAID
         for source, name in progress_if_long(list(zip(sources, names, strict=True)), len(sources), "files"):
-            try:
+            with disk_errors(out):
                 if to in MAP_FORMATS:
                     written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / name)
                 else:
                     vectors = read_vectors(source)
                     written += FORMATS[to](out / f"{name}{ENDINGS[to][0]}", vectors)
                     said = _describe(vectors, to)
-            except OSError as error:
-                raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
         sync_folder(out)
         console().print(
             f"{quantity(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False

@@ -12,7 +12,7 @@ import contextlib
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from daq.bench.bench_session import BenchSession, open_session
@@ -124,15 +124,6 @@ def numbers(named: list[str]) -> dict[str, float]:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Verb:
-    """Verb of the prompt."""
-
-    shown: str
-    text: str
-    do: Callable[[list[str]], None]
-
-
 class Prompt:
     """Reads verbs and carries them out.
 
@@ -147,27 +138,21 @@ class Prompt:
         self._screen = console()
         self._talks = sys.stdin.isatty()
         self._goes_on = True
-        self._verbs = {
-            verb.shown.partition(" ")[0]: verb
-            for verb in (
-                Verb("home [AXIS ...]", "find the references, all or some, in the configured order", self._home),
-                Verb("confirm AXIS=MM ...", "where axes stand that are homed by hand", self._confirm),
-                Verb("where", "where every axis is", self._where),
-                Verb("move AXIS=MM ...", "go to positions, one axis after the other", self._move),
-                Verb("jog AXIS=MM ...", "go by distances", self._jog),
-                Verb("stop", "stop everything and hold the bench, as Ctrl-C does", self._stop),
-                Verb("clear", "let a held bench move again: you have looked at it", self._clear),
-                Verb(
-                    "connect [CONTROLLER ...]",
-                    "open a controller that was lost; home its axes then",
-                    self._connect,
-                ),
-                Verb("here [AXIS ...]", "the bench stands now as the scene file says", self._here),
-                Verb("save", "write that, and the boxes' identities, into the bench file", self._save),
-                Verb("help", "this", self._help),
-                Verb("quit", "close everything and leave (or Ctrl-D)", self._quit),
-            )
-        }
+        verbs: tuple[tuple[str, str, Callable[[list[str]], None]], ...] = (
+            ("home [AXIS ...]", "find the references, all or some, in the configured order", self._home),
+            ("confirm AXIS=MM ...", "where axes stand that are homed by hand", self._confirm),
+            ("where", "where every axis is", self._where),
+            ("move AXIS=MM ...", "go to positions, one axis after the other", partial(self._go, session.move)),
+            ("jog AXIS=MM ...", "go by distances", partial(self._go, session.jog)),
+            ("stop", "stop everything and hold the bench, as Ctrl-C does", self._stop),
+            ("clear", "let a held bench move again: you have looked at it", lambda words: session.clear()),
+            ("connect [CONTROLLER ...]", "open a controller that was lost; home its axes then", self._connect),
+            ("here [AXIS ...]", "the bench stands now as the scene file says", self._here),
+            ("save", "write that, and the boxes' identities, into the bench file", self._save),
+            ("help", "this", self._help),
+            ("quit", "close everything and leave (or Ctrl-D)", self._quit),
+        )
+        self._verbs = {shown.partition(" ")[0]: (shown, text, do) for shown, text, do in verbs}
 
     def run(self) -> None:
         """Read and obey until the end.
@@ -208,9 +193,10 @@ class Prompt:
         verb = self._verbs.get("quit" if name == "exit" else name)
         if verb is None:
             raise RunUsageError(f"there is no verb {name!r}; there are {', '.join(self._verbs)}")
-        if words and "[" not in verb.shown and "=" not in verb.shown:
+        shown, _, do = verb
+        if words and "[" not in shown and "=" not in shown:
             raise RunUsageError(f"{name} takes no further words, not {' '.join(words)!r}")
-        verb.do(words)
+        do(words)
 
     def _say(self, text: str) -> None:
         self._screen.print(text, highlight=False, soft_wrap=True)
@@ -274,13 +260,7 @@ class Prompt:
     def _where(self, words: list[str]) -> None:
         self._screen.print(where_table(self._session))
 
-    def _move(self, words: list[str]) -> None:
-        self._print_arrivals(self._session.move, words)
-
-    def _jog(self, words: list[str]) -> None:
-        self._print_arrivals(self._session.jog, words)
-
-    def _print_arrivals(self, act: Callable[..., object], words: list[str]) -> None:
+    def _go(self, act: Callable[..., object], words: list[str]) -> None:
         act(**numbers(words))
         where = self._session.where()
         for name in numbers(words):
@@ -290,9 +270,6 @@ class Prompt:
     def _stop(self, words: list[str]) -> None:
         self._session.stop()
         self._say("stopped; the bench is held: look at it, then `clear`")
-
-    def _clear(self, words: list[str]) -> None:
-        self._session.clear()
 
     def _connect(self, words: list[str]) -> None:
         opened = self._session.connect(*words)
@@ -316,9 +293,9 @@ class Prompt:
         self._say(f"written; the old file is {kept}")
 
     def _help(self, words: list[str]) -> None:
-        wide = max(len(verb.shown) for verb in self._verbs.values())
-        for verb in self._verbs.values():
-            self._say(f"  {verb.shown:{wide}}  {verb.text}")
+        wide = max(len(shown) for shown, _, _ in self._verbs.values())
+        for shown, text, _ in self._verbs.values():
+            self._say(f"  {shown:{wide}}  {text}")
 
     def _quit(self, words: list[str]) -> None:
         self._goes_on = False

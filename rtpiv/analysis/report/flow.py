@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from numpy.typing import NDArray
 
-from correction.evaluate.regions import MIDDLE, Region, Regions, regions_of
+from correction.evaluate.regions import Region, Regions, regions_of
 from piv.statistics.derived import (
     Axis,
     Profile,
@@ -316,22 +316,16 @@ def _mass(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behin
     page.heading("Divergence")
     field = mean.field
     value, sigma = (mean.rate(part) for part in divergence(field, axis))
-    glass = regions.region == Region.GLASS
-    wheres = {
-        "seen directly" if behind else ALL: regions.region == Region.DIRECT,
-        f"behind glass, r < {MIDDLE} R": regions.middle,
-        f"behind glass, r > {MIDDLE} R": glass & ~regions.middle,
-        "across a rim": regions.region == Region.RIM,
-    }
     rows, ratios = [], {}
-    for name, where in wheres.items():
+    for part, where in regions.parts.items():
+        name = part if behind else ALL  # without glass all is seen directly
         here = where & np.isfinite(value) & (sigma > 0.0)
         if not here.any():
             continue
         ratio = value[here] / sigma[here]
         ratios[name] = ratio
         inside = f"{100 * np.mean(np.abs(ratio) < 1.0):.0f} %"
-        spread = [f"{np.sqrt(np.mean(part[here] ** 2)):.3g}" for part in (value, sigma)]
+        spread = [f"{np.sqrt(np.mean(each[here] ** 2)):.3g}" for each in (value, sigma)]
         rows.append((name, str(int(here.sum())), *spread, inside))
     if not rows:
         page.text("No place has vectors on all sides, so there is no divergence.")

@@ -288,15 +288,8 @@ def count_table(field: VectorField) -> Table:
 
 def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:
     """Return measured vectors (ny, nx) by region."""
-    field, regions = evaluation.field, evaluation.regions
-    glass = regions.region == Region.GLASS
-    chosen = {
-        DIRECT: regions.region == Region.DIRECT,
-        f"behind glass, r < {MIDDLE} R": regions.middle,
-        f"behind glass, r > {MIDDLE} R": glass & ~regions.middle,
-        "across a rim": regions.region == Region.RIM,
-    }
-    return {name: where & field.valid for name, where in chosen.items() if (where & field.valid).any()}
+    measured = {name: where & evaluation.field.valid for name, where in evaluation.regions.parts.items()}
+    return {name: where for name, where in measured.items() if where.any()}
 
 
 def pixels_of(evaluation: Evaluation) -> str:

@@ -10,10 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
-from daq.atomic_write import sync_folder, why
-from daq.errors import DiskError
+from daq.atomic_write import GIVE_AGAIN, disk_errors, write_bytes
 from daq.runs.lab_readings import readings_attribute
-from ground.whole_file import whole_file
 from piv.correlation.vector_field import ONE_PICTURE, REPEATED
 from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError, SeriesError
@@ -153,21 +151,15 @@ def _write_chunk(job: ChunkJob, results: list[PairResult]) -> Marker:
 
 def _keep(path: Path, content: bytes) -> None:
     """Write the file of a chunk, atomically, even if others do; DiskError if it cannot be written."""
-    try:
+    with disk_errors(path, GIVE_AGAIN):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path, among_many=True) as stream:
-            stream.write(content)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise DiskError(f"{path}: {why(error)}; make room, then give the same command again") from error
+        write_bytes(path, content, among_many=True, cure=GIVE_AGAIN)
 
 
 def correction_of(maps: Path, method: Method) -> PreparedCorrection:
     """Correction of a series, made or loaded once by each process; DiskError if its map cannot be kept."""
-    try:
+    with disk_errors(maps, GIVE_AGAIN):
         return _corrections(maps).of(method.scene, method.dewarp, limit=method.limit, grid=method.grid)
-    except OSError as error:
-        raise DiskError(f"{maps}: {why(error)}; make room, then give the same command again") from error
 
 
 def windows_of(prepared: PreparedCorrection, method: Method) -> WindowGrid:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
-from daq.atomic_write import why
-from daq.errors import DiskError
+from daq.atomic_write import GIVE_AGAIN, disk_errors
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from ground.terminal import progress
@@ -115,10 +114,8 @@ def sum_part(job: PartJob) -> None:
         except (PairError, FrameError):
             continue  # it gave vectors, so this does not happen; if it does, one pair is not worth the sweep
     job.path.parent.mkdir(parents=True, exist_ok=True)
-    try:
+    with disk_errors(job.path, GIVE_AGAIN):
         save_arrays(job.path, KIND, {"key": job.key}, sums.to_arrays())
-    except OSError as error:
-        raise DiskError(f"{job.path}: {why(error)}; make room, then give the same command again") from error
 
 
 def part_sums(job: PartJob) -> EnsembleSums | None:

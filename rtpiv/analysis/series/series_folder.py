@@ -26,8 +26,8 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_confi
 from pydantic.dataclasses import dataclass as checked
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
-from daq.atomic_write import why, write_json
-from daq.errors import DiskError, RunUnsuitable
+from daq.atomic_write import OTHER_FOLDER, disk_errors, write_json
+from daq.errors import RunUnsuitable
 from daq.runs.lab_readings import Shown
 from daq.runs.records import MAX_RECORD_BYTES, STRICT, Count, Sha, Tag, Text, Way
 from ground.file_lock import hold
@@ -312,11 +312,9 @@ class SeriesFolder:
         DiskError
             The folder cannot be written to.
         """
-        try:
+        with disk_errors(self.path, OTHER_FOLDER):
             self.path.mkdir(parents=True, exist_ok=True)
             lock = (self.path / ".lock").open("ab")
-        except OSError as error:
-            raise DiskError(f"{self.path}: {why(error)}; choose another folder with -o") from error
         with lock as file:
             try:
                 hold(file)

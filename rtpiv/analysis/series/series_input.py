@@ -10,8 +10,8 @@ from pathlib import Path
 from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
-from daq.atomic_write import copy_whole, why, write_text
-from daq.errors import DiskError, RunUnsuitable
+from daq.atomic_write import OTHER_FOLDER, copy_whole, disk_errors, write_text
+from daq.errors import RunUnsuitable
 from daq.frames.likeness import require_pairs
 from daq.frames.numbered_files import MOST_NAMED, FoundFiles, first_pairs
 from daq.frames.source import FrameSource, is_source, source_of
@@ -254,10 +254,8 @@ def series_input(
     elif recipe.mm_per_px is not None:
         raise PairError(SCALE_KNOWN, place=run)
     given = None if foreign else pairs_of_series(run, pairs_of(run), dt_us, timed)
-    try:
+    with disk_errors(out, OTHER_FOLDER):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
     scene = scene or scene_file(run, out)
     fitted = recipe.apply_mask(load_scene(scene))
     in_mm = length_unit(fitted) == "mm"  # a time makes no velocities of pixels

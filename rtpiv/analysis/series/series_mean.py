@@ -43,8 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fitted.map_sigma import vector_map_sigma
-from daq.atomic_write import why
-from daq.errors import DiskError
+from daq.atomic_write import GIVE_AGAIN, disk_errors
 from daq.runs.run_views import length_unit
 from piv.files.vector_file import LENGTH, PIXELS, SPEED, Vectors, write_vectors
 from piv.statistics.derived import rates
@@ -201,11 +200,9 @@ def ensemble_vectors(
 
 def write_statistics(path: Path, vectors: Vectors) -> None:
     """Write the statistics of a series as NetCDF, atomically; DiskError if they cannot be written."""
-    try:
+    with disk_errors(path, GIVE_AGAIN):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_vectors(path, vectors)
-    except OSError as error:
-        raise DiskError(f"{path}: {why(error)}; make room, then give the same command again") from error
 
 
 def _one_time(x_mm: Floats, y_mm: Floats, found: Named, about: Mapping[str, Any]) -> Vectors:

@@ -7,8 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from daq.atomic_write import why
-from daq.errors import DiskError
+from daq.atomic_write import disk_errors
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 
@@ -28,10 +27,8 @@ class SharedFile:
             self.arrays(kind)
         except MapFileError:  # none yet, damaged, or of other frames
             arrays = dict(make())
-            try:
+            with disk_errors(self.path):
                 save_arrays(self.path, kind, {"key": self.key}, arrays)
-            except OSError as error:
-                raise DiskError(f"{self.path}: {why(error)}; make room, then try again") from error
         return self
 
     def arrays(self, kind: str) -> Arrays:

@@ -135,7 +135,7 @@ RUN = [
 ]  # fmt: skip
 
 
-def test_a_spoilt_run_file_is_refused_with_its_line(open_run):
+def test_a_spoilt_run_file_is_refused_with_its_key(open_run):
     path = open_run.path / "run.json"
     original = path.read_text()
 
@@ -148,9 +148,7 @@ def test_a_spoilt_run_file_is_refused_with_its_line(open_run):
         with pytest.raises(RunDamaged) as caught:
             _ = open_run.about
         if value is not GONE and place[0] != "layout" and place[-1] not in ("index", "first_frame", "reference"):
-            text = path.read_text().splitlines()
-            said = int(str(caught.value).split("run.json:")[1].split(":")[0])
-            assert f'"{place[-1]}"' in text[said - 1], (text[said - 1], caught.value)
+            assert ".".join(map(str, place)) in str(caught.value)
         one_sentence(caught, "run.json", "restore the file from a copy")
 
     check()
@@ -165,7 +163,7 @@ DONE = [
 
 
 @pytest.mark.parametrize(("place", "value"), DONE)
-def test_a_spoilt_done_file_is_refused_with_its_line(done_run, place, value):
+def test_a_spoilt_done_file_is_refused(done_run, place, value):
     path = done_run.path / "done.json"
     tree = json.loads(path.read_text())
     tree.pop("seal")
