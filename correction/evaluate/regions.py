@@ -57,16 +57,6 @@ class Regions:
         """Vectors through the middle of a ball (ny, nx)."""
         return np.asarray((self.region == Region.GLASS) & (self.radius < MIDDLE))
 
-    @property
-    def parts(self) -> dict[str, NDArray[np.bool_]]:
-        """Vectors (ny, nx) of the parts of a view, by their names in tables."""
-        return {
-            "seen directly": np.asarray(self.region == Region.DIRECT),
-            f"behind glass, r < {MIDDLE} R": self.middle,
-            f"behind glass, r > {MIDDLE} R": np.asarray((self.region == Region.GLASS) & ~self.middle),
-            "across a rim": np.asarray(self.region == Region.RIM),
-        }
-
 
 def regions_of(field: VectorField, correction_map: CorrectionMap, scene: Scene) -> Regions:
     """Sort the vectors of a corrected pair.

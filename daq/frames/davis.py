@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
-from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in, require_size
+from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in
 from daq.frames.pairing import NEIGHBOURS, PairedFrames, Pairing
 from ground.memory import MOST_PX, require_memory
 from ground.plain_file import open_plain
@@ -84,7 +84,7 @@ def is_image(place: Path) -> bool:
     return path.suffix.lower() in (IMAGE, SET)
 
 
-def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
+def read_image(place: Path) -> NDArray[Any]:
     """Read one frame; raises FrameError as `daq.frames.named_frame.read_named`."""
     named = frame_in(place)
     path, number = named or (place, 1)
@@ -94,11 +94,9 @@ def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
             f"{place}: holds {opened.count} frames; name one, such as {place.name}@1, or give the set it is in"
         )
     try:
-        frame = opened.frame(number)
+        return opened.frame(number)
     except FrameError as error:
         raise FrameError(f"{place}: {error}") from None
-    require_size(place, frame.shape, shape)
-    return frame
 
 
 @lru_cache(maxsize=2)

@@ -12,7 +12,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.frames.frame_in_file import require_size
 from daq.frames.name_schemes import natural
 from daq.frames.numbered_files import FoundFiles, NumberedFiles, frames_in, matches
 from daq.frames.pairing import NEIGHBOURS, Pairing
@@ -74,13 +73,11 @@ def is_image(place: Path) -> bool:
     return _PART.fullmatch(str(place)) is not None
 
 
-def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
+def read_image(place: Path) -> NDArray[Any]:
     """Read one exposure; raises FrameError as `daq.frames.named_frame.read_named`."""
     found = _PART.fullmatch(str(place))
     assert found is not None
-    frame = part_of(read_frame(Path(found[1])), found[2])
-    require_size(place, frame.shape, shape)
-    return frame
+    return part_of(read_frame(Path(found[1])), found[2])
 
 
 def part_of(pixels: NDArray[Any], part: str) -> NDArray[Any]:

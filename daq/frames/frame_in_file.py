@@ -16,12 +16,6 @@ def frame_in(place: Path) -> tuple[Path, int] | None:
     return None if found is None else (Path(found[1]), int(found[2]))
 
 
-def require_size(place: Path, shape: tuple[int, ...], wanted: tuple[int, int] | None) -> None:
-    """Raise FrameError if a frame has other rows and columns than it must have."""
-    if wanted is not None and shape != wanted:
-        raise FrameError(f"{place}: is {shape[1]} x {shape[0]} px, and should be {wanted[1]} x {wanted[0]} px")
-
-
 def as_it_is(path: Path) -> OpenFile:
     """Return the key of a file that is kept open: a changed file, or another process's, is opened anew.
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
-from daq.frames.frame_in_file import require_size
 from daq.frames.name_schemes import schemes_of
 from daq.frames.pairing import NEIGHBOURS, PairedFrames, Pairing
 from piv.errors import FrameError, PairError
@@ -124,18 +123,16 @@ def is_image(place: Path) -> bool:
     return _IMAGE.fullmatch(str(place)) is not None
 
 
-def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
+def read_image(place: Path) -> NDArray[Any]:
     """Read one image of a stack; raises FrameError as `daq.frames.named_frame.read_named`."""
     found = _IMAGE.fullmatch(str(place))
     assert found is not None
     number = int(found[3])
     with _open(Path(found[1])) as file:
         try:
-            pixels = _Images(file[found[2]]).image(number)
+            return _Images(file[found[2]]).image(number)
         except (KeyError, ValueError, IndexError, OSError, FrameError) as error:
             raise FrameError(f"{place}: cannot be read: {str(error)[:200]}") from None
-    require_size(place, pixels.shape, shape)
-    return pixels
 
 
 def _open(file: Path) -> Any:  # noqa: ANN401 - h5py's file

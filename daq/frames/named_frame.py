@@ -42,7 +42,10 @@ def read_named(place: Path, shape: tuple[int, int] | None = None, crc32: str | N
     """
     for module in map(import_module, AMONG_OTHERS):
         if module.is_image(place):
-            frame = module.read_image(place, shape)
+            frame = module.read_image(place)
+            if shape is not None and frame.shape != shape:
+                (rows, columns), (height, width) = frame.shape, shape
+                raise FrameError(f"{place}: is {columns} x {rows} px, and should be {width} x {height} px")
             if crc32 is not None and checksum(frame) != crc32:
                 raise FrameDamaged(f"{place}: does not agree with its checksum; {COPY}")
             break

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import RunUsageError
-from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in, require_size
+from daq.frames.frame_in_file import OpenFile, as_it_is, frame_in
 from daq.frames.pairing import NEIGHBOURS, PairedFrames, Pairing
 from ground.memory import MOST_PX, require_memory
 from ground.plain_file import open_plain
@@ -80,12 +80,11 @@ def is_image(place: Path) -> bool:
     return found is not None and found[0].suffix.lower() in FORMATS
 
 
-def read_image(place: Path, shape: tuple[int, int] | None) -> NDArray[Any]:
-    """Read one frame; raises FrameError as `daq.frames.named_frame.read_named`, of another size undecoded."""
+def read_image(place: Path) -> NDArray[Any]:
+    """Read one frame; raises FrameError as `daq.frames.named_frame.read_named`."""
     found = frame_in(place)
     assert found is not None
     opened = _open(as_it_is(found[0]))
-    require_size(place, opened.shape, shape)
     try:
         return opened.frame(found[1])
     except FrameError as error:

@@ -150,8 +150,8 @@ def _add_counters(one: Counters, other: Counters) -> Counters:
     """Add counts; what neither camera tells is None."""
     total: dict[str, Any] = {}
     for name in (field.name for field in fields(Counters)):
-        told = [count for each in (one, other) if (count := getattr(each, name)) is not None]
-        total[name] = sum(told) if told else None
+        counts = [count for each in (one, other) if (count := getattr(each, name)) is not None]
+        total[name] = sum(counts) if counts else None
     return Counters(**total)
 
 

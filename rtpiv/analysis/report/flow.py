@@ -35,7 +35,7 @@ from rtpiv.analysis.pictures.plane_axes import (
 from rtpiv.analysis.report.figures import HEAT, SERIES
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.table import Table
-from rtpiv.analysis.report.tables import ALL
+from rtpiv.analysis.report.tables import ALL, parts_of
 from rtpiv.analysis.series.history import BINS, History, history
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.series_folder import Chunks
@@ -317,7 +317,7 @@ def _mass(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behin
     field = mean.field
     value, sigma = (mean.rate(part) for part in divergence(field, axis))
     rows, ratios = [], {}
-    for part, where in regions.parts.items():
+    for part, where in parts_of(regions).items():
         name = part if behind else ALL  # without glass all is seen directly
         here = where & np.isfinite(value) & (sigma > 0.0)
         if not here.any():

@@ -10,6 +10,7 @@ comparison, and is no part of the total. Where no shift is known, the total is t
 sum of squares of random sigma, spatial resolution, map sigma and perspective error of out-of-plane motion.
 """
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.evaluate.claims import Claim, claim_of, independent_share
-from correction.evaluate.regions import MIDDLE, Region, shift_errors
+from correction.evaluate.regions import MIDDLE, Region, Regions, shift_errors
 from correction.node_status import MEANING, NodeStatus
 from daq.runs.run_views import length_unit
 from piv.correlation.response import response_of
@@ -125,18 +126,10 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
     count = int(where.sum())
     if result is not None:
         found = result.regions[name]
-        return Total(
-            name,
-            count,
-            found.total_px,
-            (("bias", found.bias_px), ("scatter", found.std_px)),
-            True,
-            is_plain(evaluation),
-        )
+        bias_and_scatter = (("bias", found.bias_px), ("scatter", found.std_px))
+        return Total(name, count, found.total_px, bias_and_scatter, True, is_plain(evaluation))
     parts = [(what, _rms_uv(part[where])) for what, part in evaluation.sigma_parts_px.items()]
-    total = parts[0][1]
-    for _, part in parts[1:]:
-        total = _hypot(total, part)
+    total = _uv(functools.reduce(np.hypot, (np.array(part) for _, part in parts)))
     return Total(name, count, total, tuple(parts), False, is_plain(evaluation))
 
 
@@ -156,10 +149,9 @@ def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | 
     in_sigmas = np.abs(errors[known]) / sigma[known]
     ratio = _rms_uv(in_sigmas)
     share = independent_share(field.step_px, field.window_px)
-    within_1, within_2 = np.mean(in_sigmas < 1.0, axis=0), np.mean(in_sigmas < 2.0, axis=0)
     return Coverage(
-        (float(within_1[0]), float(within_1[1])),
-        (float(within_2[0]), float(within_2[1])),
+        _uv(np.mean(in_sigmas < 1.0, axis=0)),
+        _uv(np.mean(in_sigmas < 2.0, axis=0)),
         ratio,
         claim_of(float(np.hypot(*ratio) / np.sqrt(2.0)), 1.0, int(known.sum()), share),
     )
@@ -181,12 +173,11 @@ def _rms_uv(values: NDArray[np.float64]) -> Pair:
     known = values[np.isfinite(values).all(axis=-1)]
     if not len(known):
         return float("nan"), float("nan")
-    u, v = np.sqrt(np.mean(np.square(known), axis=0))
-    return float(u), float(v)
+    return _uv(np.sqrt(np.mean(np.square(known), axis=0)))
 
 
-def _hypot(one: Pair, other: Pair) -> Pair:
-    return float(np.hypot(one[0], other[0])), float(np.hypot(one[1], other[1]))
+def _uv(pair: NDArray[np.float64]) -> Pair:
+    return float(pair[0]), float(pair[1])
 
 
 def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, str]]:
@@ -286,9 +277,20 @@ def count_table(field: VectorField) -> Table:
     return Table("", ("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
 
 
+def parts_of(regions: Regions) -> dict[str, NDArray[np.bool_]]:
+    """Return the vectors (ny, nx) of the parts of a view, by their names in tables."""
+    glass, middle = regions.region == Region.GLASS, regions.middle
+    return {
+        DIRECT: np.asarray(regions.region == Region.DIRECT),
+        f"behind glass, r < {MIDDLE} R": middle,
+        f"behind glass, r > {MIDDLE} R": np.asarray(glass & ~middle),
+        "across a rim": np.asarray(regions.region == Region.RIM),
+    }
+
+
 def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:
     """Return measured vectors (ny, nx) by region."""
-    measured = {name: where & evaluation.field.valid for name, where in evaluation.regions.parts.items()}
+    measured = {name: where & evaluation.field.valid for name, where in parts_of(evaluation.regions).items()}
     return {name: where for name, where in measured.items() if where.any()}
 
 
