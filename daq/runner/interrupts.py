@@ -16,7 +16,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from daq.signal_handling import leave_terminals, terminals_of
@@ -99,9 +99,7 @@ class Interrupts:
                     self._before[number] = signal.signal(number, handler)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._thread is not None:
             thread, self._thread = self._thread, None
             thread.end()  # says what is due

@@ -12,8 +12,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +137,7 @@ def _frame_facts(run: RunFolder, stamp: tuple[int, int]) -> dict[str, _Known]:
 Frame = NDArray[Any]
 
 
-class ReadAhead:
+class ReadAhead(ThreadPoolExecutor):
     """Frames of one size, by a thread of its own; it holds the first, and one that is asked for next.
 
     Parameters
@@ -150,18 +149,13 @@ class ReadAhead:
     """
 
     def __init__(self, paths: Sequence[Path], shape: tuple[int, int]) -> None:
+        super().__init__(1, "rtpiv-frames")
         self._paths, self._shape = paths, shape
-        self._reader = ThreadPoolExecutor(1, "rtpiv-frames")
         self._first: list[Future[Frame]] = [self._read(0)] if paths else []
-        self._others = [self._reader.submit(self._look, path) for path in paths[1:]]
+        self._others = [self.submit(self._look, path) for path in paths[1:]]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._reader.shutdown(wait=True, cancel_futures=True)
+    def __exit__(self, *_: object) -> None:
+        self.shutdown(cancel_futures=True)
 
     def require_sound(self) -> None:
         """Wait until all have been looked at; raise what is wrong with the first that is not sound.
@@ -185,7 +179,7 @@ class ReadAhead:
             yield frame
 
     def _read(self, number: int) -> Future[Frame]:
-        return self._reader.submit(read_acquired, self._paths[number], self._shape)
+        return self.submit(read_acquired, self._paths[number], self._shape)
 
     def _look(self, path: Path) -> None:
         read_acquired(path, self._shape)

@@ -1,15 +1,15 @@
 """`rtpiv correct`: compute frames as if the glass were not there.
 
-Results are written while the next ones are made, by a thread of its own that holds one (`WriteBehind`).
+Results are written while the next ones are made, by a thread of its own that holds one (`write_behind`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,37 +42,23 @@ from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
 
-class WriteBehind:
-    """Executes calls one after the other in a thread of its own.
+@contextmanager
+def write_behind() -> Iterator[Callable[[Callable[[], None]], None]]:
+    """Give what executes calls one after the other in a thread of its own, and waits for the one before.
 
-    When a call fails, `write` or the end of the block raises its error, and no further call begins.
+    When a call fails, the next one or the end of the block raises its error, and no further call begins.
     """
+    with ThreadPoolExecutor(1, "rtpiv-results") as writer:
+        begun: list[Future[None]] = []
 
-    def __init__(self) -> None:
-        self._writer = ThreadPoolExecutor(1, "rtpiv-results")
-        self._last: Future[None] | None = None
+        def write(call: Callable[[], None]) -> None:
+            if begun:
+                begun.pop().result()
+            begun.append(writer.submit(call))
 
-    def write(self, call: Callable[[], None]) -> None:
-        """Wait until the last call is done, then begin this one."""
-        self._wait()
-        self._last = self._writer.submit(call)
-
-    def _wait(self) -> None:
-        last, self._last = self._last, None
-        if last is not None:
-            last.result()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if error is None:
-                self._wait()
-        finally:
-            self._writer.shutdown(wait=True)  # a call in progress is completed; other errors are raised unchanged
+        yield write
+        if begun:
+            begun.pop().result()
 
 
 DEWARP_LIMIT_PX = 0.2  # several times the noise of a corner
@@ -199,10 +185,10 @@ def correct(
                 clipped.append(cut)
                 write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
 
-            with WriteBehind() as results:
+            with write_behind() as write:
                 for path, frame in zip(progress(frames, len(frames), "correcting"), acquired, strict=True):
                     corrected = corrector(frame)
-                    results.write(partial(store, path, corrected))
+                    write(partial(store, path, corrected))
                     if check_target:
                         errors.append(target_error(corrected, corrector, board))
                     shown = shown or (frame, corrected)

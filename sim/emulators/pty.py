@@ -9,7 +9,6 @@ import os
 import select
 import threading
 import tty
-from types import TracebackType
 from typing import Self
 
 from sim.emulators.line import Line
@@ -43,9 +42,7 @@ class PtyPort:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _carry(self) -> None:

@@ -4,14 +4,14 @@ import threading
 
 import pytest
 
-from rtpiv.verbs.correct import WriteBehind
+from rtpiv.verbs.correct import write_behind
 
 
 def test_all_is_done_in_its_order_by_another_thread():
     done = []
-    with WriteBehind() as results:
+    with write_behind() as write:
         for number in range(20):
-            results.write(lambda number=number: done.append((number, threading.current_thread().name)))
+            write(lambda number=number: done.append((number, threading.current_thread().name)))
     assert [number for number, _ in done] == list(range(20))
     assert threading.current_thread().name not in {name for _, name in done}
 
@@ -23,9 +23,9 @@ def test_only_one_waits_while_the_next_is_made():
         began.append(number)
         assert let_go.wait(30.0)
 
-    with WriteBehind() as results:
-        results.write(lambda: wait(0))
-        second = threading.Thread(target=results.write, args=(lambda: wait(1),))
+    with write_behind() as write:
+        write(lambda: wait(0))
+        second = threading.Thread(target=write, args=(lambda: wait(1),))
         second.start()
         second.join(0.2)
         assert second.is_alive()  # it holds no more than one
@@ -41,16 +41,16 @@ def test_a_failure_is_raised_and_nothing_more_begins(later):
     def fail():
         raise OSError("disk full")
 
-    with pytest.raises(OSError, match="disk full"), WriteBehind() as results:  # noqa: PT012 - the block raises
-        results.write(fail)
+    with pytest.raises(OSError, match="disk full"), write_behind() as write:  # noqa: PT012 - the block raises
+        write(fail)
         for _ in range(later):
-            results.write(lambda: done.append(1))
+            write(lambda: done.append(1))
     assert done == []
 
 
 def test_another_error_is_told_after_what_has_begun_is_whole():
     done = []
-    with pytest.raises(ZeroDivisionError), WriteBehind() as results:  # noqa: PT012 - the block raises
-        results.write(lambda: done.append(1))
+    with pytest.raises(ZeroDivisionError), write_behind() as write:  # noqa: PT012 - the block raises
+        write(lambda: done.append(1))
         raise ZeroDivisionError
     assert done == [1]
