@@ -196,7 +196,7 @@ def find_camera(
             "the corners of the target beside the glass are too blurred to be measured; focus on it"
         )
     fitted = index[some][found.valid], found.position_px[found.valid]
-    camera, sigma, rms = _fit_camera(scene, *fitted, board, board_mm, priors or FitTable())
+    camera, board, sigma, rms = _fit_camera(scene, *fitted, board, board_mm, priors or FitTable())
     off = np.array(camera.position_mm) - np.array(nominal.position_mm)
     levels = _levels(frame, camera, index, board, board_mm)
     return CameraSeen(camera, off, sigma, len(index), rms, index, board, board_mm, levels)
@@ -235,16 +235,26 @@ def _fit_camera(
     board: Chessboard,
     board_mm: NDArray[np.float64],
     priors: FitTable,
-) -> tuple[Camera, NDArray[np.float64], float]:
-    """Camera that fits corners, robustly; sigma (3,) of its place, and rms of the corners [px]."""
+) -> tuple[Camera, Chessboard, NDArray[np.float64], float]:
+    """Camera and print that fit corners, robustly; sigma (3,) of the camera's place, and rms of the corners [px].
+
+    A printer stretches paper by half a percent or more, several pixels at the border of a frame, and then the
+    board beside the glass would look as strange as within its rims.
+    """
     unknowns = unknowns_of(scene, [0.0], priors, False).only(("camera.",))
-    points = board.place_mm(index) + board_mm
+    own, print_sigma = len(unknowns.names), np.array(board.print_sigma)
+
+    def parts(x: NDArray[np.float64]) -> tuple[Camera, Chessboard]:
+        return unknowns.camera(unknowns.full(x[:own])), board.stretch(1.0 + print_sigma * x[own:])
+
+    def off_px(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        camera, paper = parts(x)
+        return np.asarray(camera.project_ideal(paper.place_mm(index) + board_mm) - camera.ideal(pixel))
 
     def misses(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        camera = unknowns.camera(unknowns.full(x))
-        return np.asarray((camera.project_ideal(points) - camera.ideal(pixel)).ravel() / CORNER_PX)
+        return np.asarray(off_px(x).ravel() / CORNER_PX)
 
-    x = np.zeros(len(unknowns.names))
+    x = np.zeros(own + len(print_sigma))
     covariance: NDArray[np.float64] = np.eye(len(x))
     for _ in range(FRAME_ROUNDS):  # corners that are none weigh less and less
         left = misses(x)
@@ -253,11 +263,11 @@ def _fit_camera(
         normal = slopes.T @ (weight[:, None] * slopes) + np.eye(len(x))
         covariance = np.asarray(np.linalg.inv(normal), np.float64)
         x = x - covariance @ (slopes.T @ (weight * left) + x)
-    camera = unknowns.camera(unknowns.full(x))
-    away = camera.project_ideal(points) - camera.ideal(pixel)
-    rms = float(np.sqrt(np.median(np.sum(away**2, axis=1)) / 1.386))
-    off_by = unknowns.columns[:3] @ covariance @ unknowns.columns[:3].T * max(1.0, rms / CORNER_PX) ** 2
-    return camera, np.asarray(np.sqrt(np.diag(off_by))), rms
+    rms = float(np.sqrt(np.median(np.sum(off_px(x) ** 2, axis=1)) / 1.386))
+    off_by = (
+        unknowns.columns[:3] @ covariance[:own, :own] @ unknowns.columns[:3].T * max(1.0, rms / CORNER_PX) ** 2
+    )
+    return *parts(x), np.asarray(np.sqrt(np.diag(off_by))), rms
 
 
 def _beside(scene: Scene, reach_mm: float) -> NDArray[np.bool_]:
@@ -400,10 +410,14 @@ def at_places(scene: Scene, expected: Expected) -> Scene:
 
 
 def _with_camera(one: SphereSeen, centre_mm: tuple[float, float, float], view: CameraSeen) -> SphereSeen:
-    """Add what is unsure of the camera: as far as a sphere stands before the board, it moves with the camera."""
+    """Add what is unsure of the camera: as far as a sphere stands before the board, it moves with the camera.
+
+    In depth it moves as far as the camera does where the print may be larger: the rim alone says how far off it is.
+    """
     far = abs(view.camera.position_mm[2] - view.board_mm[2])
     lever = abs(centre_mm[2] - view.board_mm[2]) / far
-    return replace(one, covariance_mm2=one.covariance_mm2 + lever**2 * np.diag(view.sigma_mm**2))
+    levers = np.array((lever, lever, 1.0 if any(view.board.scale_sigma) else lever))
+    return replace(one, covariance_mm2=one.covariance_mm2 + np.diag((levers * view.sigma_mm) ** 2))
 
 
 def _combine_spheres(found: tuple[SphereSeen, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

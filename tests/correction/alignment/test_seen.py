@@ -55,6 +55,15 @@ def test_a_plain_board_shows_as_well_where_glass_and_camera_are():
     assert np.all(np.abs(seen.glass_mm[:2] - GLASS[:2]) < 0.05)
 
 
+def test_a_print_that_is_stretched_still_shows_where_the_glass_is():
+    unmeasured = replace(BOARD, scale_sigma=(0.005, 0.005))
+    stretched = drawn(moved(NOMINAL, glass_mm=GLASS, camera_mm=CAMERA), board=BOARD.stretch((0.996, 1.011)))
+    seen = find_arrangement(stretched, NOMINAL, unmeasured, HERE)
+    assert np.all(np.abs(seen.glass_mm - GLASS) < 3.0 * seen.sigma_mm)
+    assert np.all(np.abs(seen.camera_mm - CAMERA) < 3.0 * seen.camera_sigma_mm)
+    assert np.all(seen.sigma_mm[:2] < 0.1)
+
+
 def test_a_coded_board_shows_where_the_camera_is():
     coded = with_codes(
         Chessboard(4.0, discs=(), squares=(44, 42), origin_corner=(20, 22)), Codes("DICT_4X4_1000", 0.7)
