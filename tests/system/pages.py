@@ -55,7 +55,7 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "bench camera snap -o snap.tif": "bench camera snap -o snap.tif --simulate",
     "bench camera test": "bench camera test --simulate",
     "init lab --by-hand": "init hands --yes --by-hand",
-    "init --arrangement bcc --layers 3 --plane 1.5": "init bed --yes --arrangement bcc --layers 3 --plane 1.5",
+    "init --arrangement bcc --layers 3 --plane 1.5": "init deeper --yes --arrangement bcc --layers 3 --plane 1.5",
     "setup target scene.yaml": "setup target scene.yaml",
     "setup target board.yaml": "setup target board.yaml",
     "correct ... --scene scene.yaml --square-mm 4 --target-clear target_clear.tif":

@@ -50,8 +50,11 @@ SIMULATED = {  # commands at real devices -> what makes them commands of this la
     if why == HARDWARE and command.startswith(("acquire", "align", "laser prove"))
 }
 ENDED = {
-    "bench live --bench bench.yaml": ["--simulate", "--for-s", "2"]
-}  # what else would last until somebody ends it
+    "bench live --bench bench.yaml": ["--simulate", "--for-s", "2"],  # would last until somebody ends it
+    "calibrate frames/ --scene scene.yaml --square-mm 4 -o fit": [
+        "--overwrite"
+    ],  # of a reader without the first hour
+}
 UNTIL_CTRL_C = ("setup mask a.tif -o mask.png",)  # the same, of what knows no other end
 FIRST = {"report": "runs/*plan-shift/report/report.html", "mean": "runs/*flow/series/*.html"}  # through glass
 FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
@@ -81,12 +84,12 @@ MADE = {  # what must be there after a command, as its page says
     "correct": ("corrected/*.tif",),
     "export shift/vectors.nc": ("exported*/vectors.vt*",),  # "to paraview"
     "export fit/scene.yaml": ("exported*/*.tif*",),
-    "align": ("runs/*plan-align/done.json",),
+    "align plan-align.yaml --bench bench.yaml --home": ("runs/*plan-align/done.json",),
 }
 SAID = {  # what must be said
     "trace": "through glass",  # "has what is seen through glass in front"
     "check .": "through glass",
-    "mean": "mean of 10 pairs",
+    "mean": "10 pairs",
     "mean runs/*flow --scene fit/scene.yaml": "10 of 10 pairs",  # "every pair of a flow"
     "sheet": "z",
     "campaign status": "done",
@@ -200,6 +203,7 @@ def test_the_first_hour_and_what_follows_it(tmp_path, monkeypatch, capsys):
     assert fit["map_sigma_px"]["behind glass"]["median"] < 0.2  # px: nobody has measured the print of board.yaml
     assert all(0.8 < way["rough_square"] < 1.4 for way in fit["model"]["ways"])
     shutil.copy(ROOT / "examples" / "plan-align.yaml", lab)
+    shutil.copytree(ROOT / "examples", lab / "examples")
     _few_pairs(lab)
     _frames_of_the_reader(lab)
     assert not (wrong := _wrong(FLOW, lab, capsys)), wrong  # mean, sheet and campaign stand before it on some page
