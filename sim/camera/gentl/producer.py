@@ -54,6 +54,29 @@ class PortCalls:
             raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
         self._port(handle).write(address, ctypes.string_at(buffer, length))
 
+    def GCReadPortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
+        self._call_stacked(handle, entries, number, self.GCReadPort)
+
+    def GCWritePortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
+        self._call_stacked(handle, entries, number, self.GCWritePort)
+
+    def _call_stacked(
+        self, handle: int, entries: int, number: int, one: Callable[[int, int, int, int], None]
+    ) -> None:
+        wanted = memory.read_size(number)
+        memory.write_size(number, 0)
+        for index in range(wanted):
+            address, buffer, _ = (ctypes.c_uint64 * 3).from_address(entries + 24 * index)
+            one(handle, address, buffer, entries + 24 * index + 16)
+            memory.write_size(number, index + 1)
+
+    def _url(self, handle: int) -> str:
+        port = self._port(handle)
+        return f"local:rtpiv_{port.port_name}.xml;{XML_BASE:X};{len(port.xml):X}"
+
+    def GCGetPortURL(self, handle: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        memory.give_text(self._url(handle), buffer, size)
+
     def GCGetNumPortURLs(self, handle: int, number: int) -> None:  # noqa: D102, N802
         self._port(handle)
         memory.write_u32(number, 1)
@@ -67,8 +90,7 @@ class PortCalls:
         name, length = f"rtpiv_{port.port_name}.xml", len(port.xml)
         answers: dict[int, Answer] = dict.fromkeys((1, 2, 3), (Kind.INT32, 1))
         answers |= dict.fromkeys((4, 5, 9), (Kind.INT32, 0))
-        url = f"local:{name};{XML_BASE:X};{length:X}"
-        answers |= {0: (Kind.STRING, url), 10: (Kind.STRING, name)}
+        answers |= {0: (Kind.STRING, self._url(handle)), 10: (Kind.STRING, name)}
         answers |= {7: (Kind.UINT64, XML_BASE), 8: (Kind.UINT64, length)}
         memory.give_answer(answer_of(answers, command, "URL"), kind, buffer, size)
 
@@ -172,6 +194,7 @@ INFO: dict[str, type[Any]] = {  # functions that ask a module for one of its ans
     "TLGetInfo": System, "IFGetInfo": Interface, "DevGetInfo": Device, "DSGetInfo": StreamModule,
     "EventGetInfo": Event,
 }  # fmt: skip
+ABSENT: dict[str, type[Any]] = {"IFGetParentTL": Interface, "DevGetParentIF": Device}  # parents are not handed out
 
 
 class Producer(PortCalls, FindCalls, StreamCalls):
@@ -226,9 +249,11 @@ class Producer(PortCalls, FindCalls, StreamCalls):
         memory.give_answer(self.handles.get(handle, module).answer(command), kind, buffer, size)
 
     def _absent(self, name: str, handle: int, *arguments: int) -> None:
-        """Refuse a function that clients expect to be exported and Harvesters does not call."""
-        self.handles.get(handle, object)
-        raise GenTLError(Status.NOT_IMPLEMENTED, f"{name} is not part of this producer")
+        """Refuse a function that clients expect to be exported."""
+        if name in ABSENT:
+            self.handles.get(handle, ABSENT[name])
+        why = "parents are not handed out" if name in ABSENT else "flows and segments came after version 1.5"
+        raise GenTLError(Status.NOT_IMPLEMENTED, why)
 
     def GCInitLib(self) -> None:  # noqa: D102, N802 - the standard's names; see SIGNATURES
         if self.is_initialised:

@@ -22,6 +22,7 @@ class Buffer:
     address: int
     size: int
     user: int
+    memory: object = None  # keeps memory alive that the producer allocated itself
     is_queued: bool = False
     filled: int = 0
     received_ns: int = 0

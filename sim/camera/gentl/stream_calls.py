@@ -4,11 +4,12 @@ Each is named as in the standard and raises GenTLError with the standard's code,
 the return value.
 """
 
+import ctypes
 import struct
 from contextlib import suppress
 
 from sim.camera.gentl import memory
-from sim.camera.gentl.abi import EVENT_NEW_BUFFER, GenTLError, Status
+from sim.camera.gentl.abi import EVENT_NEW_BUFFER, Answer, GenTLError, Kind, Status, answer_of
 from sim.camera.gentl.modules import Device, Event, Handles, StreamModule
 from sim.camera.gentl.stream import Buffer, Stream
 from sim.camera.payload import places
@@ -66,6 +67,16 @@ class StreamCalls:
         event.fired += 1
         memory.give(filled.handle.to_bytes(8, "little") + filled.user.to_bytes(8, "little"), buffer, size)
 
+    def EventGetDataInfo(  # noqa: D102, N802
+        self, handle: int, data: int, length: int, command: int, kind: int, buffer: int, size: int
+    ) -> None:
+        self.handles.get(handle, Event)
+        if length < 16 or not data:
+            raise GenTLError(Status.INVALID_PARAMETER, "no event data")
+        id_and_user = (ctypes.c_uint64 * 2).from_address(data)
+        answers: dict[int, Answer] = {command: (Kind.PTR, value) for command, value in enumerate(id_and_user)}
+        memory.give_answer(answer_of(answers, command, "event data"), kind, buffer, size)
+
     def EventFlush(self, handle: int) -> None:  # noqa: D102, N802
         self.handles.get(handle, Event).owner.stream.flush(1)
 
@@ -76,12 +87,21 @@ class StreamCalls:
     def _stream(self, handle: int) -> Stream:
         return self.handles.get(handle, StreamModule).stream
 
-    def DSAnnounceBuffer(self, handle: int, address: int, size: int, user: int, result: int) -> None:  # noqa: D102, N802
+    def _announce(self, stream: Stream, address: int, size: int, user: int, result: int, owner: object) -> None:
         if not address or size <= 0:
             raise GenTLError(Status.INVALID_PARAMETER, "an empty buffer")
-        buffers, buffer = self._stream(handle).buffers, Buffer(self.handles.next_free(), address, size, user)
+        buffer = Buffer(self.handles.next_free(), address, size, user, owner)
         memory.write_size(result, buffer.handle)
-        buffers[buffer.handle] = buffer
+        stream.buffers[buffer.handle] = buffer
+
+    def DSAnnounceBuffer(self, handle: int, address: int, size: int, user: int, result: int) -> None:  # noqa: D102, N802
+        self._announce(self._stream(handle), address, size, user, result, None)
+
+    def DSAllocAndAnnounceBuffer(self, handle: int, size: int, user: int, result: int) -> None:  # noqa: D102, N802
+        if not 0 < size <= 1 << 30:
+            raise GenTLError(Status.INVALID_PARAMETER, f"a buffer of {size} bytes")
+        owner = ctypes.create_string_buffer(size)
+        self._announce(self._stream(handle), ctypes.addressof(owner), size, user, result, owner)
 
     def DSFlushQueue(self, handle: int, operation: int) -> None:  # noqa: D102, N802
         self._stream(handle).flush(operation)
@@ -91,6 +111,12 @@ class StreamCalls:
 
     def DSStopAcquisition(self, handle: int, flags: int) -> None:  # noqa: D102, N802
         self._stream(handle).stop()
+
+    def DSGetBufferID(self, handle: int, index: int, result: int) -> None:  # noqa: D102, N802
+        numbers = list(self._stream(handle).buffers)
+        if not 0 <= index < len(numbers):
+            raise GenTLError(Status.INVALID_INDEX, f"buffer {index}")
+        memory.write_size(result, numbers[index])
 
     def DSClose(self, handle: int) -> None:  # noqa: D102, N802
         module = self.handles.get(handle, StreamModule)
@@ -134,3 +160,13 @@ class StreamCalls:
 
     def DSGetParentDev(self, handle: int, result: int) -> None:  # noqa: D102, N802
         memory.write_size(result, self.handles.get(handle, StreamModule).device.handle)
+
+    def DSGetNumBufferParts(self, handle: int, buffer: int, number: int) -> None:  # noqa: D102, N802
+        self._stream(handle).find(buffer)
+        raise GenTLError(Status.NO_DATA, "frames have one part and are not multi-part")
+
+    def DSGetBufferPartInfo(  # noqa: D102, N802
+        self, handle: int, buffer: int, part: int, command: int, kind: int, out: int, size: int
+    ) -> None:
+        self._stream(handle).find(buffer)
+        raise GenTLError(Status.INVALID_INDEX, f"part {part}")
