@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.cameras.camera import PROBE_MIN_S, CameraBase, CameraInfo, Counters, Setting
+from daq.cameras.features import CameraFeatures
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.gvcp_probe import is_controlled, local_address
-from daq.cameras.ids import CameraClock, IdTracker
+from daq.cameras.ids import IdTracker
 from daq.cameras.libaravis import (
     CHECK_ENABLED,
     STATUS_SUCCESS,
@@ -39,14 +40,7 @@ from daq.cameras.libaravis import (
 )
 from daq.cameras.pixels import unpack, warm_up
 from daq.cameras.ring import FrameRing
-from daq.cameras.sfnc import (
-    apply_settings,
-    count_missed_triggers,
-    enable_chunks,
-    exposure_us,
-    read_known,
-    verify_settings,
-)
+from daq.cameras.sfnc import read_known
 from daq.errors import (
     BadFrame,
     CameraBusy,
@@ -92,17 +86,12 @@ class AravisCamera(CameraBase):
         self._packet_bytes = packet_bytes
         self._device = 0
         self._stream = 0
-        self._configured: dict[str, Setting] = {}
-        self._chunks: tuple[str, ...] = ()
+        self._features = CameraFeatures()
         self._parser = 0
         self._ring: FrameRing | None = None
         self._free: deque[int] = deque()
         self._memory: list[NDArray[np.uint8]] = []
         self._ids = IdTracker(16)
-        self._counts_triggers = False
-        self._ignored_before = 0
-        self._clock: CameraClock | None = None
-        self._exposure_us = float("nan")
         self._packets_per_frame = 1
         self._delivered = self._incomplete = self._unused = 0
         self._underrun_in_gaps = self._underrun_before = self._underrun_packets = 0
@@ -171,17 +160,13 @@ class AravisCamera(CameraBase):
         nodes = self._open_nodes()
         self._require_disarmed()
         with self._errors("configure"):
-            readback = apply_settings(nodes, settings)
-            self._configured.update(readback)
-            self._configured.update(enable_chunks(nodes, chunks))
-        self._chunks = tuple(chunks)
-        return readback
+            return self._features.configure(nodes, settings, chunks)
 
     def verify(self) -> None:
         """Read the configured settings back once more; SettingsChanged if the camera lost any."""
         nodes = self._open_nodes()
         with self._errors("verify"):
-            verify_settings(nodes, self._configured)
+            self._features.verify(nodes)
 
     def settings(self) -> dict[str, Setting]:
         """Every readable feature with its value."""
@@ -212,10 +197,8 @@ class AravisCamera(CameraBase):
             pixels = int(nodes.get("Width")) * int(nodes.get("Height"))
             if not 0 < size <= MAX_PAYLOAD_BYTES or not 0 < pixels <= MAX_PAYLOAD_BYTES:
                 raise BadFrame(f"the camera announces frames of {size} bytes and {pixels} px")
-            self._exposure_us = exposure_us(nodes)
             self._packets_per_frame = _packets_per_frame(nodes, size) if self._is_network else 1
-            self._counts_triggers = count_missed_triggers(nodes, self._configured)
-            self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
+            self._features.begin(nodes)
             ring = FrameRing(buffers, pixels)
             self._memory = [np.empty(size, np.uint8) for _ in range(buffers)]
             ready = [call("arv_buffer_new", size, memory.ctypes.data) for memory in self._memory]
@@ -227,7 +210,7 @@ class AravisCamera(CameraBase):
         self._ids = IdTracker(self._id_bits)
         self._delivered = self._incomplete = self._unused = 0
         self._underrun_in_gaps = self._underrun_before = self._underrun_packets = 0
-        self._last = Counters(ignored_triggers=0 if self._counts_triggers else None)
+        self._last = Counters(ignored_triggers=0 if self._features.counts_triggers else None)
         try:
             with self._errors("arm"):
                 if nodes.has("TLParamsLocked"):
@@ -241,9 +224,7 @@ class AravisCamera(CameraBase):
         """The camera's own clock now; None if it cannot be read."""
         nodes = self._open_nodes()
         with self._errors("clock"):
-            if self._clock is None:
-                self._clock = CameraClock(nodes)
-            return self._clock.read_ns(nodes)
+            return self._features.clock_ns(nodes)
 
     def trigger(self) -> int | None:
         """Send one software trigger; returns the camera's clock right before."""
@@ -294,7 +275,7 @@ class AravisCamera(CameraBase):
                 nodes.execute("AcquisitionStop")
                 if nodes.has("TLParamsLocked"):
                     nodes.set("TLParamsLocked", 0)
-                ignored = self._count_ignored(nodes) if self._counts_triggers else None
+                ignored = self._features.count_ignored(nodes)
             self._drain()
             self._last = self._count(ignored)
         finally:
@@ -311,8 +292,7 @@ class AravisCamera(CameraBase):
         if device:
             call("g_object_unref", device)
         self._info = None
-        self._clock = None
-        self._configured = {}
+        self._features = CameraFeatures()
 
     def _prepare(self) -> None:
         """Checks on, packet size, who it is."""
@@ -394,8 +374,8 @@ class AravisCamera(CameraBase):
         if timestamp_ns == int(call("arv_buffer_get_system_timestamp", buffer)):
             timestamp_ns = 0  # the camera has no clock, and libaravis stamps with this computer's, on arrival
         meta = FrameMeta(
-            frame_id, sequence, timestamp_ns, received_ns, self._exposure_us, form.name, form.significant_bits,
-            chunks=self._chunks_of(buffer),
+            frame_id, sequence, timestamp_ns, received_ns, self._features.exposure_us, form.name,
+            form.significant_bits, chunks=self._chunks_of(buffer),
         )  # fmt: skip
         ring, free = self._ring, self._free
         return Frame(pixels, meta, lambda: free.append(slot) if self._ring is ring else None, slot)
@@ -403,12 +383,12 @@ class AravisCamera(CameraBase):
     def _chunks_of(self, buffer: int) -> dict[str, float]:
         """Chunk data that came with a frame, by SFNC name."""
         found: dict[str, float] = {}
-        if not self._chunks or not call("arv_buffer_has_chunks", buffer):
+        if not self._features.chunks or not call("arv_buffer_has_chunks", buffer):
             return found
         if not self._parser:
             self._parser = call("arv_device_create_chunk_parser", self._device) or 0
         nodes = self._open_nodes()
-        for name in self._chunks:
+        for name in self._features.chunks:
             with suppress(AravisError):  # not among those of this frame
                 kind = "float" if nodes.is_float(f"Chunk{name}") else "integer"
                 key = f"Chunk{name}".encode()
@@ -419,8 +399,8 @@ class AravisCamera(CameraBase):
         resent, packets = self._statistics()
         behind = -(-(packets - self._underrun_packets) // self._packets_per_frame)
         underrun = self._underrun_before + self._underrun_in_gaps + behind
-        if ignored is None and self._counts_triggers:
-            ignored = self._count_ignored(AravisNodes(self._device))
+        if ignored is None:
+            ignored = self._features.count_ignored(AravisNodes(self._device))
         missing = self._ids.missing(self._underrun_in_gaps)
         return Counters(self._delivered, self._incomplete, underrun, missing, resent, ignored, unused=self._unused)
 
@@ -433,9 +413,6 @@ class AravisCamera(CameraBase):
         if self._is_network:
             resent = int(call("arv_stream_get_info_uint64_by_name", self._stream, b"n_resent_packets"))
         return resent, underrun.value
-
-    def _count_ignored(self, nodes: AravisNodes) -> int:
-        return max(0, int(nodes.get("CounterValue")) - self._ignored_before)
 
     def _probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers and still knows that it is controlled."""

@@ -29,18 +29,11 @@ from genicam import genapi, gentl
 from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
 
 from daq.cameras.camera import Setting
+from daq.cameras.features import CameraFeatures
 from daq.cameras.genicam_objects import GenApiNodes, chunks_of, frame_id, image_of, one_line, timestamp_ns
 from daq.cameras.harvesters_process import Message, pack_error, receive, send
-from daq.cameras.ids import CameraClock
 from daq.cameras.ring import FrameRing
-from daq.cameras.sfnc import (
-    apply_settings,
-    count_missed_triggers,
-    enable_chunks,
-    exposure_us,
-    read_known,
-    verify_settings,
-)
+from daq.cameras.sfnc import read_known
 from daq.errors import BadFrame, CameraBusy, CameraError, CameraLost, CameraSetupError, SettingRefused
 
 COMPLAINT = b"GenTL producer does not implement"
@@ -91,26 +84,21 @@ class Worker:
         self._acquirer: ImageAcquirer | None = None
         self._ring: FrameRing | None = None
         self._free: deque[int] = deque()
-        self._configured: dict[str, Setting] = {}
-        self._chunks: list[str] = []
+        self._features = CameraFeatures()
         self._incomplete = _CountIncomplete()
         self._underrun_before = 0
         self._grabbed = 0
-        self._counts_triggers = False
-        self._ignored_before = 0
         self._incomplete_told = 0
         self._triggers = self._unanswered = 0  # of this arm
-        self._clock: CameraClock | None = None
-        self._exposure_us = float("nan")
         self._unpack: Callable[..., Any]
         self._calls: dict[str, Callable[..., Any]] = {
             "open": self._open,
-            "configure": self._configure,
-            "verify": lambda: verify_settings(self._nodes, self._configured),
+            "configure": lambda **asked: self._features.configure(self._nodes, **asked),
+            "verify": lambda: self._features.verify(self._nodes),
             "settings": self._settings,
             "read": lambda names: read_known(self._nodes, names),
             "arm": self._arm,
-            "clock": self._clock_ns,
+            "clock": lambda: self._features.clock_ns(self._nodes),
             "trigger": self._trigger,
             "counts": self._counts,
             "probe": self._probe,
@@ -196,13 +184,6 @@ class Worker:
         info = found[0]
         return {"vendor": info.vendor, "model": info.model, "serial": info.serial_number, "tl_type": info.tl_type}
 
-    def _configure(self, settings: dict[str, Setting], chunks: list[str]) -> dict[str, Setting]:
-        readback = apply_settings(self._nodes, settings)
-        self._configured.update(readback)
-        self._configured.update(enable_chunks(self._nodes, chunks))
-        self._chunks = chunks
-        return readback
-
     def _settings(self) -> dict[str, Setting]:
         nodes = self._nodes
         values = {}
@@ -214,18 +195,12 @@ class Worker:
                 continue  # not readable in the present state
         return values
 
-    def _clock_ns(self) -> int | None:
-        nodes = self._nodes
-        if self._clock is None:
-            self._clock = CameraClock(nodes)
-        return self._clock.read_ns(nodes)
-
     def _trigger(self) -> int | None:
         before_ns = None
         with suppress(
             *GENICAM_ERRORS
         ):  # a clock that cannot be read is none; a lost camera takes no trigger either
-            before_ns = self._clock_ns()
+            before_ns = self._features.clock_ns(self._nodes)
         self._nodes.execute("TriggerSoftware")
         self._triggers += 1
         self._unanswered += 1
@@ -241,10 +216,7 @@ class Worker:
         self._unpack = unpack
         self._ring = FrameRing(slots, pixels, ring)
         self._free = deque(range(slots))
-        nodes = self._nodes
-        self._counts_triggers = count_missed_triggers(nodes, self._configured)
-        self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
-        self._exposure_us = exposure_us(nodes)
+        self._features.begin(self._nodes)
         self._incomplete.count = self._incomplete_told = self._grabbed = 0
         self._triggers = self._unanswered = 0
         warm_up(is_read_only=True)  # raw_buffer is bytes
@@ -257,7 +229,7 @@ class Worker:
             raise
         self._underrun_before = 0
         self._underrun_before = self._underrun()
-        return {"counts_triggers": self._counts_triggers}
+        return {"counts_triggers": self._features.counts_triggers}
 
     def _grab(self, wait_s: float) -> None:
         assert self._acquirer is not None
@@ -290,10 +262,10 @@ class Worker:
         # A producer that tells no ids hides what was lost on the link; what it counts itself still makes gaps.
         message["id"] = self._grabbed + self._incomplete.count + underrun if given_id is None else given_id
         message["id_told"] = given_id is not None
-        message["chunks"] = chunks_of(buffer, self._nodes, self._chunks)
+        message["chunks"] = chunks_of(buffer, self._nodes, self._features.chunks)
         self._grabbed += 1
         message |= {"timestamp_ns": timestamp_ns(buffer), "received_ns": received_ns}
-        message |= {"exposure_us": self._exposure_us, "incomplete": self._incomplete.count}
+        message |= {"exposure_us": self._features.exposure_us, "incomplete": self._incomplete.count}
         message["underrun"] = underrun
         buffer.parent.queue_buffer(buffer)
         send(self._pipe, message)
@@ -313,9 +285,7 @@ class Worker:
             return 0
 
     def _counts(self) -> Message:
-        ignored = None
-        if self._counts_triggers:
-            ignored = max(0, int(self._nodes.get("CounterValue")) - self._ignored_before)
+        ignored = self._features.count_ignored(self._nodes)
         return {"incomplete": self._incomplete.count, "underrun": self._underrun(), "ignored_triggers": ignored}
 
     def _probe(self) -> None:

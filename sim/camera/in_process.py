@@ -21,18 +21,12 @@ from types import MappingProxyType
 import numpy as np
 
 from daq.cameras.camera import CameraBase, CameraInfo, Counters, Setting
+from daq.cameras.features import CameraFeatures
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
-from daq.cameras.ids import CameraClock, IdTracker
+from daq.cameras.ids import IdTracker
 from daq.cameras.pixels import unpack
-from daq.cameras.sfnc import (
-    apply_settings,
-    count_missed_triggers,
-    enable_chunks,
-    exposure_us,
-    read_known,
-    verify_settings,
-)
+from daq.cameras.sfnc import read_known
 from daq.errors import (
     BadFrame,
     CameraBusy,
@@ -112,16 +106,11 @@ class InProcessCamera(CameraBase):
     def __init__(self, device: str) -> None:
         self._name = device
         self._device: SimCamera | None = None
-        self._configured: dict[str, Setting] = {}
-        self._chunks: tuple[str, ...] = ()
-        self._clock: CameraClock | None = None
+        self._features = CameraFeatures()
         self._told = threading.Condition()
         self._waiting: deque[tuple[SimFrame, int]] = deque()  # and when it came [ns]
         self._room: int | None = None  # frames that may wait or be held; None while it is not armed
         self._armed = 0  # how often; pixels of an earlier time take no room
-        self._counts_triggers = False
-        self._ignored_before = 0
-        self._exposure_us = float("nan")
         self._ids = IdTracker()
         self._ignored: int | None = None
         self._delivered = self._incomplete = self._underrun = self._unused = 0
@@ -137,8 +126,8 @@ class InProcessCamera(CameraBase):
     def counters(self) -> Counters:
         """Counters since the last `arm`."""
         ignored = self._ignored
-        if self._room is not None and self._counts_triggers:
-            ignored = max(0, int(self._nodes.get("CounterValue")) - self._ignored_before)
+        if self._room is not None:
+            ignored = self._features.count_ignored(self._nodes)
         with self._told:
             missing = self._ids.missing(self._incomplete + self._underrun)
             return Counters(
@@ -159,20 +148,16 @@ class InProcessCamera(CameraBase):
             if self._name in _HELD:
                 raise CameraBusy(f"camera {self._name} is open elsewhere; close it there")
             _HELD.add(self._name)
-        self._device, self._configured, self._chunks = device, {}, ()
+        self._device, self._features = device, CameraFeatures()
 
     def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set SFNC features in a safe order; returns what the camera reads back."""
         self._require_disarmed()
-        readback = apply_settings(self._nodes, settings)
-        self._configured.update(readback)
-        self._configured.update(enable_chunks(self._nodes, chunks))
-        self._chunks = tuple(chunks)
-        return readback
+        return self._features.configure(self._nodes, settings, chunks)
 
     def verify(self) -> None:
         """Read the configured settings back once more; SettingsChanged if the camera lost any."""
-        verify_settings(self._nodes, self._configured)
+        self._features.verify(self._nodes)
 
     def settings(self) -> dict[str, Setting]:
         """Every readable feature with its value."""
@@ -188,9 +173,7 @@ class InProcessCamera(CameraBase):
         self._require_disarmed()
         nodes = self._nodes
         self._begin_counting()
-        self._counts_triggers = count_missed_triggers(nodes, self._configured)
-        self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
-        self._exposure_us = exposure_us(nodes)
+        self._features.begin(nodes)
         self._armed += 1
         self._room = buffers
         self._device_in_hand.sink, self._device_in_hand.on_lost = self._take, self._hear_of_loss
@@ -198,10 +181,7 @@ class InProcessCamera(CameraBase):
 
     def clock_ns(self) -> int | None:
         """The camera's own clock now; None if it cannot be read."""
-        nodes = self._nodes
-        if self._clock is None:
-            self._clock = CameraClock(nodes)
-        return self._clock.read_ns(nodes)
+        return self._features.clock_ns(self._nodes)
 
     def trigger(self) -> int | None:
         """Send one software trigger; returns the camera's clock right before."""
@@ -259,7 +239,7 @@ class InProcessCamera(CameraBase):
             self._device.sink = None
             with _LOCK:
                 _HELD.discard(self._name)
-        self._device = self._clock = self._room = None
+        self._device = self._room = None
         self._waiting.clear()
 
     @property
@@ -301,9 +281,9 @@ class InProcessCamera(CameraBase):
             with self._told:
                 self._held, self._unused = self._held - 1, self._unused + 1
             raise
-        chunks = {name: frame.chunks[name] for name in self._chunks if name in frame.chunks}
+        chunks = {name: frame.chunks[name] for name in self._features.chunks if name in frame.chunks}
         meta = FrameMeta(
-            frame.frame_id, sequence, frame.timestamp_ns, received_ns, self._exposure_us, form.name,
+            frame.frame_id, sequence, frame.timestamp_ns, received_ns, self._features.exposure_us, form.name,
             form.significant_bits, chunks=MappingProxyType(chunks),
         )  # fmt: skip
         self._delivered += 1
