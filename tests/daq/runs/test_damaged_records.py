@@ -162,17 +162,22 @@ DONE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("place", "value"), DONE)
-def test_a_spoilt_done_file_is_refused(done_run, place, value):
+def test_a_spoilt_done_file_is_refused(done_run):
     path = done_run.path / "done.json"
-    tree = json.loads(path.read_text())
-    tree.pop("seal")
-    spoil(tree, place, value)
-    path.write_bytes(add_seal(json.dumps(tree, indent=1).encode()))
-    with pytest.raises(RunDamaged) as caught:
-        read_done(done_run)
-    one_sentence(caught, "done.json:", "restore the file from a copy")
-    assert not check_run(done_run.path).is_sound
+    original = path.read_text()
+
+    @loop_over("place, value", DONE)
+    def check(place, value):
+        tree = json.loads(original)
+        tree.pop("seal")
+        spoil(tree, place, value)
+        path.write_bytes(add_seal(json.dumps(tree, indent=1).encode()))
+        with pytest.raises(RunDamaged) as caught:
+            read_done(done_run)
+        one_sentence(caught, "done.json:", "restore the file from a copy")
+        assert not check_run(done_run.path).is_sound
+
+    check()
 
 
 MOVED = [
@@ -183,18 +188,22 @@ MOVED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("place", "value"), MOVED)
-def test_a_spoilt_displacement_is_refused_with_its_line(done_run, place, value, tmp_path, capsys):
+def test_a_spoilt_displacement_is_refused_with_its_line(done_run, tmp_path, capsys):
     path = done_run.path / "displacements.json"
-    lines = path.read_text().splitlines()
-    tree = json.loads(lines[2].removesuffix(","))
-    tree.pop("seal")
-    spoil(tree, place, value)
-    lines[2] = add_seal(json.dumps(tree).encode()).decode() + ","
-    path.write_text("\n".join(lines) + "\n")
-    with pytest.raises(RunDamaged) as caught:
-        read_displacements(done_run)
-    one_sentence(caught, "displacements.json", "restore the file from a copy")
+    original = path.read_text().splitlines()
+
+    @loop_over("place, value", MOVED)
+    def check(place, value):
+        tree = json.loads(original[2].removesuffix(","))
+        tree.pop("seal")
+        spoil(tree, place, value)
+        spoilt = add_seal(json.dumps(tree).encode()).decode() + ","
+        path.write_text("\n".join([*original[:2], spoilt, *original[3:]]) + "\n")
+        with pytest.raises(RunDamaged) as caught:
+            read_displacements(done_run)
+        one_sentence(caught, "displacements.json", "restore the file from a copy")
+
+    check()
     assert main(["evaluate", str(done_run.path), "-o", str(tmp_path / "out")]) == DEVICE
     assert "displacements.json" in capsys.readouterr().err
 
