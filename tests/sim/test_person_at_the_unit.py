@@ -7,6 +7,7 @@ from daq.timing.conditions import Conditions
 from daq.timing.pulses import PairExposures, PulseTiming
 from sim.rehearsed import Rehearsed
 from tests.daq.flow_bench import DIODES, LAMPS, write_flow
+from tests.slow_cases import slow
 
 GOOD = Conditions(True, True, True, 5.0, 1000)
 OF_DG645 = "q_switch_1: AB, q_switch_2: CD, camera: EF"
@@ -38,8 +39,11 @@ def fire(bench):
         laser.wait()
 
 
-@pytest.mark.parametrize("what", ["off", "stop"])
-@pytest.mark.parametrize("unit", UNITS)
+FAST = {("qc9520 with lamps", "off"), ("qc9520", "stop"), ("srs_dg645", "off")}
+CASES = [(unit, what) for unit in UNITS for what in ("off", "stop")]
+
+
+@pytest.mark.parametrize(("unit", "what"), [case if case in FAST else slow(*case) for case in CASES])
 def test_who_ends_the_light_of_a_rehearsal_has_ended_it(tmp_path, unit, what):
     """Before, in and behind the first of three bursts; what is pressed while nothing runs stops nothing."""
     box, channels = UNITS[unit]

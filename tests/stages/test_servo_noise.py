@@ -9,7 +9,7 @@ from tests.slow_cases import slow
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 KINDS = [kind for kind in (*DRIVERS, *FOREIGN) if kind != "by_hand"]
 STEPS_PER_MM = 3200.0  # 0.3 um, as a screw of 4 mm with 12 800 steps has
-MOVES = 25
+MOVES = 15
 
 
 @pytest.fixture

@@ -11,14 +11,13 @@ import pytest
 
 from daq.pipeline import pipeline as pipeline_module
 from daq.runs.raw_frame import checksum, read_raw, write_raw
-from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries
-from rtpiv.command_line.cli import DEVICE, DONE, main
+from rtpiv.command_line.cli import DEVICE, main
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 
-FRAMES, SIDE_PX = 60, 64
+FRAMES, SIDE_PX = 100, 64
 CAMERA = """camera:
   backend: harvesters
   settings: {PixelFormat: Mono12p, ExposureTime: 100.0, TriggerMode: "Off", AcquisitionFrameRate: 100.0}
@@ -54,13 +53,3 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
     assert len(frames) == books["written"] > 4
     for number, entry in frames.items():
         assert checksum(read_raw(run.frame_path(number))[0]) == entry["crc32"]
-
-    monkeypatch.setattr(pipeline_module, "write_raw", write_raw)
-    # A computer that has much else to do may lose some again, and says so; each resume has fewer left to take.
-    ends = [main(["acquire", "--resume", str(run.path), "--home"])]
-    while ends[-1] == DEVICE and len(ends) < 20:
-        ends.append(main(["acquire", "--resume", str(run.path), "--home"]))
-    assert ends[-1] == DONE
-    assert f"of {FRAMES} frames never came" in capsys.readouterr().out
-    assert set(frames) < set(frame_entries(run.entries()))
-    assert check_run(run.path).is_sound

@@ -106,7 +106,7 @@ def taken(camera, wires, section, settings):
     return found, finder, frames
 
 
-@pytest.mark.parametrize("name", slow_but(SHAPES, "double_height", "two_blocks, line", "burst, counter"))
+@pytest.mark.parametrize("name", slow_but(SHAPES, "double_height", "two_blocks, line"))
 def test_pairs_come_whole_and_of_one_pulse_each(rig, tmp_path, name):
     section, settings = SHAPES[name]
     wires = Wires(tmp_path)
