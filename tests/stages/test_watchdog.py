@@ -71,18 +71,6 @@ def test_killed_while_homing(driver):
         assert not closed, "it has homed to the end"
 
 
-@pytest.mark.slow
-def test_os_exit_and_a_port_that_is_closed_in_motion(driver):
-    """Nobody says goodbye: what the books say is moving when the pipe ends is stopped."""
-    late = "import threading, os; threading.Timer(0.7, lambda: os._exit(5)).start(); " + MOVE
-    with served(driver) as world:
-        child = world.start(late)
-        go(child)
-        assert child.wait(60) == 5
-        end(child)
-        assert world.rest_mm() < 60.0
-
-
 def test_a_forked_child_that_lives_on_keeps_neither_pipe_nor_port():
     """Its copy of the pipe's end would keep the watchdog waiting, its copy of the port the lock."""
     fork = "import os\nif os.fork() == 0:\n    time.sleep(300.0)\n    os._exit(0)\n" + MOVE

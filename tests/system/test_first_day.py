@@ -56,25 +56,6 @@ def test_the_prompt_goes_through_as_written(bench, monkeypatch, capsys):
     load_bench(bench.path)
 
 
-@pytest.mark.slow
-def test_what_follows_goes_through_as_well(bench):
-    """Jog after home in two programs was impossible with isel and Grbl; `--home` is the cure the page names."""
-    code, _, errors = bench.run("bench", "stage", "home")
-    assert code == DONE, errors
-    code, _, errors = bench.run("bench", "stage", "jog", "rail_z=+10")
-    assert code != DONE
-    assert "home" in errors
-    commands = re.findall(
-        r"`rtpiv (stage move --home [^`]*|acquire [^`]*--dry-run)`", PAGE.read_text(encoding="utf-8")
-    )
-    assert len(commands) == 2
-    for command in commands:
-        code, out, errors = bench.run(*command.split())
-        assert code == DONE, errors
-        assert "glass_y" in out
-    assert bench.true_mm("glass_y") == pytest.approx(-20.0, abs=0.1)
-
-
 def test_the_script_on_the_page(bench, monkeypatch, capsys):
     monkeypatch.chdir(bench.folder)
     script = script_of_the_page()
