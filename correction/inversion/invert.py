@@ -67,7 +67,7 @@ def solve_bed(problem: InverseProblem, maps: ViewMaps, sheets: Sheets, balls: Ba
 
     def work(first: int, last: int) -> None:
         some = np.nonzero((top < last) & (bottom >= first))[0]
-        start = start_scratch(np.array([TILING, 0, 0, sheets.portion]), *sheets.room_for_starts())
+        start = start_scratch(np.array([TILING, 0, 0, sheets.portion, 0]), *sheets.room_for_starts())
         room = start, np.zeros(1 << (2 * sheets.room).bit_length(), np.int64)
         scratch = BundleScratch(
             balls.bundle(),
@@ -76,7 +76,7 @@ def solve_bed(problem: InverseProblem, maps: ViewMaps, sheets: Sheets, balls: Ba
             np.empty(GROUP, np.int64),
             block_scratch()[1],
         )
-        solve_sheets(problem, balls.bed, listed, some, (first, last), sheets.sensor, room, scratch, maps)
+        solve_sheets(problem, balls.bed, listed, (some, first, last), sheets.sensor, room, scratch, maps)
 
     # What may reach the nodes of two parts is measured twice, so that parts are few.
     height = len(sheets.taken)

@@ -152,7 +152,7 @@ class Sheets:
         if self.stamp == LAST_STAMP:
             self.taken[...], self.stamp = 0, 0
         self.stamp += 1
-        cursor, rows = np.array([TILING, 0, 0, self.portion]), (0, len(weight))
+        cursor, rows = np.array([TILING, 0, 0, self.portion, 0]), (0, len(weight))
         tiles: list[Starts] = []
         edges: list[Starts] = []
         # The kernel fills what memory it is given and says by `cursor` where to go on.

@@ -36,6 +36,7 @@ NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}  # it would search all inst
 
 PICTURES = "rtpiv.analysis.pictures"
 KERNELS = "ground.jit.compiler"  # numba, which drawing rays needs as well
+KEEPS = ("calibrate", "campaign", "check", "correct", "evaluate", "mean", "report", "trace")  # freed memory
 DRAWS = {  # verb -> modules for drawing, imported while it computes
     "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", KERNELS),
     "compare": (f"{PICTURES}.results",),
@@ -137,6 +138,10 @@ def _without_helper() -> Iterator[None]:
 def _run_verb(verb: str, options: dict[str, Any], command: str) -> int | None:
     """Run a verb; return the exit code, or None to run it again, as the user now trusts its bench file."""
     try:
+        if verb in KEEPS:
+            from ground.kept_memory import keep_memory
+
+            keep_memory()
         function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
         words, named = call_of(verb, options)
         with _drawing_process(DRAWS.get(verb, ()) if options.get("pictures") else ()):

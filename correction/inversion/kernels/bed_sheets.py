@@ -91,8 +91,9 @@ class StartScratch(NamedTuple):
 
     Parameters
     ----------
-    cursor : (4,) int64
-        Where to begin and then where to go on: TILING, EDGES or DONE, run, column; starts that fill a portion.
+    cursor : (5,) int64
+        Where to begin and then where to go on: TILING, EDGES or DONE, run, column; starts that fill a portion;
+        calls of `keep_nearest` so far.
     listed, measured, block : (LANES,) int64, (MEASURES,), (NEWTON_NUMBERS,)
         Scratch.
     starts, nodes : (N, 4), (N, 2) int32
@@ -392,14 +393,11 @@ def solve_in_bundle(
 
 @kernel
 def solve_edges(
-    problem: InverseProblem, path: SheetPath, runs: Array, sequences: BranchSequences, sensor: Sensor,
-    wanted: Wanted, call: int, bed: Bed, room: tuple[StartScratch, Array], scratch: BundleScratch, maps: ViewMaps,
-) -> int:  # fmt: skip
-    """Solve the nodes at the edges of a sheet where they are more than a portion: some rows at a time.
-
-    `call` numbers calls of `keep_nearest`; returns the last one.
-    """
-    start, slots = room
+    problem: InverseProblem, sheet: tuple[SheetPath, Array, BranchSequences], sensor: Sensor, wanted: Wanted,
+    bed: Bed, room: tuple[StartScratch, Array], scratch: BundleScratch, maps: ViewMaps,
+) -> None:  # fmt: skip
+    """Solve the nodes at the edges of a sheet where they are more than a portion: some rows at a time."""
+    (path, runs, sequences), (start, slots) = sheet, room
     first, last = wanted.first, wanted.last
     while first < wanted.last:
         part = Wanted(wanted.weight, wanted.enough, wanted.stamp, first, last)
@@ -407,35 +405,35 @@ def solve_edges(
         found = 0
         while start.cursor[0] < DONE and (found < start.cursor[3] // 2 or first + 1 == last):
             _, found = scatter_sheet(problem, sensor, runs, sequences, part, found, start)
-            call += 1
-            found = keep_nearest(0, found, call, start.starts, start.nodes, slots)
+            start.cursor[4] += 1
+            found = keep_nearest(0, found, start.cursor[4], start.starts, start.nodes, slots)
         if start.cursor[0] < DONE:
             last = first + (last - first) // 2
             continue
         solve_in_bundle(problem, path, start.starts[:found], start.nodes[:found], bed, scratch, maps)
         first, last = last, wanted.last
-    return call
 
 
 @kernel
 def solve_sheets(
-    problem: InverseProblem, bed: Bed, sheets: BedSheets, some: Array, rows: tuple[int, int], sensor: Sensor,
+    problem: InverseProblem, bed: Bed, sheets: BedSheets, share: tuple[Array, int, int], sensor: Sensor,
     room: tuple[StartScratch, Array], scratch: BundleScratch, maps: ViewMaps,
 ) -> None:  # fmt: skip
-    """Solve the nodes of `rows` (from the first to before the last) of sheets, whose numbers ``some`` (S,) holds.
+    """Solve some nodes of some sheets.
 
-    `room` is scratch for starts and the slots of `keep_nearest`.
+    `share`: the numbers (S,) of the sheets, and the first row of nodes and the one after the last. `room` is
+    scratch for starts and the slots of `keep_nearest`.
     """
-    (start, slots), weight, stamp, call = room, maps.weight, 0, 0
+    (some, first, last), (start, slots), weight, stamp = share, room, maps.weight, 0
     for k in range(some.shape[0]):
         s = some[k]
         if stamp == LAST_STAMP:
-            sensor.taken[rows[0] : rows[1]] = 0
+            sensor.taken[first:last] = 0
             stamp = 0
         stamp += 1
         start.cursor[0], start.cursor[1], start.cursor[2] = TILING, 0, 0
         runs = sheets.runs[sheets.first[s] : sheets.first[s + 1]]
-        wanted = Wanted(weight[weight.shape[0] - 1], sheets.enough[s], stamp, rows[0], rows[1])
+        wanted = Wanted(weight[weight.shape[0] - 1], sheets.enough[s], stamp, first, last)
         low, high = sheets.begin[s], sheets.begin[s + 1]
         path = SheetPath(
             sheets.events[low:high], sheets.balls[low:high], 0, MET, sheets.branch[s], sheets.sign[s], True
@@ -445,13 +443,12 @@ def solve_sheets(
             solve_in_bundle(problem, path, start.starts[:found], start.nodes[:found], bed, scratch, maps)
             tiled, found = scatter_sheet(problem, sensor, runs, sheets.sequences, wanted, 0, start)
         is_done = start.cursor[0] == DONE
-        call += 1
-        found = keep_nearest(tiled, found, call, start.starts, start.nodes, slots) if is_done else tiled
-        solve_in_bundle(problem, path, start.starts[:found], start.nodes[:found], bed, scratch, maps)
+        start.cursor[4] += 1
+        kept = keep_nearest(tiled, found, start.cursor[4], start.starts, start.nodes, slots) if is_done else tiled
+        solve_in_bundle(problem, path, start.starts[:kept], start.nodes[:kept], bed, scratch, maps)
         if not is_done:
-            call = solve_edges(
-                problem, path, runs, sheets.sequences, sensor, wanted, call, bed, room, scratch, maps
-            )
+            sheet = path, runs, sheets.sequences
+            solve_edges(problem, sheet, sensor, wanted, bed, room, scratch, maps)
 
 
 assert np.iinfo(np.uint8).max == LAST_STAMP

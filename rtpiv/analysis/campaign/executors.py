@@ -5,10 +5,8 @@ Any `concurrent.futures.Executor` carries out a campaign; on this computer that 
 under the same names.  Start Dask's with ``--nthreads 1``: two chunks in two threads are both held in memory.
 """
 
-import ctypes
 import logging
 import os
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -19,6 +17,7 @@ from typing import Any, Literal
 
 from daq.errors import RunInterrupted, RunUsageError
 from ground.errors import RtpivError
+from ground.kept_memory import keep_memory
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.series_plan import ChunkJob
 from rtpiv.analysis.series.workers import ONE_THREAD
@@ -27,8 +26,6 @@ CONNECT_TIMEOUT_S = 10
 POLL_INTERVAL_S = 0.5  # of a Slurm job
 DASK_RETRIES = 2  # of a chunk whose worker was lost
 SLURM_DEFAULTS = {"name": "rtpiv", "timeout_min": 240, "cpus_per_task": 1, "mem_gb": 4}
-# malloc.h of glibc: free memory at the top that is kept, size from which a block is mapped alone, number of arenas
-MALLOC_OPTIONS = ((-1, 1 << 30), (-3, 32 << 20), (-8, 1))
 
 
 @contextmanager
@@ -155,19 +152,3 @@ def _set_up_process() -> None:
     """Use one thread, and keep freed memory; once in a process."""
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     keep_memory()
-
-
-def keep_memory() -> bool:
-    """Ask the C library of this process to keep freed memory; return whether it does.
-
-    glibc returns large blocks to the system when they are freed, unless it learns that the program allocates them
-    again and again.  Dask's workers are started with a fixed threshold (``MALLOC_TRIM_THRESHOLD_``), which
-    disables that adaptation, and call tasks in a second thread, whose arena is unmapped when it is empty.  A chunk
-    took twice as long there, as the system clears every page that it hands out (mallopt(3)).
-    """
-    if sys.platform != "linux":
-        return False
-    with suppress(OSError, AttributeError):  # another C library than glibc may have no such function
-        accepted = [ctypes.CDLL(None).mallopt(*option) == 1 for option in MALLOC_OPTIONS]
-        return all(accepted)
-    return False

@@ -23,6 +23,7 @@ from typing import TypeVar
 from daq.errors import RunInterrupted
 from ground.errors import RtpivWarning
 from ground.forking import begin_child, can_fork
+from ground.kept_memory import keep_memory
 from ground.rows import thread_count
 from ground.terminal import progress
 from rtpiv.analysis.series.series_plan import ChunkJob
@@ -147,6 +148,7 @@ def _begin_worker(forked: bool) -> None:
     Warnings of libraries are for developers, here as in the command itself: Python's option -W shows them.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    keep_memory()
     if forked:
         begin_child()
         if "cv2" in sys.modules:

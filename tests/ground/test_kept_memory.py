@@ -10,7 +10,7 @@ FRAMES = """
 import resource, sys
 from concurrent.futures import ThreadPoolExecutor
 import numpy as np
-from rtpiv.analysis.campaign.executors import keep_memory
+from ground.kept_memory import keep_memory
 
 def pages():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
