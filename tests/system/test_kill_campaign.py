@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -68,20 +67,10 @@ def finished(out, *by):
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
 
 
-def spawned(client):
-    """Worker processes of a client; one may just have ended."""
-    found = []
-    for number in children_of(client):
-        with suppress(OSError):
-            if "spawn_main" in Path(f"/proc/{number}/cmdline").read_text():
-                found.append(number)
-    return found
-
-
 def killed_client(runs, out, rng):
     client = begun(out, "run", *runs, *SMALL, "--workers", "2")
     is_there = until_made(client, out, rng.randrange(CHUNKS), rng)
-    workers = spawned(client.pid) if is_there else []
+    workers = children_of(client.pid) if is_there else []
     client.kill()
     client.communicate()
     assert all(ends(worker) for worker in workers)
@@ -93,7 +82,7 @@ def killed_workers(runs, out, rng):
     """One of two: the command ends as interrupted."""
     client = begun(out, "run", *runs, *SMALL, "--workers", "2")
     is_there = until_made(client, out, 1 + rng.randrange(CHUNKS - 2), rng)
-    victims = spawned(client.pid)[:1] if is_there else []
+    victims = children_of(client.pid)[:1] if is_there else []
     try:
         for worker in victims:
             os.kill(worker, signal.SIGKILL)
