@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from correction.inversion.kernels.newton import solve_node
-from correction.inversion.kernels.sheets import GLASS, RUN, SIGN, USEFUL, join_runs, list_runs
+from correction.inversion.kernels.sheets import GLASS, RUN, SIGN, USEFUL, NodeScale, Sensor, join_runs, list_runs
 from correction.maps.correction_map import MAX_MAGNIFICATION, MIN_MAGNIFICATION, build_correction_map
 from tests.correction.small_scenes import SCENES, small_scene
 from tests.slow_cases import slow_but
@@ -32,10 +32,19 @@ def test_runs_join_to_the_regions_that_labelling_finds(seed: int) -> None:
     counts = [(np.diff(row.astype(int), prepend=0) != 0)[row > 0].sum() for row in kinds]
     begin = np.concatenate(([0], np.cumsum(counts)))
     runs, parent = np.full((begin[-1], RUN), -1, np.int64), np.empty(begin[-1], np.int64)
-    list_runs(flags, branch, 0, len(flags), begin, np.empty(flags.shape[1], np.int64), runs)
+    plane = rng.uniform(-40.0, 40.0, (len(flags), 2 * flags.shape[1]))
+    sensor = Sensor(plane, branch, flags, np.zeros((50, 50), np.uint8))
+    scale = NodeScale(np.array([-25.0, 25.0, 1.0]), np.array([49.0, 49.0]), 2.0, 1)
+    list_runs(sensor, scale, 0, len(flags), begin, np.empty(flags.shape[1], np.int64), runs)
     join_runs(begin, runs, parent)
     sheet = np.zeros(flags.shape, int)
-    for (row, first, last, kind), head in zip(runs.tolist(), parent.tolist(), strict=True):
+    for (row, first, last, kind, top, bottom), head in zip(runs.tolist(), parent.tolist(), strict=True):
+        used = flags[row, first:last] & USEFUL > 0
+        nodes = 25.0 - plane[row, 1::2][first:last][used]  # rows of nodes that useful pixels see
+        reached = np.arange(50) >= nodes.min(initial=np.inf) - 2.0 * np.sqrt(2.0)
+        reached &= np.arange(50) <= nodes.max(initial=-np.inf) + 2.0 * np.sqrt(2.0)
+        assert np.all((np.flatnonzero(reached) >= top) & (np.flatnonzero(reached) <= bottom))
+        assert reached.any() or top > bottom or bottom - top <= 2
         assert np.all(kinds[row, first:last] == kind)
         assert np.all(sheet[row, first:last] == 0)
         sheet[row, first:last] = head + 1
