@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.alignment.camera_seen import find_camera
 from correction.alignment.rim import rim_of
-from correction.alignment.seen import Expected, find_arrangement, find_camera
+from correction.alignment.seen import Expected, find_arrangement
 from correction.errors import AlignmentError, RimNotFound, RimUnclear, TargetNotFound
 from correction.target import Chessboard
 from correction.target.codes import with_codes
