@@ -49,10 +49,10 @@ def judged(name, pairs, seed, faults=None):
     return fired, right, wrong
 
 
-@pytest.mark.parametrize("count", [5000, slow(100_000)])
+@pytest.mark.parametrize(("count", "seed"), [(5000, 1), slow(100_000, 2)])
 @pytest.mark.parametrize("name", SECTIONS)
-def test_no_pair_is_ever_swapped(name, count):
-    fired, found, wrong = judged(name, count, seed=count)
+def test_no_pair_is_ever_swapped(name, count, seed):
+    fired, found, wrong = judged(name, count, seed)
     print(f"{name}: {fired} fired, {found} pairs, {wrong} swapped, {fired - found} lost and counted")
     assert (fired, wrong) == (count, 0)
     assert found > 0.8 * fired  # and it is not by finding none
