@@ -26,13 +26,14 @@ from correction.errors import TargetNotFound
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.lattice_growth import Patch
 from correction.target.scale_search import crossing_corners
-from tracer.board import CHIRAL, OLDER, Square
+from tracer.board import CHIRAL, OLDER, Dots, Square
 
 RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
 MIN_VOTE_SHARE = 0.5  # of the votes
 AROUND_SQUARE, AROUND_DOT = ((0, 0), (1, 0), (1, 1), (0, 1)), ((1, 0), (0, 1), (-1, 0), (0, -1))  # in turn
 WITHIN_ROW = 0.8  # of the rings around a dot: walls stand closer between staggered rows of a plate
-MARK_EDGE, TRIANGULAR = 0.25, 0.35  # of the contrast, where a mark begins; see `_is_triangle`
+MARK_EDGE, TRIANGULAR = 0.25, 0.25  # of the contrast, where a mark begins; see `_is_triangle`
+WIDEST_MARK, CLEAR_OF_DOTS = 0.45, 0.3  # squares from the middle of a mark, and from the dots around it
 PRESENT = 0.5  # of the contrast of dots, in the middle of a mark
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
 
@@ -278,22 +279,27 @@ def _marks_between(
     assert board.dots is not None
     if board.dots.triangle is None:
         return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
-    axes = np.median(patch.axes_px, axis=0)
-    pointed = [_is_triangle(frame, one, axes, board.dots.bright) for one in at]
+    pointed = [_is_triangle(frame, one, around, board.dots) for one, around in zip(at, dots[marked], strict=True)]
     return chosen, np.array(pointed, bool), np.zeros(len(chosen))
 
 
 def _is_triangle(
-    frame: NDArray[Any], at_px: NDArray[np.float64], axes_px: NDArray[np.float64], bright: bool
+    frame: NDArray[Any], at_px: NDArray[np.float64], around_px: NDArray[np.float64], dots: Dots
 ) -> bool:
-    """Return whether a mark at a place (2,) in a lattice with axes (2, 2) is a triangle, not a square or disc.
+    """Return whether a mark at a place (2,) amid four dots (4, 2), in turn, is a triangle, not a square or disc.
 
     |<z^3>| / <|z|^2>^(3/2), z the complex place within the mark, is 0.8 of a triangle and 0 of both others.
     """
-    light = _rings(frame, (at_px + _WITHIN_MARK @ axes_px.T)[None, :, None])[0].astype(np.float64)
-    light = light if bright else -light
-    weight = np.clip((light - np.median(light)) / max(float(np.ptp(light)), 1e-9) - MARK_EDGE, 0.0, None)
-    z = _WITHIN_MARK @ np.array((1.0, 1.0j))
+    first, second, third, fourth = around_px
+    axes = 0.5 * np.stack((second - first + third - fourth, fourth - first + third - second), axis=-1)
+    beside = np.linalg.solve(axes, (around_px - at_px).T).T  # squares; on a plate these dots lie elsewhere
+    away = np.linalg.norm(_GRID[:, None] - beside, axis=-1).min(axis=1)
+    within = _GRID[(away > CLEAR_OF_DOTS) & (np.hypot(*_GRID.T) <= WIDEST_MARK)]
+    light = _rings(frame, (at_px + within @ axes.T)[None, :, None])[0].astype(np.float64)
+    light = light if dots.bright else -light
+    ground, mark = np.percentile(light, (10.0, 95.0))  # of either some is within
+    weight = np.clip((light - ground) / max(float(mark - ground), 1e-9) - MARK_EDGE, 0.0, 1.0) + 1e-9
+    z = within @ np.array((1.0, 1.0j))
     z = z - np.average(z, weights=weight)
     spread = float(np.average(np.abs(z) ** 2, weights=weight))
     return bool(np.abs(np.average(z**3, weights=weight)) > TRIANGULAR * spread**1.5)
@@ -359,8 +365,7 @@ def dot_diameters(frame: NDArray[Any], patch: Patch, board: Chessboard) -> NDArr
     return diameter
 
 
-_GRID = np.stack(np.meshgrid(np.linspace(-0.3, 0.3, 21), np.linspace(-0.3, 0.3, 21)), axis=-1).reshape(-1, 2)
-_WITHIN_MARK = _GRID[np.hypot(*_GRID.T) <= 0.3]  # squares from the middle of a mark, clear of the dots around
+_GRID = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 31)] * 2), axis=-1).reshape(-1, 2)  # around a mark
 _RADII = np.linspace(0.02, 0.42, 21)  # squares
 _ANGLES = np.arange(16) * (np.pi / 8.0) + 0.1
 _AROUND = _RADII[:, None, None] * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)

@@ -376,6 +376,8 @@ def _plausible(board: Chessboard, view: View, patch: Patch, placing: Placing) ->
         return False
     index = placing.board_index(patch.index)
     own = (np.abs(index) <= NEAR_MARKS).all(axis=1) if board.discs else np.zeros(len(index), dtype=bool)
+    for mark in board.discs if board.dots is not None and not board.has_large_dots else ():  # anywhere on a plate
+        own |= (np.abs(index - np.array(mark)) <= NEAR_MARKS).all(axis=1)
     some = own | (np.arange(len(index)) % max(1, len(index) // ENOUGH) == 0)
     deep = board.depth_mm(index[some]) != 0.0 if len(board.depths_mm) > 1 else None
     smooth = on_smooth_map(index[some], patch.position_px[some], patch.axes_px[some], deep)
