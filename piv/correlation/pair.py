@@ -42,6 +42,7 @@ Sign and axis conventions: see `piv.correlation.vector_field`.
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ from piv.correlation.refine import window_weights
 from piv.correlation.resolution import Window, match_share, mismatch_px, resolution_model_px
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
-from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, variance_px2
+from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
 from piv.correlation.taken_out import is_measured, without_still, without_vectors
 from piv.correlation.uncertainty import (
     LARGEST_PX,
@@ -339,7 +340,9 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         # 1. Noise of one correlation; it decides which vectors are measured.
         left, _ = fill_gaps(found.left_px, good)
         blocks = blocks_of(course.deformed, spread_px2, course.threads)
-        asymmetry = correlation_asymmetry(blocks, grid, settings.window_sigma, left)
+        asymmetry = correlation_asymmetry(
+            blocks, grid, settings.window_sigma, left, partial(sums_of_sizes, grid, sizes, settings.window_sigma)
+        )
         asymmetry = asymmetry_of_sizes(asymmetry, grid, sizes, settings.window_sigma)
         noise, pieces = correlation_statistics(asymmetry, found.refined)
         if course.frames.inclination is not None:
@@ -483,7 +486,7 @@ def _resolution_of_sizes(
         shown = gain(weights, step, smoothings_of(settings, side, step), np.array([np.pi / side, 0.0]))
         parts.append(
             resolution_model_px(
-                vectors, taken, pieces, Window(side, step, weights, float(shown), settings.finds_windows)
+                vectors, taken, pieces, Window(side, step, weights, float(shown), side < settings.windows_px[-1])
             )
         )
     return sizes.pick(parts)

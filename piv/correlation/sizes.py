@@ -93,6 +93,16 @@ def asymmetry_of_sizes(
     return CorrelationAsymmetry(*(sizes.pick(list(part)) for part in zip(*parts, strict=True)))
 
 
+def sums_of_sizes(grid: WindowGrid, sizes: Sizes, window_sigma: float, values: Floats) -> tuple[Floats, Floats]:
+    """Sums (ny, nx) over windows of each node's own size, from those over the windows of `grid`; and their sides."""
+    own = window_weights(grid.size_px, window_sigma).sum()
+    parts = [values]
+    for side in sizes.sides_px[1:]:
+        more = float(window_weights(side, window_sigma).sum() / own)
+        parts.append(widen_sums(values, grid, side, window_sigma) * more**2)
+    return sizes.pick(parts), np.asarray(sizes.side_px, np.float64)
+
+
 def widen_sums(values: Floats, grid: WindowGrid, side_px: int, window_sigma: float) -> Floats:
     """Sums (ny, nx[, n]) over windows of `side_px`, as means of those over the windows of `grid`."""
     more = _more_steps(grid, side_px, window_sigma)

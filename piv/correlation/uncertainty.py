@@ -12,10 +12,11 @@ depends. With the weights W of the window the variance of that sum is
    sqrt(E_2h) - sqrt(E_h))^2, taken over windows of about the same noise, where it is known well (lost particles
    lean over more than a block, the noise of pixels over less). Its place in the frame comes from the blocks.
 2. What is left to find, r, makes q lean too: by r (m'(x) m(x+1) - m(x) m'(x+1)), m the mean of both frames. This
-   is no noise and is taken off first, block by block. Since r was measured in the same windows, some noise goes
-   with it, as with any fitted number: of N pieces N - 3 are left (1 if they were independent; 3 holds to 10 %
-   from 0.005 to 0.1 particles per px). N = (sum W p)^2/sum (W p)^2, where p, what a displacement makes of a block
-   of 2 h, stands for the light in it.
+   is no noise and is taken off first, block by block. Since r was measured in the same windows, noise goes with it:
+   of that of a block the share h that the block has in the r at its place, the leverage of a fitted value. With p,
+   what a displacement makes of a block, that is h = f b p/sum W p, b the blocks that lean together and f what is
+   left of it by interpolation between windows (`OWN_SHARE`). So each block counts l/(1 - h) (MacKinnon, White, J.
+   Econometrics 29, 305 (1985)): where one bright particle makes the vector, nothing else contradicts it.
 3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by sigma = [ln(C + s/2) - ln(C - s/2)] /
    [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)]. Where the peak is flat, C near C0, that has no limit, but the peak
    was looked for within a pixel: sigma is never more than that of any place within it, 1/sqrt(3) px.
@@ -27,6 +28,7 @@ measured without noise) and is added as it is. What windows do not resolve is se
 (`piv.correlation.resolution`); calibration is not seen.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -40,9 +42,10 @@ from piv.correlation.windows import WindowGrid, interpolation_matrix
 
 Floats = NDArray[np.float64]
 GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are one
-LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
+TOGETHER = 3.2  # blocks that lean together: those of a particle image
+OWN_SHARE = (0.25, 0.5, 1.0), (1.0, 0.55, 0.27)  # spacing of windows in sides; share of r that is their own
+LARGEST_LEVERAGE = 0.6  # beyond which a block tells nothing
 LARGEST_PX = 3.0**-0.5  # one pixel to either side, all places alike
-LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window it is not known
 SAMPLING = (  # variance of a particle image [px^2] as frames show it, and the error that it leaves [px]
     (0.127, 0.158, 0.209, 0.262, 0.315, 0.46, 0.64, 1.06, 2.2, 3.8, 7.6),
     (0.0095, 0.0055, 0.0038, 0.0029, 0.0025, 0.0023, 0.0019, 0.0011, 0.0005, 0.0005, 0.001),
@@ -113,7 +116,11 @@ def blocks_of(pair: DeformedPair, spread_px2: float, threads: int | None = None)
 
 
 def correlation_asymmetry(
-    blocks: Blocks, grid: WindowGrid, window_sigma: float, left_px: Floats
+    blocks: Blocks,
+    grid: WindowGrid,
+    window_sigma: float,
+    left_px: Floats,
+    found_by: Callable[[Floats], tuple[Floats, Floats]] | None = None,
 ) -> CorrelationAsymmetry:
     """Sum the asymmetry over windows, without that of the displacement that is left.
 
@@ -127,6 +134,9 @@ def correlation_asymmetry(
         Their weights, see `piv.correlation.refine.window_weights`.
     left_px : ndarray of float64, shape (ny, nx, 2)
         Displacement that was left to find, finite everywhere.
+    found_by : callable, optional
+        From sums (ny, nx) over the windows of `grid` those over the windows that found it, and the sides of these;
+        default the same windows.
     """
     nodes = (grid.y_px, grid.x_px)
     along = [
@@ -144,11 +154,22 @@ def correlation_asymmetry(
         left *= by_shift
         power = float(np.vdot(left, left))
         share = np.float32(np.clip(float(np.vdot(lean, left)) / power, 0.0, 1.5) if power > 0.0 else 0.0)
-        found.variance[..., axis] = _window_variance(lean - share * left, along)
         light = by_shift + np.roll(by_shift, -1, 0)
         light = np.maximum(light + np.roll(light, -1, 1), 0.0)
         found.light[..., axis] = sides[0] @ light @ sides[1].T
         found.squares[..., axis] = along[0] @ np.square(light) @ along[1].T
+        whole, side = (
+            (found.light[..., axis], grid.size_px) if found_by is None else found_by(found.light[..., axis])
+        )
+        own = (
+            4.0
+            * TOGETHER
+            * np.interp(grid.step_px / side, *OWN_SHARE)
+            / np.maximum(whole, 1e-6 * whole.max() + 1e-30)
+        )
+        leverage = by_shift * (between[0] @ (own.astype(np.float32) @ between[1].T))
+        np.clip(leverage, 0.0, LARGEST_LEVERAGE, out=leverage)
+        found.variance[..., axis] = _window_variance((lean - share * left) / (1.0 - leverage), along)
     return found
 
 
@@ -163,10 +184,9 @@ def correlation_statistics(lean: CorrelationAsymmetry, refined: Refined) -> Stat
         What was measured with them.
     """
     pieces = np.maximum(lean.light**2 / np.maximum(4.0 * lean.squares, 1e-30), 1.0)
-    variance = lean.variance / np.maximum(1.0 - LOST / pieces, LEAST_LEFT)
     sums = refined.sums
     c = np.stack([sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1) for axis in range(2)], axis=-1)
-    sigma = _peak_sigma(sums[..., :1], c, np.sqrt(variance)) / refined.gain[..., None]
+    sigma = _peak_sigma(sums[..., :1], c, np.sqrt(lean.variance)) / refined.gain[..., None]
     return Statistics(np.minimum(sigma, LARGEST_PX), pieces.mean(axis=-1))
 
 
