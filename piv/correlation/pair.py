@@ -75,7 +75,7 @@ from piv.correlation.passes import Measured, MultipassState, search
 from piv.correlation.planes import fill_gaps
 from piv.correlation.prepare import Pair, check_frames, prepare_pair
 from piv.correlation.refine import window_weights
-from piv.correlation.resolution import Window, match_share, mismatch_px, resolution_model_px
+from piv.correlation.resolution import Window, match_share, mismatch_px, resolution_model_px, unevenness
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
@@ -343,6 +343,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         asymmetry = correlation_asymmetry(
             blocks, grid, settings.window_sigma, left, partial(sums_of_sizes, grid, sizes, settings.window_sigma)
         )
+        around = asymmetry.light
         asymmetry = asymmetry_of_sizes(asymmetry, grid, sizes, settings.window_sigma)
         noise, pieces = correlation_statistics(asymmetry, found.refined)
         if course.frames.inclination is not None:
@@ -356,7 +357,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
-        resolution = np.maximum(_resolution_of_sizes(course, sizes, final, taken, pieces), missed_px)
+        uneven = unevenness(pieces, np.clip(around / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(axis=-1))
+        resolution = np.maximum(_resolution_of_sizes(course, sizes, final, taken, uneven), missed_px)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.
             finer = _short_wave_error(course, good, noise, added)
@@ -476,7 +478,7 @@ def _short_wave_error(course: MultipassState, good: NDArray[np.bool_], sigma: Fl
 
 
 def _resolution_of_sizes(
-    course: MultipassState, sizes: Sizes, vectors: Floats, taken: Floats, pieces: Floats
+    course: MultipassState, sizes: Sizes, vectors: Floats, taken: Floats, uneven: Floats
 ) -> Floats:
     """Modelled resolution error (ny, nx) of windows, each of its size."""
     settings, step = course.settings, course.grid.step_px
@@ -486,7 +488,7 @@ def _resolution_of_sizes(
         shown = gain(weights, step, smoothings_of(settings, side, step), np.array([np.pi / side, 0.0]))
         parts.append(
             resolution_model_px(
-                vectors, taken, pieces, Window(side, step, weights, float(shown), side < settings.windows_px[-1])
+                vectors, taken, uneven, Window(side, step, weights, float(shown), side < settings.windows_px[-1])
             )
         )
     return sizes.pick(parts)

@@ -94,7 +94,7 @@ def asymmetry_of_sizes(
 
 
 def sums_of_sizes(grid: WindowGrid, sizes: Sizes, window_sigma: float, values: Floats) -> tuple[Floats, Floats]:
-    """Sums (ny, nx) over windows of each node's own size, from those over the windows of `grid`; and their sides."""
+    """Sums (ny, nx) over windows of each node's size, from those over the windows of `grid`; and the sides."""
     own = window_weights(grid.size_px, window_sigma).sum()
     parts = [values]
     for side in sizes.sides_px[1:]:

@@ -12,11 +12,11 @@ depends. With the weights W of the window the variance of that sum is
    sqrt(E_2h) - sqrt(E_h))^2, taken over windows of about the same noise, where it is known well (lost particles
    lean over more than a block, the noise of pixels over less). Its place in the frame comes from the blocks.
 2. What is left to find, r, makes q lean too: by r (m'(x) m(x+1) - m(x) m'(x+1)), m the mean of both frames. This
-   is no noise and is taken off first, block by block. Since r was measured in the same windows, noise goes with it:
-   of that of a block the share h that the block has in the r at its place, the leverage of a fitted value. With p,
-   what a displacement makes of a block, that is h = f b p/sum W p, b the blocks that lean together and f what is
-   left of it by interpolation between windows (`OWN_SHARE`). So each block counts l/(1 - h) (MacKinnon, White, J.
-   Econometrics 29, 305 (1985)): where one bright particle makes the vector, nothing else contradicts it.
+   is no noise and is taken off first, block by block. Since r was measured in the same windows, noise goes with
+   it: of that of a block the share h that the block has in the r at its place, the leverage of a fitted value.
+   With p, what a displacement makes of a block, that is h = f b p/sum W p, b the blocks that lean together and f
+   what is left of it by interpolation between windows (`OWN_SHARE`). So each block counts l/(1 - h) (MacKinnon,
+   White, J. Econometrics 29, 305 (1985)): where one bright particle makes the vector, nothing contradicts it.
 3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by sigma = [ln(C + s/2) - ln(C - s/2)] /
    [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)]. Where the peak is flat, C near C0, that has no limit, but the peak
    was looked for within a pixel: sigma is never more than that of any place within it, 1/sqrt(3) px.
