@@ -343,7 +343,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         asymmetry = correlation_asymmetry(
             blocks, grid, settings.window_sigma, left, partial(sums_of_sizes, grid, sizes, settings.window_sigma)
         )
-        around = asymmetry.light
+        middle = asymmetry.light
         asymmetry = asymmetry_of_sizes(asymmetry, grid, sizes, settings.window_sigma)
         noise, pieces = correlation_statistics(asymmetry, found.refined)
         if course.frames.inclination is not None:
@@ -357,7 +357,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
-        uneven = unevenness(pieces, np.clip(around / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(axis=-1))
+        uneven = unevenness(pieces, np.clip(middle / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(axis=-1))
         resolution = np.maximum(_resolution_of_sizes(course, sizes, final, taken, uneven), missed_px)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.

@@ -17,9 +17,9 @@ Four things, the first three added as squares:
    is s^2 c times the same number, whatever N, if there is no light in the middle, and as much less as there is
    light (`unevenness`; measured with 0.0025 to 0.006 particles per px: 2.1, 1.8, 1.4, 1.0 s^2 c where windows of
    half the side hold 0.1, 0.4, 0.65, 1 of their share).
-   Smaller windows go on from what windows of twice the size have bent, and what stays is second order: the same, times itself over `TWICE_PX` as long as it is less (turbulence down to 30 and 16 px
-   seen by windows of 16 px at N = 3.7 and 5.6: 0.03, 0.08 to 0.13 and 0.22 to 0.25 px where the first order says
-   0.07, 0.14 and 0.21).
+   Smaller windows go on from what windows of twice the size have bent, and what stays is second order: the same,
+   times itself over `TWICE_PX` as long as it is less (turbulence down to 30 and 16 px seen by windows of 16 px at
+   N = 3.7 and 5.6: 0.03, 0.08 to 0.13 and 0.22 to 0.25 px where the first order says 0.07, 0.14 and 0.21).
 4. **Moves otherwise.** Across a shear layer or a core narrower than a window, part of the light does not match at
    the displacement that was found. With the correlation C, and C_0 where all matches, that share is 1 - C/C_0, of
    which `LOST_SHARE` may be chance. How else it may move, the surroundings say: D is the range of the vectors in
