@@ -29,7 +29,7 @@ measured without noise) and is added as it is. What windows do not resolve is se
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,18 +158,11 @@ def correlation_asymmetry(
         light = np.maximum(light + np.roll(light, -1, 1), 0.0)
         found.light[..., axis] = sides[0] @ light @ sides[1].T
         found.squares[..., axis] = along[0] @ np.square(light) @ along[1].T
-        whole, side = (
-            (found.light[..., axis], grid.size_px) if found_by is None else found_by(found.light[..., axis])
-        )
-        own = (
-            4.0
-            * TOGETHER
-            * np.interp(grid.step_px / side, *OWN_SHARE)
-            / np.maximum(whole, 1e-6 * whole.max() + 1e-30)
-        )
-        leverage = by_shift * (between[0] @ (own.astype(np.float32) @ between[1].T))
-        np.clip(leverage, 0.0, LARGEST_LEVERAGE, out=leverage)
-        found.variance[..., axis] = _window_variance((lean - share * left) / (1.0 - leverage), along)
+        rest = 1.0 - _leverage(by_shift, found.light[..., axis], blocks, grid, found_by)
+        left *= -share
+        left += lean
+        left /= rest
+        found.variance[..., axis] = _window_variance(left, along)
     return found
 
 
@@ -188,6 +181,35 @@ def correlation_statistics(lean: CorrelationAsymmetry, refined: Refined) -> Stat
     c = np.stack([sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1) for axis in range(2)], axis=-1)
     sigma = _peak_sigma(sums[..., :1], c, np.sqrt(lean.variance)) / refined.gain[..., None]
     return Statistics(np.minimum(sigma, LARGEST_PX), pieces.mean(axis=-1))
+
+
+def _leverage(
+    by_shift: NDArray[np.float32],
+    light: Floats,
+    blocks: Blocks,
+    grid: WindowGrid,
+    found_by: Callable[[Floats], tuple[Floats, Floats]] | None,
+) -> NDArray[np.float32]:
+    """Share (rows, columns) that blocks have in what was left to find at their place, see 2. above."""
+    import cv2
+
+    whole, side = (light, np.full(light.shape, float(grid.size_px))) if found_by is None else found_by(light)
+    share = 4.0 * TOGETHER * np.interp(grid.step_px / side, *OWN_SHARE)  # light is over 2 x 2 blocks
+    share /= np.maximum(whole, 1e-6 * float(whole.max()) + 1e-30)
+    scale = blocks.side_px / grid.step_px
+    first = [
+        (place[0] - node[0]) / grid.step_px
+        for place, node in zip(blocks.centres, (grid.y_px, grid.x_px), strict=True)
+    ]
+    found: Any = cv2.warpAffine(
+        share.astype(np.float32),
+        np.array([[scale, 0.0, first[1]], [0.0, scale, first[0]]]),
+        by_shift.shape[::-1],
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    found *= by_shift
+    return np.asarray(np.clip(found, 0.0, LARGEST_LEVERAGE, out=found), np.float32)
 
 
 def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigma: float) -> NDArray[np.float32]:
