@@ -19,6 +19,7 @@ from sim.renderer.render import tables_of
 from tracer.bodies import translate_by
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_priors
 
 
 def true_scene(bench: Bench, table: SimulationTable) -> Scene:
@@ -26,7 +27,10 @@ def true_scene(bench: Bench, table: SimulationTable) -> Scene:
 
     It is what a simulated bench hides from its user.
     """
-    return misalign(bench.scene, table.seed) if table.is_misaligned else bench.scene
+    if not table.is_misaligned:
+        return bench.scene
+    priors = load_priors(bench.path.parent / bench.table.scene)
+    return misalign(bench.scene, table.seed, is_packed=priors.contact_mm is not None)
 
 
 def arrange(

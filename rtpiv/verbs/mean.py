@@ -22,7 +22,7 @@ from rtpiv.analysis.report.kept_page import PAGE, is_current, note_page, page_ke
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
-from rtpiv.analysis.series.self_check import spheres_checked
+from rtpiv.analysis.series.self_check import check_sheet, spheres_checked
 from rtpiv.analysis.series.series_folder import FILE
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import ensemble_vectors, mean_of_series, write_mean, write_statistics
@@ -169,6 +169,8 @@ def mean(
             note_page(folder, key)
         show_through(screen, view.scene)
         screen.print(where_lit(view.standing))
+        if series is not None and (height := check_sheet(series[0])) is not None:
+            screen.print(height.sentence, style="bold red" if height.is_elsewhere else "")
         show_mean(
             screen,
             found,

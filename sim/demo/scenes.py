@@ -5,11 +5,13 @@ difference comes from a seed and is hidden from the correction.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from tracer.bodies import Body, Sphere
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
@@ -20,6 +22,8 @@ from tracer.scene.scene import Scene
 CROWN = ConstantMedium(1.53)
 PITCH_UM = 11.0
 FULL_PX = 2016
+PACKING_TURN = 2e-3  # rad, by which a packing may be turned about each axis
+TOUCHING_MM = 0.05  # gap up to which balls touch
 BARREL_35MM = 0.018  # k1 in units of the half sensor width, a 35 mm lens at 250 mm
 
 
@@ -90,7 +94,7 @@ def at_size(scene: Scene, size_px: int) -> Scene:
     return scene.with_camera(scene.camera.with_width(size_px))
 
 
-def misalign(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
+def misalign(scene: Scene, seed: int, *, barrel: float = 0.0, is_packed: bool = False) -> Scene:
     """Return the true scene behind a nominal one: camera, aim, roll and every body but walls a little off.
 
     Parameters
@@ -101,6 +105,8 @@ def misalign(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
         The same seed gives the same errors.
     barrel : float
         Barrel distortion of the true lens: k1 in units of the half sensor width.
+    is_packed : bool
+        Balls that touch each other are off all together, turned and moved as one, and still touch.
 
     Raises
     ------
@@ -112,6 +118,17 @@ def misalign(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
     shift = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(0.05, 0.2)])
     jitters = [rng.uniform(-0.1, 0.1, 3) for _ in bodies]
     true = replace(scene, camera=_perturb_camera(scene.camera, rng, barrel), bodies=())
+    if is_packed:
+        together = _balls_in_contact(bodies)
+        turn = Rotation.from_rotvec(rng.uniform(-PACKING_TURN, PACKING_TURN, 3))
+        middle = np.mean([bodies[k].capsule.start_mm for k in together], axis=0) if together else np.zeros(3)
+        bodies = tuple(
+            body.moved(lambda point: _vector(middle + turn.apply(np.array(point) - middle)))
+            if k in together
+            else body
+            for k, body in enumerate(bodies)
+        )
+        jitters = [jitters[min(together)] if k in together else jitter for k, jitter in enumerate(jitters)]
     for spread in 1.0 + 1e-4 * np.arange(
         200
     ):  # spread the group until the jittered bodies clear each other and the plane
@@ -125,6 +142,18 @@ def misalign(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
         except SceneError:
             continue
     raise SceneError("the bodies stand too close to be misaligned; move them apart or away from the plane")
+
+
+def _balls_in_contact(bodies: Sequence[Body]) -> set[int]:
+    """Numbers of the balls that touch another one."""
+    return {
+        number
+        for pair in combinations(range(len(bodies)), 2)
+        for number in pair
+        if all(isinstance(bodies[k], Sphere) for k in pair)
+        and math.dist(*(bodies[k].capsule.start_mm for k in pair))
+        <= sum(bodies[k].capsule.radius_mm for k in pair) + TOUCHING_MM
+    }
 
 
 def _perturb_camera(camera: Camera, rng: np.random.Generator, barrel: float) -> Camera:

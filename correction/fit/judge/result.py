@@ -10,6 +10,7 @@ from correction.fit.judge.verdict import PRIOR_LIMIT, Verdict
 from correction.fit.seen.unconfirmed_ways import BRANCH_LIMIT
 from correction.fit.solve.considered import ShapeRoot
 from correction.fit.solve.light import LightUncertainty
+from correction.fit.solve.solver import packing_residuals
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
 from ground.short_repr import short_repr
@@ -22,6 +23,7 @@ RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
 FEW_CORNERS = 20  # behind glass, from which a share of them says little
 OVERLAP_LIMIT_MM = 0.02
+CONTACT_LIMIT = 4.0  # sigmas that balls may be apart which are said to touch
 
 
 @dataclass(frozen=True)
@@ -252,6 +254,7 @@ def check(fit: SceneFit) -> None:
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
     if fit.pushed_mm > OVERLAP_LIMIT_MM:
         raise FitFailed("overlap of bodies [mm]", fit.pushed_mm, OVERLAP_LIMIT_MM, cure)
+    _check_contacts(fit)
     pull = float(np.abs(fit.x).max(initial=0.0))
     if pull > PRIOR_LIMIT:
         name = fit.names[int(np.argmax(np.abs(fit.x)))]
@@ -263,3 +266,19 @@ def check(fit: SceneFit) -> None:
         raise FitFailed("distance from the prior [sigma]", pull, PRIOR_LIMIT, text)
     if fit.verdict.pulls and (joint := fit.verdict.pulls[0]).sigmas > PRIOR_LIMIT:
         raise FitFailed("joint distance from the priors [sigma]", joint.sigmas, PRIOR_LIMIT, joint.reason)
+
+
+def _check_contacts(fit: SceneFit) -> None:
+    """Refuse a fit in which balls that are known to touch do not."""
+    for part in packing_residuals(fit.unknowns, fit.x):
+        apart, worst = np.abs(part.value[:, 0]), int(np.argmax(np.abs(part.value[:, 0])))
+        if apart[worst] > CONTACT_LIMIT:
+            one, other = list(fit.unknowns.packing.values())[worst]
+            names = [fit.unknowns.scene.spheres[number].name for number in (one, other)]
+            raise FitFailed(
+                "gap of balls that touch [sigma]",
+                float(apart[worst]),
+                CONTACT_LIMIT,
+                f"{names[0]} and {names[1]} touch in the scene file and not in the frames; give fit.contact_mm as"
+                " large as their gaps may be, or leave it out",
+            )

@@ -290,7 +290,7 @@ def normal_equations(
     """Cost with walls, gradient (P,) of data and priors, normal matrix (P, P) of data alone."""
     free = len(x)
     cost, gradient, normal = float(x @ x), x.copy(), np.zeros((free, free))
-    for part in (*parts, *packing_residuals(unknowns, x)):
+    for part in parts:
         square = (part.value**2).sum(axis=1)
         seen = np.isfinite(square)
         cost += float(np.count_nonzero(~seen)) * knee**2 * np.log1p(LOST**2 / knee**2)
@@ -299,6 +299,9 @@ def normal_equations(
         flat = (part.rate[seen] * root[:, None, None]).reshape(-1, free)
         gradient += flat.T @ (part.value[seen] * root[:, None]).ravel()
         normal += flat.T @ flat
+    for part in packing_residuals(unknowns, x):  # as priors are, Gaussian: few corners must not outvote them
+        flat, gap = part.rate[:, 0], part.value[:, 0]
+        cost, gradient, normal = cost + float(gap @ gap), gradient + flat.T @ gap, normal + flat.T @ flat
     depth, _ = _walls(unknowns, x)
     return cost + float(np.sum(np.maximum(depth, 0.0) ** 2)), gradient, normal
 

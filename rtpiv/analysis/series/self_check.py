@@ -1,11 +1,14 @@
-"""Check of the positions of the spheres of a run, by particles seen twice in some of its pairs."""
+"""Checks of a run by some of its pairs: positions of its spheres, and height of its light sheet in a bed."""
 
 from pathlib import Path
 
 import numpy as np
 
 from correction.errors import SheetError
+from correction.light_sheet.by_brightness import BrightnessHeight, height_by_brightness
 from correction.self_check.moved_sphere import SelfCheck, check_spheres
+from daq.runs.names import is_run
+from daq.runs.pairs import pairs_of
 from piv.errors import PairError
 from piv.files.vector_file import read_vectors
 from rtpiv.analysis.fit_beside import SCENE_FILE
@@ -46,3 +49,22 @@ def spheres_checked(folder: Path, series: SeriesInput | None) -> tuple[SelfCheck
     except (PairError, SheetError):
         found = None
     return found, found.attributes if found else {}
+
+
+def check_sheet(series: SeriesInput) -> BrightnessHeight | None:
+    """Compare the mean frame of the run behind a series with the traced light; None where that cannot be done."""
+    scene = load_scene(series.out / SCENE_FILE)
+    if scene.sheet is None or not scene.sheet.sources or not is_run(series.run):
+        return None
+    background = [pair.frames for pair in pairs_of(series.run).pairs if pair.is_background]
+    if not background:
+        return None
+    given = flow_frames([series.run], scene)
+    chosen = given.pairs[:: -(-len(given.pairs) // ENOUGH_PAIRS)]
+    seen, still = (
+        [np.mean(pair, axis=0, dtype=np.float64) for pair in read_pairs(given, pairs, what)]
+        for pairs, what in ((chosen, "comparing brightness"), (background, "reading the background"))
+    )
+    if not seen or not still:
+        return None
+    return height_by_brightness(given.scene, np.mean(seen, axis=0) - np.mean(still, axis=0))

@@ -1,10 +1,13 @@
 """Balls that are known to touch: their gaps are data of the fit, and hold what no corner shows."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from correction.errors import FitFailed
+from correction.fit.judge.result import _check_contacts
 from correction.fit.seen.silhouettes import outlines_of
 from correction.fit.solve.solver import minimise, normal_equations, packing_residuals
 from correction.fit.solve.unknowns import unknowns_of
@@ -58,3 +61,12 @@ def test_the_rim_of_a_neighbour_does_not_take_a_ball_out_of_its_contact():
 
     assert opened_mm([]) > 1.5
     assert abs(opened_mm([(0, 1)])) < 0.6
+
+
+def test_a_fit_whose_balls_touch_in_the_file_alone_is_refused():
+    unknowns = unknowns_of(TOUCHING, [0.0], FitTable(contact_mm=0.02)).only(["a.", "b."])
+    _check_contacts(SimpleNamespace(unknowns=unknowns, x=np.zeros(8)))
+    apart = np.zeros(8)
+    apart[4] = 0.2  # b is moved by 0.2 mm
+    with pytest.raises(FitFailed, match="a and b touch in the scene file and not in the frames"):
+        _check_contacts(SimpleNamespace(unknowns=unknowns, x=apart))

@@ -1,0 +1,151 @@
+"""Height of the light sheet from where it is bright: the mean frame of particles against the traced light.
+
+Refraction keeps radiance along a ray, so the mean of many frames of particles, the background taken off, is at
+each pixel as bright as the sheet where its ray crosses it, times a gain that changes slowly over the frame
+(seeding, vignetting).  Shadows, foci and the edges of balls move in the frame with the height z of the sheet: its
+light takes another way through the balls, and an oblique view shows it elsewhere.  The light is traced for some z,
+
+    sqrt(seen) = gain(u, v) sqrt(traced(z)),       gain of second order, least squares over all pixels,
+
+with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).  The best height
+lies where the sum of squares is least.  Neighbouring pixels err together where the scene is not quite right, so
+the uncertainty is that of the jackknife over blocks of the frame.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.grid import grid_of
+from correction.maps.lit import light_of
+from tracer.errors import SceneError
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import RayStatus
+
+COMPARED_HEIGHTS = 11  # that are traced
+SPLINE_PLACES = 401  # places between two of them at which the sum is interpolated
+COMPARED_SPAN = 1.5  # thicknesses of the sheet to either side of the given height
+COMPARED_PX = 400  # of the frames compared
+JACKKNIFE_BLOCKS = 4, 5  # of a frame, down and along
+SPOT_PX = 1.2  # standard deviation of a particle's image
+ELSEWHERE_SIGMAS = 3.0  # sigmas from which a sheet is said to lie elsewhere
+ELSEWHERE_SHARE = 0.3  # of its thickness that it is then off at least
+LIGHT_MODEL_SHARE = 0.1  # of it that the traced light may be off whatever the scatter; exact scenes: 0.05 to 0.13
+
+
+@dataclass(frozen=True)
+class BrightnessHeight:
+    """Height of the sheet by its brightness.
+
+    Parameters
+    ----------
+    z_mm, sigma_mm : float
+        Height over the target's plane; NaN where the least sum lies at an end of the heights compared.
+    given_mm, thickness_mm : float
+        As the scene has it.
+    correlation : float
+        Of the brightness seen with that traced at the best height.
+    """
+
+    z_mm: float
+    sigma_mm: float
+    given_mm: float
+    thickness_mm: float
+    correlation: float
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Return whether the sheet lies elsewhere by more than chance."""
+        return abs(self.z_mm - self.given_mm) > max(
+            ELSEWHERE_SHARE * self.thickness_mm, ELSEWHERE_SIGMAS * self.sigma_mm
+        )
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        if not np.isfinite(self.z_mm):
+            return "brightness does not tell the height of the light sheet: no height compared explains it best"
+        found = f"brightness puts the light sheet at z = {self.z_mm:.2f} +- {self.sigma_mm:.2f} mm"
+        if self.is_elsewhere:
+            return f"{found}, {self.z_mm - self.given_mm:+.2f} mm from where the scene has it; correct sheet.z_mm"
+        return f"{found}, as the scene has it within that"
+
+
+def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessHeight | None:
+    """Compare a mean frame with the light of a scene, traced at several heights; None if no sheet can be compared.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its sheet and the sources of its light.
+    mean : (H, W) float64
+        Mean of acquired frames of particles, without the background.
+    """
+    sheet = scene.sheet
+    if sheet is None or not sheet.sources or sheet.thickness_mm is None:
+        return None
+    times = -(-mean.shape[1] // COMPARED_PX)
+    small, seen = scene.coarser(times), _bin_pixels(mean, times)
+    heights = sheet.z_mm + sheet.thickness_mm * np.linspace(-COMPARED_SPAN, COMPARED_SPAN, COMPARED_HEIGHTS)
+    traced = []
+    for z in heights.tolist():
+        try:
+            traced.append(_brightness(replace(small, sheet=replace(sheet, z_mm=z)).in_light_sheet()))
+        except SceneError:  # no light there, or a body that no sheet may cross
+            return None
+    traced = [field[: seen.shape[0], : seen.shape[1]] for field in traced]
+    use = np.asarray(np.isfinite(traced).all(axis=0), np.bool_)
+    blur = SPOT_PX / times
+    roots = [np.sqrt(scipy.ndimage.gaussian_filter(np.nan_to_num(field), blur)) for field in traced]
+    root = np.sqrt(np.maximum(scipy.ndimage.gaussian_filter(seen, blur), 0.0))
+    sums = np.array([_misfit(root, one, use) for one in roots])  # (heights, blocks)
+    best = [_lowest(heights, sums.sum(axis=1) - sums[:, left]) for left in range(sums.shape[1])]
+    z, count = _lowest(heights, sums.sum(axis=1)), len(best)
+    scatter = (count - 1) / count * float(np.sum((np.array(best) - np.mean(best)) ** 2))
+    sigma = float(np.hypot(np.sqrt(scatter), LIGHT_MODEL_SHARE * sheet.thickness_mm))
+    nearest = roots[int(np.argmin(sums.sum(axis=1)))]
+    alike = float(np.corrcoef(root[use], nearest[use])[0, 1])
+    return BrightnessHeight(z, sigma, sheet.z_mm, sheet.thickness_mm, alike)
+
+
+def _bin_pixels(frame: NDArray[np.float64], times: int) -> NDArray[np.float64]:
+    """Mean of each block of times x times pixels."""
+    rows, columns = (side // times for side in frame.shape)
+    blocks = frame[: rows * times, : columns * times].reshape(rows, times, columns, times)
+    return np.asarray(blocks.mean(axis=(1, 3)))
+
+
+def _brightness(scene: Scene) -> NDArray[np.float64]:
+    """Traced light (H, W) that pixels see: 0 in glass, NaN where a ray is lost or leaves the map of the light."""
+    rays = build_ray_map(scene)
+    lit = light_of(scene, grid_of(scene.camera))
+    out = np.where(rays.status == RayStatus.IN_GLASS, 0.0, np.nan)
+    if lit is None:
+        return out
+    column, row = np.moveaxis(lit.grid.to_px(rays.plane_mm[rays.recovered].astype(np.float64)), -1, 0)
+    out[rays.recovered] = scipy.ndimage.map_coordinates(lit.light.brightness, [row, column], order=1, cval=np.nan)
+    return out
+
+
+def _misfit(seen: NDArray[np.float64], traced: NDArray[np.float64], use: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Sums of squares (B,) that the light traced leaves in each block of the frame."""
+    rows, columns = seen.shape
+    v, u = np.meshgrid(np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns), indexing="ij")
+    terms = np.stack([one[use] * traced[use] for one in (np.ones_like(u), u, v, u * u, u * v, v * v)], axis=1)
+    gain, *_ = np.linalg.lstsq(terms, seen[use], rcond=None)
+    left = np.zeros(seen.shape)
+    left[use] = (seen[use] - terms @ gain) ** 2
+    bands = np.array_split(left, JACKKNIFE_BLOCKS[0], axis=0)
+    return np.array([part.sum() for band in bands for part in np.array_split(band, JACKKNIFE_BLOCKS[1], axis=1)])
+
+
+def _lowest(heights: NDArray[np.float64], sums: NDArray[np.float64]) -> float:
+    """Height of the least sum, by a cubic spline through all; NaN at an end."""
+    at = int(np.argmin(sums))
+    if not 0 < at < len(sums) - 1:
+        return float("nan")
+    fine = np.linspace(heights[at - 1], heights[at + 1], SPLINE_PLACES)
+    return float(fine[np.argmin(scipy.interpolate.CubicSpline(heights, sums)(fine))])
