@@ -10,6 +10,9 @@ light takes another way through the balls, and an oblique view shows it elsewher
 with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).  The best height
 lies where the sum of squares is least.  Neighbouring pixels err together where the scene is not quite right, so
 the uncertainty is that of the jackknife over blocks of the frame.
+
+Light that passes a ball at a height h from its middle leaves it as it would at -h, and for small h hardly bent: a
+sheet through the middle of a layer looks alike from half a millimetre below it to half above.
 """
 
 from dataclasses import dataclass, replace
@@ -25,15 +28,16 @@ from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.trace import RayStatus
 
-COMPARED_HEIGHTS = 11  # that are traced
+COMPARED_HEIGHTS = 9  # that are traced
 SPLINE_PLACES = 401  # places between two of them at which the sum is interpolated
-COMPARED_SPAN = 1.5  # thicknesses of the sheet to either side of the given height
-COMPARED_PX = 400  # of the frames compared
+COMPARED_SPAN = 1.2  # thicknesses of the sheet to either side of the given height
+TRACED_PX = 800  # width of the frames for which the light is traced
+RAYS = 2  # along and down a pixel of those compared: edges of glass are sharper than pixels
 JACKKNIFE_BLOCKS = 4, 5  # of a frame, down and along
 SPOT_PX = 1.2  # standard deviation of a particle's image
-ELSEWHERE_SIGMAS = 3.0  # sigmas from which a sheet is said to lie elsewhere
+ELSEWHERE_SIGMAS = 2.0  # sigmas from which a sheet is said to lie elsewhere
 ELSEWHERE_SHARE = 0.3  # of its thickness that it is then off at least
-LIGHT_MODEL_SHARE = 0.1  # of it that the traced light may be off whatever the scatter; exact scenes: 0.05 to 0.13
+LIGHT_MODEL_SHARE = 0.3  # of it that the height may be off whatever the scatter: see above
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,8 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     sheet = scene.sheet
     if sheet is None or not sheet.sources or sheet.thickness_mm is None:
         return None
-    times = -(-mean.shape[1] // COMPARED_PX)
-    small, seen = scene.coarser(times), _bin_pixels(mean, times)
+    times = -(-mean.shape[1] // TRACED_PX)
+    small, seen = scene.coarser(times), _bin_pixels(_bin_pixels(mean, times), RAYS)
     heights = sheet.z_mm + sheet.thickness_mm * np.linspace(-COMPARED_SPAN, COMPARED_SPAN, COMPARED_HEIGHTS)
     traced = []
     for z in heights.tolist():
@@ -96,9 +100,9 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
             traced.append(_brightness(replace(small, sheet=replace(sheet, z_mm=z)).in_light_sheet()))
         except SceneError:  # no light there, or a body that no sheet may cross
             return None
-    traced = [field[: seen.shape[0], : seen.shape[1]] for field in traced]
+    traced = [_bin_pixels(field, RAYS) for field in traced]
     use = np.asarray(np.isfinite(traced).all(axis=0), np.bool_)
-    blur = SPOT_PX / times
+    blur = SPOT_PX / times / RAYS
     roots = [np.sqrt(scipy.ndimage.gaussian_filter(np.nan_to_num(field), blur)) for field in traced]
     root = np.sqrt(np.maximum(scipy.ndimage.gaussian_filter(seen, blur), 0.0))
     sums = np.array([_misfit(root, one, use) for one in roots])  # (heights, blocks)

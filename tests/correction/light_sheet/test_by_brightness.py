@@ -25,11 +25,11 @@ def given_at(z_mm: float) -> Scene:
 
 
 def test_a_frame_of_the_traced_light_tells_the_height_it_was_traced_at():
-    """An uneven gain, and the scatter of a thousand particles a pixel; the scene says 0.6 mm less."""
+    """An uneven gain, and the scatter of a thousand particles a pixel; the scene says 0.8 mm less."""
     bright = np.nan_to_num(_brightness(given_at(22.0).in_light_sheet()))
     gain = np.linspace(0.7, 1.4, bright.shape[1])
     mean = np.random.default_rng(1).poisson(1000.0 * gain * bright) / 25.0
-    found = height_by_brightness(given_at(21.4), mean)
+    found = height_by_brightness(given_at(21.2), mean)
     assert found is not None
     assert found.z_mm == pytest.approx(22.0, abs=0.05)
     assert found.is_elsewhere
@@ -48,5 +48,5 @@ def test_frames_of_the_simulators_own_optics_tell_the_height_within_its_uncertai
         found = height_by_brightness(given_at(given), mean)
         assert found is not None
         assert abs(found.z_mm - 22.0) < 2.5 * found.sigma_mm
-        assert found.sigma_mm < 0.25
+        assert found.sigma_mm < 0.45
         assert found.is_elsewhere == (given != 22.0)
