@@ -40,6 +40,7 @@ from tracer.scene.scene import Scene
 from tracer.strategies.trace import world_of
 
 LAYERS, DIRECTIONS = 32, 3  # across the thickness: heights, and angles where the light diverges
+DIVERGING_LAYERS = 20  # heights where it does: 99 % of the nodes within 0.1 % of 32
 FARTHEST = 3.2  # standard deviations of a Gaussian that are traced
 REACH = 2.0  # thicknesses either way that count as light in the plane
 PARTS = 4  # of the layers, each with nodes of its own: the sum has the same bits for any number of threads
@@ -171,9 +172,10 @@ class _Beam:
 
     def layers(self, thickness_mm: float) -> NDArray[np.float64]:
         """Height at the focus, slope and weight (N, 3) of each layer, one in sum."""
-        step = np.linspace(-FARTHEST, FARTHEST, LAYERS)
+        diverges = self.source.divergence_deg > 0.0
+        step = np.linspace(-FARTHEST, FARTHEST, DIVERGING_LAYERS if diverges else LAYERS)
         angle, share = np.zeros(1), np.ones(1)
-        if self.source.divergence_deg:
+        if diverges:
             angle, share = np.polynomial.hermite_e.hermegauss(DIRECTIONS)
         weight = np.exp(-0.5 * step**2)[:, None] * share
         sigma, slope = 0.25 * thickness_mm, np.tan(0.25 * np.deg2rad(self.source.divergence_deg))
