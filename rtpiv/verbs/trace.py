@@ -1,5 +1,6 @@
 """`rtpiv trace`: ray-trace a scene: field of view, magnification, viewing slope, what is lost and why."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,11 +24,12 @@ from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, percent, plane_share
 from rtpiv.analysis.views.arranged import little
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
+from rtpiv.analysis.views.sigma_forecast import CentreSigma, packing_forecast
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
-from tracer.scene.scene_file import load_scene
+from tracer.scene.scene_file import load_priors, load_scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
 
 if TYPE_CHECKING:
@@ -153,6 +155,8 @@ def trace(
             forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), given, loaded, ray_map)
             if forecast is not None:
                 screen.print(forecast.sentence)
+            if not isinstance(scene, Scene) and (contact_mm := load_priors(scene).contact_mm) is not None:
+                screen.print(_packing_table(packing_forecast(given, contact_mm)))
             del ray_map
             if pictures:
                 _draw_on_plane(draw, out, loaded, correction_map.grid, slant, blur)
@@ -164,6 +168,13 @@ def trace(
         if pictures:
             screen.print(f"{', '.join(names)} are in {out}")
         return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names), gaps)
+
+
+def _packing_table(found: Sequence[CentreSigma]) -> Table:
+    """Expected uncertainty of the balls after a calibration, by what it goes by."""
+    columns = ("known by", "sideways, median", "worst", "along z, median", "worst")
+    rows = [(one.known_by, *(f"{mm:.3f}" for mm in (*one.sideways_mm, *one.along_mm))) for one in found]
+    return Table("centres of balls after a calibration, standard deviation [mm]", columns, rows)
 
 
 def _draw_plane(
