@@ -67,6 +67,7 @@ def content_key(
     layers: int = 1,
     limit: SigmaLimit | None = None,
     grid: PlaneGrid | None = None,
+    view: int = 0,
 ) -> str:
     """Hex digest (16 characters) of everything that corrected pixels depend on, but for the frame itself."""
     tree: list[Any] = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
@@ -83,6 +84,8 @@ def content_key(
         tree += [limit.limit_px, hashlib.sha256(of_sigma).hexdigest()]
     if (grid := _other(grid, scene)) is not None:
         tree.append(asdict(grid))
+    if view:
+        tree.append({"view": view})
     text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -95,6 +98,7 @@ def prepare(
     maps: Path | None = None,
     limit: SigmaLimit | None = None,
     grid: PlaneGrid | None = None,
+    view: int = 0,
 ) -> PreparedCorrection:
     """Make a correction ready.
 
@@ -116,6 +120,9 @@ def prepare(
     grid : PlaneGrid, optional
         Nodes of the corrected frame; default `grid_of` the camera. That of another scene lets frames of two days,
         each with a camera of its own fit, be corrected node by node alike.
+    view : int
+        Another view than the best, 0, of nodes that the camera sees on several paths: 1 the second best. Only
+        these nodes are shown.
 
     Raises
     ------
@@ -124,9 +131,10 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    found = through_light(through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene), scene)
+    found = _map(scene, max(layers, view + 1), maps, _other(grid, scene))
+    found = through_light(through_pupil(found.of_view(view) if view else found, scene), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
-    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid))
+    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid, view))
 
 
 class PreparedCorrections:
@@ -152,13 +160,14 @@ class PreparedCorrections:
         layers: int = 1,
         limit: SigmaLimit | None = None,
         grid: PlaneGrid | None = None,
+        view: int = 0,
     ) -> PreparedCorrection:
         """Return a correction, made now if it is not at hand; what is taken and raised is that of `prepare`."""
-        key = content_key(scene, dewarp, method, layers, limit, grid)
+        key = content_key(scene, dewarp, method, layers, limit, grid, view)
         if key not in self._latest:
             while len(self._latest) >= self._kept:  # before, so that memory holds no more than `kept` at any time
                 self._latest.popitem(last=False)
-            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps, limit, grid)
+            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps, limit, grid, view)
         self._latest.move_to_end(key)
         return self._latest[key]
 

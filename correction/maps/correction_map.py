@@ -178,6 +178,19 @@ class CorrectionMap(SceneBound):
             weight=np.where(gone, np.float32(0.0), self.weight),
         )
 
+    def of_view(self, number: int) -> "CorrectionMap":
+        """Return the map of one view of each node alone, 0 the best; a node that has no such view is LEFT_OUT."""
+        part = slice(number, number + 1)
+        seen = self.weight[part] > 0.0
+        lost = self.recovered & ~seen[0]
+        found = replace(
+            self,
+            status=np.where(lost, np.uint8(NodeStatus.LEFT_OUT), self.status),
+            weight=np.where(seen, np.float32(1.0), np.float32(0.0)),
+            **{name: getattr(self, name)[part] for name in ("pixel", "jacobian", "transmittance", "branch")},
+        )
+        return found
+
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Its arrays by name, in the order in which kernels take them."""
         return {name: getattr(self, name) for name in ARRAYS}

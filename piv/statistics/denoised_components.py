@@ -63,15 +63,19 @@ class NoiseFilter:
         values, noise, taken = (part[..., 0] for part in self._filter(both[0], both[1], np.isfinite(w)))
         return np.where(np.isfinite(w), values, np.nan), noise, taken
 
-    def apply(self, uvw: Floats, noise: Floats, found: ThreeComponents) -> tuple[Floats, Floats, Floats]:
+    def apply(
+        self, found: ThreeComponents, uvw: Floats, noise: Floats, filtered_w: tuple[Floats, Floats, Floats]
+    ) -> tuple[Floats, Floats, Floats]:
         """Filter the velocities of one time, or a mean.
 
         Parameters
         ----------
-        uvw, noise : ndarray of float64, shape (ny, nx, 3)
-            Velocities and the variance of their noise.
         found : ThreeComponents
             How they depend on each other.
+        uvw, noise : ndarray of float64, shape (ny, nx, 3)
+            Velocities and the variance of their noise.
+        filtered_w : tuple of ndarray of float64, shape (ny, nx)
+            What `filter_w` returned for w there, and of more places around if there is w.
 
         Returns
         -------
@@ -81,7 +85,8 @@ class NoiseFilter:
         has_w = np.isfinite(uvw[..., 2])
         lever = np.where(has_w[..., None], found.covariance[..., :2, 2], 0.0)
         lever = lever / np.where(has_w, found.covariance[..., 2, 2], 1.0)[..., None]  # ~a, ~b
-        w, noise_w, taken_w = self.filter_w(uvw[..., 2], noise[..., 2])
+        w = np.where(has_w, filtered_w[0], np.nan)
+        noise_w, taken_w = (np.where(has_w, part, 0.0) for part in filtered_w[1:])
         change = np.where(has_w, w - uvw[..., 2], 0.0)[..., None]
         # ~u and w have independent errors: that of w is replaced.
         own = np.maximum(noise[..., :2] - np.square(lever) * noise[..., 2:], 0.0)
@@ -94,7 +99,7 @@ class NoiseFilter:
             )
             taken_uv = taken_uv + np.where(good[..., None], taken, 0.0)
         column = np.concatenate((lever, np.ones((*has_w.shape, 1))), axis=-1)
-        covariance = column[..., :, None] * column[..., None, :] * np.where(has_w, noise_w, 0.0)[..., None, None]
+        covariance = column[..., :, None] * column[..., None, :] * noise_w[..., None, None]
         for axis in (0, 1):
             covariance[..., axis, axis] = noise_uv[..., axis]
         taken = np.concatenate((taken_uv, taken_w[..., None]), axis=-1)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
 
+import numpy as np
 from rich.console import Console
 
 from correction.grid import PlaneGrid, grid_of
@@ -15,10 +16,11 @@ from piv.errors import PairError
 from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.report.kept_page import PAGE
+from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.joined_views import MAX_SIGMA_W_PX, JoinedViews, join_views
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE, MEAN
-from rtpiv.analysis.series.series_input import SeriesInput, series_input
+from rtpiv.analysis.series.series_input import SeriesInput, keep_scene, series_input
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.sheet_of_views import set_sheet, sheet_of_views
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
@@ -27,12 +29,14 @@ from rtpiv.verbs.paths import Named, paths_of
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_series
 from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
 
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
 TOO_FAR_APART = (
     "that is more than chance: another flow, or a part that is too blurred to be measured in one of them"
 )
 SHEET_ROUNDS = 2
+MIN_TWICE_WINDOWS = 4  # windows of places seen twice, from which these are a view
 APART = (
     "where no light sheet explains it the views are {:.3f} mm apart ({:.1f} sigma): one camera or a ball does not"
     " stand where it was calibrated"
@@ -48,6 +52,7 @@ def join(
     dt_us: Positive | None = None,
     simultaneous: bool = False,
     sheet: bool = False,
+    branches: bool = False,
     w_limit_px: Positive = MAX_SIGMA_W_PX,
     workers: Count | None = None,
     **options: Unpack[PivOptions],
@@ -75,6 +80,9 @@ def join(
     sheet : bool
         Measure the light sheet from the disparity of views at the same time before they are evaluated, and
         evaluate them with it; not for series.
+    branches : bool
+        Places that a camera sees twice, such as directly and through a ball, are two views of it: they give w from
+        one camera. Of runs and frames, not of series.
     w_limit_px : float
         Standard uncertainty of w up to which it is reported [px of the corrected image].
     workers : int, optional
@@ -97,7 +105,7 @@ def join(
         As `evaluate`.
     """
     paths, scenes, choice = paths_of(views), paths_of(scene), piv_choice(**options)
-    if len(paths) < 2 or len(scenes) not in (0, len(paths)):
+    if len(paths) < 2 - branches or len(scenes) not in (0, len(paths)):
         raise RunUsageError(
             f"give two views or more, and no scene or one for each, not {len(paths)} and {len(scenes)}"
         )
@@ -134,7 +142,9 @@ def join(
                 view = paths[moved.moved]
                 screen.print(MOVED.format(moved.moved + 1, view, moved.moved_mm), style="bold red")
         made = [SeriesView(folder).scene for folder in folders if (folder / FILE).is_file() and folder in paths]
-        is_focus = _differ_in_focus([*made, *(each.method.scene for each in given)])
+        is_focus = not branches and _differ_in_focus([*made, *(each.method.scene for each in given)])
+        if branches:
+            given, folders = with_second_views(given, folders, out)
         for each in given:
             show_series(screen, run_series(each if is_focus else _unfiltered(each), workers))
         series = [SeriesView(folder) for folder in folders]
@@ -150,6 +160,27 @@ def join(
             screen.print(joined.warning, style="bold red")
         screen.print(f"look at {out / PAGE}")
         return joined
+
+
+def with_second_views(
+    given: Sequence[SeriesInput], folders: Sequence[Path], out: Path
+) -> tuple[list[SeriesInput], list[Path]]:
+    """Return series and folders of views, and behind them second views of cameras that see enough places twice.
+
+    RunUsageError if there is none, or series are given in place of runs.
+    """
+    found = list[SeriesInput]()
+    for each in given:
+        second = replace(each, method=replace(each.method, view=1), least_valid=0.0)
+        windows = second.method.settings.windows_px[-1]
+        recovered = correction_of(each.out / "maps", second.method).corrector.recovered
+        if np.count_nonzero(recovered) >= MIN_TWICE_WINDOWS * windows**2:
+            found.append(replace(second, out=out / f"view-{len(folders) + len(found) + 1}"))
+            found[-1].out.mkdir(parents=True, exist_ok=True)
+            keep_scene(each.out / SCENE_FILE, found[-1].out, load_scene(each.out / SCENE_FILE))
+    if len(given) < len(folders) or len(folders) + len(found) < 2:
+        raise RunUsageError("--branches needs runs or frames of a camera that sees places on two paths; none does")
+    return [*given, *found], [*folders, *(each.out for each in found)]
 
 
 def _on_grid(given: SeriesInput, grid: PlaneGrid | None) -> SeriesInput:

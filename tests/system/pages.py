@@ -21,10 +21,12 @@ HARDWARE = "opens real devices: no --simulate"
 CLUSTER = "needs a cluster"
 REHEARSED = "in a lab of its own: tests/faces/test_rehearsal_page.py"
 STEREO = "two cameras: tests/rtpiv/verbs/test_stereo.py"
+CAMERAS = "two cameras: tests/rtpiv/verbs/test_calibrate_cameras.py"
 BENCH = "two cameras of a bench: tests/system/test_stereo_on_a_bench.py"
 BED = "a bed of 22 balls takes minutes: run by hand, with the figures of the page"
 BY_HAND = "a board held by hand: tests/correction/lens/test_lens_fit.py has photographs"
 NOT_RUN = {  # commands that nothing here carries out, and why; all others are run as they stand
+    "calibrate --join RUN RUN/cameras/side -o fit": CAMERAS,
     "mean --join RUN RUN/cameras/behind -o joined": STEREO,
     "acquire plan-flow.yaml --bench bench-flow.yaml --simulate --home --operator me": BENCH,
     "acquire plan-target.yaml --bench bench.yaml --simulate --home --operator me --no-correct": BED,

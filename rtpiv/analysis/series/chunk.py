@@ -159,7 +159,9 @@ def _keep(path: Path, content: bytes) -> None:
 def correction_of(maps: Path, method: Method) -> PreparedCorrection:
     """Correction of a series, made or loaded once by each process; DiskError if its map cannot be kept."""
     with disk_errors(maps, GIVE_AGAIN):
-        return _corrections(maps).of(method.scene, method.dewarp, limit=method.limit, grid=method.grid)
+        return _corrections(maps).of(
+            method.scene, method.dewarp, limit=method.limit, grid=method.grid, view=method.view
+        )
 
 
 def windows_of(prepared: PreparedCorrection, method: Method) -> WindowGrid:

@@ -174,13 +174,19 @@ class _Fit:
     """Vectors of all views at one time, or their means, combined.
 
     `noise` (ny, nx, 3, 3) is the covariance of u, v, w by the noise of the views, `systematic` (ny, nx, 3) the
-    variance by all else; `tests` holds (chi^2, degrees of freedom) of all views and without each.
+    variance by all else; `tests` holds (chi^2, degrees of freedom) of all views and without each.  `wide` is the
+    same with w wherever a mean of many pairs or the noise filter may make it sure enough; `w` is its w after that
+    filter, with the variance of its noise and of what was taken off.
     """
 
     found: ThreeComponents
     noise: Floats
     systematic: Floats
     tests: Floats
+    wide: ThreeComponents
+    wide_noise: Floats
+    wide_systematic: Floats
+    w: tuple[Floats, Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,12 +195,6 @@ class _Limits:
 
     sigma_w: float
     filter: NoiseFilter
-
-    def reported(self, found: ThreeComponents, noise: Floats) -> NDArray[np.bool_]:
-        """Return where w of all that may be is sure enough; `noise` (ny, nx, 3, 3) is a part of its covariance."""
-        _, filtered, taken = self.filter.filter_w(found.uvw[..., 2], noise[..., 2, 2])
-        variance = found.covariance[..., 2, 2] - noise[..., 2, 2] + filtered + taken
-        return found.has_w & (variance <= self.sigma_w**2)
 
 
 def _variance(covariance: Floats) -> Floats:
@@ -217,6 +217,18 @@ def _more_by_common(views: Sequence[_View], found: ThreeComponents) -> Floats:
     return np.asarray(np.square(each.sum(axis=0)).sum(axis=-1) - np.square(each).sum(axis=(0, -1)))
 
 
+def _systematic(views: Sequence[_View], found: ThreeComponents, noise: Floats, unresolved: Floats) -> Floats:
+    """Variance (ny, nx, 3) by all but noise; `unresolved` (n, ny, nx, 1) is that of views by their resolution."""
+    systematic = np.maximum(_variance(found.covariance - noise), 0.0)
+    systematic = np.maximum(systematic + _more_by_common(views, found), 0.0)
+    # Windows of all views miss the same detail, so that u and v of several views miss it as well.
+    is_used = np.any(found.gains != 0.0, axis=(-2, -1))[..., None]
+    common = np.nan_to_num(np.where(is_used, unresolved, np.inf).min(axis=0), posinf=0.0)
+    shared = found.propagate(np.broadcast_to(unresolved, (*unresolved.shape[:-1], 2)))[..., :2]
+    systematic[..., :2] += np.maximum(common - shared, 0.0)
+    return systematic
+
+
 def _combine(
     views: Sequence[_View],
     uv: Floats,
@@ -232,26 +244,24 @@ def _combine(
     known = np.isfinite(sigma_w)
     typical = np.sqrt(np.where(known, np.square(sigma_w), 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
     # Everywhere where the filter may make w sure enough, then where it has done so.
-    found = combine_views(uv, variance, slope, typical, limits.sigma_w / limits.filter.least)
-    limit = np.where(limits.reported(found, _noise_of(found, noise)), np.inf, NEVER)
-    known_w = np.isinf(limit)
+    wide = combine_views(uv, variance, slope, typical, limits.sigma_w / limits.filter.least)
+    wide_noise = _noise_of(wide, noise)
+    w = limits.filter.filter_w(wide.uvw[..., 2], wide_noise[..., 2, 2])
+    known_w = wide.has_w & (wide.covariance[..., 2, 2] - wide_noise[..., 2, 2] + w[1] + w[2] <= limits.sigma_w**2)
     if np.count_nonzero(known_w) >= MIN_W_PLACES:  # w is as large elsewhere as where it is measured
-        size = np.mean(np.square(found.uvw[known_w, 2]) - found.covariance[known_w, 2, 2])
+        size = np.mean(np.square(wide.uvw[known_w, 2]) - wide.covariance[known_w, 2, 2])
         typical = np.maximum(typical, np.sqrt(max(float(size), 0.0)))
+    limit = np.where(known_w, np.inf, NEVER)
     found = combine_views(uv, variance, slope, typical, limit)
     own = _noise_of(found, noise)
-    systematic = np.maximum(_variance(found.covariance - own), 0.0)
-    systematic = np.maximum(systematic + _more_by_common(views, found), 0.0)
-    # Windows of all views miss the same detail, so that u and v of several views miss it as well.
-    is_used = np.any(found.gains != 0.0, axis=(-2, -1))[..., None]
-    common = np.nan_to_num(np.where(is_used, unresolved, np.inf).min(axis=0), posinf=0.0)
-    shared = found.propagate(np.broadcast_to(unresolved, uv.shape))[..., :2]
-    systematic[..., :2] += np.maximum(common - shared, 0.0)
+    systematic, wide_systematic = (
+        _systematic(views, *each, unresolved) for each in ((found, own), (wide, wide_noise))
+    )
     count = len(views)
     kept = [list(range(count)), *([k for k in range(count) if k != out] for out in range(count) if count > 2)]
     parts = [combine_views(uv[k], variance[k], slope[k], typical, limit) for k in kept[1:]]
     tests = np.array([(np.nansum(part.chi2), part.freedom.sum()) for part in (found, *parts)], np.float64)
-    return _Fit(found, own, systematic, tests)
+    return _Fit(found, own, systematic, tests, wide, wide_noise, wide_systematic, w)
 
 
 def join_views(
@@ -299,17 +309,24 @@ def join_views(
     fit = _combine(views, uv, noise, np.stack([mean.resolution_m_s for mean in means]), sigma_w, limits)
     samples = np.min([np.nan_to_num(m.effective.samples, nan=np.inf).min(axis=-1) for m in means], axis=0)
     uvw, random, sums = fit.found.uvw, _variance(fit.noise), None
+    kind, systematic, w = fit.found, fit.systematic, fit.w
     tests, chi2, freedom = fit.tests, fit.found.chi2, fit.found.freedom
     if at_once:
         sums = PairSums(fit.found.uvw)
         for number, (pairs, fits) in enumerate(_fits_of_pairs(views, limits)):
-            filtered = [limits.filter.apply(each.found.uvw, _variance(each.noise), each.found) for each in fits]
+            filtered = [
+                limits.filter.apply(each.found, each.found.uvw, _variance(each.noise), each.w) for each in fits
+            ]
             for each in zip(fits, filtered, strict=True):
                 sums.add(*each)
             write_statistics(chunk_path(out, number), _pair_vectors(views, pairs, fits, filtered))
         tests, chi2, freedom = sums.tests, sums.chi2, sums.freedom
         uvw, random = sums.mean(samples)
-    uvw, noise, taken = limits.filter.apply(uvw, random, fit.found)
+        w = limits.filter.filter_w(uvw[..., 2], random[..., 2])
+        is_sure = w[1] + w[2] + fit.wide_systematic[..., 2] <= limits.sigma_w**2  # more often than in a pair
+        kind, systematic = fit.wide, np.where(is_sure[..., None], fit.wide_systematic, fit.systematic)
+        uvw, random = sums.mean(samples, is_sure)
+    uvw, noise, taken = limits.filter.apply(kind, uvw, random, w)
     random = _variance(noise)
     with np.errstate(divide="ignore", invalid="ignore"):
         residuals, chi = np.sqrt(tests[:, 0] / tests[:, 1]), np.sqrt(chi2 / freedom)
@@ -317,7 +334,7 @@ def join_views(
     bits = (1 << np.arange(len(views)))[:, None, None]
     joined = JoinedViews(
         first.x_mm, first.y_mm, uvw, np.sqrt(np.where(np.isnan(uvw), np.nan, random)),
-        np.sqrt(np.where(np.isnan(uvw), np.nan, random + fit.systematic + taken)), fit.found.views,
+        np.sqrt(np.where(np.isnan(uvw), np.nan, random + systematic + taken)), fit.found.views,
         np.asarray((is_used * bits).sum(axis=0), np.int32), chi, tuple(residuals.tolist()), _shares(series),
         None if sums is None else sums.with_w, samples, first.px_per_m_s, first.unit,
     )  # fmt: skip
@@ -356,7 +373,7 @@ class PairSums:
     """
 
     def __init__(self, reference: Floats) -> None:
-        self.with_w, self._any, self._all = (StressSums(reference) for _ in range(3))
+        self.with_w, self._any, self._wide = (StressSums(reference) for _ in range(3))
         self.tests = np.zeros((1, 2))
         self.chi2, self.freedom = np.zeros(reference.shape[:2]), np.zeros(reference.shape[:2], np.int64)
 
@@ -364,21 +381,22 @@ class PairSums:
         """Add the vectors of a pair."""
         found = fit.found
         self.with_w.add(filtered[0], filtered[1])
-        self._all.add(found.uvw, fit.noise)
+        self._wide.add(fit.wide.uvw, fit.wide_noise)
         self._any.add(np.where(np.arange(3) < 2, found.uvw, 0.0), fit.noise)
         self.tests = self.tests + fit.tests
         self.chi2 += np.nan_to_num(found.chi2)
         self.freedom += found.freedom
 
-    def mean(self, samples: Floats) -> tuple[Floats, Floats]:
-        """Mean (ny, nx, 3) and its random variance for so many independent pairs (ny, nx).
+    def mean(self, samples: Floats, is_sure: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats]:
+        """Mean (ny, nx, 3) and its random variance for so many independent pairs (ny, nx); w where it is sure.
 
         Pairs without w have u and v with a perspective error: they count only where most pairs have none.
         """
-        often = self._all.count >= np.maximum(MOST_OFTEN * self._any.count, 2)
-        uvw = np.where(often[..., None], self._all.mean, self._any.mean)
+        often = self._wide.count >= np.maximum(MOST_OFTEN * self._any.count, 2)
+        often &= True if is_sure is None else is_sure
+        uvw = np.where(often[..., None], self._wide.mean, self._any.mean)
         uvw[..., 2] = np.where(often, uvw[..., 2], np.nan)
-        scatter = np.where(often[..., None, None], self._all.covariance, self._any.covariance)
+        scatter = np.where(often[..., None, None], self._wide.covariance, self._any.covariance)
         return uvw, _variance(scatter) / samples[..., None]
 
 

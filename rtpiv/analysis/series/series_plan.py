@@ -106,6 +106,8 @@ class Method:
         Nodes of the corrected frames, where they are not the camera's own: those of another run.
     out_of_plane : OutOfPlane
         What is known of the velocity through the sheet.
+    view : int
+        View of places that the camera sees on several paths: 0 the best, 1 the second best alone.
     """
 
     scene: Scene
@@ -115,6 +117,7 @@ class Method:
     limit: SigmaLimit | None = None
     grid: PlaneGrid | None = None
     out_of_plane: OutOfPlane = NOTHING_TOLD
+    view: int = 0
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
@@ -122,7 +125,8 @@ class Method:
         return {
             "layout": LAYOUT,
             "versions": versions_here(),
-            "correction": content_key(self.scene, self.dewarp, limit=self.limit, grid=self.grid),
+            "correction": content_key(self.scene, self.dewarp, limit=self.limit, grid=self.grid, view=self.view),
+            **({"view": self.view} if self.view else {}),
             **({} if self.grid is None else {"grid": asdict(self.grid)}),
             "settings": asdict(self.settings),
             "preparation": list(self.preparation.steps),

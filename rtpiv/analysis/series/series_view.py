@@ -8,6 +8,7 @@ from typing import Any
 from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
+from correction.maps.correction_map import MAX_LAYERS
 from daq.runs.glass_place import with_glass_at
 from daq.runs.lab_readings import readings_attribute
 from piv.correlation.settings import PivSettings, settings_of
@@ -90,6 +91,12 @@ class SeriesView:
         except (KeyError, TypeError, ValueError):
             raise self._says_too_little() from None
 
+    @property
+    def view(self) -> int:
+        """View of places that its camera sees on several paths: 0 the best, 1 the second best alone."""
+        number = self.about["content"].get("view", 0)
+        return number if isinstance(number, int) and 0 <= number < MAX_LAYERS else 0
+
     @cached_property
     def settings(self) -> PivSettings:
         """Settings of the correlation of its pairs."""
@@ -117,7 +124,7 @@ class SeriesView:
     @cached_property
     def correction(self) -> PreparedCorrection:
         """Correction of its frames, without a limit of sigma; its map is made or loaded."""
-        return prepare(self.scene, maps=self.folder / "maps", grid=self.grid)
+        return prepare(self.scene, maps=self.folder / "maps", grid=self.grid, view=self.view)
 
     def _says_too_little(self) -> SeriesError:
         return SeriesError(

@@ -28,6 +28,11 @@ def smooth_noise(rng, shape):
     return raw / raw.std()
 
 
+def filtered(found, noise, beta=2.0):
+    how = NoiseFilter.of(SETTINGS, STEP, beta)
+    return how.apply(found, found.uvw, noise, how.filter_w(found.uvw[..., 2], noise[..., 2]))
+
+
 def pair(rng, beta=2.0):
     """Error, stated sigma and unfiltered error of a pair of two views."""
     slope, variance = slopes(), np.full((2, *SHAPE, 2), NOISE**2)
@@ -35,7 +40,7 @@ def pair(rng, beta=2.0):
     uv = true[..., :2] - slope * true[..., 2:] + NOISE * smooth_noise(rng, slope.shape)
     found = combine_views(uv, variance, slope, np.zeros(SHAPE), np.inf)
     noise = np.diagonal(found.covariance, axis1=-2, axis2=-1)
-    uvw, covariance, taken = NoiseFilter.of(SETTINGS, STEP, beta).apply(found.uvw, noise, found)
+    uvw, covariance, taken = filtered(found, noise, beta)
     sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1) + taken)
     return uvw - true, sigma, found.uvw - true, np.sqrt(noise)
 
@@ -63,7 +68,7 @@ def test_places_without_w_are_filtered_apart():
     uv[1, :, 20:] = np.nan
     found = combine_views(uv, variance, slope, np.full(SHAPE, W), np.inf)
     noise = np.diagonal(found.covariance, axis1=-2, axis2=-1)
-    uvw, covariance, _ = NoiseFilter.of(SETTINGS, STEP, 2.0).apply(found.uvw, noise, found)
+    uvw, covariance, _ = filtered(found, noise)
     assert np.isnan(uvw[:, 20:, 2]).all()
     assert np.isfinite(uvw[..., :2]).all()
     assert np.isfinite(covariance).all()
