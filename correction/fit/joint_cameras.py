@@ -45,8 +45,8 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
-    """What the frames of one camera tell of the shared numbers: y, R_y, D and its product with the estimate."""
+class _Shared:
+    """Shared numbers of one camera: y_k and its root, D_k, and the product of D_k with its estimate."""
 
     values: Floats
     root: Floats
@@ -86,7 +86,7 @@ class JointFit:
 
     @property
     def sentences(self) -> list[str]:
-        """How far the cameras agree, and what they gain, a line each."""
+        """Agreement of the cameras, and what they gain, a line each."""
         count = quantity(len(self.names), "shared number")
         found = [f"the cameras differ by {self.residual_sigma:.2f} sigma (rms) in {count}"]
         if not self.warning:
@@ -117,22 +117,22 @@ def join_fits(fits: Sequence[SceneFit]) -> JointFit:
     )
     columns = first.columns[:, [first.names.index(name) for name in names]]
     rows = [name for name, row in zip(first.full_names, columns, strict=True) if row.any()]
-    told = [_tell(fit, first.start, columns, rows, names) for fit in fits]
-    joint, precision = _combine(told)
-    alone = np.stack([np.sqrt(np.square(one.root).sum(axis=1)) for one in told])
+    parts = [_tell(fit, first.start, columns, rows, names) for fit in fits]
+    joint, precision = _combine(parts)
+    alone = np.stack([np.sqrt(np.square(one.root).sum(axis=1)) for one in parts])
     together = np.sqrt(np.diag(np.linalg.inv(precision)))
-    whole = _residual(told)
-    without = [_residual([*told[:k], *told[k + 1 :]]) for k in range(len(told)) if len(told) > 2]
+    whole = _residual(parts)
+    without = [_residual([*parts[:k], *parts[k + 1 :]]) for k in range(len(parts)) if len(parts) > 2]
     found = JointFit(tuple(fits), names, together, alone, whole, tuple(without))
     if found.warning:
         return found
     draws = root_of(np.asarray(np.linalg.inv(precision), np.float64))
     key = hashlib.sha256(np.ascontiguousarray(joint).tobytes()).hexdigest()[:16]
-    moved = tuple(_move(fit, one, joint, draws, key) for fit, one in zip(fits, told, strict=True))
+    moved = tuple(_move(fit, one, joint, draws, key) for fit, one in zip(fits, parts, strict=True))
     return replace(found, fits=moved)
 
 
-def _tell(fit: SceneFit, start: Floats, columns: Floats, rows: list[str], names: tuple[str, ...]) -> _Told:
+def _tell(fit: SceneFit, start: Floats, columns: Floats, rows: list[str], names: tuple[str, ...]) -> _Shared:
     """Shared numbers of one fit about `start` in units of `columns`, both those of the first camera."""
     own, size = fit.unknowns, np.square(columns).sum(axis=0)
     here = [own.full_names.index(name) for name in rows]
@@ -147,21 +147,21 @@ def _tell(fit: SceneFit, start: Floats, columns: Floats, rows: list[str], names:
     strength, axes = np.linalg.eigh(inverse - prior)
     axes, strength = axes[:, strength > 0.0], strength[strength > 0.0]  # a prior that was widened tells less
     vector = axes @ (axes.T @ (inverse @ values - prior @ centre))
-    return _Told(values, root, (axes * strength) @ axes.T, vector)
+    return _Shared(values, root, (axes * strength) @ axes.T, vector)
 
 
-def _combine(told: Sequence[_Told]) -> tuple[Floats, Floats]:
+def _combine(parts: Sequence[_Shared]) -> tuple[Floats, Floats]:
     """Shared numbers and their precision by some cameras and the prior."""
-    precision = np.eye(len(told[0].values)) + sum(one.information for one in told)
-    vector = np.sum([one.vector for one in told], axis=0)
+    precision = np.eye(len(parts[0].values)) + sum(one.information for one in parts)
+    vector = np.sum([one.vector for one in parts], axis=0)
     return np.asarray(np.linalg.solve(precision, vector), np.float64), precision
 
 
-def _residual(told: Sequence[_Told]) -> float:
+def _residual(parts: Sequence[_Shared]) -> float:
     """Difference of each camera from the others in sigmas, rms; NaN where nothing is shared."""
     chi2, freedom = 0.0, 0
-    for k, one in enumerate(told):
-        expected, precision = _combine([*told[:k], *told[k + 1 :]])
+    for k, one in enumerate(parts):
+        expected, precision = _combine([*parts[:k], *parts[k + 1 :]])
         strength, axes = np.linalg.eigh(one.information)
         axes, strength = axes[:, strength > 1.0], strength[strength > 1.0]
         off = axes.T @ expected - (axes.T @ one.vector) / strength
@@ -170,14 +170,14 @@ def _residual(told: Sequence[_Told]) -> float:
     return float(np.sqrt(chi2 / freedom)) if freedom else float("nan")
 
 
-def _move(fit: SceneFit, told: _Told, joint: Floats, draws: Floats, key: str) -> SceneFit:
+def _move(fit: SceneFit, part: _Shared, joint: Floats, draws: Floats, key: str) -> SceneFit:
     """The fit of a camera whose shared numbers are those of all cameras."""
     unknowns, whole = fit.unknowns, np.concatenate((fit.root, fit.shapes.root))
-    gain = whole @ told.root.T @ told.inverse
+    gain = whole @ part.root.T @ part.inverse
     count = len(fit.root)
-    full = unknowns.full(fit.x) + gain[:count] @ (joint - told.values)
+    full = unknowns.full(fit.x) + gain[:count] @ (joint - part.values)
     x = unknowns.free(full)
-    root = np.column_stack((gain @ draws, whole - gain @ told.root))
+    root = np.column_stack((gain @ draws, whole - gain @ part.root))
     size = np.square(unknowns.columns).sum(axis=0)
     of_x = (unknowns.columns.T @ root[:count]) / size[:, None]
     scene, pushed = feasible_scene(unknowns, unknowns.full(x))
@@ -200,11 +200,11 @@ def _in_its_light(fit: SceneFit, scene: Scene) -> Scene:
     lit = {ball.name: ball.medium for ball in fit.scene.spheres}
     own = {ball.name: ball.medium for ball in fit.measured_scene.spheres}
 
-    def measured(body: Body) -> Body:
+    def with_medium(body: Body) -> Body:
         before, after = (media.get(body.name) for media in (lit, own))
         if not isinstance(body, Sphere) or body.medium is None or before is None or after is None:
             return body
         change = after.n(scene.wavelength_nm) - before.n(scene.wavelength_nm)
         return replace(body, medium=shifted(body.medium, change))
 
-    return replace(scene, bodies=tuple(map(measured, scene.bodies)), masked=fit.measured_scene.masked)
+    return replace(scene, bodies=tuple(map(with_medium, scene.bodies)), masked=fit.measured_scene.masked)

@@ -1,7 +1,7 @@
 """`rtpiv mean --join`: join several views of one flow: the union of what cameras see, and the third component."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Unpack
 
@@ -44,15 +44,34 @@ APART = (
 MOVED = "view {} ({}) explains it: what its camera shows is {:.3f} mm from its place; calibrate this camera again"
 
 
+@dataclass(frozen=True)
+class Together:
+    """Relation of views that are joined.
+
+    Parameters
+    ----------
+    simultaneous : bool
+        The views were recorded at the same time, pair by pair; cameras of one run always are.
+    sheet : bool
+        Measure the light sheet from the disparity of views at the same time before they are evaluated, and
+        evaluate them with it; not for series.
+    branches : bool
+        Places that a camera sees twice, such as directly and through a ball, are two views of it: they give w from
+        one camera. Of runs and frames, not of series.
+    """
+
+    simultaneous: bool = False
+    sheet: bool = False
+    branches: bool = False
+
+
 def join(
     views: Sequence[Named],
     /,
     out: Named | None = None,
     scene: Sequence[Named] = (),
     dt_us: Positive | None = None,
-    simultaneous: bool = False,
-    sheet: bool = False,
-    branches: bool = False,
+    how: Together = Together(),
     w_limit_px: Positive = MAX_SIGMA_W_PX,
     workers: Count | None = None,
     **options: Unpack[PivOptions],
@@ -75,14 +94,8 @@ def join(
         Scene file of each view, in their order; not for series.
     dt_us : float, optional
         Time between the frames of a pair, of views that are evaluated.
-    simultaneous : bool
-        The views were recorded at the same time, pair by pair; cameras of one run always are.
-    sheet : bool
-        Measure the light sheet from the disparity of views at the same time before they are evaluated, and
-        evaluate them with it; not for series.
-    branches : bool
-        Places that a camera sees twice, such as directly and through a ball, are two views of it: they give w from
-        one camera. Of runs and frames, not of series.
+    how : Together
+        Relation of the views.
     w_limit_px : float
         Standard uncertainty of w up to which it is reported [px of the corrected image].
     workers : int, optional
@@ -105,7 +118,7 @@ def join(
         As `evaluate`.
     """
     paths, scenes, choice = paths_of(views), paths_of(scene), piv_choice(**options)
-    if len(paths) < 2 - branches or len(scenes) not in (0, len(paths)):
+    if len(paths) < 2 - how.branches or len(scenes) not in (0, len(paths)):
         raise RunUsageError(
             f"give two views or more, and no scene or one for each, not {len(paths)} and {len(scenes)}"
         )
@@ -116,7 +129,7 @@ def join(
         )
     screen = console()
     with results_in(out, "joined") as out:
-        at_once = simultaneous or _is_one_run(paths)
+        at_once = how.simultaneous or _is_one_run(paths)
         folders = [path if (path / FILE).is_file() else out / f"view-{k}" for k, path in enumerate(paths, start=1)]
 
         def inputs(scenes: Sequence[Path | None]) -> list[SeriesInput]:
@@ -128,7 +141,7 @@ def join(
             return found
 
         given = inputs(scenes or [None] * len(paths))
-        for _ in range(SHEET_ROUNDS if sheet else 0):  # a plane that is nearer changes the slopes
+        for _ in range(SHEET_ROUNDS if how.sheet else 0):  # a plane that is nearer changes the slopes
             if not at_once or len(given) < len(paths):
                 raise RunUsageError(
                     "--sheet compares frames at the same time: give runs or frames, and --simultaneous"
@@ -142,11 +155,11 @@ def join(
                 view = paths[moved.moved]
                 screen.print(MOVED.format(moved.moved + 1, view, moved.moved_mm), style="bold red")
         made = [SeriesView(folder).scene for folder in folders if (folder / FILE).is_file() and folder in paths]
-        is_focus = not branches and _differ_in_focus([*made, *(each.method.scene for each in given)])
-        if branches:
-            given, folders = with_second_views(given, folders, out)
+        is_focus = not how.branches and _differ_in_focus([*made, *(each.method.scene for each in given)])
+        if how.branches:
+            given, folders = add_second_views(given, folders, out)
         for each in given:
-            show_series(screen, run_series(each if is_focus else _unfiltered(each), workers))
+            show_series(screen, run_series(each if is_focus else _without_filter(each), workers))
         series = [SeriesView(folder) for folder in folders]
         if is_focus:
             return _join_focus(screen, series, out)
@@ -162,7 +175,7 @@ def join(
         return joined
 
 
-def with_second_views(
+def add_second_views(
     given: Sequence[SeriesInput], folders: Sequence[Path], out: Path
 ) -> tuple[list[SeriesInput], list[Path]]:
     """Return series and folders of views, and behind them second views of cameras that see enough places twice.
@@ -189,7 +202,7 @@ def _on_grid(given: SeriesInput, grid: PlaneGrid | None) -> SeriesInput:
     return given if grid in (None, own) else replace(given, method=replace(given.method, grid=grid))
 
 
-def _unfiltered(given: SeriesInput) -> SeriesInput:
+def _without_filter(given: SeriesInput) -> SeriesInput:
     """Return the same series without the noise filter, which is applied to what views are combined to."""
     settings = replace(given.method.settings, denoise=0.0)
     return replace(given, method=replace(given.method, settings=settings))
