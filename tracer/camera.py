@@ -29,6 +29,7 @@ Vector3 = tuple[float, float, float]
 
 SMALLEST_MM = 1e-9  # a picometre: the smallest radius
 LONGEST_MM = 1e12  # a million kilometres; far below where squares of lengths leave float64
+STEEPEST_SENSOR = float(np.cos(np.deg2rad(80.0)))  # cosine of the largest tilt
 SETTLED_PX = 1e-12  # a round that no longer matters
 
 
@@ -135,6 +136,33 @@ class Camera:
         """Return the camera whose frames are mirror images of this one's, about its principal point."""
         (x, y, z), below, ahead = self.rotation
         return replace(self, rotation=((-x, -y, -z), below, ahead))
+
+    def with_tilted_sensor(self, tilt_x_rad: float, tilt_y_rad: float) -> "Camera":
+        """Return the camera with its sensor turned about its u axis, then about its own v axis.
+
+        The sensor of a pinhole camera may have any direction (Scheimpflug): with its axes e_1, e_2 and normal n in
+        the frame of the lens it is the camera that looks along n, with the focal length f n_z and the principal
+        point c - f (e_1z, e_2z).
+
+        Raises
+        ------
+        SceneError
+            The lens has distortion or an aperture, which are about its own axis; or the tilt is too large.
+        """
+        if not (tilt_x_rad or tilt_y_rad):
+            return self
+        if not self.lens.is_ideal or self.pupil is not None:
+            raise SceneError(
+                "a tilted sensor goes with a pinhole without lens terms: these are about the lens axis"
+            )
+        (cx, sx), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (tilt_x_rad, tilt_y_rad))
+        turn = np.array([[cy, sx * sy, -cx * sy], [0.0, cx, sx], [sy, -sx * cy, cx * cy]])  # rows e_1, e_2, n
+        if turn[2, 2] < STEEPEST_SENSOR:
+            raise SceneError("the sensor must be tilted by less than 80 degrees")
+        (first, second, third), f = (turn @ self.rotation_matrix).tolist(), self.focal_px
+        u, v = (c - f * float(axis[2]) for c, axis in zip(self.principal_px, turn, strict=False))
+        rotation = tuple(first), tuple(second), tuple(third)
+        return replace(self, focal_px=f * float(turn[2, 2]), principal_px=(u, v), rotation=rotation)
 
     @property
     def rotation_matrix(self) -> NDArray[np.float64]:

@@ -35,6 +35,9 @@ class LensTable(Table):
 PlacePx = Annotated[float, Field(ge=-MOST_OFF_PX, le=MOST_OFF_PX)]
 
 
+SensorTilt = Annotated[float, Field(ge=-80.0, le=80.0)]
+
+
 class CameraTable(Table):
     """The camera section."""
 
@@ -50,6 +53,7 @@ class CameraTable(Table):
     look_at_mm: Triple | None = None
     roll_deg: Annotated[Annotated[float, Field(ge=-360.0, le=360.0)] | None, Usual(-180.0, 180.0)] = None
     rotation: Annotated[list[Triple], Field(min_length=3, max_length=3), exactly(3)] | None = None
+    sensor_tilt_deg: Annotated[list[SensorTilt], Field(min_length=2, max_length=2), exactly(2)] | None = None
     mirrored: bool = False
     lens: LensTable = LensTable()
     f_number: Annotated[Annotated[float, Field(ge=0.5, le=1000.0)] | None, Usual(0.95, 64.0)] = None
@@ -125,6 +129,8 @@ class CameraTable(Table):
             lens,
             self.pupil(),
         )
+        tilt_x, tilt_y = np.deg2rad(self.sensor_tilt_deg or (0.0, 0.0)).tolist()
+        camera = camera.with_tilted_sensor(tilt_x, tilt_y)
         return camera.mirrored() if self.mirrored else camera
 
 
