@@ -59,6 +59,7 @@ MAX_SIGMA_W_PX = 0.3  # of a pair or a mean whose w is reported
 MOST_OFTEN = 0.5  # of the pairs of a place that must have w, for its mean to have one
 MIN_W_PLACES = 30  # with w that tell its size where it is not determined
 NEVER = 1e-100  # standard uncertainty that no w has
+SAMPLING_PX = 0.0024  # error by pixels of a particle of 2.4 px, which no filter takes off (`sampling_error_px`)
 UNLIKE_SIGMA = 2.0  # residual of views that do not show one flow, or not where they are calibrated
 DENOISE = PivSettings.denoise
 UVW = ("u", "v", "w")
@@ -191,10 +192,11 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """Standard uncertainty of w up to which it is reported, after the noise filter."""
+    """Standard uncertainty of w up to which it is reported, after the noise filter; sampling error of vectors."""
 
     sigma_w: float
     filter: NoiseFilter
+    sampling: float = 0.0
 
 
 def _variance(covariance: Floats) -> Floats:
@@ -239,7 +241,7 @@ def _combine(
 ) -> _Fit:
     """Combine vectors (n, ny, nx, 2) with the variance of their noise; `resolution` (n, ny, nx) is a sigma."""
     slope = np.stack([view.slope for view in views])
-    unresolved = np.square(np.nan_to_num(resolution))[..., None]
+    unresolved = (np.square(np.nan_to_num(resolution)) + limits.sampling**2)[..., None]
     variance = noise + unresolved + np.stack([view.map_variance for view in views])
     known = np.isfinite(sigma_w)
     typical = np.sqrt(np.where(known, np.square(sigma_w), 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
@@ -299,7 +301,9 @@ def join_views(
         _require_one_grid(first, mean)
     settings = [each.settings for each in series]
     beta = 0.0 if any(each.denoise for each in settings) else denoise
-    limits = _Limits(limit_px / first.px_per_m_s, NoiseFilter.of(settings[0], first.step_px, beta))
+    per_px = 1.0 / first.px_per_m_s
+    sampling = SAMPLING_PX * per_px if beta else 0.0
+    limits = _Limits(limit_px * per_px, NoiseFilter.of(settings[0], first.step_px, beta), sampling)
     uv, sigma = np.stack([mean.mean_m_s for mean in means]), np.stack([mean.sigma_m_s for mean in means])
     # Cameras at the same time see the same fluctuations: between them the noise of vectors counts alone.
     noise = np.stack([mean.moments.noise for mean in means]) if at_once else np.square(sigma)

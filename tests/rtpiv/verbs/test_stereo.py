@@ -164,3 +164,11 @@ def test_a_camera_that_was_moved_is_no_sheet(tmp_path, capsys):
     ]
     assert join(cameras, tmp_path / "joined", "--simultaneous", "--sheet") == DONE
     assert "does not stand where it was calibrated" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.slow
+def test_branches_need_places_that_are_seen_twice(tmp_path, capsys):
+    camera = write_camera(tmp_path / "camera", 0.0)
+    assert join([camera], tmp_path / "joined", "--branches") == USAGE
+    assert "sees places on two paths" in " ".join(capsys.readouterr().err.split())
+    assert join([camera], tmp_path / "other") == USAGE
