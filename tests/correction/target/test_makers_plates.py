@@ -51,7 +51,7 @@ def test_of_600_plates_drawn_at_random_none_is_in_a_wrong_place():
         verdicts["right" if np.median(off) < 0.3 else "wrong"] += 1
         rms.append(float(np.sqrt(np.mean(off**2) / 2.0)))
     assert not verdicts["wrong"], verdicts
-    assert verdicts["refused"] <= 12, verdicts
+    assert verdicts["refused"] <= 3, verdicts
     assert np.median(rms) < 0.03
 
 
