@@ -24,8 +24,8 @@ ONE_PICTURE = (
     " give the two frames of one pair"
 )
 REPEATED = (
-    "both frames are, pixel by pixel, those of an earlier pair: the camera or the program that saved them repeated"
-    " these, and counting them twice would make the mean too certain"
+    "both frames are, pixel by pixel, those of an earlier pair: counted twice, they would make the mean too"
+    " certain"
 )
 TRUSTED_SHARE = 0.7  # of the vectors outside the mask; real pairs have 0.95 and more, strangers 0.3
 

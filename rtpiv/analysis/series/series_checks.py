@@ -137,7 +137,7 @@ def _reversal_warnings(pairs: Sequence[SeriesPair], moved: Sequence[Floats]) -> 
         return ()
     return (
         f"{quantity(len(found), 'pair')} moved as far as the others the opposite way ({_some_of(found)}): are"
-        " their frames A and B exchanged? Leave these out, or exchange the files",
+        " their frames exchanged? Leave these out",
     )
 
 
