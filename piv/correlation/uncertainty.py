@@ -43,7 +43,7 @@ from piv.correlation.windows import WindowGrid, interpolation_matrix
 Floats = NDArray[np.float64]
 GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are one
 TOGETHER = 4.0  # blocks that lean together: those of a particle image
-OWN_SHARE = (0.25, 0.5, 1.0), (1.0, 0.55, 0.27)  # spacing of windows in sides; share of r that is their own
+OWN_SHARE = (0.25, 0.5, 1.0), (1.0, 0.4, 0.2)  # spacing of windows in sides; share of r that is their own
 LARGEST_LEVERAGE = 0.4  # noise that is said to be larger hides, beside walls, what small windows miss
 LARGEST_PX = 3.0**-0.5  # one pixel to either side, all places alike
 SAMPLING = (  # variance of a particle image [px^2] as frames show it, and the error that it leaves [px]
