@@ -170,7 +170,7 @@ MUTANTS: tuple[tuple[str, str, str], ...] = (
      "test_the_vertex_is_found_with_an_honest_sigma"),
     ("total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))", "total = np.nan_to_num(parts[0])",
      "test_what_the_map_is_unsure_of_counts_for_the_coverage"),
-    ("u, v = np.sqrt(np.mean(np.square(known", "u, v = np.sqrt(np.mean(np.square(known - known.mean(axis=0)",
+    ("_uv(np.sqrt(np.mean(np.square(known", "_uv(np.sqrt(np.mean(np.square(known - known.mean(axis=0)",
      "test_without_a_known_shift_it_is_an_uncertainty"),
     ("if not first_time and identity != self.identity:", "if first_time and identity != self.identity:",
      "test_a_box_that_answers_instead_of_the_first_is_refused_although_no_file_names_it"),

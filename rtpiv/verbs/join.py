@@ -154,8 +154,10 @@ def join(
             if moved.moved is not None:
                 view = paths[moved.moved]
                 screen.print(MOVED.format(moved.moved + 1, view, moved.moved_mm), style="bold red")
-        made = [SeriesView(folder).scene for folder in folders if (folder / FILE).is_file() and folder in paths]
-        is_focus = not how.branches and _differ_in_focus([*made, *(each.method.scene for each in given)])
+        made = [SeriesView(folder) for folder in folders if (folder / FILE).is_file() and folder in paths]
+        seen = [(view.scene, view.about["glass"]) for view in made]
+        seen += [(each.method.scene, each.given.glass) for each in given]
+        is_focus = not how.branches and _differ_in_focus(seen)
         if how.branches:
             given, folders = add_second_views(given, folders, out)
         for each in given:
@@ -208,10 +210,10 @@ def _without_filter(given: SeriesInput) -> SeriesInput:
     return replace(given, method=replace(given.method, settings=settings))
 
 
-def _differ_in_focus(scenes: Sequence[Scene]) -> bool:
-    """Return whether two views through glass are those of one camera at one place."""
-    cameras = {replace(scene.camera, pupil=None) for scene in scenes}
-    return len(scenes) == 2 and len(cameras) == 1 and any(scene.bodies for scene in scenes)
+def _differ_in_focus(seen: Sequence[tuple[Scene, bool]]) -> bool:
+    """Return whether two views, each with whether it is through glass, are those of one camera at one place."""
+    cameras = {replace(scene.camera, pupil=None) for scene, _ in seen}
+    return len(seen) == 2 and len(cameras) == 1 and any(glass for _, glass in seen)
 
 
 def _is_one_run(paths: Sequence[Path]) -> bool:

@@ -50,6 +50,7 @@ def fitted(rms_px: float = 0.02, **ways: tuple[int, int]) -> Any:
         corners_paired=sum(paired.values()),
         pushed_mm=0.0,
         x=np.zeros(9),
+        unknowns=SimpleNamespace(contact_mm=None),
     )
 
 

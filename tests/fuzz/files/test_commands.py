@@ -40,5 +40,5 @@ def test_a_verb_that_lets_an_error_through_is_found(ground, monkeypatch):
         raise KeyError("a")
 
     monkeypatch.setattr("rtpiv.verbs.check.check", careless)
-    played = (hostile("judge", [number], ground, lambda text: None) for number in range(60))
+    played = (hostile("judge", [number], ground, lambda text: None) for number in range(400))
     assert any("KeyError" in finding for tally in played for finding in tally.findings)  # and plays no more

@@ -19,7 +19,7 @@ WINDOWS = ("--first-window", "32", "--final-window", "16", "--workers", "1")
 @pytest.fixture
 def run(tmp_path, monkeypatch):
     """A small run, and what the particles of another one, behind balls, say of them."""
-    monkeypatch.setattr(self_check, "load_scene", lambda path: SimpleNamespace(bodies=NAMES))
+    monkeypatch.setattr(self_check, "load_scene", lambda path: SimpleNamespace(bodies=NAMES, sheet=None))
     monkeypatch.setattr(self_check, "flow_frames", lambda runs, scene: None)
     return flow_run(tmp_path, 4)
 
