@@ -78,7 +78,8 @@ def _follow_outlines(work: Progress) -> None:
     least = MIN_SADDLE_RATIO * float(np.median(work.saddles(work.bare_frames[0]).strength))
     number = work.height_number(frame)
     saddles = work.saddles(frame)
-    work.outlines = find_outlines(work.unknowns, work.full, work.bare[0], saddles, least, number, work.board)
+    board = work.print_found
+    work.outlines = find_outlines(work.unknowns, work.full, work.bare[0], saddles, least, number, board)
     if work.outlines is None:
         return
     known = [work.priors.sphere(name).centre_mm for name in work.outlines.names]
@@ -96,9 +97,8 @@ def _follow_outlines(work: Progress) -> None:
 def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candidates:
     """Saddles of a frame that may be seen through glass."""
     least = MIN_SADDLE_RATIO * float(np.median(work.saddles(work.bare_frames[0]).strength))
-    return candidates_of(
-        work.corner_saddles(frame), least, coarse, work.full, work.height_number(frame), work.board
-    )
+    number, board = work.height_number(frame), work.print_found
+    return candidates_of(work.corner_saddles(frame), least, coarse, work.full, number, board)
 
 
 def _refuse_undisturbed(work: Progress, frame: TargetFrame, candidates: Candidates) -> None:
@@ -160,7 +160,7 @@ def _why_none(work: Progress, scene: Scene) -> str:
     """Explain that no corner behind glass could be measured, as far as the scene shows, nominal and present."""
     pose = work.unknowns.pose(work.full, work.height_number(work.glass_frames[0]))
     given, _ = feasible_scene(work.unknowns, work.unknowns.start)
-    widths = [square_behind_px(one, pose, work.board) for one in (given, scene)]
+    widths = [square_behind_px(one, pose, work.print_found) for one in (given, scene)]
     if 0.0 < widths[0] < MIN_VIEW_SQUARE_PX:
         return (
             f"squares look {widths[0]:.1f} px wide through the glass, {MIN_VIEW_SQUARE_PX:.0f} are needed;"
@@ -171,7 +171,7 @@ def _why_none(work: Progress, scene: Scene) -> str:
             "no corner is seen where the scene shows one behind glass: check radius, glass and place of each ball,"
             " whether a ball is hollow (give its core) or not listed, and the focus of the frame"
         )
-    if not expect(given, pose, work.board).branch.any():
+    if not expect(given, pose, work.print_found).branch.any():
         return (
             "the scene shows no corner of the board whole behind glass, with the squares around it; print smaller"
             " squares, or check the scene"

@@ -104,6 +104,11 @@ class Progress:
         camera = self.unknowns.camera(self.full)
         return camera.position_mm[2] / camera.focal_px
 
+    @property
+    def print_found(self) -> Chessboard:
+        """The board as large as its print was found to be; the solver deepens the step of a plate."""
+        return self.board.stretch(self.unknowns.stretch(self.full)[:2])
+
     def rims_elsewhere(self, scene: Scene) -> dict[str, Vector3]:
         """Balls of a scene that do not stand where their own rims are seen, with their centres there."""
         if self.outlines is None:

@@ -179,7 +179,7 @@ def _balls_in_words(work: Progress) -> str:
     frame = work.glass_frames[0]
     scene = work.unknowns.scene.with_camera(work.unknowns.camera(work.full))
     pose = work.unknowns.pose(work.full, work.height_number(frame))
-    return "; ".join(balls_seen_otherwise(scene, frame.image, pose, work.board, is_refused=True).values())
+    return "; ".join(balls_seen_otherwise(scene, frame.image, pose, work.print_found, is_refused=True).values())
 
 
 def _rivals(fit: SceneFit, priors: FitTable, light: Light | None) -> list[Rival]:

@@ -253,11 +253,21 @@ def board_of(
     return Chessboard(square, disc, scale_sigma=(UNMEASURED, UNMEASURED))
 
 
+def _drawn(board: PrintedBoard) -> PrintedBoard:
+    """Return a board without what was measured of its print."""
+    return board.model_copy(update={"bars_mm": None, "measured_mm": None, "read_sigma_mm": None})
+
+
 def _board_of_runs(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], sizes: Sequence[str]) -> Chessboard:
-    """The board of files that say the same; runs without one, or sizes said beside them, contradict it."""
-    (first, printed), *others = files.items()
-    for path in [path for path, other in others if other != printed]:
-        raise BoardError(f"{path}: has another board than {first}; take frames of one board at a time")
+    """The board of files that say the same; runs without one, or sizes said beside them, contradict it.
+
+    A print may be measured after its frames were taken: the first file with a measure says its scale.
+    """
+    first = next(iter(files))
+    printed = next((file for file in files.values() if file.measured_mm is not None), files[first])
+    for path, other in files.items():
+        if _drawn(other) != _drawn(printed) or other.measured_mm not in (None, printed.measured_mm):
+            raise BoardError(f"{path}: has another board than {first}; take frames of one board at a time")
     for path in [path for path in runs if path not in files]:
         raise BoardError(f"{path}: keeps no board file, so {first} is not its board; leave that out")
     if sizes:

@@ -135,7 +135,7 @@ def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
     if set(names) & set(fit.unknowns.other_bodies.names):
         return f"a wall and a camera elsewhere show nearly the same: {WALL_CURE}"
     if any(name.startswith("print.") for name in names):
-        return "a print of another size shows the same: measure its bars and give measured_mm in board.yaml"
+        return "a print of another size shows the same: measure its bars (measured_mm in board.yaml, then --board)"
     stack = {glass: _heights(fit, glass) >= 3 for glass in (False, True)}
     spheres = [name for name in names if not name.startswith(("camera.", "target"))]
     if any(name.startswith("target") for name in names) and stack[False]:

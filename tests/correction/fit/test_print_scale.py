@@ -1,8 +1,12 @@
 """A print that is not as large as it was drawn, nor stretched alike both ways."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from correction.fit import glass_stage
+from correction.fit.progress import Progress
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import expect
@@ -11,6 +15,7 @@ from correction.fit.solve.unknowns import unknowns_of
 from correction.grid import grid_of
 from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
+from correction.target.lattice_growth import Saddles
 from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
@@ -20,7 +25,7 @@ from tests.correction.small_scenes import small_scene
 from tracer.scene.fit_section import FitTable
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import TargetPose
-from tracer.strategies.trace import trace
+from tracer.strategies.trace import DIRECT, trace
 
 STRETCHED = Chessboard(4.0, 1.6, scale=(1.004, 0.997))
 
@@ -96,3 +101,23 @@ def test_a_print_that_nobody_measured_is_measured_by_the_balls() -> None:
     seen = build_correction_map(truth, build_ray_map(truth), grid)
     error = np.linalg.norm(map_error_px(fit.scene, truth, seen.pixel[0][seen.recovered][::7], grid), axis=1)
     assert np.nanmax(error) < 0.5 * 2e-3 * 700.0  # of a scale unsure by so much
+
+
+def test_a_stretched_print_hides_nothing_but_what_balls_hide() -> None:
+    scene, wide = small_scene("two_spheres_500", 1008), Chessboard(2.0, 0.8, scale=(0.997, 1.012))
+    seen = expect(scene.bare(), TargetPose(), wide)
+    bare = trace(scene, seen.pixel).rays["key"] == DIRECT  # the others are behind a ball
+    edges = np.stack((seen.axes_px[:, 0], seen.axes_px[:, 1]), axis=1)
+    edges /= np.linalg.norm(edges, axis=2, keepdims=True)
+    edges[wide.corner_sign(seen.index) < 0, 0] *= -1.0
+    frames = [TargetFrame(name, np.zeros((1008, 1008), np.uint8), name == "glass") for name in ("clear", "glass")]
+    board = Chessboard(2.0, 0.8, scale_sigma=(0.005, 0.005))
+    work = Progress(scene, frames, board, FitTable(), lambda text: None)
+    work.full = work.unknowns.start.copy()
+    work.full[work.unknowns.print_place] = -0.003, 0.012
+    work.bare = [SimpleNamespace(index=seen.index)]
+    for frame, shown in zip(frames, (np.ones_like(bare), bare), strict=True):
+        work.found_saddles[frame.name] = Saddles(seen.pixel[shown], edges[shown], np.ones(shown.sum()))
+    glass_stage._follow_outlines(work)
+    assert work.outlines is not None
+    assert np.abs(work.outlines.move_mm[work.outlines.own_rim]).max() < 2.0

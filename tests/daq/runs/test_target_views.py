@@ -95,6 +95,10 @@ def test_a_run_keeps_its_board_file_and_the_scale_of_the_print(tmp_path):
     write_board(tmp_path / "same.yaml", BOARD)
     write_board(tmp_path / "new.yaml", BOARD.model_copy(update={"measured_mm": [190.0, 280.0]}))
     assert board_of([run], board=tmp_path / "same.yaml") == board_of([], board=tmp_path / "same.yaml") == found
+    unmeasured = board_text(BOARD.model_copy(update={"measured_mm": None}))
+    before = run_of(tmp_path, [("clear", 3.0, 3.0)], **{**said, "board": unmeasured})
+    assert board_of([before]).scale == (1.0, 1.0)
+    assert board_of([before], board=tmp_path / "same.yaml") == found  # measured after its frames were taken
     for paths, told, words in (
         ([run], {"board": tmp_path / "new.yaml"}, "another board"),
         ([run, other], {}, "keeps no board file"),

@@ -83,7 +83,7 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
     )
     said = " ".join(out.split())
     assert "strongly correlated" in said  # the scale of a print that was not measured, and what is as large as it
-    assert "measure its bars and give measured_mm in board.yaml" in said
+    assert "measure its bars (measured_mm in board.yaml, then --board)" in said
     assert not re.search(r"print\.stretch_[^|]*add bare target frames", said)
     assert any("strongly correlated" in each for each in summary["weak"])
     assert "saddles" not in err
