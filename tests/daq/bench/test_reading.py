@@ -102,6 +102,7 @@ def test_a_stream_gives_what_flows_now_and_not_what_lay_in_the_buffer(meter):
         assert gauge.reading().value == pytest.approx(5.2, rel=0.011)
         time.sleep(0.35)
         emulator.flow = 8.0
+        time.sleep(0.15)  # a line that was being sent has arrived; lines of before lie in front of it
         assert gauge.reading().value == pytest.approx(8.0, rel=0.011)
     finally:
         gauge.close()
