@@ -59,6 +59,6 @@ def test_the_mean_of_a_jet_is_as_sure_as_it_says_where_the_background_is_taken_o
         error[name] = float(np.sqrt(np.mean(off**2)))
         covered[name] = float(np.mean(np.abs(off) < sigma))
     print(error, covered)
-    assert error["sliding"] < 0.9 * error["none"]
+    assert error["sliding"] < 0.95 * error["none"]  # coarse light goes off unasked
     assert covered["none"] < covered["sliding"]
     assert 0.5 < covered["sliding"] < 0.8
