@@ -1,6 +1,7 @@
 """`rtpiv compare`: its files, and whether the sigma that it foretells is the one that a fit leaves."""
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from correction.fit.solve.light import light_uncertainty
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.correction_map import build_correction_map
+from correction.target.board_file import read_board, write_board
 from daq.errors import RunUsageError
 from rtpiv.analysis.views.candidates import ViewQuestion
 from rtpiv.analysis.views.figures import view_figures, with_sigma
@@ -64,6 +66,9 @@ def test_sigma_is_what_a_fit_leaves(tmp_path, monkeypatch, lab):
     keys = ("sensor_px", "pixel_pitch_um", "lens_mm", "distance_mm", "balls", "ball_mm", "glass", "gap_mm")
     init(tmp_path, GivenLab(arrangement=lab.arrangement, **{key: getattr(lab, key) for key in keys}))
     monkeypatch.chdir(tmp_path)
+    printed = read_board(Path("board.yaml"))
+    exact = {"measured_mm": printed.bars_mm, "read_sigma_mm": 1e-3}
+    write_board(Path("board.yaml"), printed.model_copy(update=exact))
     run = acquire("plan-target.yaml", bench="bench.yaml", simulate=True, home=True)
     calibrate(run, out="fit", pictures=False)
     scene, known = load_scene("fit/scene.yaml"), SceneSigma.load("fit/fit.npz")
