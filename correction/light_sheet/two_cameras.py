@@ -34,7 +34,7 @@ from tracer.light_sheet import LightSheet
 
 HUBER_SIGMA = 2.0  # residual from which a place counts less: rims, where two pictures meet in one window
 MIN_PLACES = 12
-POSE_SIGMA = np.array([1.0, 1.0, 1.0, *[np.deg2rad(0.2)] * 3])  # mm, rad: by how much a camera may have been moved
+POSE_SIGMA = np.array([1.0, 1.0, 1.0, *[np.deg2rad(0.2)] * 3])  # mm, rad: of a camera's pose
 LIKELIER = 20.0  # by how much chi^2 of a camera that is named is lower than those of the others
 Floats = NDArray[np.float64]
 

@@ -31,7 +31,7 @@ SMALLEST_DOT, WIDEST_DOT = 0.15, 0.75  # pitches: smaller ones are lost behind g
 LARGER = 1.3  # times that large dots are wider than the others: blur must not make one of the other
 CLEAR_ARM = 0.7  # of the room between an edge and what is printed in the square: blur takes the rest
 STAGGERED = np.sqrt(0.5) * np.array([(1.0, -1.0), (1.0, 1.0)])  # columns: its steps, along x and y
-LINES = np.array([(1, -1), (1, 1)])  # on which corner (i, j) of staggered rows lies: half pitches i - j, row i + j
+LINES = np.array([(1, -1), (1, 1)])  # of corner (i, j) of staggered rows: half pitches i - j, row i + j
 LEVEL_BY = {  # index times this odd: on the other level
     "rows": (0, 1), "columns": (1, 0), "alternating": (1, 1), "staggered": (1, 1),
 }  # fmt: skip

@@ -253,7 +253,7 @@ def board_of(
     return Chessboard(square, disc, scale_sigma=(UNMEASURED, UNMEASURED))
 
 
-def _drawn(board: PrintedBoard) -> PrintedBoard:
+def _without_measure(board: PrintedBoard) -> PrintedBoard:
     """Return a board without what was measured of its print."""
     return board.model_copy(update={"bars_mm": None, "measured_mm": None, "read_sigma_mm": None})
 
@@ -266,7 +266,10 @@ def _board_of_runs(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], siz
     first = next(iter(files))
     printed = next((file for file in files.values() if file.measured_mm is not None), files[first])
     for path, other in files.items():
-        if _drawn(other) != _drawn(printed) or other.measured_mm not in (None, printed.measured_mm):
+        if _without_measure(other) != _without_measure(printed) or other.measured_mm not in (
+            None,
+            printed.measured_mm,
+        ):
             raise BoardError(f"{path}: has another board than {first}; take frames of one board at a time")
     for path in [path for path in runs if path not in files]:
         raise BoardError(f"{path}: keeps no board file, so {first} is not its board; leave that out")
