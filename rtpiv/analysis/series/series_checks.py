@@ -25,8 +25,8 @@ FEW_VALID = 0.15  # share of windows; of unlike frames 0.02 to 0.1 are valid
 LEAST_UNLIKE = 0.1  # of the pairs: single ones may be blank
 MAX_PAIRS_NAMED = 3
 MIN_PAIRS = 5  # fewer have no usual way
-MAX_COMPARED = 200  # pairs of which the usual displacement is the median
-MAX_REVERSED = 0.25  # of the pairs
+MAX_COMPARED = 200  # pairs whose median is usual
+MAX_REVERSED = 0.25  # of pairs
 
 Floats = NDArray[np.float64]
 
