@@ -74,7 +74,7 @@ def test_what_the_search_has_made_of_a_scene_is_no_reason_to_print_larger_square
     monkeypatch.setattr(glass_stage, "feasible_scene", lambda *given: (case.given, 0.0))
     unknowns = SimpleNamespace(pose=lambda *given: None, start=None)
     work = SimpleNamespace(
-        unknowns=unknowns, full=None, height_number=lambda frame: 0, glass_frames=[None], board=case.board
+        unknowns=unknowns, full=None, height_number=lambda frame: 0, glass_frames=[None], print_found=case.board
     )
     said = glass_stage._why_none(work, case.given)
     assert "print" not in said
