@@ -8,6 +8,7 @@ libraries as well.
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 import ground.jit.compile_news as compile_news
@@ -15,6 +16,7 @@ from ground.rows import end_idle_threads
 
 ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 TASKS = Path("/proc/self/task")
+LOOKS, LOOK_S = 20, 0.005
 
 
 def can_fork() -> bool:
@@ -27,7 +29,13 @@ def can_fork() -> bool:
         threads = opencv.getNumThreads()
         opencv.setNumThreads(1)  # joins its threads; they begin again when they are needed
         opencv.setNumThreads(threads)
-    return threading.active_count() == 1 and len(list(TASKS.iterdir())) == 1
+    for _ in range(LOOKS):  # a thread that has been joined is still there for the system until it has left
+        if len(list(TASKS.iterdir())) == 1:
+            break
+        time.sleep(LOOK_S)
+    else:
+        return False
+    return threading.active_count() == 1
 
 
 def begin_child() -> None:
