@@ -84,7 +84,7 @@ def test_a_process_of_one_thread_is_forked_and_any_other_spawns():
 
 
 def sleep_apart(_: object) -> None:
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\n".encode())  # in one piece: forked workers share their output
     time.sleep(60.0)
 
 
