@@ -229,6 +229,9 @@ class VectorMapSigma:
         Of the place, along u and v, in corrected pixels; NaN where nothing is known.
     displacement_px : (ny, nx, 2) float64
         Of the displacement.
+    relative_px : (ny, nx, 2) float64
+        Of the displacement against the median one of the field: without what an error of the scene, such as of the
+        size of the print, makes of all vectors alike.
     common_px : (ny, nx, 2, C) float64
         Errors of the displacement by the draws that cameras of a joint fit have in common (`SceneSigma.joint`),
         one standard deviation each; a part of `displacement_px`.
@@ -236,6 +239,7 @@ class VectorMapSigma:
 
     position_px: NDArray[np.float64]
     displacement_px: NDArray[np.float64]
+    relative_px: NDArray[np.float64]
     common_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0, 2, 0)))
 
 
@@ -273,12 +277,16 @@ def vector_map_sigma(
         missing = np.isnan(gap).any(axis=(1, 2))
         difference[missing] = one_sided[missing]
     pitch = correction_map.grid.pitch_mm
-    position, displacement = np.full((2, *shape, 2), np.nan)
+    position, displacement, relative = np.full((3, *shape, 2), np.nan)
     position[known] = np.sqrt((here**2).sum(axis=2)) / pitch
     displacement[known] = np.sqrt((difference**2).sum(axis=2)) / pitch
+    finite = np.isfinite(difference).all(axis=(1, 2))
+    if finite.any():
+        beside = difference - np.median(difference[finite], axis=0)
+        relative[known] = np.sqrt((beside**2).sum(axis=2)) / pitch
     common = np.full((*shape, 2, sigma.joint[1]), np.nan)
     common[known] = difference[:, :, : sigma.joint[1]] / pitch
-    return VectorMapSigma(position, displacement, common)
+    return VectorMapSigma(position, displacement, relative, common)
 
 
 def _nearest(correction_map: CorrectionMap, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:

@@ -161,9 +161,15 @@ class Evaluation:
     @property
     def total_sigma_px(self) -> NDArray[np.float64]:
         """Standard uncertainty (ny, nx, 2) of u and v by all that is known; of files, pages and verdicts."""
-        parts = list(self.sigma_parts_px.values())
-        total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))
-        return np.where(np.isnan(parts[0]), np.nan, total)
+        return _root_sum_square(list(self.sigma_parts_px.values()))
+
+    @property
+    def relative_sigma_px(self) -> NDArray[np.float64]:
+        """Standard uncertainty (ny, nx, 2) of u and v against their medians: without what the map shifts alike."""
+        parts = self.sigma_parts_px
+        if self.map_sigma is not None:
+            parts["sigma by the fitted map"] = self.map_sigma.relative_px
+        return _root_sum_square(list(parts.values()))
 
     @property
     def scale_warnings(self) -> tuple[str, ...]:
@@ -373,6 +379,12 @@ def evaluate_correlated(task: Task, prepared: PreparedCorrection, how: PairMetho
     if how.pictures:
         seen = before_after(frame_a, pair.first, corrector, scene, full_scale(task.frames[0], frame_a))
     return Evaluation(task, grid, seen, field, regions, result, unsure, why, settings, tracks, no_tracks, slant)
+
+
+def _root_sum_square(parts: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Root of the sum of squares of parts (ny, nx, 2) of an uncertainty; NaN where the first, random one is."""
+    total = np.sqrt(np.square(np.nan_to_num(parts)).sum(axis=0))
+    return np.where(np.isnan(parts[0]), np.nan, total)
 
 
 def _stage_px(task: Task, motor_um: float, px_per_mm: float) -> tuple[float, float]:

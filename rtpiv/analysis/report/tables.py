@@ -136,11 +136,12 @@ def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total
 def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | None:
     """Compare the errors of some vectors (ny, nx) with their total sigma; None without a known shift.
 
-    The error of the stage is the same for all vectors: the median error is subtracted first.
+    An error of the stage is the same for all vectors: the median error is subtracted first, and the part of the
+    map's sigma that is the same for all vectors likewise.
     """
     if evaluation.shift is None:
         return None
-    field, sigma = evaluation.field, evaluation.total_sigma_px
+    field, sigma = evaluation.field, evaluation.relative_sigma_px
     errors = shift_errors(field, evaluation.shift.shift_px)
     errors = errors - np.nanmedian(errors.reshape(-1, 2), axis=0)
     known = where & np.isfinite(errors).all(axis=-1) & np.isfinite(sigma).all(axis=-1) & (sigma > 0.0).all(axis=-1)
@@ -254,7 +255,7 @@ def sigma_table(evaluation: Evaluation) -> Table:
 def claim_table(evaluation: Evaluation) -> Table:
     """Coverage of the total sigma by the errors; without rows where no shift is known.
 
-    The error of the stage is the same for all vectors, and is subtracted first.
+    An offset that all vectors share, as an error of the stage, is subtracted from the errors and from sigma first.
     """
 
     def cells(where: NDArray[np.bool_]) -> tuple[str, ...] | None:

@@ -64,10 +64,14 @@ def test_sigma_is_the_spread_of_drawn_scenes(known, glass):
     pixels = np.concatenate([pixel[alike] for pixel in seen])
     landed = np.array(list(drawn_landings(bench, draw, pixels, glass))).reshape(DRAWS, 3, -1, 2)
     place = np.nanstd(landed[:, 0], axis=0) / cmap.grid.pitch_mm
-    gap = np.nanstd(landed[:, 2] - landed[:, 1], axis=0) / cmap.grid.pitch_mm
+    gaps = landed[:, 2] - landed[:, 1]
+    gap = np.nanstd(gaps, axis=0) / cmap.grid.pitch_mm
     assert np.median(found.position_px[alike] / place) == pytest.approx(1.0, abs=0.06)
     assert np.median(found.displacement_px[alike] / gap) == pytest.approx(1.0, abs=0.06)
     assert np.mean(np.abs(found.displacement_px[alike] / gap - 1.0) < 0.25) > 0.95
+    # What a draw makes of all displacements alike is no part of one against the median of the field.
+    beside = np.nanstd(gaps - np.nanmedian(gaps, axis=1, keepdims=True), axis=0) / cmap.grid.pitch_mm
+    assert np.median(found.relative_px[alike] / beside) == pytest.approx(1.0, abs=0.06)
     # What both ends share cancels: a displacement is known far better than a place.
     assert np.median(found.displacement_px[alike]) < 0.1 * np.median(found.position_px[alike])
 

@@ -102,7 +102,7 @@ def test_what_is_written_is_read(tmp_path, field):
 def test_the_map_s_sigmas_stand_beside_the_vectors(tmp_path, field):
     place, way = (scale * np.ones((3, 4, 2)) * (1.0, 2.0) for scale in (0.1, 0.01))
     place[0, 0] = np.nan
-    write_vectors(tmp_path / "vectors.nc", of_pair(field, None, VectorMapSigma(place, way)))
+    write_vectors(tmp_path / "vectors.nc", of_pair(field, None, VectorMapSigma(place, way, way)))
     with netcdf_file(tmp_path / "vectors.nc", mmap=False) as file:
         read = {
             name: variable[0, ::-1] for name, variable in file.variables.items() if variable.shape == (1, 3, 4)
@@ -179,7 +179,7 @@ def test_a_file_of_schema_1_is_read(tmp_path, field):
 
 
 def test_it_is_a_velocity_only_where_the_time_is_known(tmp_path, field):
-    sigma = VectorMapSigma(*np.ones((2, 3, 4, 2)))
+    sigma = VectorMapSigma(*np.ones((3, 3, 4, 2)))
     way, speed = of_pair(field, None, sigma), of_pair(field, 0.25, sigma)
     assert (way.attributes["delta_t"], speed.attributes["delta_t"]) == (0.0, 0.25)
     for name in ("u", "v", "sigma_u", "sigma_v", "map_sigma_u", "map_sigma_v"):

@@ -38,7 +38,8 @@ def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=Tru
     shift = evaluate_shift(field, regions, SHIFT_PX, (0.05, 0.05)) if known else None
     joined = None
     if moved is not None:
-        joined = SimpleNamespace(displacement_px=np.full((*field.flags.shape, 2), moved))
+        by_map = np.full((*field.flags.shape, 2), moved)
+        joined = SimpleNamespace(displacement_px=by_map, relative_px=by_map.copy())
     slant = None if slanted is None else SimpleNamespace(sigma_px=np.full((*field.flags.shape, 2), slanted))
     task = SimpleNamespace(scene=SimpleNamespace(bodies=("ball",)))
     return Made(task=task, field=field, regions=regions, shift=shift, map_sigma=joined, slant=slant)
@@ -48,6 +49,7 @@ class Made(SimpleNamespace):
     """An evaluation that is made of little."""
 
     sigma_parts_px, total_sigma_px = Evaluation.sigma_parts_px, Evaluation.total_sigma_px
+    relative_sigma_px = Evaluation.relative_sigma_px
 
 
 def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
