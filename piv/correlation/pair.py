@@ -22,18 +22,18 @@ the same, as a share of what the window holds, stands still.
 
 **Uncertainty.** Each step of `_judge_vectors` needs those before it:
 
-1. noise of one correlation (`uncertainty`), over what inclined images leave of it (`inclined_images`): it decides
-   which vectors are measured at all;
-2. noise of the result: passes and the last filter change it (`response`, `denoise`). The error by the places of
-   images between the pixels is added afterwards, since no filter takes it off;
+1. noise of one correlation (`uncertainty`), enlarged where particle images are inclined (`inclined_images`): it
+   decides which vectors are measured at all;
+2. noise of the result: passes and the last filter change it (`response`, `denoise`). The error by the subpixel
+   position of particle images is added afterwards, since no filter removes it;
 3. resolution, from the filtered vectors: the model (`resolution`) or what halved windows miss (`halving`), the
    larger, since they see the same detail; in windows too small for 4. also waves that none of them shows
    (`finer_waves`), which neither has seen;
-4. resolution as it is measured (`agreement`): it replaces 3. as far as it is clear of noise and chance;
+4. resolution as it is measured (`agreement`): it replaces 3. as far as it is significant beside noise and chance;
 5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel;
-6. the cut of a mask (`cut_windows`), added: none of 3. to 5. has seen it.
+6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it.
 
-`sigma_u_px` and `sigma_v_px` are 2., `resolution_px` is 3. to 6.
+`sigma_u_px` and `sigma_v_px` are the result of 2., `resolution_px` that of 3. to 6.; both together are the total.
 
 Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 233 (2005).
 Sign and axis conventions: see `piv.correlation.vector_field`.
@@ -102,10 +102,10 @@ RETRY_GAIN, RETRY_LEFT = 1.5, 0.6  # share with a vector, and without, over that
 UNRELATED_SHARE, UNRELATED_SIGMA_PX = 0.25, 0.15  # fewer vectors, and less certain ones, are there by chance
 PASS_CHANGE_PX, PASS_CHANGED_SHARE = 0.25, 0.03  # more vectors moved by more: another pass is worth its time
 # Single vectors
-MIN_MATCH_SHARE, MAX_MISMATCH_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
-MAX_NOISE_PX = 0.5  # of a correlation: with more, a vector that is known to a pixel says no less
-MATCH_SIDE = 1.5  # side of what must match around an uncertain vector, in usual windows
-RIM_CUT = 0.35  # of what a mask cuts where its rim is clean (errors near walls over sigma 0.8 to 1.2)
+MIN_MATCH_SHARE, MAX_MISMATCH_PX = 0.25, 0.25  # of a window's light; and the error that the rest may cause
+MAX_NOISE_PX = 0.5  # of one correlation: with more, a peak at a whole pixel (0.58 px) is no worse
+MATCH_SIDE = 1.5  # in last windows: side of the area around an uncertain vector that must match
+RIM_CUT = 0.35  # share of the cut that counts where a rim is clean: errors near walls are then 0.8 to 1.2 sigma
 Floats = NDArray[np.float64]
 
 
@@ -168,7 +168,7 @@ def evaluate_pair(
 
     hidden: list[NDArray[np.bool_]] = []
 
-    # Frames are prepared anew for each trial: none are held while one goes on.
+    # Frames are prepared again for each trial, so that only one prepared pair is in memory.
     def prepare_again() -> Pair:
         pair = prepare_pair(frame_a, frame_b, valid, sides[-1])
         hidden[:] = [] if pair.hidden is None else [pair.hidden]
@@ -191,7 +191,7 @@ def evaluate_pair(
 def _run_trials(
     prepare_again: Callable[[], Pair], sides: list[int], settings: PivSettings, threads: int | None
 ) -> VectorField:
-    """Make all passes, and again from larger first windows where few places have a vector."""
+    """Make all passes, and again with larger first windows if few places have a vector."""
     pair = prepare_again()
     shape = pair.a.shape
     field = _run_passes(pair, sides, settings, threads)
@@ -202,7 +202,7 @@ def _run_trials(
         except PairError:
             continue  # no more than there was
         if _share(again) < RETRY_GAIN * _share(field) and 1.0 - _share(again) > RETRY_LEFT * (1.0 - _share(field)):
-            continue  # it is not for want of size
+            continue  # larger windows do not help
         field = again
         if _share(field) > TRUSTED_SHARE:
             break
@@ -230,7 +230,7 @@ def _is_one_picture(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
 
 
 def _share(field: VectorField) -> float:
-    """Share of the windows with something to see that have a vector."""
+    """Share of the unmasked windows that have a vector."""
     return field.counts["valid"] / max(int(np.count_nonzero(field.asked)), 1)
 
 
@@ -266,7 +266,7 @@ def _run_passes(
         if common is not None:
             field = _run_passes(replace(common.pair, given=suspect.given), sides, settings, threads, common)
             return replace(field, nan_pixels=nan_pixels)
-        if lag < -LAGS:
+        if lag < -LAGS:  # -lag is part of the share that stands still, so a lower bound
             still_share = max(-lag, np.nan_to_num(still_share))
         del suspect
     every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
@@ -288,7 +288,7 @@ def _run_passes(
 
 
 def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
-    """The field of a pair whose common light is off: without short vectors, and what lengthens the others."""
+    """Field of a pair without common light: short vectors rejected, the length of others corrected."""
     length_px = np.hypot(field.u_px, field.v_px)
     pushed_px = common.lengthening_px(length_px)
     kept = 1.0 - pushed_px / np.maximum(length_px, common.least_px)
@@ -309,7 +309,7 @@ def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
 
 
 def _decimate(field: VectorField, every: int) -> VectorField:
-    """One vector of so many along each axis."""
+    """Every n-th vector along each axis, n = `every`."""
     if every == 1:
         return field
     places: dict[str, Any] = {
@@ -338,33 +338,37 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     sigma, resolution = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
     if found.refined is not None:
         # 1. Noise of one correlation; it decides which vectors are measured.
+        # What the last pass still found: the asymmetry that it causes is no noise.
         left, _ = fill_gaps(found.left_px, good)
         blocks = blocks_of(course.deformed, spread_px2, course.threads)
         asymmetry = correlation_asymmetry(
             blocks, grid, settings.window_sigma, left, partial(sums_of_sizes, grid, sizes, settings.window_sigma)
         )
-        middle = asymmetry.light
+        central_light = asymmetry.light  # in the smallest windows, the middle of larger ones
         asymmetry = asymmetry_of_sizes(asymmetry, grid, sizes, settings.window_sigma)
-        noise, pieces = correlation_statistics(asymmetry, found.refined)
+        noise, particles = correlation_statistics(asymmetry, found.refined)
         if course.frames.inclination is not None:
             noise = noise * course.frames.inclination.noise_growth(grid)[..., None]
-        good = good & ~_is_unmeasured(course, noise, pieces / np.square(sizes.side_px))
+        good = good & ~_is_unmeasured(course, noise, particles / np.square(sizes.side_px))
         good = good & ~_is_mostly_unmatched(found, good)
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
         noise = np.where(good[..., None] & np.isnan(noise), LARGEST_PX, noise)
         # 2. Noise of the result; no filter takes the sampling error off.
-        vectors, sigma, taken = _remove_noise(course, sizes, good, noise, added)
+        vectors, sigma, removed = _remove_noise(course, sizes, good, noise, added)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
-        uneven = unevenness(pieces, np.clip(middle / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(axis=-1))
-        resolution = np.maximum(_resolution_of_sizes(course, sizes, final, taken, uneven), missed_px)
+        central_share = np.clip(central_light / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(axis=-1)
+        uneven = unevenness(particles, central_share)
+        resolution = np.maximum(_resolution_of_sizes(course, sizes, final, removed, uneven), missed_px)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.
             finer = _short_wave_error(course, good, noise, added)
             resolution = np.where(large, resolution, np.hypot(resolution, finer))
         # 4. Resolution as blocks of the frames show it.
-        # Clipped: blocks lean in proportion to displacements within a pixel only, and show nothing of longer ones.
+        # Blocks measure what the frames show beyond the vectors; the frames are deformed by the predictor (vectors
+        # less what the pass found), so final - predictor is subtracted.  Clipped: the asymmetry of a block is
+        # proportional to the displacement within a pixel only, and shows nothing of longer ones.
         beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         weight = good * large * found.refined.gain
         measured = measure_agreement(blocks, grid, beyond, weight, settings.windows_px[-1])
@@ -422,10 +426,10 @@ def _share_of_given_mask(course: MultipassState, given: NDArray[np.float32], sid
     return np.asarray(share[np.ix_(rows, columns)], np.float64)
 
 
-def _is_unmeasured(course: MultipassState, sigma: Floats, pieces_a_px2: Floats) -> NDArray[np.bool_]:
-    """Windows (ny, nx) in which nothing was measured: no uncertainty worth the name, and a weak peak or match."""
+def _is_unmeasured(course: MultipassState, sigma: Floats, particles_per_px2: Floats) -> NDArray[np.bool_]:
+    """Windows (ny, nx) where nothing was measured: sigma of one correlation too large, and a weak or chance match."""
     found, settings = course.found, course.settings
-    # Windows larger than their spacing see the same light, and support each other even where there is nothing.
+    # Windows larger than their spacing share light, so neighbours agree even where there are no particles.
     largest_px = np.inf if found.sizes is None else MAX_NOISE_PX
     sigma = np.where(sigma < largest_px, sigma, np.nan)
     uncertain = found.good & np.isnan(sigma).any(axis=-1)
@@ -436,14 +440,14 @@ def _is_unmeasured(course: MultipassState, sigma: Floats, pieces_a_px2: Floats) 
     if found.sizes is not None:
         around_px = MATCH_SIDE * settings.windows_px[-1]
         match = match_around(found.own, course.grid, round(around_px), settings.window_sigma)
-        empty |= uncertain & is_chance_match(match, pieces_a_px2 * around_px**2)
+        empty |= uncertain & is_chance_match(match, particles_per_px2 * around_px**2)
     if not (found.good & ~empty).any():
         raise PairError("no window gave a vector that its own correlation supports; check exposure and pairing")
     return empty
 
 
 def _is_mostly_unmatched(found: Measured, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Windows (ny, nx) most of whose light moves otherwise than their vector says, and by much."""
+    """Windows (ny, nx) most of whose light moves by another displacement, far from that of the vector."""
     little = match_share(found.correlation, good) < MIN_MATCH_SHARE
     apart_px = mismatch_px(found.vectors_px, found.seen_px, found.correlation, good)
     return np.asarray(little & (apart_px > MAX_MISMATCH_PX))
@@ -452,7 +456,7 @@ def _is_mostly_unmatched(found: Measured, good: NDArray[np.bool_]) -> NDArray[np
 def _remove_noise(
     course: MultipassState, sizes: Sizes, good: NDArray[np.bool_], sigma: Floats, added: int
 ) -> Denoised:
-    """Vectors without the detail that is noise; `sigma` (ny, nx, 2) is that of one correlation."""
+    """Vectors after the last filter, with their sigma; `sigma` (ny, nx, 2) is that of one correlation."""
     settings, step, vectors = course.settings, course.grid.step_px, course.found.vectors_px
     levels = levels_of(settings, step) if settings.denoise > 0.0 and min(course.grid.shape) >= 2 else []
     growths = []
@@ -478,9 +482,9 @@ def _short_wave_error(course: MultipassState, good: NDArray[np.bool_], sigma: Fl
 
 
 def _resolution_of_sizes(
-    course: MultipassState, sizes: Sizes, vectors: Floats, taken: Floats, uneven: Floats
+    course: MultipassState, sizes: Sizes, vectors: Floats, removed: Floats, uneven: Floats
 ) -> Floats:
-    """Modelled resolution error (ny, nx) of windows, each of its size."""
+    """Modelled resolution error (ny, nx) [px], every node by the size of its own window."""
     settings, step = course.settings, course.grid.step_px
     parts = []
     for side in sizes.sides_px:
@@ -488,7 +492,7 @@ def _resolution_of_sizes(
         shown = gain(weights, step, smoothings_of(settings, side, step), np.array([np.pi / side, 0.0]))
         parts.append(
             resolution_model_px(
-                vectors, taken, uneven, Window(side, step, weights, float(shown), side < settings.windows_px[-1])
+                vectors, removed, uneven, Window(side, step, weights, float(shown), side < settings.windows_px[-1])
             )
         )
     return sizes.pick(parts)
