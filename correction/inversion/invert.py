@@ -34,7 +34,7 @@ from correction.inversion.kernels.direct import DirectScratch, DirectView, direc
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, BranchSequences, SheetPath
 from correction.inversion.kernels.sheets import FIRST_ROW, LAST_ROW
 from correction.inversion.kernels.views import InverseProblem, NodeScratch, ViewMaps, join_weights, solve_nodes
-from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts, start_scratch
+from correction.inversion.sheets import BranchPatch, Ordered, Sheets, Starts, start_scratch
 from correction.masked import mask_branches, mask_pixels
 from ground.rows import run_parts, run_rows, thread_count
 from tracer.kernels.camera import CENTRE_U, FOCAL
@@ -234,7 +234,7 @@ class Inversion:
         """Solve the sheets of a bed."""
         solve_bed(self.problem, self.maps, sheets, self.way.balls)
 
-    def _solve_one(self, sheet: Sheet, sheets: Sheets) -> None:
+    def _solve_one(self, sheet: BranchPatch, sheets: Sheets) -> None:
         """Solve a sheet on all cores."""
         enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
         self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
@@ -250,7 +250,7 @@ class Inversion:
         """Events of a branch."""
         return [self.events[name] for name in self.ray_map.branches[number]]
 
-    def _solve(self, sheet: Sheet, parts: Iterator[Starts]) -> None:
+    def _solve(self, sheet: BranchPatch, parts: Iterator[Starts]) -> None:
         """Solve the nodes of one sheet and keep the best views."""
         sequence = np.array(self._sequence(sheet.branch), np.int64)
         key = key_of(sequence)

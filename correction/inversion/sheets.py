@@ -1,7 +1,7 @@
-"""The sheets of a ray map, and the starts of the nodes that each may show.
+"""The sheets (branch patches) of a ray map, and the starts of the nodes that each may show.
 
-What is held of the whole sensor and of all nodes is one byte each (``kernels.sheets``: flags; who has
-taken a node); starts are made some thousand at a time, so that a map needs little more memory than its arrays.
+In memory are one byte per pixel (flags, ``kernels.sheets``) and one per node (the sheet that claimed it); starts
+are made some thousand at a time, so that a map needs little more memory than its arrays.
 """
 
 import math
@@ -42,7 +42,7 @@ Starts = tuple[NDArray[np.float64], NDArray[np.int32]]  # (N, 4) and (N, 2), see
 LAST_STAMP = np.iinfo(np.uint8).max
 
 
-class Sheet(NamedTuple):
+class BranchPatch(NamedTuple):
     """A connected part of a branch in which the determinant keeps its sign."""
 
     branch: int
@@ -60,10 +60,10 @@ class Ordered(NamedTuple):
     runs: NDArray[np.int64]
     first: NDArray[np.int64]
 
-    def sheet(self, k: int) -> Sheet:
-        """Sheet k."""
+    def sheet(self, k: int) -> BranchPatch:
+        """Patch k."""
         runs = self.runs[self.first[k] : self.first[k + 1]]
-        return Sheet(int(self.branch[k]), float(self.sign[k]), int(self.events[k]), runs)
+        return BranchPatch(int(self.branch[k]), float(self.sign[k]), int(self.events[k]), runs)
 
 
 class Sheets:
@@ -141,13 +141,13 @@ class Sheets:
         places = np.repeat(firsts - first[:-1], lasts - firsts) + np.arange(first[-1])
         return Ordered(code >> 1, np.where(code & 1, -1.0, 1.0), events[best], runs[order[places]], first)
 
-    def __iter__(self) -> Iterator[Sheet]:
+    def __iter__(self) -> Iterator[BranchPatch]:
         """Sheets as `ordered`, one by one."""
         every = self.ordered()
         for k in range(len(every.branch)):
             yield every.sheet(k)
 
-    def starts(self, sheet: Sheet, weight: NDArray[np.float32], enough: np.float32) -> Iterator[Starts]:
+    def starts(self, sheet: BranchPatch, weight: NDArray[np.float32], enough: np.float32) -> Iterator[Starts]:
         """Starts of a sheet and their nodes, but for nodes whose weight (h, w) is `enough`."""
         if self.stamp == LAST_STAMP:
             self.taken[...], self.stamp = 0, 0

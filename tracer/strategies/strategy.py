@@ -1,14 +1,16 @@
 """Choice of how the rays of a scene are traced, made once, for ray map and inversion.
 
-A scene goes the quickest way that serves it:
+Every scene is traced by the fastest kind that supports it:
 
-    lockstep   a few solid transparent spheres, nowhere thinner than what is around them, behind windows or not
-    occluders  the same among opaque rods, but for the rays that may meet one
-    bundles    any number of solid or opaque spheres, behind windows or not; all that reach through the plane
-    rays       everything else (supports, hollow balls, tubes, meshes ...), pixel by pixel
+    lockstep   blocks of neighbouring pixels together, body by body: a few solid transparent spheres, none of lower
+               refractive index than its surroundings, behind windows or not
+    occluders  the same beside opaque rods; pixels whose ray may meet a rod are traced ray by ray
+    bundles    blocks of pixels, each through the spheres near it: any number of solid or opaque spheres, behind
+               windows or not; also spheres that the investigation plane cuts
+    rays       pixel by pixel, everything else (supports, hollow balls, tubes, meshes ...)
 
-All give the same map to rounding; tests hold them together.  A way is added as a kind, with what it asks of a
-scene in `choose` and what it does in `Strategy.trace`; see ``docs/adr/0032-one-choice-of-strategy.md``.
+All give the same map to rounding, which tests compare.  To add a method, add a kind, its requirements in `choose`
+and its call in `Strategy.trace`; see ``docs/adr/0032-one-choice-of-strategy.md``.
 """
 
 from collections.abc import Sequence
@@ -36,13 +38,13 @@ from tracer.strategies.occluders import trace_with_occluders
 from tracer.strategies.trace import number_keys, pack_camera, world_of
 
 MIN_COSINE = 0.12  # of a ray in front of a window, 83 degrees from its normal: beyond, closed forms lose digits
-MIN_SQUARED_COSINE = 0.12  # of a ray in the glass and behind it, 70 degrees: the margin before total reflection
-CLEARANCE = 3.0  # thicknesses of glass that a ray has to the plane: its path in it is at most 1 / sqrt(0.12) = 2.9
+MIN_SQUARED_COSINE = 0.12  # of a ray in the glass and behind it (69.7 degrees): margin before total reflection
+CLEARANCE = 3.0  # height over the plane where a ray enters, in thicknesses: its path is at most 1/sqrt(0.12) = 2.9
 NO_CHAIN = np.empty((0, BALL))
 
 
 class Kind(StrEnum):
-    """Ways of tracing a whole sensor."""
+    """Methods of tracing a whole sensor, see the top."""
 
     LOCKSTEP = "lockstep"
     OCCLUDERS = "occluders"
@@ -52,19 +54,19 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """Way of tracing one scene.
+    """Method of tracing one scene, forward and inverse.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     kind : Kind
-        The way of its rays.
+        Method of the ray map (pixel to plane).
     windows : (K, 10) float64
         Windows that stand in front of all spheres, from the camera on; none where walls stand otherwise.
     in_blocks : bool
-        Whether nodes that are seen through spheres alone may be sought in blocks, behind `windows`: there are no
-        other walls, and every ray enters each window in the usual way, above the plane and not too obliquely.
+        True if the inverse may solve nodes behind spheres and `windows` in blocks: there are no other walls, and
+        every ray enters each window above the plane and not too obliquely (`is_usual`).
     """
 
     scene: Scene
@@ -84,14 +86,15 @@ class Strategy:
 
     @property
     def inverse_kind(self) -> Kind:
-        """Kind of the inverse: that of the rays where nodes go in blocks and no rod stands, else ray by ray."""
-        # Lockstep knows no rod.  Of pixels, rays that may meet one are traced anew (`trace_with_occluders`); the
-        # ray of a node is what is sought and changes with every step, so beside rods each asks all bodies.
+        """Method of the inverse (node to pixel): `kind` if nodes are solved in blocks without rods, else RAYS."""
+        # Lockstep knows no rods.  Forward, the pixels whose ray may meet a rod are traced again with it
+        # (`trace_with_occluders`).  In the inverse the ray changes with every Newton step, so beside rods all
+        # bodies are tested in each step.
         return self.kind if self.in_blocks and self.kind is not Kind.OCCLUDERS else Kind.RAYS
 
     @cached_property
     def chain(self) -> NDArray[np.float64]:
-        """Spheres (N, BALL) from the highest down, where the inverse is sought in lockstep; else none."""
+        """Spheres (N, BALL) from the highest down if the inverse is solved in lockstep; else empty."""
         return pack_chain(self.scene) if self.inverse_kind is Kind.LOCKSTEP else NO_CHAIN
 
     @cached_property
@@ -101,7 +104,7 @@ class Strategy:
 
     @property
     def single_window(self) -> NDArray[np.float64] | None:
-        """The only window (10,) before spheres in lockstep, if nothing in or behind it is thinner than before."""
+        """The only window (10,) before spheres in lockstep, if the index before it is the lowest; else None."""
         if self.inverse_kind is not Kind.LOCKSTEP or len(self.windows) != 1:
             return None
         return self.windows[0] if self.windows[0, [GLASS, BEHIND]].min() >= 1.0 else None
@@ -118,9 +121,9 @@ class Strategy:
         Parameters
         ----------
         plane, status, branch : arrays (H, W, 2), (H, W), (H, W)
-            What is written; `branch` only if its numbers are long enough.
+            Output; `branch` only if its integers are wide enough.
         most : int
-            Rays through more bodies than these need not be followed.
+            Largest number of bodies that a ray needs to be followed through.
 
         Returns
         -------
@@ -153,7 +156,7 @@ def choose(scene: Scene) -> Strategy:
     Returns
     -------
     Strategy
-        The quickest way that serves it.
+        The fastest one that supports it.
     """
     spheres, windows = scene.sphere_table(), windows_before(scene)
     kind, rods = Kind.RAYS, [type(table) for table in scene.other_tables()] == [Rods]
@@ -187,7 +190,7 @@ def windows_before(scene: Scene) -> NDArray[np.float64] | None:
 def is_usual(scene: Scene, windows: NDArray[np.float64]) -> bool:
     """Return whether every ray enters each window (K, 10) above the plane and not too obliquely.
 
-    Asked of a grid of pixels, each for itself and a bit more.
+    Tested on a grid of 65 x 65 pixels; the limits leave a margin for those between.
     """
     width, height = scene.camera.sensor_px
     pixels = np.stack(np.meshgrid(np.linspace(0, width - 1, 65), np.linspace(0, height - 1, 65)), axis=-1)

@@ -1,10 +1,19 @@
 """From the starts of a sheet to the views that its nodes keep: solve in blocks, verify, judge.
 
+Terms.  A sheet is a branch patch: a connected image region of one branch (sequence of bodies) on which the
+Jacobian keeps its sign; it is not the light sheet.  A view is one pixel that shows a node; behind glass there may
+be several.  A trip is the sequence of a ray as lockstep packs it into an integer
+(``tracer.kernels.branches``).  Lockstep traces a block of rays together through a few spheres, bundles trace
+neighbouring rays of a bed.
+
 What a block of Newton has solved is traced once more with all bodies, and only counts if the ray really takes the
 sequence of the sheet: in lockstep where the scene fits it, ray by ray through the cells where it has many bodies.
 Every other node that may lie on the sheet is solved again, damped.  Where a sequence is not one of spheres alone,
-every node is solved by itself.  A view is then held against the limits of magnification and sensor, weighed, and
-kept if it is among the best of its node.
+every node is solved by itself.  A view is then compared with the limits of magnification and sensor, weighted, and
+kept if it is among the K best of its node.
+
+Columns of a block that are not explained here (`newton`): WITHIN, tolerance of the last step [px]; KEPT,
+transmittance of the converged ray; WORTH, weight of the view.
 """
 
 from collections.abc import Callable
@@ -45,8 +54,8 @@ from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
 
-OTHER_PATH, RETRY = -2, -3  # trips that no ray takes; the second: of a node that is solved again
-CLOSE_PX = 2.0  # from its start, which is within a pixel of the node or nearly so
+OTHER_PATH, RETRY = -2, -3  # trips that no ray takes: verified as not on the sheet, and to be solved again
+CLOSE_PX = 2.0  # from its start, which lies within about a pixel of the solution
 
 inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defined]
 stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
@@ -58,7 +67,7 @@ class InverseProblem(NamedTuple):
     Parameters
     ----------
     every : bool
-        Whether nodes are solved again although they cannot lie on the sheet.
+        True: solve again also nodes that cannot lie on the sheet (a test's reference).
     limits : (4,) float64
         Smallest and largest magnification, sensor width and height.
     """
@@ -114,7 +123,7 @@ def solve_sheet(
     """Solve nodes (N, 2) of one sheet in blocks from their starts (N, 4), as from `scatter_sheet`; keep the views.
 
     `verify` traces the pixels found with all bodies, by its `tracer`: the chain of lockstep or the bed of bundles.
-    What is not found is gathered at the front of both arrays while the first round goes on, and solved damped in
+    Nodes without a solution are gathered at the front of both arrays during the first round, and solved damped in
     the second.
     """
     block, state, trips = scratch.block, scratch.state, scratch.trips
@@ -128,6 +137,7 @@ def solve_sheet(
             verify(count, problem, path, tracer, scratch)
             verify_paths(count, path.trip, problem.every, group, trips, block, state)
             keep_group(count, problem, path, of_group, block, state, maps)
+            # Overwrites starts and nodes before low only: left <= low, and those have been solved.
             left = requeue(low, count, left, starts, nodes, trips)
         total, left = left, 0
 
@@ -141,9 +151,10 @@ def solve_nodes(
 
     Solved is X(u, v) = node, X the point of the plane that the ray of pixel (u, v) meets along the path of the
     sheet, by Newton's method: (u, v) += (dX/d(u, v))^-1 (node - X(u, v)).  ``starts`` (N, 4): u, v, squared
-    distance [px2] from the traced pixel that gave them, `WITHIN` of that ray; ``nodes`` (N, 2): row, column.
-    Blocks are verified in lockstep with the chain ``balls``, ray by ray where a scene does not fit it; where not
-    all of a path is `solid`, every node is solved by itself, which verifies it.
+    distance [px2] from the traced pixel that gave them, tolerance `WITHIN` of the last step [px]; ``nodes`` (N,
+    2): row, column.  Blocks are verified in lockstep with the chain ``balls``, ray by ray where a scene does not
+    fit it.  A path that is not `solid` (not of spheres alone) is solved node by node with all bodies, which
+    verifies it.
     """
     block, state = scratch.block, scratch.state
     if path.solid:
@@ -174,10 +185,10 @@ def begin_group(count: int, grid: Array, starts: Array, nodes: Array, block: Arr
 def verify_paths(
     count: int, trip: int, every: bool, starts: Array, trips: Array, block: Array, state: Array
 ) -> None:
-    """Let only nodes count whose ray takes the trip; mark others, `every` one or those with hope, as RETRY.
+    """Accept nodes whose ray takes the trip; mark others RETRY if a solution is still possible, or if `every`.
 
-    There is none where the start is off the sheet, nor where the node has been found close by, but along a ray
-    that takes another trip: where derivatives are as good as a start needs, the node is seen only once around it.
+    It is not where the start is off the sheet, nor where a solution was found close to the start, but along a ray
+    that takes another trip: near a start with usable derivatives there is only one solution.
     """
     for i in range(count):
         if state[i] == CONVERGED and trips[TRIP + i] == trip:
@@ -230,7 +241,7 @@ def keep_group(
 
 @kernel
 def judge(count: int, pitch: float, events: int, limits: Array, b: Array, state: Array) -> None:
-    """Turn d plane / d pixel (XU ...) into d pixel / d node, state into NodeStatus, and weigh the views.
+    """Replace d plane / d pixel (XU ...) by d pixel / d node and state by NodeStatus, and weight the views.
 
     ``limits`` (4,): smallest and largest magnification, sensor width and height.
     """
@@ -245,16 +256,17 @@ def judge(count: int, pitch: float, events: int, limits: Array, b: Array, state:
         verdict = FOLD if high > most else RECOVERED
         verdict = LOW_MAGNIFICATION if low < least else verdict
         verdict = verdict if inside else OUT_OF_FRAME
+        # No convergence counts as a fold: Newton's method fails where the Jacobian becomes singular.
         state[i] = verdict if state[i] == CONVERGED else FOLD
         b[XU + i], b[XV + i], b[YU + i], b[YV + i] = uc, ur, vc, vr
-        # The best view of a node is bright, covers a pixel (less loses detail, more shows none that is new), and
-        # has met few bodies, as each has an unsure place: transmittance x min(1, px^2 a node) / (1 + bodies).
+        # The best view of a node is bright, covers a pixel (less loses detail, more adds none), and has met few
+        # bodies, since each has an uncertain position: transmittance x min(1, px^2 per node) / (1 + bodies).
         b[WORTH + i] = b[KEPT + i] * min(1.0, abs(uc * vr - ur * vc)) * share
 
 
 @kernel
 def verify_block(count: int, problem: InverseProblem, path: SheetPath, balls: Array, scratch: NodeScratch) -> None:
-    """Trips that the pixels u, v of a block really take, all bodies asked; ray by ray where there is no chain."""
+    """Trace the pixels of a block with all bodies and store their trips; ray by ray where there is no chain."""
     b, rays, trips, passed = scratch.block, scratch.rays, scratch.trips, scratch.passed
     if path.trip < 0:
         for i in range(count):
@@ -290,9 +302,9 @@ def keep_view(
     verdict: int, uv: tuple[float, float], slopes: tuple[float, float, float, float], worth: tuple[float, float],
     number: int, place: tuple[int, int], maps: ViewMaps,
 ) -> None:  # fmt: skip
-    """Insert one view of a node into its layers, best first, or note why it cannot be kept.
+    """Insert one view of a node into its layers, best first, or record the reason why it is not kept.
 
-    `worth` is weight and transmittance.  What is masked stays so unless another view is kept.
+    `worth` is weight and transmittance.  A masked node stays masked unless another view is kept.
     """
     (row, column), (status, pixel, jacobian, weight, transmittance, branch, _, _) = place, maps
     if verdict != RECOVERED:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.whole_file import whole_file
-from rtpiv.analysis.prints.sheets import Bounds, Sheet
+from rtpiv.analysis.prints.sheets import Bounds, PrintPage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,14 +77,14 @@ def bars_on(paper: Paper) -> tuple[float, float]:
     return across, up
 
 
-def write_pages(path: Path, sheet: Sheet, paper: Paper, words: str) -> Printed:
+def write_pages(path: Path, sheet: PrintPage, paper: Paper, words: str) -> Printed:
     """Write a sheet as PDF, the same bytes for the same sheet.
 
     Parameters
     ----------
     path : Path
         The file.
-    sheet : Sheet
+    sheet : PrintPage
         What is printed.
     paper : str
         Size of the pages, upright.
@@ -138,7 +138,7 @@ def _middle(side_mm: float, low_mm: float, high_mm: float) -> float:
     return 0.5 * side_mm - DOT_MM * round(origin_mm / DOT_MM)
 
 
-def _draw(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:
+def _draw(axes: "Axes", sheet: PrintPage, bounds: Bounds) -> None:
     """Draw the part of a sheet within some bounds, as artists without limits of the axes, which take long."""
     from matplotlib.patches import PathPatch, Rectangle
     from matplotlib.path import Path as Outline
@@ -170,7 +170,7 @@ def _meets(low: NDArray[np.float64], high: NDArray[np.float64], bounds: Bounds) 
     return bool(low[0] < x1 and high[0] > x0 and low[1] < y1 and high[1] > y0)
 
 
-def _draw_particles(axes: "Axes", sheet: Sheet, bounds: Bounds) -> None:
+def _draw_particles(axes: "Axes", sheet: PrintPage, bounds: Bounds) -> None:
     """Bright Gaussians on black, where they overlap no brighter than white."""
     x0, y0, x1, y1 = bounds
     sigma_mm = 0.25 * sheet.particle_mm
@@ -199,7 +199,7 @@ def _frame(
     bounds: Bounds,
     middle: tuple[float, float],
     paper: Paper,
-    sheet: Sheet,
+    sheet: PrintPage,
     words: str,
     page: tuple[int, int, int, int],
 ) -> None:

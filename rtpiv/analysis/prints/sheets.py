@@ -29,7 +29,7 @@ PARTICLE_PX, PARTICLES_PER_PX = 3.0, 0.02  # as in the paper: diameter in the co
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PrintPage:
     """Shapes of one colour on a ground of the other.
 
     Parameters
@@ -62,7 +62,7 @@ class Sheet:
     about: dict[str, Any] = field(default_factory=dict)
 
 
-def chessboard(size_mm: tuple[float, float], square_mm: float) -> Sheet:
+def chessboard(size_mm: tuple[float, float], square_mm: float) -> PrintPage:
     """Return the board that `rtpiv calibrate` knows best: squares, and four discs around the origin.
 
     Parameters
@@ -74,7 +74,7 @@ def chessboard(size_mm: tuple[float, float], square_mm: float) -> Sheet:
 
     Returns
     -------
-    Sheet
+    PrintPage
         With discs of 0.4 squares.
     """
     board = Board(square_mm, round(0.4 * square_mm, 9), discs=CHIRAL)
@@ -90,10 +90,10 @@ def chessboard(size_mm: tuple[float, float], square_mm: float) -> Sheet:
         "squares": [columns[1] - columns[0], rows[1] - rows[0]],
         "origin_corner": [-columns[0], -rows[0]],  # from the lower left corner of the board
     }
-    return Sheet("chessboard", _bounds(columns, rows, square_mm), dark, discs, on_bright, about=about)
+    return PrintPage("chessboard", _bounds(columns, rows, square_mm), dark, discs, on_bright, about=about)
 
 
-def charuco(size_mm: tuple[float, float], square_mm: float, layout: str = "new") -> Sheet:
+def charuco(size_mm: tuple[float, float], square_mm: float, layout: str = "new") -> PrintPage:
     """Return a chessboard with a coded marker in each bright square, as OpenCV lays it out.
 
     Parameters
@@ -107,7 +107,7 @@ def charuco(size_mm: tuple[float, float], square_mm: float, layout: str = "new")
 
     Returns
     -------
-    Sheet
+    PrintPage
         Its `about` has what `cv2.aruco.CharucoBoard` asks for, and the corner that is the origin.
     """
     import cv2
@@ -149,10 +149,10 @@ def charuco(size_mm: tuple[float, float], square_mm: float, layout: str = "new")
         "layout": layout,
         "origin_corner": [-columns[0], -rows[0]],  # from the lower left corner of the board
     }
-    return Sheet("charuco", _bounds(columns, rows, square_mm), dark, about=about)
+    return PrintPage("charuco", _bounds(columns, rows, square_mm), dark, about=about)
 
 
-def dots(size_mm: tuple[float, float], pitch_mm: float) -> Sheet:
+def dots(size_mm: tuple[float, float], pitch_mm: float) -> PrintPage:
     """Return a square grid of dots, three of them larger.
 
     Parameters
@@ -164,7 +164,7 @@ def dots(size_mm: tuple[float, float], pitch_mm: float) -> Sheet:
 
     Returns
     -------
-    Sheet
+    PrintPage
         With dots of 0.4 pitches, the larger ones of 0.65.
     """
     columns, rows = _whole(size_mm, pitch_mm, most=0)
@@ -179,12 +179,12 @@ def dots(size_mm: tuple[float, float], pitch_mm: float) -> Sheet:
         "squares": [columns[1] - columns[0], rows[1] - rows[0]],  # a dot at each of their inner corners
         "origin_corner": [-columns[0], -rows[0]],
     }
-    return Sheet(
+    return PrintPage(
         "dots", _bounds(columns, rows, pitch_mm), discs=discs, disc_dark=np.ones(len(discs), bool), about=about
     )
 
 
-def particles(size_mm: tuple[float, float], px_per_mm: float, seed: int) -> Sheet:
+def particles(size_mm: tuple[float, float], px_per_mm: float, seed: int) -> PrintPage:
     """Return random particles, as many and as wide in the corrected image as the paper's.
 
     Parameters
@@ -198,7 +198,7 @@ def particles(size_mm: tuple[float, float], px_per_mm: float, seed: int) -> Shee
 
     Returns
     -------
-    Sheet
+    PrintPage
         0.02 particles a pixel, 3 px in diameter.
     """
     rng = np.random.default_rng(seed)
@@ -207,7 +207,7 @@ def particles(size_mm: tuple[float, float], px_per_mm: float, seed: int) -> Shee
     diameter = round(PARTICLE_PX / px_per_mm, 9)
     about: dict[str, Any] = {"particles": count, "particle_mm": diameter, "seed": seed, "size_mm": list(size_mm)}
     right, upper = 0.5 * size_mm[0], 0.5 * size_mm[1]
-    return Sheet(
+    return PrintPage(
         "particles", (-right, -upper, right, upper), particles_mm=places, particle_mm=diameter, about=about
     )
 
