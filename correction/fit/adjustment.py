@@ -2,9 +2,12 @@
 
 Corners weigh by their own sigma, times one factor for each region (direct, behind glass) that makes the
 median residual agree with it: behind glass ghosts and curved edges add errors that no single window shows.
-Corners beyond OUTLIER sigmas are rejected and reported; those beyond CAUCHY_SIGMAS weigh less and less.  The
-covariance is (N + P)^-1 in units of the prior's sigmas, N the normal matrix of the corners used and P the
-identity, or less where priors have failed their joint test.  Errors that corners have in common are added to it.
+The free vector x (P,) holds the numbers that are fitted, in units of their prior sigmas; the full vector (F,)
+every number of the scene in mm, rad or px, free or fixed.  The lock is the pixel locking of corners
+(`pixel_lock`): its terms are fitted with x, and move nothing in the scene. Corners beyond OUTLIER sigmas are
+rejected and reported; those beyond CAUCHY_SIGMAS weigh less and less.  The covariance is (N + P)^-1 in units of
+the prior's sigmas, N the normal matrix of the corners used and P the identity, or less where priors have failed
+their joint test.  Errors that corners have in common are added to it.
 """
 
 from collections import Counter
@@ -47,7 +50,7 @@ from tracer.scene.scene import Scene
 
 CAUCHY_SIGMAS = 3.0  # sigmas beyond which a corner weighs less and less
 OUTLIER = 5.0  # sigmas beyond which it weighs nothing
-FULL_WEIGHT = 1e6
+FULL_WEIGHT = 1e6  # sigmas: knee of a Cauchy loss that weighs every corner in full
 
 
 class Adjustment:
@@ -147,7 +150,10 @@ class Adjustment:
     def common_mode_gradients(
         self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]
     ) -> NDArray[np.float64]:
-        """Half the gradients (P, K) by which corners pull together: by colours, pupil, the bending of each way."""
+        """Return J^T W e (P, K) of K errors e that corners share: by colours, pupil, the bending of each branch.
+
+        (N + P)^-1 times a column is the error of the estimate by one standard deviation of that cause.
+        """
         pulls: dict[str, NDArray[np.float64]] = {}
         for frame, part in zip(frames, parts, strict=True):
             whiten, rate = np.asarray(self.weigh_corners(frame).whiten), np.nan_to_num(part.rate)
@@ -178,64 +184,73 @@ class Adjustment:
         Parameters
         ----------
         unknowns : Unknowns
-            What is free.
+            Free numbers, their priors, and the scene around which they are counted.
         full : (F,) float64
-            Start.
+            Full vector to start from.
         measured : sequence of MeasuredFrame
-            All frames.
+            Measured corners of all frames.
         history : sequence of FitStep
-            What happened before.
+            Earlier steps of the fit, for the report.
         """
         # Fit, reject outliers, fit again: outliers of the first fit would bend the second.
         solution = self.solve(unknowns, unknowns.free(full), measured)
         kept = [self.inliers(unknowns, solution.x, frame) for frame in measured]
         used = [frame.take(which) for frame, which in zip(measured, kept, strict=True)]
         solution = self.solve(unknowns, solution.x, used)
-        # Consider parameters stand behind the free ones: held numbers of the glass, then shapes of balls.
+        # Order of the vector `at`: free numbers and lock, held numbers of the glass, shapes of balls.  The last
+        # two are the consider parameters; they stay 0.
         locked, balls = with_lock(unknowns), shapes_to_consider(unknowns)
         wide, free = with_shapes(with_considered(locked), balls), len(locked.names)
         at = np.concatenate((solution.x, self.lock, np.zeros(len(wide.names) - free)))
         parts = [self.full_residuals(unknowns, wide, at, frame) for frame in used]
         every = [self.full_residuals(unknowns, wide, at, frame) for frame in measured]
         weighted = [self.weigh_corners(frame) for frame in measured]
-        verdict, rest = judge_model(locked, wide, at, measured, weighted, every)
+        verdict, given_cause = judge_model(locked, wide, at, measured, weighted, every)
         weights = self
         if verdict.unexplained is not None:  # corners err by what the cause leaves, not by its field
-            weights, used, parts = self.reweight_given_cause(measured, every, rest)
-        # The loss halves the weight of honest corners at its edge; their information counts in full.
+            weights, used, parts = self.reweight_given_cause(measured, every, given_cause)
+        # The Cauchy loss halves the weight of good corners at its knee; the covariance counts their information
+        # in full.
         _, gradient, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
         gradient = marginal_gradient(gradient, normal, free)
-        # Shapes count in the size that the frames make likely (empirical Bayes), or not at all beside an alarm.
+        # Shapes count in the size that the frames make likely (empirical Bayes), or not at all beside an alarm,
+        # whose cause is counted by itself.  `unit` (P,): new prior sigma of each number over the old one.
         first_shape = len(at) - len(SIZES_MM) * len(balls)
         unit = np.ones(len(at))
         unit[first_shape:] = 0.0 if verdict.alarms else likely_scale(normal, gradient, len(at) - first_shape)
         gradient, normal = gradient * unit, normal * np.outer(unit, unit)
-        lattices = [replace(lattice, rate=lattice.rate * unit) for lattice in rest.lattices]
-        # Pulls are tested with the priors as given, then those that fail are widened (Birge's ratio).
+        lattices = [replace(lattice, rate=lattice.rate * unit) for lattice in given_cause.lattices]
+        # Priors are tested jointly as they are given, unless an alarm has a named cause; those that fail are
+        # widened (Birge's ratio).
         inverse = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
         if verdict.cause is None or not verdict.alarms:
-            spread = with_correlation(inverse, lattices, rest.correlation)
+            spread = with_correlation(inverse, lattices, given_cause.correlation)
             pulls = prior_pulls(unknowns, solution.x, normal[:free, :free], spread)
             if verdict.cause is None:
                 verdict = replace(verdict, pulls=pulls)
-            elif pulls and pulls[0].kind == LENGTHS and pulls[0].sigmas ** 2 > verdict.cause.gain:  # one for all
+            elif pulls and pulls[0].kind == LENGTHS and pulls[0].sigmas ** 2 > verdict.cause.gain:
+                # One scale of all lengths explains more chi-square than the cause, and replaces it.
                 verdict = replace(verdict, pulls=pulls, suspects=())
         prior, prior_step = widen_priors(unknowns, solution.x, verdict.pulls, len(at))
         inverse = np.asarray(np.linalg.inv(normal + np.diag(prior)), dtype=np.float64)
         on_print = [weights.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)]
         printed = print_errors(on_print)
-        covariance = with_correlation(inverse, lattices, rest.correlation)
+        covariance = with_correlation(inverse, lattices, given_cause.correlation)
         covariance = covariance + inverse @ printed.spread @ inverse
-        # Further columns are errors of known direction: the step of the consider parameters, biases that all
-        # corners share, and the step that widened priors would allow.
-        draws = root_of(covariance)
+        # `errors` (P, R): one independent error in each column.  Those behind the root of the covariance have a
+        # known direction: the Newton step to which residuals pull the consider parameters and which the fit does
+        # not make, errors that all corners share, and the step that widened priors would allow.
+        errors = root_of(covariance)
         if len(at) > free:
-            draws = np.column_stack((draws, newton_step(wide, at, gradient, normal)))
-        draws = np.column_stack((draws, inverse @ (unit[:, None] * weights.common_mode_gradients(used, parts))))
-        draws = np.column_stack((draws, inverse @ prior_step))
-        root = wide.columns @ draws
+            errors = np.column_stack((errors, newton_step(wide, at, gradient, normal)))
+        errors = np.column_stack((errors, inverse @ (unit[:, None] * weights.common_mode_gradients(used, parts))))
+        errors = np.column_stack((errors, inverse @ prior_step))
+        # From prior sigmas to mm, rad, px of the full vector; shapes, which it does not hold, have a root of their
+        # own.
+        root = wide.columns @ errors
         sizes = (unit[first_shape:] * np.tile(SIZES_MM, len(balls)))[:, None]
-        shapes = ShapeRoot(balls, sizes * draws[first_shape:])
+        shapes = ShapeRoot(balls, sizes * errors[first_shape:])
+        # Errors of the full vector itself: by the cause of an alarm, then by a common scale of all lengths.
         for change, (ball, shape) in zip(verdict.changes, verdict.shapes, strict=True):
             root, shapes = np.column_stack((root, change)), shapes.with_columns(change.shape[1])
             shapes = shapes.with_change(ball, shape)
@@ -244,33 +259,33 @@ class Adjustment:
         scene, pushed = feasible_scene(unknowns, unknowns.full(solution.x))
         found = [FitStep(str(printed))] if str(printed) else []
         return SceneFit(
-            scene,
-            unknowns,
-            solution.x,
-            covariance[: len(solution.x), : len(solution.x)],
-            without_lock(locked, normal[:free, :free]),
-            root,
-            tuple(frame.name for frame in measured),
-            self.corners(unknowns, solution.x, measured, kept),
-            _sum_counts([frame.expected for frame in measured]),
-            _sum_counts([frame.refused for frame in measured]),
-            pushed,
-            scene,
-            verdict,
-            (*history, *found, self.step("all together", unknowns, solution.x, measured, kept)),
+            scene=scene,
+            unknowns=unknowns,
+            x=solution.x,
+            covariance=covariance[: len(solution.x), : len(solution.x)],
+            normal=without_lock(locked, normal[:free, :free]),
+            root=root,
+            frames=tuple(frame.name for frame in measured),
+            corners=self.corners(unknowns, solution.x, measured, kept),
+            expected=_sum_counts([frame.expected for frame in measured]),
+            refused=_sum_counts([frame.refused for frame in measured]),
+            pushed_mm=pushed,
+            measured_scene=scene,  # in the same light, until `light` corrects for that of the target frames
+            verdict=verdict,
+            history=(*history, *found, self.step("all together", unknowns, solution.x, measured, kept)),
             shapes=shapes,
         )
 
     def reweight_given_cause(
-        self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], rest: ResidualsGivenCause
+        self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], given_cause: ResidualsGivenCause
     ) -> tuple["Adjustment", list[MeasuredFrame], list[Residuals]]:
-        """Weights, frames and residuals as they would be if the cause of an alarm had been known."""
+        """Return weights, frames and residuals of a fit that had known the cause of an alarm."""
         weights = Adjustment()
-        weights.scales = {region: scale * rest.factors[region] for region, scale in self.scales.items()}
+        weights.scales = {region: scale * given_cause.factors[region] for region, scale in self.scales.items()}
         weights.lock = self.lock
         used, left = [], []
-        for frame, part, value in zip(measured, parts, rest.values, strict=True):
-            scale = by_region(frame.behind, rest.factors)[:, None]
+        for frame, part, value in zip(measured, parts, given_cause.values, strict=True):
+            scale = by_region(frame.behind, given_cause.factors)[:, None]
             value = value / scale
             near = np.linalg.norm(value, axis=1) < OUTLIER  # False for NaN
             near &= np.isfinite(part.rate).all(axis=(1, 2))  # a ray that meets the board with the cause alone
@@ -295,9 +310,10 @@ class Adjustment:
 
 
 def marginal_gradient(slope: NDArray[np.float64], normal: NDArray[np.float64], free: int) -> NDArray[np.float64]:
-    """Gradient (P,) by the consider parameters when the first `free` numbers have followed, which pull no more.
+    """Gradient (P,) by the consider parameters c, the first `free` numbers eliminated (Schur complement).
 
-    They lie where corners fit best that weigh less the farther they are off, the gradient counts all in full.
+    g_c - N_cf (N_ff + 1)^-1 g_f, and 0 by the free numbers: the fit has minimised a loss that weighs distant
+    corners less, so the gradient of the full squares is not 0 there, and would be counted as an error.
     """
     followed = np.linalg.solve(normal[:free, :free] + np.eye(free), slope[:free])
     return np.concatenate((np.zeros(free), slope[free:] - normal[free:, :free] @ followed))
