@@ -4,12 +4,13 @@
         route to its positions -> settle -> read positions back -> gauges -> frames -> read positions again
         -> all on the disk -> journal
 
-A step is finished when every frame of it is on the disk; only then it enters the journal.  Whatever comes between
-(Ctrl-C, a lost camera, kill -9) leaves a run that `rtpiv acquire --resume` continues: frames of an unfinished step
-are discarded, and the step is taken again from the start, so that the frames of a pair always belong together.  A
-step that may have gaps keeps every frame instead and goes on behind the last one (runner.step_frames).
+A step is finished when all of its frames are on disk; only then it enters the journal.  Any interruption (Ctrl-C,
+a lost camera, kill -9) leaves a run that `rtpiv acquire --resume` continues: frames of an unfinished step are
+discarded, and the step is repeated from the start, so that the frames of a pair always belong together.  A step
+that may have gaps keeps its frames instead and continues behind the last one (runner.step_frames).  A session is
+the part of a run from one start to its end or interruption.
 
-A session in which a frame may have been filed under the wrong stop says so in its lines; its run is never done.
+If a frame may have been stored with the wrong position, the journal says so, and the run never counts as done.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -44,26 +45,26 @@ if TYPE_CHECKING:
 
 
 class Runner:
-    """Carries out the steps of a run that are left.
+    """Executes the steps of a run that are not finished yet.
 
     Parameters
     ----------
     hardware : OpenBench
         Open, homed.
     cameras : sequence of RunCamera
-        Those of the run, the first one of all its steps; further ones of steps that are lit by pulses.
+        Cameras of the run: the first one takes frames in every step, further ones only in steps lit by pulses.
     steps : sequence of Step
         All steps of the plan.
     watcher : callable, optional
-        Called with the progress, often.
+        Called with the progress after every change.
     again : collection of int
-        Finished steps that are to be taken again: a frame of theirs is damaged, see session.steps_to_retake.
+        Finished steps to repeat because one of their frames is damaged, see session.steps_to_retake.
     operator : Operator, optional
-        The person at the bench, whom a laser asks for its confirmation code.
+        Person at the bench, who types the confirmation code of a laser.
     alignment : AlignmentLoop, optional
-        Decides where the next step of an alignment is.
+        Computes the positions of the next step of an alignment.
     needed : collection of str
-        Readings without which no step is taken.
+        Readings without which no step is executed.
     """
 
     def __init__(
@@ -95,7 +96,7 @@ class Runner:
         self._laser_session = LaserSession(hardware, self._first.folder, self._operator, self.interrupts)
 
     def run(self) -> dict[str, Any]:
-        """Do what is left.
+        """Execute the steps that are left, in one session.
 
         Returns
         -------
@@ -105,9 +106,9 @@ class Runner:
         Raises
         ------
         RunInterrupted
-            Asked for; the run can be resumed.
+            Ended on request; the run can be resumed.
         StageError, CameraError, DiskError, FramesLost
-            What came between; the run can be resumed.
+            A device or the disk failed; the run can be resumed.
         ResumeRefused, FrameDoubt, BadBalance
             A frame of an earlier session, or of this one, is ambiguous; the run cannot be resumed.
         """
@@ -123,7 +124,8 @@ class Runner:
             present = frame_entries(self._first.folder.entries())
             missing = [sum(number not in present for number in step.numbers) for step in left]
             self.progress.expect(left, missing, self._forecast_s(left))
-            # Live vectors need pairs (group 2) that are corrected; their kernels are compiled before any frame.
+            # Live vectors need corrected pairs (group: frames that belong together, 2 of a pair); their kernels
+            # are compiled before the first frame.
             if self._first.corrects and any(step.group == 2 and step.on_plane for step in left):
                 warm_up()
             with self.interrupts:
@@ -133,7 +135,7 @@ class Runner:
             return done
 
     def _forecast_s(self, left: Sequence[Step]) -> Sequence[float]:
-        """Seconds that each step will take, as they are known before anything was measured."""
+        """Expected duration [s] of each step, before any step has been timed."""
         bench = self._hardware.bench
         if self._hardware.simulation is not None and (rendering_s := simulation_s(bench, left)):
             return rendering_s
@@ -141,7 +143,7 @@ class Runner:
 
     @property
     def _closing_order(self) -> list[RunCamera]:
-        """The cameras in the order in which they complete a step: the first one, which speaks for all, at last."""
+        """Cameras in the order in which they complete a step: the first one last, since its journal decides."""
         return [*self._cameras[1:], self._first]
 
     # ---- a session -----------------------------------------------------------------------------
@@ -149,7 +151,7 @@ class Runner:
     def _session(self, used: Sequence[RunCamera], left: Sequence[Step]) -> None:
         why, error_text = "finished", ""
         try:
-            # What a camera cannot do has to be found before anything moves.
+            # Settings that a camera refuses are found before anything moves.
             for camera in used:
                 camera.set_up(left)
             first = self._first
@@ -169,20 +171,22 @@ class Runner:
                 self._note_cameras(used)
                 if self._alignment is not None:
                     self._alignment.after(aimed, first.journal)
-                    if self._alignment.is_settled:  # the looks that are left would show the same
+                    if self._alignment.is_settled:  # further steps would show the same
                         self._steps = self._steps[: step.index + 1]
                         break
         except BaseException as error:
             why, error_text = type(error).__name__, str(error)
             raise
         finally:
-            # Light first: no frame may come behind the account of its camera.
+            # Light off first: no frame may arrive after its camera has closed its count of frames.
             try:
                 self._laser_session.off()
                 self._first.session.end()
             finally:
+                # (frame count, ambiguities or "") of each camera; the first camera is last, and its text comes
+                # first.
                 ended = [camera.end(why, error_text) for camera in self._closing_order]
-                problem = "; ".join(said for _, said in (ended[-1], *ended[:-1]) if said)
+                problem = "; ".join(text for _, text in (ended[-1], *ended[:-1]) if text)
                 self._tell("closing", ended[-1][0])
         if problem:
             raise BadBalance(f"{problem}; look at {self._first.folder.journal_path}, and begin a new run")
@@ -207,17 +211,18 @@ class Runner:
         try:
             record = self._arrive(step)
             place = "at"
-            # Gauges at rest, before the first frame: a slow one must not part the frames from their positions.
+            # Gauges are read at rest, before the first frame: a slow one must not delay the frames after their
+            # position was read.
             readings = self._gauges.read(self.progress)
             self._tell("exposing")
             if flow is not None and step.pulses is not None:
                 self._see_to_seeding(step, step.pulses)
-                gaps: Gaps | None = [] if flow.take(step, record) else None
+                gaps: Gaps | None = [] if flow.take(step, record) else None  # None: ended on request
             else:
                 gaps = frames.take(step, record)
             self._require_still_there(frames, step, record)
         except StageError as error:
-            # A stop by the person ends the run on request; a device that is gone is reported as such all the same.
+            # A stop by the operator ends the run on request; a lost device is reported as lost even then.
             if self.interrupts.is_end_wanted and not isinstance(error, DeviceLost):
                 raise RunInterrupted(f"stopped {place} step {step.index + 1} ({step.tag}): {error}") from error
             raise
@@ -237,7 +242,7 @@ class Runner:
             camera.finish_step(step, record)
 
     def _see_to_seeding(self, step: Step, pulses: PulseOrder) -> None:
-        """Have the seeding opened between the background and the flow."""
+        """Ask the operator to open the seeding between background and flow; the simulation opens its own."""
         before = self._steps[step.index - 1].pulses if step.index else None
         if not pulses.is_background and before is not None and before.is_background:
             self._tell("waiting for the seeding to be opened, then Enter")
@@ -247,11 +252,12 @@ class Runner:
             self._hardware.simulation.seed(not pulses.is_background)
 
     def _arrive(self, step: Step) -> dict[str, Any]:
-        """Bring everything to a step's place; return what its frames and its line will say about positions."""
+        """Move to the positions of a step; return those for the records of its frames and its journal line."""
         self._tell("moving")
-        # The token before the motion: a stop that comes while it moves ends the rest behind it too.
+        # The token of the stop latch is taken before the motion: a stop during the motion also ends the waiting
+        # after it.
         planned, token = step.targets_mm, self._hardware.stage.latch.begin()
-        # Emptied first: after a move that fails, nothing is assumed about where the axes rest.
+        # Cleared first: after a failed move no position is assumed.
         before, found, self._rests_at_mm, self._found_mm = self._rests_at_mm, self._found_mm, {}, None
         go_to(self._hardware, planned, before, found)
         self._rests_at_mm = planned
@@ -265,7 +271,7 @@ class Runner:
         return record
 
     def _require_still_there(self, frames: StepFrames, step: Step, record: Mapping[str, Any]) -> None:
-        """Ask once more when the frames are in: what was exposed elsewhere must not stay under this step."""
+        """Read the positions again after the frames; discard the frames if an axis has moved meanwhile."""
         try:
             measured = require_positions(self._hardware.stage.where_mm())
             self._require_arrived(step, record, measured)
@@ -280,11 +286,12 @@ class Runner:
         except NotInPosition:
             self._rests_at_mm = {}
             about = {"planned_mm": record["planned_mm"], "measured_mm": dict(measured_mm)}
+            # Journal kind `miss`: the axes stopped outside the tolerance of the planned position.
             self._first.journal.append("miss", sync=True, step=step.index, tag=step.tag, utc=utc_now(), **about)
             raise
 
     def _ask_operator(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
-        """Have the operator turn an axis; a request for the end of the run ends the question."""
+        """Ask the operator to move an axis by hand; a request to end the run also ends the question."""
         self._tell(f"waiting for {question.axis}, which is moved by hand")
         with self.progress.aside():
             return self._operator.reads(question, lambda: given_up() or self.interrupts.is_end_wanted)

@@ -5,15 +5,15 @@ controller's units: microsteps/s x 1.6384, microsteps/s2 x 1.6384/10000 (Zaber, 
 Appendix).
 
 Every command carries a number that comes back with its answer, so a late answer is recognised and skipped. With
-the flag WR or WH the position means nothing. Every flag that begins with F is a fault that has ended the motion,
-and so is WL (unexpected limit); they stay until ``warnings clear``, which homing sends first. An answer carries
-only the flag that matters most, so what else is wrong is asked for with ``warnings``. WR stands after every
-power-up until homed, so it tells a restart as well; it is looked at in every answer, and asked for where a
-position counts.
+the flag WR (no reference position) or WH (not homed) the position is meaningless. Flags that begin with F are
+faults that have ended the motion, and so is WL (unexpected limit); they remain until ``warnings clear``, which is
+sent before homing. NI and NC report a motion that was interrupted, by another command or at the knob. An answer
+carries only the flag of the highest priority; ``warnings`` returns all of them. WR is set from power-up until
+homing, so it also shows a restart: it is checked in every answer, and queried wherever a position is used.
 
-**Speed of a motion.** Settings are kept over power ("non-volatile", ASCII manual, settings), so writing them for
-every leg wears the memory and changes what others find. From firmware 7 on a move takes its own: ``move abs P
-maxspeed accel``. Firmware 6 has only the settings; there they are written when they change.
+**Speed of a motion.** Settings survive power-off ("non-volatile", ASCII manual, settings), so writing them for
+every move wears the memory and changes the settings of other programs. From firmware 7 on a move has its own:
+``move abs P maxspeed accel``. Firmware 6 has only the settings; they are written when they change.
 """
 
 import re
@@ -36,7 +36,7 @@ from stages.protocols.zaber_ascii import AnswerStream, Command, Reply
 PER_SECOND = 1.6384
 MOTION_HAS_PROFILE = 7  # firmware from which on a move takes its own speed and acceleration
 LARGEST_SETTING = 2**31 - 1
-STOP_ID = 99  # answers to a stop belong to no question and are skipped
+STOP_ID = 99  # command number of every stop: its answer is not awaited, and skipped when it comes
 
 FAULTS = {
     "FS": "stalled", "FQ": "has an encoder error", "FD": "has its driver switched off",
@@ -46,9 +46,9 @@ FAULTS = {
     "FH": "was stopped by the emergency switch",
 }  # fmt: skip
 LIMITS = {"WL": "ran into a limit"}
-UNREFERENCED = {"WR", "WH"}
-INTERRUPTED = {"NI", "NC"}
-NO_FLAG = "--"  # nothing is wrong: the flag shows the first of all that are set
+UNREFERENCED = {"WR", "WH"}  # no reference position; not homed
+INTERRUPTED = {"NI", "NC"}  # by a command; by manual control
+NO_FLAG = "--"  # no flag is set: an answer shows the one of highest priority
 
 
 class ZaberController(Controller):
@@ -62,32 +62,32 @@ class ZaberController(Controller):
         "Devices ship in Binary at 9600 baud (A-series) until Zaber's own program has set them to ASCII at 115200."
     )
 
-    _firmware = 0  # the oldest of the line, major number
+    _firmware = 0  # major number, the oldest of the line
     _next_id = 0
     _flag = NO_FLAG  # of the last answer
     _profile: dict[str, tuple[int, int]]
     _homing: set[str]
-    _pressed: str | None = None  # channel whose knob has ended the motion that was begun last
+    _pressed: str | None = None  # channel whose knob has ended the last motion
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move; NotReferenced if the device has restarted, which is then stopped at once."""
         steps = round(target_mm * self._scale(channel))
         speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
-        own = f" {speed} {acceleration}" if self._firmware >= MOTION_HAS_PROFILE else ""
-        if not own and self._profile.get(channel) != (speed, acceleration):
+        profile = f" {speed} {acceleration}" if self._firmware >= MOTION_HAS_PROFILE else ""
+        if not profile and self._profile.get(channel) != (speed, acceleration):
             self._profile.pop(channel, None)
             self._ask_again(lambda: self._tell(channel, f"set maxspeed {speed}"))
             self._ask_again(lambda: self._tell(channel, f"set accel {acceleration}"))
             self._profile[channel] = (speed, acceleration)
         self._stopped = False
         self._pressed = None
-        if self._tell(channel, f"move abs {steps}{own}", moves=True).flag in UNREFERENCED:
-            self.stop()  # restarted since it was asked: it moves in a coordinate that means nothing
+        if self._tell(channel, f"move abs {steps}{profile}", moves=True).flag in UNREFERENCED:
+            self.stop()  # restarted since its reference was checked: its coordinate is meaningless
             self._forget_references()
             raise NotReferenced(f"{self.name} channel {channel} has restarted; stopped at once, home it")
 
     def start_home(self, channel: str) -> None:
-        """Begin to home, after the reasons of older faults have been cleared."""
+        """Begin to home, after clearing the flags of earlier faults."""
         self._referenced.discard(channel)
         self._ask_again(lambda: self._tell(channel, "warnings clear"))
         self._stopped = False
@@ -96,15 +96,16 @@ class ZaberController(Controller):
         self._homing.add(channel)
 
     def moving(self, channel: str) -> bool:
-        """Ask once; an empty command only brings the state.
+        """Query the state once, with an empty command; return whether the channel moves.
 
-        A flag says what ended the motion: AxisStalled for any that begins with F, LimitHit for WL, MotionStopped
-        for NI and NC, also where a person's stop has only led to one of the others: a stop is to hold.
+        The flag tells what ended the motion: AxisStalled for a flag that begins with F, LimitHit for WL,
+        MotionStopped for NI and NC.  A stop by a person takes precedence over the fault that it caused.
         """
         reply = self._ask_again(lambda: self._tell(channel, ""))
         ended_badly = reply.flag.startswith("F") or reply.flag in LIMITS
         if reply.busy and not ended_badly:
-            if reply.flag in INTERRUPTED and not self._stopped:  # it brakes: our own halt would hide whose it was
+            # It brakes already: a stop of ours, sent now, would hide that the knob has ended the motion.
+            if reply.flag in INTERRUPTED and not self._stopped:
                 self._pressed = channel
             return True
         homing = channel in self._homing
@@ -113,7 +114,7 @@ class ZaberController(Controller):
             self._referenced.discard(channel)
         flags = {reply.flag}
         if ended_badly or (homing and reply.flag in UNREFERENCED):
-            flags |= self._flags(channel)  # a knob that ended the motion stands behind what it led to
+            flags |= self._flags(channel)  # the knob's flag ranks below that of the fault it caused
         where = f"{self.name} channel {channel}"
         if self._pressed == channel or (flags & INTERRUPTED and not self._stopped):
             raise MotionStopped(f"{where} was stopped at its knob")
@@ -129,7 +130,7 @@ class ZaberController(Controller):
         return False
 
     def resolve_missing_reply(self, channel: str) -> None:
-        """MotionStopped if the knob was pressed before our own halt."""
+        """MotionStopped if the knob was pressed before our own stop."""
         if self._pressed == channel:
             raise MotionStopped(f"{self.name} channel {channel} was stopped at its knob")
 
@@ -142,7 +143,7 @@ class ZaberController(Controller):
         )
 
     def rest_position_mm(self, channel: str) -> float:
-        """Position; an answer without any flag vouches for it, else the flags are asked for."""
+        """Position [mm]; an answer without a flag confirms the reference, else all flags are queried."""
         with self._lock:
             position_mm = self.position_mm(channel)
             if self._flag != NO_FLAG or not self.has_reference(channel):
@@ -150,16 +151,16 @@ class ZaberController(Controller):
             return position_mm
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """StageUsageError if a value does not fit the setting it goes to."""
+        """StageUsageError if speed or acceleration exceeds the range of its setting."""
         speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
         if not (1 <= speed <= LARGEST_SETTING and 1 <= acceleration <= 32767):
             raise StageUsageError(
-                f"{self.name} channel {channel}: speed or acceleration is beyond what it can be set to"
+                f"{self.name} channel {channel}: speed or acceleration is outside the range of the controller"
             )
 
     def _native(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> tuple[int, int]:
         scale = self._scale(channel)
-        # an acceleration of 0 means none at all, that is infinite, to the device
+        # at least 1: the device takes an acceleration of 0 as infinite
         return round(speed_mm_s * scale * PER_SECOND), max(
             1, round(acceleration_mm_s2 * scale * PER_SECOND / 10_000)
         )
@@ -202,7 +203,7 @@ class ZaberController(Controller):
         return not UNREFERENCED & self._flags(channel)
 
     def _flags(self, channel: str) -> set[str]:
-        """Return every flag that is set, whatever its rank."""
+        """Return all flags that are set."""
         reply = self._ask_again(lambda: self._tell(channel, "warnings"))
         return {reply.flag, *reply.data.split()}
 
@@ -214,16 +215,15 @@ class ZaberController(Controller):
         return AnswerStream()
 
     def _take_unsolicited(self, data: bytes) -> None:
-        """Late answers and alerts are recognised by their number and address; nothing to do."""
+        """Ignore late answers and alerts: their number and address distinguish them from the answer awaited."""
 
     def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
-        """Same."""
+        """Ignore bytes behind the answer, for the same reason."""
 
     def _integer(self, channel: str, question: str) -> int:
         reply = self._tell(channel, question)
-        if (
-            reply.busy
-        ):  # a knob is turned, or a program that was killed has begun it: two readings may agree by chance
+        # Moved by a knob or by a program that was killed: two equal readings may be chance.
+        if reply.busy:
             raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
         data = reply.data
         if not re.fullmatch(r"-?\d{1,15}", data):
@@ -235,7 +235,7 @@ class ZaberController(Controller):
         return self._reply(*_address(channel), text, moves)
 
     def _reply(self, device: int, axis: int, text: str, moves: bool = False) -> Reply:
-        """Answer of the device and axis addressed, with the number of this very command."""
+        """Send a command and return the answer with its number, from the device and axis addressed."""
         with self._lock:
             number = self._next_id
             self._next_id = (number + 1) % STOP_ID
