@@ -427,7 +427,7 @@ def _share_of_given_mask(course: MultipassState, given: NDArray[np.float32], sid
 
 
 def _is_unmeasured(course: MultipassState, sigma: Floats, particles_per_px2: Floats) -> NDArray[np.bool_]:
-    """Windows (ny, nx) where nothing was measured: sigma of one correlation too large, and a weak or chance match."""
+    """Windows (ny, nx) where nothing was measured: sigma too large, and a weak peak or a chance match."""
     found, settings = course.found, course.settings
     # Windows larger than their spacing share light, so neighbours agree even where there are no particles.
     largest_px = np.inf if found.sizes is None else MAX_NOISE_PX
