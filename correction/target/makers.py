@@ -1,4 +1,6 @@
-"""Calibration plates by name: what their makers print in their names.
+"""Commercial calibration plates by name: dimensions that their names contain.
+
+Kinds of boards are in `tracer.board` and `correction.target.board_file`; a plate here is only a name for one.
 
 LaVision names its two-sided plates of two levels by width, distance of the dots on one level, and distance of
 the levels [mm]: 106-10-2.  Dots of the other level stand in the middle of four, so that rows are staggered by half

@@ -23,14 +23,14 @@ SEEDS = 2**31
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """The simulated bench as a test wants it.
+    """Rehearsal: faults and random numbers of the simulated bench.
 
     Parameters
     ----------
     faults : path or sequence of mapping, optional
-        What goes wrong on the simulated bench, and when: a YAML file, which may name recordings, or its entries.
+        Faults of the simulated bench and their times: a YAML file, which may name recordings, or its entries.
     seed : int, optional
-        Of misalignment, prints and noise of the simulated bench, in place of the bench file's.
+        Seed of misalignment, prints and noise of the simulated bench.  Default: that of the bench file.
     """
 
     faults: Path | str | Sequence[Mapping[str, Any]] | None = None

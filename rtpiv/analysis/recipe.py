@@ -47,24 +47,24 @@ class CorrectionRecipe:
     Parameters
     ----------
     target_clear : path, optional
-        Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
-        included, is taken as it is.
+        Frame of the bare target without glass, to fit the dewarp.  Default: the lens terms of the scene's camera.
     dewarp_order : {2, 3, 4, 5}
         Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
-    square_mm, disc_mm : float, optional
-        Square and disc of the board, of frames that are of no run (default 2.5, and 0.4 of a square): a run knows
-        its own.
+    square_mm : float, optional
+        Side of the squares of the board, for frames outside a run (default 2.5); a run stores its own.
+    disc_mm : float, optional
+        Diameter of the discs of the board, for frames outside a run (default 0.4 squares); a run stores its own.
     sigma_limit_px : float, optional
-        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
+        Mask nodes where the map uncertainty is larger than this; needs ``fit.npz`` beside the scene file.
     mm_per_px : float, optional
-        What a pixel shows of the plane, of frames of others that were taken without glass: in place of a scene.
+        Scale of external frames taken without glass, instead of a scene: length in the plane per pixel.
     mask : path, optional
-        Picture as large as a raw frame: what is white in it takes no part in anything.
+        Image of the size of a raw frame; regions that are white in it are excluded everywhere.
     second : path, optional
-        Pattern of the second frames of pairs, such as "A%03d_2.tif" where "A%03d_1.tif" is that of the first ones,
-        in quotes: what stands for ``%03d`` or ``*`` is the same in both.
+        Pattern of the second frames of pairs, in quotes, such as "A%03d_2.tif" if the first ones are
+        "A%03d_1.tif": frames with the same text or number in place of ``*`` or ``%03d`` form a pair.
     both : {"top-bottom", "left-right", "interlaced"}, optional
-        How both frames of a pair lie in each file, where one holds both.
+        Arrangement of the two frames of a pair in one file, if every file holds both.
     """
 
     target_clear: Path | str | None = None
@@ -93,14 +93,14 @@ class CorrectionRecipe:
         return [Path(f"{paths[0]}{WITH}{self.second}" if self.second is not None else f"{paths[0]}@{self.both}")]
 
     def scene_of(self, scene: Path | None, frame: Path, out: Path) -> Path:
-        """Return the scene file of frames of others: the one given, or one of a camera alone, written into `out`.
+        """Return the scene file of external frames: the one given, or one of a camera alone, written into `out`.
 
-        Without a scene and without what a pixel shows, lengths are pixels.
+        Without a scene and a scale, lengths are in pixels.
 
         Raises
         ------
         MapUsageError
-            Both a scene and what a pixel shows are given.
+            Both a scene and a scale are given.
         FrameError
             The frame, of which the size is taken, cannot be read.
         DiskError
@@ -165,16 +165,16 @@ class CorrectionRecipe:
 
 @dataclass(frozen=True)
 class Resampling:
-    """Choice of how a corrected frame is read from the acquired one, and stored.
+    """Resampling and storage of corrected frames.
 
     Parameters
     ----------
     method : {"quintic", "bilinear"}
         Interpolation.
     blend : int
-        Views of a node that are joined, where several paths through the glass show it; 1 takes the best.
+        Number of views to average where several paths through the glass show a node; 1 uses the best view.
     as_float : bool
-        Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
+        Write float32 (NaN in masked regions) instead of uint16 with an offset (0 in masked regions).
     """
 
     method: Method = "quintic"

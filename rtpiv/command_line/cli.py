@@ -1,7 +1,8 @@
 """The command line: it calls a verb and returns an exit code, with one sentence for an error.
 
-Every command is a public function in ``rtpiv.verbs``, imported only when it is called, so that ``rtpiv --help``
-answers at once.  Exit codes and their sentences: `rtpiv.command_line.exit_codes`.
+Every command is a public function in ``rtpiv.verbs``, listed by name in `rtpiv.options.command` (`GROUPS`) and
+imported only when it is called, so that ``rtpiv --help`` answers at once.  Exit codes and their sentences:
+`rtpiv.command_line.exit_codes`.
 """
 
 import importlib

@@ -119,7 +119,8 @@ def acquire(
         Home every axis first, in the configured order; the plan is then checked from the homing position, if the
         bench file gives it.
     operator : str, optional
-        Name of the script that confirms the simulated laser of a flow run without a terminal (docs/laser.md).
+        Confirm the simulated laser of a flow run without asking at the terminal, and record this name
+        (docs/laser.md).  Not for a real laser.
     frames : LiveFrames
         Processing of frames as they arrive.
 

@@ -57,42 +57,43 @@ def calibrate(
     Parameters
     ----------
     folder : path
-        A target run, of several the newest finished one;
-        or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
-        (through the glass) and, for other heights, ``target_clear_z+10mm.tif`` ...
-        Or a folder with three or more other frames, without glass, of a board held by hand and tilted to all
-        sides: they show lens and focal length alone.
+        A target run (of several, the newest finished one is used); or a folder that holds ``target_clear.tif``
+        (bare target at z = 0), ``target_glass.tif`` (through the glass) and, for other heights,
+        ``target_clear_z+10mm.tif`` ...; or a folder with three or more frames, without glass, of a board held by
+        hand and tilted to all sides: from these only lens and focal length are fitted.
     scene : path, optional
-        Nominal scene.yaml, with the priors in its section ``fit``; default for a run the scene of its bench at the
-        start of the run.
+        Nominal scene.yaml, with the priors in its section ``fit``.  Default for a run: the scene of its bench at
+        the start of the run.
     out : path, optional
         Folder, default ``fit`` (or ``fit-2`` ... where that has results): ``scene.yaml`` fitted, ``fit.npz``
         (covariance, corners), ``map_sigma.npz`` and ``.png``, ``residuals.png``, ``smooth_residuals.png`` (for the
         test of the model), ``convergence.png``, ``calibration.html`` (verdict and numbers),
-        ``calibration.json``. Of a board held by hand ``lens``: ``lens.json``, ``residuals.png`` and, of a scene
-        given, ``scene.yaml`` with this lens and its uncertainty as prior.
-    square_mm, disc_mm : float, optional
-        Square and disc of the board (default 2.5, and 0.4 of a square); runs store their own.
+        ``calibration.json``.  For a board held by hand, default ``lens``: ``lens.json``, ``residuals.png`` and, if
+        a scene is given, ``scene.yaml`` with this lens and its uncertainty as prior.
+    square_mm : float, optional
+        Side of the squares of the board (default 2.5); runs store their own.
+    disc_mm : float, optional
+        Diameter of the discs of the board (default 0.4 squares); runs store their own.
     board : path, optional
-        Or board.yaml of ``rtpiv setup target``, with the scale of the print.
+        Instead of both: board.yaml of ``rtpiv setup target``, with the scale of the print.
     pictures : bool
-        Draw figures, after all other results are written.
+        Draw figures.
     overwrite : bool
         Overwrite files in the given folder that were made from other input.
 
     Returns
     -------
     SceneFit
-        The scene found (`scene`), its numbers with sigma, and what the frames leave open.
+        The fitted scene (`scene`), its parameters with sigma, and those that the frames do not determine.
     LensFit
-        Of a board held by hand: lens, focal length, covariance.
+        For a board held by hand: lens, focal length, covariance.
 
     Raises
     ------
     ConfigError, SceneError
         The scene file is wrong.
     BoardError
-        The run's board is another one.
+        The given board differs from that of the run.
     FrameError, TargetNotFound, FitError
         The frames cannot determine the scene; nothing is written then.
     """

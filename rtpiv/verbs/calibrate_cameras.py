@@ -41,12 +41,12 @@ def calibrate_cameras(
         Folder, default ``fit`` (or ``fit-2`` ... where that has results): the files of `calibrate` in
         ``camera-1``, ``camera-2`` ...; ``fit.npz`` holds the errors that the cameras have in common, which
         `mean --join` uses.
-    square_mm, disc_mm : float, optional
+    square_mm, disc_mm
         As for `calibrate`.
     board : path, optional
         As for `calibrate`.
     pictures : bool
-        Draw figures, after all other results are written.
+        Draw figures.
     overwrite : bool
         Overwrite files in the given folder that were made from other input.
 

@@ -38,15 +38,16 @@ class Workers:
     Parameters
     ----------
     workers : int, optional
-        Processes of this computer (default one a core).
+        Processes of this computer (default one per core).
     scheduler : str, optional
-        Address of a Dask scheduler whose workers do it, such as tcp://10.0.0.1:8786.
+        Address of a Dask scheduler whose workers evaluate the runs, such as tcp://10.0.0.1:8786.
     slurm : int, optional
-        Let Slurm do it, with so many jobs at a time.
+        Submit jobs to Slurm, at most this many at a time.
     slurm_options : sequence of str
-        NAME=VALUE, of `submitit.AutoExecutor.update_parameters`, such as slurm_partition=long timeout_min=600.
+        Parameters NAME=VALUE of `submitit.AutoExecutor.update_parameters`, such as slurm_partition=long
+        timeout_min=600.
     slurm_here : bool
-        Processes of this computer in place of Slurm's jobs, to try it.
+        Use processes of this computer instead of Slurm jobs, as a trial.
     """
 
     workers: Count | None = None
@@ -86,9 +87,9 @@ def campaign(
 ) -> list[Forecast] | list[RunStatus] | CampaignMean:
     """Evaluate many runs on this computer or on others, and average them.
 
-    ``plan`` says what it costs and writes nothing, ``run`` makes what is missing, ``status`` says how it stands,
-    ``merge`` averages.  Each may be ended at any time and given again.  Every file has the
-    same bytes for any executor and any number of interruptions.  In a folder with finished chunks another recipe,
+    ``plan`` forecasts time and disk space and writes nothing, ``run`` evaluates the missing chunks, ``status``
+    shows the progress, ``merge`` averages.  Each may be interrupted at any time and repeated.  Files have the same
+    bytes for any executor and any number of interruptions.  In a folder with finished chunks another recipe,
     another scene or fewer runs are refused.
 
     Parameters
@@ -96,20 +97,20 @@ def campaign(
     action : {"plan", "run", "status", "merge"}
         What to do.
     runs : sequence of path
-        Flow runs: of ``plan``, and of the first ``run``.
+        Flow runs, for ``plan`` and for the first ``run``; later calls read them from the folder.
     out : path
-        Folder of the campaign, which all workers see by this name.
+        Folder of the campaign, under the same path on all workers.
     settings : CampaignSettings
-        What holds for the named runs.
+        Settings of the named runs.
     workers : Workers
-        Who does the work, of ``run``.
+        Workers of ``run``.
     **options
-        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`.
+        Settings of the correlation, see `rtpiv.analysis.pairs.piv_file.PivOptions`.
 
     Returns
     -------
     list of Forecast, list of RunStatus, or CampaignMean
-        Of ``plan`` what each run asks for, of ``merge`` the statistics, else how each run stands.
+        Forecast of each run for ``plan``, the statistics for ``merge``, else the progress of each run.
 
     Raises
     ------

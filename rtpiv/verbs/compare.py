@@ -64,7 +64,7 @@ def compare(
         Folder, default ``compare`` (or ``compare-2`` ...), for ``compare.csv`` (all figures of all arrangements),
         ``compare.png`` and ``scenes``.
     f_number : float
-        For light, blur and depth of field.
+        f-number of the lens, for light, blur and depth of field.
     error_px : float
         Largest acceptable noise of a displacement [corrected px].
     pictures : bool

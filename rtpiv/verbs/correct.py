@@ -117,7 +117,7 @@ def correct(
         The frames show the target: compare its corners with the regular grid.  Other frames, unless a run
         photographed a print, show particles in the light sheet of the scene.
     pictures : bool
-        Draw ``overview.png``, after all other results are written.
+        Draw ``overview.png``.
     overwrite : bool
         Overwrite files in the given folder that were made from other input.
 

@@ -28,10 +28,10 @@ def demo(out: Named = "demo") -> Path:
     Parameters
     ----------
     out : path
-        Folder: ``trace/`` what the scene shows, ``runs/`` a target run and a shift run, corrected as the frames
-        arrived, ``nominal/`` the target corrected with what the experimenter knows, ``fit/`` the geometry found,
-        ``fitted/`` the target corrected with it, ``report/`` the page and the vectors, ``flow/`` the mean of a
-        jet.  What an earlier demo has left there is replaced, but for its runs.
+        Folder, with ``trace/``: field of view; ``runs/``: a target run and a shift run, corrected as the frames
+        arrived; ``nominal/``: the target corrected with the nominal scene; ``fit/``: the calibration; ``fitted/``:
+        the target corrected with the fitted scene; ``report/``: page and vectors; ``flow/``: mean of a
+        jet.  Results of an earlier demo are replaced, except its runs.
 
     Returns
     -------

@@ -53,7 +53,7 @@ class EvaluationOutput:
     figures : bool
         Write every figure as SVG and PNG files too.
     pictures : bool
-        Write ``report.html``, after all other results.
+        Write ``report.html``.
     overwrite : bool
         Overwrite vectors of other frames in the given folder.
     """

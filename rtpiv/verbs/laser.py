@@ -32,31 +32,33 @@ def laser(
     rate_hz: Positive = 5.0,
     for_s: Positive = 5.0,
 ) -> LaserState:
-    """Switch lasers off, look at one, let weak pulses leave, or prove its box with nothing behind its plugs.
+    """Switch lasers off, show the state of one, fire weak pulses for alignment, or test a timing unit.
 
     Parameters
     ----------
     action : {"off", "state", "align", "prove"}
         What to do.
     bench : path, optional
-        Bench file.  Default: those of this folder, or of the nearest folder above with a laser; `off` also reaches
-        lasers that running processes have open, and does so too if the file has no laser.
+        Bench file.  Default: those of this folder, or of the nearest parent folder with a laser.  `off` always
+        reaches lasers that running processes have open, too, even if the file has none.
     simulate : bool
         Use the simulation of the bench.
     name : str, optional
-        Device of kind `timing`; without it `off` reaches all.
-    rate_hz, for_s : float
-        Rate and duration of `align`, within the limits of the bench file; `prove` uses the rate.
+        Device of kind `timing`; default for `off`: all.
+    rate_hz : float
+        Pulse rate of `align` and `prove`, within the limits of the bench file.
+    for_s : float
+        Duration of `align`, within the limits of the bench file.
 
     Returns
     -------
     LaserState
-        What it is in the end.
+        State at the end.
 
     Raises
     ------
     RunUsageError
-        There is no such device, or there are several.
+        There is no such device, or there are several and none is named.
     LaserDoubt
         A laser was not reached, or does not confirm that it is off; each is named.
     PortError

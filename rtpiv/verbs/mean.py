@@ -73,21 +73,21 @@ def mean(
     Parameters
     ----------
     path : path
-        A flow run, of several of one plan the newest finished one; or external image pairs (a folder, a
-        pattern in quotes, a stack, a video), evaluated where that has not been done with these settings; or the
-        folder of a series that `evaluate` has made.
+        A flow run (of several of one plan, the newest finished one is used) or external image pairs (a folder, a
+        pattern in quotes, a stack, a video): pairs that have no vectors with these settings are evaluated first.
+        Or the folder of a series that `evaluate` has written.
     out : path, optional
-        Folder of the series, on the command line by default ``series`` in the run or, of frames of others,
-        ``evaluation``: ``mean.nc`` and ``mean.html``, beside what `evaluate` writes there.
+        Folder of the series, for ``mean.nc``, ``mean.html`` and the files of `evaluate`; on the command line by
+        default ``series`` in the run, or ``evaluation`` for external frames.
     scene, recipe, dt_us, workers
-        As for `evaluate`; of a run only.
+        As for `evaluate`; for a run only.
     output : MeanOutput
         Files, beside the chunks of the series.
     ensemble : {8, 16, 32}, optional
         Also ensemble correlation with windows of this size [px], in ``mean_ensemble.nc``: for rims, walls and
         sparse seeding, where single pairs fail; for a run only.
     **options
-        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`; of a run only, but for
+        Settings of the correlation, see `rtpiv.analysis.pairs.piv_file.PivOptions`; for a run only, except
         `sigma_w_m_s` and `w_over_u`, which change no vector.
 
     Returns

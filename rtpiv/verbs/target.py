@@ -54,8 +54,8 @@ def target(
     ----------
     scene : path or Scene, optional
         scene.yaml: squares are chosen for its glass and camera, and the number of corners seen through each ball
-        is printed.  Without it, squares of 2.5 mm.  Or board.yaml, of `rtpiv init` for example: that chessboard is
-        printed, and with `measured_mm` the size of the print recorded.
+        is listed.  Or board.yaml, of `rtpiv init` for example: its chessboard is printed, or with `measured_mm`
+        the size of the print is recorded.  Without either, squares of 2.5 mm.
     measured_mm : (float, float), optional
         Measured lengths of the bars along x and y in the margin: recorded in the board file, nothing is drawn.
     kind : {"chessboard", "charuco", "charuco-legacy", "dots", "particles"}
@@ -64,8 +64,8 @@ def target(
     paper : {"A4", "A3", "A2", "letter"}
         Paper of the printer.
     square_mm : float, optional
-        Side of the squares, or from dot to dot, instead of the choice; brought to whole dots of a printer, of
-        1/600 inch, as lines that are set unevenly are worse than any noise.
+        Side of the squares, or pitch of the dots, instead of the automatic choice; rounded to whole printer dots
+        (1/600 inch), since unevenly spaced lines cause larger errors than noise.
     size_mm : (float, float), optional
         Width and height of the target, on several pages if necessary.  Default: one page.
     seed : int

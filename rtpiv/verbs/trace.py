@@ -87,7 +87,7 @@ def trace(
         cut where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says
         the camera's aperture.
     pictures : bool
-        Draw figures, after the numbers are printed; otherwise nothing is written.
+        Draw figures.
     overwrite : bool
         Overwrite figures of another scene in the given folder.
 

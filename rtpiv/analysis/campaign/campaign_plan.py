@@ -116,17 +116,17 @@ class CampaignSettings:
     Parameters
     ----------
     scenes : sequence of path
-        One scene.yaml for all runs, or one for each in their order; without it each run's own.
+        One scene.yaml for all runs, or one per run in their order; default: the scene of each run.
     chunk : int, optional
-        Pairs a chunk, a power of two (default 128).
+        Pairs per chunk, a power of two (default 128).
     target_clear : path, optional
-        Bare target, for the dewarp.
+        Frame of the bare target, for the dewarp.
     dewarp_order : {2, 3, 4, 5}, optional
-        Order of the dewarp (default 2).
+        Order of the dewarp polynomial (default 2).
     dt_us : float, optional
-        Time between the frames of a pair, if the runs do not know it.
+        Time between the frames of a pair, if the runs do not contain it.
     sigma_limit_px : float, optional
-        Leave out what the fitted map knows less well than this.
+        Mask nodes where the map uncertainty is larger than this.
 
     Raises
     ------

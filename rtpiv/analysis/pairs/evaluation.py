@@ -207,15 +207,15 @@ class PairDetails:
     Parameters
     ----------
     shift_mm : (float, float), optional
-        True displacement of the particles, x to the right and y UP: errors are stated against it.  For a run
-        the displacement measured by the stages is taken.
+        True displacement of the particles, x to the right and y UP, from which errors are computed.  Default for a
+        run: the displacement measured by the stages.
     stage_sigma_um : float
-        Standard error of a position of the motor that moved the printed particles, for the error budget; along an
-        axis that a hand moved, how well its scale is read counts, as the bench file says it.
+        Standard uncertainty of the position of the motor that moved the printed particles, for the error budget.
+        For an axis moved by hand the bench file gives the reading uncertainty of its scale.
     route : str
         Deprecated: "image", as frames are always corrected before they are correlated.
     tracking : bool
-        Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
+        Also track single particles through the glass, for seeding too sparse for windows (without dewarp).
     """
 
     shift_mm: tuple[float, float] | None = None

@@ -52,56 +52,57 @@ LARGEST_FIRST = 2  # times the last window at least: a first window as small as 
 class PivOptions(TypedDict, total=False):
     """Settings of the correlation; an option overrides the file.
 
-    These are the keys of the file, the options of the command line and the keywords of the verbs, all in one.
-    What is not given has the default of `piv.correlation.settings.PivSettings`.
+    Keys of the file, options of the command line and keywords of the verbs are the same; defaults are those of
+    `piv.correlation.settings.PivSettings`.
 
     Parameters
     ----------
     piv : path
         YAML file with any of these settings (docs/files.md).
     first_window_px : int
-        Side of the first windows, three times the largest displacement (default 64); doubled by itself where few
-        vectors come out.
+        Side of the windows of the first pass, at least three times the largest displacement (default 64);
+        enlarged automatically if few vectors are valid.
     final_window_px : int
-        Side of the last windows: the same everywhere if it is given alone, and smaller ones show shorter waves and
-        are noisier (default: each place finds its own, 32 or 16).
+        Side of the windows of the last pass.  If given alone, all windows have this side.  Smaller windows resolve
+        shorter waves and are noisier (default: 32, or 16 where these resolve more).
     finest_window_px : int
-        Side of the smallest windows, which a place finds for itself where they show more; vectors stand as dense
-        as those make them (default 16, or none where the last side is given).
+        Side of the smallest windows, used where they resolve more; it sets the spacing of the vectors (default 16;
+        none if the side of the last pass is given).
     passes : int
-        How many (default 4 or more): sides are halved from pass to pass, and the last one repeats; 1 finds none.
+        Number of passes (default 4 or more): the side is halved from pass to pass, and the last one is repeated.
+        With 1 all windows have one side.
     overlap : float
-        Shared part of neighbouring windows, of the finest if places find theirs (default 0.5).
+        Overlap of neighbouring windows, of the finest ones if sizes vary (default 0.5).
     window : {"gaussian", "square"}
-        Weights of the windows (default gaussian).
+        Weighting of the pixels in a window (default gaussian).
     window_sigma : float
-        Of the Gaussian in each frame, in sides (default 0.3).
+        Standard deviation of the Gaussian weighting in each frame, in sides (default 0.3).
     min_valid : float
         Smallest share of a window's weight on valid pixels (default 0.3).
     least_valid : float
-        Smallest share of windows with valid vectors, median of the pairs of a series, that is no error: of frames
-        that are no pairs a few per cent are valid by chance (default 0.15; 0 accepts any).
+        Smallest accepted share of valid vectors, median of the pairs of a series; a smaller share is an error,
+        since in unrelated frames a few per cent are valid by chance (default 0.15; 0 accepts any).
     smoothing_px : float
-        Of the predictor between passes (default a quarter of the last window).
+        Standard deviation of the smoothing of the predictor between passes (default a quarter of the last window).
     denoise : float
-        Detail below the resolution stays where it is stronger than this many times the noise; 0 keeps all (default
+        Detail below the resolution is kept if it is stronger than this many times the noise; 0 keeps all (default
         2).
     extra_passes : int
-        Most passes that are added while vectors still move (default 3).
+        Maximum number of passes added while vectors still change (default 3).
     outlier_threshold : float
-        Largest normalised residual of a vector (default 3).
+        Largest normalised residual of a valid vector, universal outlier detection (default 3).
     outlier_epsilon_px : float
-        Usual noise that the residual is normalised with (default 0.1).
+        Noise level in the normalisation of that residual (default 0.1).
     peak_ratios : bool
-        Look for every second peak, not only where something speaks against a vector.
+        Compute the peak ratio of all vectors, not only of suspected outliers.
     sigma_w_m_s : float
-        Velocity through the sheet, its standard deviation from pair to pair [m/s], for the sigma of vectors and
-        stresses (default: as u and v vary around each place).
+        Standard deviation of the out-of-plane velocity from pair to pair [m/s], for the uncertainty of vectors and
+        stresses (default: from the variation of u and v around each vector).
     w_over_u : float
-        Steady velocity through the sheet over the speed within it, for the sigma of vectors and mean; 0: none
-        (default: as u and v vary around each place).
+        Mean out-of-plane velocity over in-plane speed, for the uncertainty of vectors and mean; 0: none (default:
+        from the variation of u and v around each vector).
     prepare : list of str
-        What is done to frames, in order, such as sliding-minimum,min-max, or none (of a flow run the default is
+        Preprocessing of frames, in order, such as sliding-minimum,min-max; or none (default for a flow run:
         sliding-minimum).
     """
 

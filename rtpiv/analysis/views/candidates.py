@@ -31,30 +31,30 @@ MAX_COMBINATIONS = 5000  # combinations: half a minute
 
 @dataclass(frozen=True)
 class ViewQuestion:
-    """One camera, and what there is to choose from; lengths in mm.
+    """Camera, and alternatives to compare.
 
     Parameters
     ----------
     lenses_mm : sequence of float
         Focal lengths.
     distances_mm : sequence of float
-        From the lens to the plane.
+        Distances from the lens to the plane.
     balls_mm : sequence of float
         Diameters of balls.
     counts : sequence of int
         Numbers of balls.
     arrangements : sequence of str
-        How they stand: behind, beside, triangle, pyramid ...
+        Arrangements of the balls: behind, beside, triangle, pyramid ...
     glasses : sequence of str
-        Of what: acrylic, borosilicate, BK7 ..., or an index.
+        Materials of the balls: acrylic, borosilicate, BK7 ..., or a refractive index.
     gaps_mm : sequence of float
-        From the plane to the lowest ball.
+        Distances from the plane to the lowest ball.
     sensor_px : (int, int)
         Width and height of the camera's frames.
     pixel_pitch_um : float
         Size of a pixel.
     wavelength_nm : float
-        Of the light.
+        Wavelength of the light.
 
     Raises
     ------
