@@ -192,7 +192,7 @@ class Axis:
         """
         low, high = self.settings.limits_mm
         if not math.isfinite(target_mm):
-            raise OutOfRange(f"{self.name}: {target_mm} is no position")
+            raise OutOfRange(f"{self.name}: {target_mm} is not a valid position")
         if not low <= target_mm <= high:
             raise OutOfRange(f"{self.name}: {target_mm:g} mm is outside its limits {low:g} to {high:g} mm")
         approach = self.settings.approach
@@ -373,7 +373,7 @@ class Axis:
         if state is AxisState.LOST:
             raise DeviceLost(f"{self.name}: its controller is gone; plug it in, open it again and home the axis")
         if state is AxisState.UNREFERENCED:
-            raise NotReferenced(f"{self.name} does not know where it is; home it first")
+            raise NotReferenced(f"{self.name} has no position reference; home it first")
         raise StageUsageError(f"{self.name} is {state.value}; wait for the end of it")
 
     def _run_guarded(self, action: Callable[[], T], token: int | None = None) -> T:

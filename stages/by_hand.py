@@ -57,7 +57,7 @@ class ByHand(MotionController):
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Note where a screw is to be turned; `moving` asks for it."""
         if not math.isfinite(target_mm):
-            raise OutOfRange(f"{self.name}: {target_mm} is no position")
+            raise OutOfRange(f"{self.name}: {target_mm} is not a valid position")
         if channel not in self._referenced:
             raise NotReferenced(f"{self._channels[channel].axis} was not read yet; home it")
         self._begin(channel, target_mm)
@@ -94,13 +94,13 @@ class ByHand(MotionController):
         question = ScaleQuestion(about.axis, target_mm, about.limits_mm, about.tolerance_mm)
         if self._ask is None:
             raise StageUsageError(
-                f"{about.axis} is moved by hand, and there is no operator to ask; use a terminal, "
-                "or say who turns it (Stage.set_operator)"
+                f"{about.axis} is moved by hand, and no operator is set; use a terminal, "
+                "or set one (Stage.set_operator)"
             )
         while True:
             text = None if self._is_given_up() else self._ask(question, self._is_given_up)
             if text is None:
-                raise MotionStopped(f"the position of {about.axis} was not read; home it to be asked for it")
+                raise MotionStopped(f"the position of {about.axis} was not read; home the axis to enter it")
             wrong = question.reading_error(text)
             if wrong is None and (reading_mm := place_mm(text)) is not None:
                 return reading_mm

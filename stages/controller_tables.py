@@ -110,16 +110,16 @@ class MicroManagerTable(ForeignTable):
     @model_validator(mode="after")
     def _makes_sense(self) -> "MicroManagerTable":
         if (self.config is None) == (not self.devices):
-            raise ValueError("say either devices, or config: a file of Micro-Manager's configurator")
+            raise ValueError("set either devices or config, a file of Micro-Manager's configurator")
         if self.config is not None:
             path = PurePosixPath(self.config)
             if path.is_absolute() or ".." in path.parts or "\\" in self.config:
-                raise ValueError(f"config {self.config!r} must lie in the folder of the bench file")
+                raise ValueError(f"config {self.config!r} must be in the folder of the bench file")
         for label, device in self.devices.items():
             if not re.fullmatch(r"[^,/]{1,60}", label) or label == "Core":
                 raise ValueError(f"device {label!r}: a label has no comma, no slash, and is not Core")
             if "Position" in device.properties:
-                raise ValueError(f"device {label!r}: opening moves nothing, so leave out its Position")
+                raise ValueError(f"device {label!r}: opening must not move anything; remove its Position")
             if device.parent is not None and device.parent not in self.devices:
                 raise ValueError(f"device {label!r}: there is no device {device.parent!r}")
         return self
@@ -180,7 +180,7 @@ class PositionersTable(ForeignTable):
     def problem(self, channels: set[str]) -> str | None:
         """Say which channel is no object."""
         if strange := sorted(channels - set(self.objects)):
-            return f"channel {strange[0]!r} is no object; there are {', '.join(self.objects)}"
+            return f"channel {strange[0]!r} is not one of the objects; there are {', '.join(self.objects)}"
         return None
 
     @property

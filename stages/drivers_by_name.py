@@ -76,5 +76,5 @@ def driver_class(name: str) -> type[Controller]:
     except (ImportError, AttributeError) as error:
         raise StageUsageError(f"driver {name!r} cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Controller)):
-        raise StageUsageError(f"driver {name!r} is no Controller")
+        raise StageUsageError(f"driver {name!r} is not a Controller")
     return found

@@ -42,7 +42,7 @@ class OutOfRange(StageUsageError):  # noqa: N818 - says what happened
 
 
 class NotReferenced(StageUsageError):  # noqa: N818
-    """The axis does not know where it is; home it first."""
+    """The axis has no position reference; home it first."""
 
 
 class Obstructed(StageUsageError):  # noqa: N818

@@ -239,7 +239,7 @@ class MotionController(ABC):
         Raises
         ------
         StageUsageError
-            The channel moves; wait until it rests.
+            The channel is moving; wait until it stops.
         NotReferenced, DeviceError
             The controller has restarted, or an alarm came; home it.
         DeviceLost, NoReply, ProtocolViolation

@@ -59,7 +59,7 @@ def with_values(text: str, values: Mapping[Place, Value], after: Mapping[str, st
         elif isinstance(node, yaml.MappingNode):
             edits += _set(text, node, pairs, newline)
         else:
-            raise RunUsageError(f"{'.'.join(place)} is no mapping in the file; write it there by hand")
+            raise RunUsageError(f"{'.'.join(place)} is not a mapping in the file; edit the file by hand")
     for start, end, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[end:]
     return text
@@ -121,7 +121,7 @@ def _format_value(value: Value) -> str:
         plain = _PLAIN.fullmatch(value) and yaml.safe_load(value) == value
         return value if plain else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     if not math.isfinite(value):
-        raise RunUsageError(f"{value} is no position")
+        raise RunUsageError(f"{value} is not a valid position")
     text = f"{_round(value):.{DECIMALS}f}".rstrip("0")
     return text + "0" if text.endswith(".") else text
 

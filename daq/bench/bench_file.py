@@ -167,7 +167,7 @@ def _device(document: Document, name: str, section: Mapping[str, Any]) -> Device
     """Check the section of a device by what its kind says."""
     place = ("devices", name)
     if not isinstance(section.get("kind"), str):
-        raise ConfigError(document.path, [Problem(document.line(place), f"{'.'.join(place)}: say its kind")])
+        raise ConfigError(document.path, [Problem(document.line(place), f"{'.'.join(place)}: set its kind")])
     try:
         model = kind_of(section["kind"]).section
     except RunUsageError as error:

@@ -298,7 +298,7 @@ def open_session(bench: Path | str, simulate: bool = False, home: bool = False) 
 
 def _require_numbers(named: Mapping[str, float]) -> None:
     if not named:
-        raise RunUsageError("say at least one axis=mm")
+        raise RunUsageError("give at least one axis=mm")
     for name, mm in named.items():
         if not math.isfinite(mm):
-            raise RunUsageError(f"{name}={mm}: say axis=mm, as in target_x=1.5")
+            raise RunUsageError(f"{name}={mm}: use axis=mm, as in target_x=1.5")

@@ -111,7 +111,7 @@ class CameraSection(Table):
     )
     pairs: PairsSection | None = None  # of double-frame cameras
     scene_shows: Literal["image", "sensor"] = "image"  # which of the two its file says
-    link: LinkName | None = None  # the cable, where the camera does not tell its speed
+    link: LinkName | None = None  # the cable, where the camera does not report its speed
 
     @model_validator(mode="after")
     def _tells_what_it_is_asked(self) -> "CameraSection":
@@ -128,8 +128,8 @@ class CameraSection(Table):
             raise ValueError(str(error)) from None
         if self.backend == "micromanager" and (self.pairs is not None or self.chunks):
             raise ValueError(
-                "a camera by Micro-Manager tells no time of an exposure, so no pair of light pulses is sure: "
-                "leave pairs and chunks out and use it for frames at rest, or open it by harvesters or aravis"
+                "Micro-Manager reports no time of an exposure, so frames cannot be assigned to light pulses: "
+                "remove pairs and chunks and use it for static frames, or open the camera by harvesters or aravis"
             )
         return self
 
@@ -159,7 +159,7 @@ class TargetSection(Table):
     @model_validator(mode="after")
     def _has_one_source(self) -> "TargetSection":
         if self.board is not None and (more := self.model_fields_set - {"board"}):
-            raise ValueError(f"the board file says its sizes, so leave {', '.join(sorted(more))} out")
+            raise ValueError(f"the board file contains its sizes; remove {', '.join(sorted(more))}")
         return self
 
 

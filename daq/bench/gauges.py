@@ -84,7 +84,7 @@ class FileGauge:
             return missing(section, f"{self._path.name} has no row with {column} columns at its end")
         when = _time_of(fields[0])
         if when is None:
-            return missing(section, f"{self._path.name}: {fields[0][:40]!r} is no time")
+            return missing(section, f"{self._path.name}: {fields[0][:40]!r} is not a time")
         age_s = (datetime.now(UTC) - when).total_seconds()
         if abs(age_s) > section.oldest_s:
             way = "old" if age_s > 0.0 else "in the future"

@@ -139,7 +139,7 @@ class KeepOut:
         for one, wall, deep_mm in self.overlaps():
             if wall in walls:
                 raise StageUsageError(
-                    f"keep_out: where the scene file holds, {one} stands {deep_mm:.2f} mm deep in"
+                    f"keep_out: at the positions of the scene file {one} is {deep_mm:.2f} mm deep in"
                     f" {wall!r}; correct the sizes in keep_out, or the scene"
                 )
 

@@ -305,6 +305,6 @@ def require_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:
     unknown = [name for name, mm in where_mm.items() if mm is None]
     if unknown:
         raise PlanError(
-            f"{', '.join(unknown)} do not know where they are; home them (--home, or rtpiv bench stage home)"
+            f"{', '.join(unknown)} have no position reference; home them (--home, or rtpiv bench stage home)"
         )
     return {name: float(mm) for name, mm in where_mm.items() if mm is not None}

@@ -244,7 +244,7 @@ def _grbl(asked: Probe, baud: int) -> Found | None:
         where = "" if state.machine else "; it reports work positions: set $10=1"
         facts.append(f"state {state.state}{where}")
         if state.state in ("Hold", "Door"):
-            facts.append("it is held at the board and obeys nothing; release it there")
+            facts.append("it is held at the board and ignores all commands; release it there")
     family = next((name for name in ("GrblHAL", "FluidNC") if name.lower() in repr(facts).lower()), "Grbl")
     unknown = (MOTION, "whether it restarted when the port was opened: home it")
     name = feedback.get("VER", "").rpartition(":")[2]

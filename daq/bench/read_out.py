@@ -31,8 +31,8 @@ def require_squares(settings: Mapping[str, Setting]) -> None:
         across, down = (_whole(settings, f"{name}{axis}", 1) for axis in AXES)
         if across != down:
             raise SettingRefused(
-                f"{name}Horizontal {across} and {name}Vertical {down} make pixels that are no squares, which a "
-                "scene does not know; give both the same"
+                f"{name}Horizontal {across} and {name}Vertical {down} make pixels that are not square, which a "
+                "scene cannot describe; set both to the same value"
             )
 
 
@@ -54,7 +54,7 @@ def image_of(camera: Camera, settings: Mapping[str, Setting]) -> Camera:
     require_squares(settings)
     if len({settings.get(name, False) is True for name in REVERSED}) > 1:
         raise SettingRefused(
-            "one of ReverseX and ReverseY alone mirrors what the sensor sees, which a scene does not know; set "
+            "one of ReverseX and ReverseY alone mirrors the image, which a scene cannot describe; set "
             "both or none, or describe the image itself (scene_shows: image), as behind a mirror"
         )
     if settings.get("ReverseX", False) is True:
@@ -70,8 +70,8 @@ def image_of(camera: Camera, settings: Mapping[str, Setting]) -> Camera:
     if min(size) < 1 or ends[0] > camera.sensor_px[0] or ends[1] > camera.sensor_px[1]:
         gives = f"{camera.sensor_px[0]} x {camera.sensor_px[1]} px"
         raise SettingRefused(
-            f"an image of {size[0]} x {size[1]} px at {offset[0]}, {offset[1]} does not lie on a sensor that "
-            f"gives {gives}; if the scene file describes the image, say scene_shows: image"
+            f"an image of {size[0]} x {size[1]} px at {offset[0]}, {offset[1]} is not within a sensor that "
+            f"gives {gives}; if the scene file describes the image, set scene_shows: image"
         )
     u, v = camera.principal_px
     return replace(camera, sensor_px=size, principal_px=(u - offset[0], v - offset[1]))
@@ -101,5 +101,5 @@ def _coarser(camera: Camera, factor: int, half: float) -> Camera:
 def _whole(settings: Mapping[str, Setting], name: str, default: int) -> int:
     value = settings.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int) or value < (1 if default == 1 else 0):
-        raise SettingRefused(f"{name} = {value!r} is no number of pixels")
+        raise SettingRefused(f"{name} = {value!r} is not a number of pixels")
     return value

@@ -56,7 +56,7 @@ class Rehearsal:
             The faults cannot be on this bench, or the seed is no seed; the first with the line.
         """
         if self.seed is not None and not 0 <= self.seed <= SEEDS:
-            raise RunUsageError(f"seed {self.seed}: say a whole number from 0 to {SEEDS}")
+            raise RunUsageError(f"seed {self.seed}: use a whole number from 0 to {SEEDS}")
         document, file = self._read_faults()
         found = file.faults
         problems = [
@@ -113,7 +113,7 @@ def with_rehearsal(
     if not hasattr(simulation_class(bench), "event_log"):
         named = (bench.table.simulation or {})["bench"]
         raise RunUsageError(
-            f"{bench.path}: {named} takes neither faults nor a seed; leave them out, or name "
+            f"{bench.path}: {named} supports neither faults nor a seed; omit them, or name "
             '"sim.bench:SimulatedBench" in its simulation'
         )
     own: dict[str, Any] = {"transport": "memory", "camera_transport": "memory", "keeps": True}

@@ -423,7 +423,7 @@ class AravisCamera(CameraBase):
                 raise CameraLost(f"the camera does not answer ({error}); check cable and power") from error
         elif not is_controlled(self._address, timeout_s):
             raise CameraLost(
-                f"the camera at {self._address} was restarted: it no longer knows who controls it; open it again"
+                f"the camera at {self._address} was restarted: it has lost its control connection; open it again"
             )
 
     @contextmanager

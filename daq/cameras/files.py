@@ -88,7 +88,7 @@ class FilesCamera(CameraBase):
         self._require_open()
         if chunks:
             raise SettingRefused(
-                f"files carry no chunk {', '.join(chunks)}; nothing tells exposure A from B by them"
+                f"files carry no chunk {', '.join(chunks)}; exposure A cannot be distinguished from B by them"
             )
         for name, value in settings.items():
             self._check(name, value)
@@ -215,7 +215,7 @@ class FilesCamera(CameraBase):
 
     def _check(self, name: str, value: Setting) -> None:
         if name not in self._values:
-            raise SettingRefused(f"a files camera has no {name}; it knows {', '.join(self._values)}")
+            raise SettingRefused(f"a files camera has no {name}; available: {', '.join(self._values)}")
         if name in CHOICES and value not in CHOICES[name]:
             raise SettingRefused(f"{name} = {value!r} is not one of {', '.join(CHOICES[name])}")
         if name in RANGES and not (isinstance(value, int | float) and RANGES[name][0] <= value <= RANGES[name][1]):

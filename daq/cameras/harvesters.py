@@ -120,7 +120,7 @@ class HarvestersCamera(CameraBase):
         try:
             pixels = int(values["Width"]) * int(values["Height"])
         except KeyError as error:
-            raise CameraUsageError(f"the camera does not tell its {error}") from error
+            raise CameraUsageError(f"the camera does not report its {error}") from error
         ring = FrameRing(buffers, pixels)
         self._waiting.clear()
         self._ids = IdTracker(self._id_bits)

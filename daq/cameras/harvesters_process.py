@@ -37,7 +37,7 @@ def receive(pipe: "Connection[Any, Any]") -> Message:
     """Receive one message; EOFError or OSError if the other side is gone."""
     message = json.loads(pipe.recv_bytes())
     if not isinstance(message, dict):
-        raise OSError("a message that is no object")
+        raise OSError("a message is not an object")
     return message
 
 

@@ -107,7 +107,7 @@ class CoreNodes:
             if not self.has(name):
                 raise SettingRefused(f"the camera has no feature {name}, and its adapter no such property")
             if isinstance(value, float) and not math.isfinite(value):
-                raise SettingRefused(f"{name} = {value} is no number a camera could take")
+                raise SettingRefused(f"{name} = {value} is not a number that a camera accepts")
             if name in CHOICES and value not in CHOICES[name]:
                 raise SettingRefused(f"{name} = {value!r} is refused (one of {', '.join(CHOICES[name])})")
         region = {name: settings[name] for name in REGION if name in settings}
@@ -131,7 +131,7 @@ class CoreNodes:
             self._values[name] = value
         elif name == "ExposureTime":
             if isinstance(value, str) or value <= 0:
-                raise SettingRefused(f"ExposureTime = {value!r} is no time")
+                raise SettingRefused(f"ExposureTime = {value!r} is not a time")
             self._core.setExposure(float(value) / 1e3)
         else:
             self._core.setProperty(self._label, name, str(int(value)) if isinstance(value, bool) else str(value))
@@ -374,8 +374,8 @@ class MicroManagerCamera(CameraBase):
         core = self._core
         if core.isBufferOverflowed():
             raise CameraError(
-                "the image buffer of Micro-Manager has overflowed, and it does not report what it dropped; raise "
-                "buffers of the camera, or ask for less"
+                "the image buffer of Micro-Manager has overflowed, and does not report which frames it dropped; "
+                "increase buffers of the camera, or reduce the rate or the frame size"
             )
         if not core.getRemainingImageCount():
             return None
@@ -416,7 +416,7 @@ class MicroManagerCamera(CameraBase):
             raise
         except Exception as error:  # whatever an adapter says
             said = (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
-            raise CameraError(f"asked {words}, Micro-Manager says: {said}") from error
+            raise CameraError(f"{words}: Micro-Manager reports {said}") from error
 
     def _require_armed(self) -> None:
         _ = self.info

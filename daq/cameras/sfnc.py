@@ -84,7 +84,7 @@ def apply_settings(nodes: Nodes, settings: Mapping[str, Setting]) -> dict[str, S
     """
     for asked, value in settings.items():
         if isinstance(value, float) and not math.isfinite(value):
-            raise SettingRefused(f"{asked} = {value} is no number a camera could take")
+            raise SettingRefused(f"{asked} = {value} is not a number that a camera accepts")
     writer = _Writer(nodes)
     try:
         written = writer.write_all(settings)
@@ -216,8 +216,8 @@ def enable_chunks(nodes: Nodes, chunks: Iterable[str]) -> dict[str, Setting]:
     if missing or not nodes.has("ChunkModeActive"):
         names = ", ".join(missing or wanted)
         raise SettingRefused(
-            f"the camera sends no chunk {names}, so nothing would tell exposure A from B by it; choose another "
-            f"marker, or leave it out of camera.chunks (it sends {', '.join(known) or 'none'})"
+            f"the camera sends no chunk {names}, so it cannot distinguish exposure A from B; choose another "
+            f"marker, or remove it from camera.chunks (available: {', '.join(known) or 'none'})"
         )
     nodes.set("ChunkModeActive", True)
     for name in wanted:

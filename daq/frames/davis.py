@@ -155,7 +155,7 @@ class _Davis:
         with self._lock:
             buffer = self._buffer(place)
             if len(buffer) != self.each:
-                raise FrameError(f"lies in an image of {len(buffer)} frames, and the first has {self.each}")
+                raise FrameError(f"is in an image of {len(buffer)} frames; the first image has {self.each}")
             return _counts(buffer[inside])
 
     def _buffer(self, place: int) -> Any:  # noqa: ANN401 - lvpyio's
@@ -164,7 +164,7 @@ class _Davis:
                 buffer = self._library.read_buffer(str(self._path)) if self._set is None else self._set[place]
             if not set(buffer.attributes) - ITS_OWN:
                 raise FrameError(
-                    "is damaged or cut short: what DaVis writes behind the pixels is not there; copy it again"
+                    "is damaged or cut short: the data that DaVis writes after pixels are missing; copy it again"
                 )
             self._last = place, buffer
         return self._last[1]
@@ -192,7 +192,7 @@ def _counts(frame: Any) -> NDArray[Any]:  # noqa: ANN401 - lvpyio's
         raise FrameError("is raw of a colour sensor (Bayer); export it as grey or as colours")
     pixels = np.asarray(frame.images[0])
     if not 0 < pixels.size <= MOST_PX:
-        raise FrameError(f"is {pixels.shape[1]} x {pixels.shape[0]} px, which is no camera's")
+        raise FrameError(f"is {pixels.shape[1]} x {pixels.shape[0]} px, which is not the size of a camera frame")
     if not np.asarray(frame.masks[0]).all():
         raise FrameError("is masked in DaVis; give the images as acquired, and the mask in the scene file")
     scale = frame.scales.i

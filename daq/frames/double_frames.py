@@ -45,7 +45,7 @@ class DoubleFrames(FoundFiles):
         assert found is not None
         where, parts = Path(found[1]), PARTS[found[2]]
         if pairing is not NEIGHBOURS:
-            raise PairError(f"{path}: each file is a pair; leave the numbers behind @ out")
+            raise PairError(f"{path}: each file is a pair; remove the numbers after @")
         if where.is_dir():
             folder, names = where, frames_in(where)
         elif NumberedFiles.takes(where):

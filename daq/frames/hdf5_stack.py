@@ -61,7 +61,7 @@ class Hdf5Stack(PairedFrames):
             )
             return
         if pairing != NEIGHBOURS:
-            raise PairError(f"{path}: its images are pairs already; leave the numbers behind @ out")
+            raise PairError(f"{path}: its images are pairs already; remove the numbers after @")
         if is_paired:
             (name,) = names
             self._pairs = [(n, self._image(name, 2 * n), self._image(name, 2 * n + 1)) for n in range(counts[0])]
@@ -143,7 +143,7 @@ def _open(file: Path) -> Any:  # noqa: ANN401 - h5py's file
     try:
         return h5py.File(file, "r")
     except OSError as error:
-        raise FrameError(f"{file}: is no HDF5 file that can be read ({str(error)[:100]})") from None
+        raise FrameError(f"{file}: is not a readable HDF5 file ({str(error)[:100]})") from None
 
 
 def _dataset_names(file: Any, given: str | None, path: Path) -> list[str]:  # noqa: ANN401
@@ -161,7 +161,7 @@ def _dataset_names(file: Any, given: str | None, path: Path) -> list[str]:  # no
 
     file.visititems(look)
     if given is not None and given not in stacks:
-        raise FrameError(f"{path}: {given} {others.get(given, 'is no data set of this file')}")
+        raise FrameError(f"{path}: {given} {others.get(given, 'is not a data set of this file')}")
     chosen = given or _default(file)
     pairs = [pair for scheme in schemes_of([f"{name}{ONE_NUMBER}" for name in stacks]) for pair in scheme.pairs]
     for first, second in ([name.removesuffix(ONE_NUMBER) for name in pair] for pair in pairs):

@@ -113,7 +113,7 @@ class NumberedFiles(FoundFiles):
                     self._keep(folder, pairs, len(names | partners))
                     return
         if is_letter:
-            raise PairError(f"{path}: the letters say which frames are pairs; leave the numbers behind @ out")
+            raise PairError(f"{path}: the letters define the pairs; remove the numbers after @")
         if "*" in path.name:
             self._keep_sequence(folder, _one_sequence(folder, sequences_of(names)), pairing)
         else:
@@ -147,7 +147,7 @@ class PatternPair(FoundFiles):
         first, second = (Path(text) for text in str(path).split(WITH))
         second = second if len(second.parts) > 1 else first.with_name(second.name)
         if pairing is not NEIGHBOURS:
-            raise PairError(f"{path}: the patterns say which frames are pairs; leave the numbers behind @ out")
+            raise PairError(f"{path}: the patterns define the pairs; remove the numbers after @")
         for pattern in (first, second):
             if not NumberedFiles.takes(pattern):
                 raise PairError(f"{pattern}: a pattern has one %d, %05d or * in the name of a frame, in quotes")
@@ -193,7 +193,7 @@ class FrameFolder(FoundFiles):
         if len(firsts) == 1 or len(sequences_of(firsts)) == 1:
             (scheme,) = covering
             if pairing is not NEIGHBOURS:
-                raise PairError(f"{path}: the names say which frames are pairs; leave the numbers behind @ out")
+                raise PairError(f"{path}: the names define the pairs; remove the numbers after @")
             self._keep(path, scheme.pairs, len(scheme.names))
             self.set_aside = sorted(names - scheme.names)
             return

@@ -93,7 +93,5 @@ def pairing_of(path: Path) -> tuple[Path, Pairing]:
     name, (a, b) = Path(said[1]), (int(said[2]), int(said[3]))
     c, d = (a + (b - a) + 1, b + (b - a) + 1) if said[4] is None else (int(said[4]), int(said[5]))
     if not (1 <= a < b and a < c and d - c == b - a):
-        raise PairError(
-            f"{path}: pairs are said by the first one and the next, both as far apart: 1-2,3-4 or 1-2,2-3"
-        )
+        raise PairError(f"{path}: pairs are given by the first two, at equal spacing: 1-2,3-4 or 1-2,2-3")
     return name, Pairing(a, b - a, c - a)

@@ -115,16 +115,18 @@ class _Decoder:
         except FrameError:
             raise
         except OSError as error:  # many of PyAV's own are as well
-            raise FrameError(f"{path}: is no video that can be read ({error.strerror or error})") from None
+            raise FrameError(f"{path}: is not a readable video ({error.strerror or error})") from None
         except self._library.error.FFmpegError as error:
-            raise FrameError(f"{path}: is no video that can be read ({str(error)[:100]})") from None
+            raise FrameError(f"{path}: is not a readable video ({str(error)[:100]})") from None
         try:
             self._packed = _number_frames(packed)
         except FrameError as error:
             raise FrameError(f"{path}: {error}") from None
         self.shape = int(self._track.height), int(self._track.width)
         if not 0 < self.shape[0] * self.shape[1] <= MOST_PX:
-            raise FrameError(f"{path}: is {self.shape[1]} x {self.shape[0]} px, which is no camera's")
+            raise FrameError(
+                f"{path}: is {self.shape[1]} x {self.shape[0]} px, which is not the size of a camera frame"
+            )
         if self._track.frames > len(packed):
             say_once(f"{path}: holds {len(packed)} of its {self._track.frames} frames; the file is cut short")
         self._alone = np.array([number for number, each in self._packed.items() if each.alone], int)
@@ -158,9 +160,7 @@ class _Decoder:
             raise FrameError(f"{path}: holds {len(video.streams.video)} videos; one is needed")
         track = video.streams.video[0]
         if track.codec_context is None:
-            raise FrameError(
-                f"{path}: is packed in a way that nothing here reads; pack it by FFV1, without a loss"
-            )
+            raise FrameError(f"{path}: its codec is not supported; convert it to FFV1, which is lossless")
         track.codec_context.options = {"err_detect": "explode+crccheck+bitstream+buffer"}
         track.codec_context.thread_count = 1  # a damaged frame is then the one that was put in
         return video, track
@@ -172,7 +172,7 @@ class _Decoder:
             if packet.size == 0:
                 continue
             if packet.pts is None:
-                raise FrameError(f"{self._stream.name}: does not say when its frames were taken; save it as .mkv")
+                raise FrameError(f"{self._stream.name}: contains no time stamps of its frames; save it as .mkv")
             packed.append(_Packed(int(packet.pts), bool(packet.is_keyframe)))
             if len(packed) > MOST_FRAMES:
                 raise FrameError(f"{self._stream.name}: has more than {MOST_FRAMES} frames; cut it")

@@ -82,9 +82,7 @@ class SlotWriter:
     def __init__(self, most_bytes: int) -> None:
         half = HALF.size + WORDS_BYTES + MOST_PICTURES * PICTURE.size + most_bytes
         if HALVES + 2 * half > MAX_SLOT_BYTES:
-            raise NoSlotError(
-                f"frames of {most_bytes / 1e6:.0f} MB are too large to be shown live; leave out --live"
-            )
+            raise NoSlotError(f"frames of {most_bytes / 1e6:.0f} MB are too large to be shown live; omit --live")
         folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
         handle, name = tempfile.mkstemp(prefix="rtpiv-live-", dir=folder)  # mode 0600
         try:
@@ -159,11 +157,11 @@ class SlotReader:
             with path.open("r+b") as stream:
                 self._memory = mmap.mmap(stream.fileno(), 0)
         except (OSError, ValueError) as error:
-            raise NoSlotError(f"{path}: nothing is shown there ({error})") from None
+            raise NoSlotError(f"{path}: no frames are shown there ({error})") from None
         self.path = path
         magic, self._half, _, _ = self._head() if len(self._memory) >= HEAD.size else (b"", 0, 0, 0)
         if magic != MAGIC or HALVES + 2 * self._half != len(self._memory):
-            raise NoSlotError(f"{path}: this is no place where a run shows its frames")
+            raise NoSlotError(f"{path}: is not the live slot of a run")
 
     @property
     def number(self) -> int:

@@ -207,7 +207,7 @@ class Pipeline:
                 moved, since_s = self.stats.written, time.monotonic()
             if time.monotonic() - since_s > DISK_TIMEOUT_S:
                 raise DiskError(
-                    f"the disk has taken no frame for {DISK_TIMEOUT_S:g} s; mend it, then resume the run"
+                    f"no frame was written for {DISK_TIMEOUT_S:g} s; free or repair the disk, then resume the run"
                 )
             time.sleep(0.001)
         self._raise()
@@ -239,8 +239,10 @@ class Pipeline:
                 return
             except queue.Full:
                 if time.monotonic() - begun_s > DISK_TIMEOUT_S:
-                    text = f"the disk has taken no frame for {DISK_TIMEOUT_S:g} s; mend it, then resume the run"
-                    raise DiskError(text) from None
+                    raise DiskError(
+                        f"no frame was written for {DISK_TIMEOUT_S:g} s; free or repair the disk, then resume "
+                        "the run"
+                    ) from None
 
     def _show(self, shared: SharedJob) -> None:
         step, number = shared.job.step, shared.job.number

@@ -142,7 +142,7 @@ def _positions(bench: Bench, pose: Pose) -> dict[str, float]:
     if pose.view == CLEAR and bench.has_glass:
         glass = bench.table.glass
         if glass is None:
-            raise PlanError(f"{pose.tag}: the bench file does not say where the glass is out of the way (glass)")
+            raise PlanError(f"{pose.tag}: the bench file gives no position of the glass outside the view (glass)")
         # out of the picture it stays retracted: one travel less for everything that could touch it
         positions |= glass.retract_mm | glass.out_mm
     if pose.view != CLEAR and not bench.has_glass:

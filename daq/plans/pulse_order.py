@@ -55,7 +55,7 @@ def pairs_section(bench: Bench) -> PairsSection:
     section = bench.table.camera.pairs
     if section is None:
         raise PlanError(
-            f"{bench.path}: camera says nothing of pairs, so nothing would tell exposure A from exposure B; add "
+            f"{bench.path}: camera has no section pairs, which distinguishes exposure A from exposure B; add "
             "camera.pairs with shape, marker and dead_us (docs/files.md)"
         )
     return section
@@ -112,7 +112,7 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
         )
     exposure_us = settings.get("ExposureTime", settings.get("ExposureTimeAbs"))
     if not isinstance(exposure_us, int | float) or isinstance(exposure_us, bool):
-        raise PlanError(f"{bench.path}: camera.settings does not say ExposureTime, so no pulse can be placed")
+        raise PlanError(f"{bench.path}: camera.settings lacks ExposureTime, so no pulse can be placed")
     exposures = pair_exposures(section, float(exposure_us))
     head = LaserHead(inf) if timing is None else timing.head.head()
     schedule_of(order.timing, head, exposures)
@@ -145,7 +145,7 @@ def check_same_trigger(bench: Bench, name: str, order: PulseOrder) -> None:
     apart += ["ExposureTime"] if exposures[0] != exposures[1] else []
     if apart:
         raise PlanError(
-            f"{bench.path}: camera and {name} hang on one trigger line, and pulses are placed into the exposures "
+            f"{bench.path}: camera and {name} share one trigger line, and pulses are placed into the exposures "
             f"of both; give them the same {', '.join(apart)}"
         )
 
@@ -156,5 +156,5 @@ def check_marker(section: PairsSection, exposure_us: float, rate_hz: float) -> N
     if section.effective_marker == "spacing" and period_us - gap_us < SPACING_RATIO * gap_us:
         raise PlanError(
             f"A to B takes {gap_us:g} us and B to A {period_us - gap_us:g} us at {rate_hz:g} Hz: their spacing "
-            "does not tell A from B; use another marker, or A to B shorter by more than 10 %"
+            "cannot distinguish A from B; use another marker, or A to B shorter by more than 10 %"
         )

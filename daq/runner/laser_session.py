@@ -92,7 +92,7 @@ class NoOperator:
             Always.
         """
         raise RunUsageError(
-            f"{axis} is homed by hand, which needs an operator at a terminal to say where it stands"
+            f"{axis} is homed by hand, which needs an operator at a terminal to enter its position"
         )
 
     def reads(self, question: ScaleQuestion, given_up: Callable[[], bool]) -> str | None:
@@ -250,7 +250,7 @@ def exposure_of(settings: Mapping[str, Setting]) -> float:
     """Exposure time that the camera has read back [us]; PlanError if it tells none."""
     if exposure_us := first_of(settings, EXPOSURES_US):
         return exposure_us
-    raise PlanError("the camera does not tell its ExposureTime, so no pulse can be placed")
+    raise PlanError("the camera does not report its ExposureTime, so no pulse can be placed")
 
 
 def require_rate(settings: Mapping[str, Setting], frames: int, rate_hz: float) -> None:

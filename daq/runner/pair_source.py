@@ -120,13 +120,13 @@ class PairSource:
         Raises
         ------
         RunUsageError
-            It cannot be read, so nothing tells which of its frames another camera's belong to.
+            It cannot be read, so its frames cannot be assigned to those of another camera.
         """
         found = ask_clock(self.exposures.camera)
         if found is None:
             raise RunUsageError(
-                f"the clock of {self.name} cannot be read, so nothing tells which of its pairs another camera's "
-                "belong to; take it out of the plan's cameras, or another camera"
+                f"the clock of {self.name} cannot be read, so its pairs cannot be assigned to those of another "
+                "camera; remove it from the plan's cameras, or remove the other one"
             )
         self._clock = (found[0] + found[2]) // 2, found[1]
 

@@ -116,7 +116,7 @@ def steps_to_retake(
         raise RunDamaged(
             f"{folder.path}: {len(faults)} of {len(counting)} frames are not what was written"
             f" ({name_faults(faults)}); restore them from a copy,"
-            f" or take their steps again with rtpiv acquire --resume {folder.path} --retake"
+            f" or repeat their steps with rtpiv acquire --resume {folder.path} --retake"
         )
     return _with_partners({fault.step for fault in faults}, steps) & kept
 
@@ -312,7 +312,7 @@ def reopen(path: Path, retake: bool = False, track: Track = no_tracking) -> Run:
         raise ResumeRefused(f"{path} is finished; there is nothing to resume")
     entries = folder.entries()
     if said := ambiguities(entries):
-        raise ResumeRefused(f"{path}: {said[0]}, so frames may show another stop than they say; begin a new run")
+        raise ResumeRefused(f"{path}: {said[0]}, so frames may be stored with the wrong position; begin a new run")
     request = Request.from_dict(about["request"])
     bench = load_bench(request.bench)
     plan = load_plan(request.plan, bench)
@@ -327,7 +327,7 @@ def reopen(path: Path, retake: bool = False, track: Track = no_tracking) -> Run:
         raise RunDamaged(f"{path}: {strange}")
     again = steps_to_retake(folder, plan.steps, entries, retake, track)
     if folder.is_done and not again:
-        raise ResumeRefused(f"{path} is finished and all of its frames are right; there is nothing to take again")
+        raise ResumeRefused(f"{path} is finished and all of its frames are right; no step needs to be repeated")
     if request.rehearsed:
         bench = with_rehearsal(bench, request.seed)
     return Run(request, bench, plan, folder, again)

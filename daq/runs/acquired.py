@@ -54,7 +54,7 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     _require(path)
     known = _frame_facts(run, _stamp(run.journal_path))
     if path.name not in known:
-        raise RunDamaged(f"{path}: is not in the journal of its run, so it cannot be verified; leave it out")
+        raise RunDamaged(f"{path}: is not in the journal of its run, so it cannot be verified; omit it")
     return read_frame(path, shape, known[path.name].crc32)
 
 

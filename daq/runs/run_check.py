@@ -131,7 +131,7 @@ def _clock(entries: list[Entry]) -> Iterator[Finding]:
 def _frames(count: int, faults: list[FrameFault]) -> Finding:
     if not faults:
         return Finding("frames", True, f"all {count} are what was written")
-    cure = "restore them from a copy, or take their steps again with rtpiv acquire --resume --retake"
+    cure = "restore them from a copy, or repeat their steps with rtpiv acquire --resume --retake"
     return Finding(
         "frames", False, f"{len(faults)} of {count} are not what was written: {name_faults(faults)}; {cure}"
     )

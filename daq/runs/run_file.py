@@ -104,7 +104,7 @@ def read_run_file(folder: Path) -> RunFile:
     """
     path = folder / FILE
     if not path.exists():
-        raise RunUnsuitable(f"{folder}: is no run folder (it has no {FILE})")
+        raise RunUnsuitable(f"{folder}: is not a run folder (it has no {FILE})")
     return read_record(RUN_FILE, path, sealed=_layout(path) >= SEALED_FROM)
 
 
@@ -123,5 +123,5 @@ def _layout(path: Path) -> int:
     if isinstance(layout, int) and layout not in LAYOUTS:
         raise RunUnsuitable(f"{path}: has layout {layout}, known are {LAYOUTS}; read it with a newer version")
     if layout not in LAYOUTS:
-        raise RunDamaged(f"{path}: does not say which layout the run has; {CURE}")
+        raise RunDamaged(f"{path}: does not contain the layout version of the run; {CURE}")
     return int(layout)

@@ -140,7 +140,7 @@ class RunFolder:
         Raises
         ------
         RunUnsuitable
-            It is no run folder, of an unknown layout, or has links that lead out of it.
+            It is not a run folder, of an unknown layout, or has links that lead out of it.
         RunDamaged
             run.json is not what was written.
         """
@@ -218,7 +218,7 @@ class RunFolder:
         except (OSError, RuntimeError) as error:  # a link to itself
             raise RunUnsuitable(f"{self.path}: {name!r} leads nowhere ({error})") from None
         if not path.is_relative_to(self.path.resolve()):
-            raise RunUnsuitable(f"{self.path}: {name!r} lies outside the run, so it is not touched; see -o")
+            raise RunUnsuitable(f"{self.path}: {name!r} is outside the run and is not changed; use -o")
         return path
 
 

@@ -134,7 +134,9 @@ def target_views(path: Path) -> list[TargetView]:
         try:
             planned, measured = (table.offset_mm(TARGET, entry[name])[2] for name in ("planned_mm", "measured_mm"))
         except KeyError as error:
-            raise RunDamaged(f"{path}: frame {entry['frame']} does not say where {error} was; {CURE}") from None
+            raise RunDamaged(
+                f"{path}: frame {entry['frame']} does not contain the position of {error}; {CURE}"
+            ) from None
         planned_mm.append(0.0 if step["on_plane"] else planned)
         reported_mm[planned_mm[-1]].append(measured)
     heights_mm = {planned: fmean(reported) for planned, reported in reported_mm.items()}
@@ -243,8 +245,8 @@ def board_of(
             before = said[name]
             if before is not None and before != value:
                 raise BoardError(
-                    f"{path}: the board of this run has {name} {value:g}, {by[name]} {before:g}; a run knows its "
-                    "board, so leave the option out, and take frames of one board at a time"
+                    f"{path}: the board of this run has {name} {value:g}, {by[name]} {before:g}; a run stores its "
+                    "board, so omit the option, and use frames of one board at a time"
                 )
             said[name], by[name] = value, f"{path} says"
     usual = Chessboard()
@@ -274,7 +276,7 @@ def _board_of_runs(files: Mapping[Path, PrintedBoard], runs: Sequence[Path], siz
     for path in [path for path in runs if path not in files]:
         raise BoardError(f"{path}: keeps no board file, so {first} is not its board; leave that out")
     if sizes:
-        raise BoardError(f"{first}: says how large the board is, so leave {' and '.join(sizes)} out")
+        raise BoardError(f"{first}: contains the size of the board; omit {' and '.join(sizes)}")
     return printed.board()
 
 

@@ -129,7 +129,7 @@ class TimingBox(Link):
     def _write_off(self, strings: Sequence[bytes]) -> None:
         port = self._port
         if port is None or port.is_lost:
-            raise DeviceLost(f"{self.name} is not connected; nothing could be said to it")
+            raise DeviceLost(f"{self.name} is not connected; no command could be sent")
         self._suspect = True
         for data in strings:
             port.write(data)

@@ -176,7 +176,9 @@ class Laser(LaserShutdown):
             self.box.token = self._token()
             self.schedule = self.box.load(schedule)
             if not math.isclose(self.schedule.dt_us, timing.dt_us, abs_tol=1.01 * self.box.least_step_us):
-                raise LaserDoubt(f"{self.name} was set to dt = {timing.dt_us} us and says {self.schedule.dt_us}")
+                raise LaserDoubt(
+                    f"{self.name} was set to dt = {timing.dt_us} us and reports {self.schedule.dt_us}"
+                )
             return self.schedule
 
     def arm(self, conditions: Conditions, code: str) -> None:
@@ -200,7 +202,7 @@ class Laser(LaserShutdown):
             self._require(LaserState.READY)
             schedule, exposures = self.schedule, self._exposures
             if schedule is None or exposures is None:
-                raise NotNow(f"{self.name} has no dt yet; set() comes first")
+                raise NotNow(f"{self.name} has no dt yet; call set() first")
             self._require_code(code)
             missing = conditions.missing(1, self.rules.clear_mm) or self.switches.objection()
             missing = missing or exposure_problem(schedule, exposures, self.rules.dark_us)
@@ -263,7 +265,9 @@ class Laser(LaserShutdown):
                     f"{pairs} pairs in one chunk: 1 to {most} fit into {self.rules.chunk_s:g} s"
                 )
             if (old_s := self._clock.now_s() - self._armed_s) > ARMED_S:
-                raise NotArmed(f"{self.name} was armed {old_s:.0f} s ago; state the conditions anew (disarm, arm)")
+                raise NotArmed(
+                    f"{self.name} was armed {old_s:.0f} s ago; confirm the conditions again (disarm, arm)"
+                )
             if missing := self._conditions.missing(pairs, self.rules.clear_mm) or self.switches.objection():
                 raise NotArmed(f"{self.name} does not fire: {missing}")
             self.box.token = self._token()
@@ -316,7 +320,7 @@ class Laser(LaserShutdown):
             The bench has no such mode, or a limit is broken.
         """
         if self.rules.align is None:
-            raise NotNow(f"{self.name} has no alignment mode; say `align` in the bench file")
+            raise NotNow(f"{self.name} has no alignment mode; set `align` in the bench file")
         self._require_count()
         return low_energy_burst(self.rules.align, self.head, self.box.wiring, rate_hz, for_s)
 
@@ -427,5 +431,5 @@ class Laser(LaserShutdown):
         if not (self.box.counts or self.rules.uncounted):
             raise NotArmed(
                 f"{self.name} is not armed: its box cannot count pulses, so a crash is ended by the watchdog "
-                "alone; say `uncounted: true` in the bench file if that is enough (docs/laser.md)"
+                "alone; set `uncounted: true` in the bench file if that is enough (docs/laser.md)"
             )

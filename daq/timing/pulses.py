@@ -64,7 +64,7 @@ class LaserHead:
     def require_rate(self, rate_hz: float) -> None:
         """Refuse pairs a second that the laser cannot give; PulsesRefused."""
         if not (math.isfinite(rate_hz) and rate_hz > 0.0):
-            raise PulsesRefused(f"a rate of {rate_hz} pairs/s: say a number above 0")
+            raise PulsesRefused(f"a rate of {rate_hz} pairs/s: use a number above 0")
         if rate_hz > self.max_rate_hz:
             raise PulsesRefused(f"{rate_hz:g} pairs/s are more than the laser's {self.max_rate_hz:g}")
         if self.lamp_rate_hz is not None and not math.isclose(rate_hz, self.lamp_rate_hz, rel_tol=1e-6):
@@ -109,9 +109,9 @@ class PulseTiming:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dt_us) and self.dt_us > 0.0):
-            raise PulsesRefused(f"dt of {self.dt_us} us: say a number above 0")
+            raise PulsesRefused(f"dt of {self.dt_us} us: use a number above 0")
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0.0):
-            raise PulsesRefused(f"a rate of {self.rate_hz} pairs/s: say a number above 0")
+            raise PulsesRefused(f"a rate of {self.rate_hz} pairs/s: use a number above 0")
         if self.dt_us >= self.period_us:
             raise PulsesRefused(
                 f"dt of {self.dt_us:g} us is longer than the {self.period_us:g} us from pair to pair at "

@@ -139,7 +139,7 @@ class LaserShutdown(LaserStateMachine):
             if box.may_be_on:
                 raise LaserDoubt(
                     f"{self.name} may still give light: it does not read back as off "
-                    f"({self.why}); turn its key, then see to the cable"
+                    f"({self.why}); turn its key off, then check the cable"
                 )
         finally:
             box.may_be_on = False  # was reported; it is not waited for twice

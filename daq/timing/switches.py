@@ -50,9 +50,9 @@ class SwitchTable(Table):
     def _is_one(self) -> "SwitchTable":
         if self.by is None:
             if self.port is None or self.line is None or self.options:
-                raise ValueError('say port and line of a modem line, or by: "package.module:Class" with options')
+                raise ValueError('set port and line of a modem line, or by: "package.module:Class" with options')
         elif self.port is not None or self.line is not None or ":" not in self.by:
-            raise ValueError('by: say "package.module:Class", and neither port nor line')
+            raise ValueError('by: set "package.module:Class", and neither port nor line')
         return self
 
     @property

@@ -88,14 +88,14 @@ class TimingTable(Table):
         if unknown := [name for name in self.channels if name not in known]:
             raise ValueError(f"channels: {unknown[0]!r} is none of {', '.join(sorted(known))}")
         if len(set(self.channels.values())) < len(self.channels):
-            raise ValueError("channels: two things hang on one output")
+            raise ValueError("channels: two things are connected to one output")
         if Role.Q_SWITCH_1 not in self.channels or Role.CAMERA not in self.channels:
-            raise ValueError("channels: say at least q_switch_1 and camera")
+            raise ValueError("channels: set at least q_switch_1 and camera")
         has_lamps = [role in self.channels for role in LAMPS]
         if any(has_lamps) != (self.head.lamp_to_q_switch_us is not None):
-            raise ValueError("lamp channels and head.lamp_to_q_switch_us belong together; say both or none")
+            raise ValueError("lamp channels and head.lamp_to_q_switch_us belong together; set both or none")
         if self.box.startswith("pivlab") and not self.identity:
-            raise ValueError("identity: a synchroniser is called by its name; say the one on its sticker")
+            raise ValueError("identity: set the name on the label of the synchroniser")
         if any(has_lamps) and has_lamps != [role in self.channels for role in Q_SWITCHES]:
             raise ValueError("channels: each lamp needs its Q-switch")
         if self.align is not None and (problem := _not_weak(self.align, self.head)):

@@ -147,7 +147,7 @@ class GrblController(Controller):
         def ask() -> tuple[float, bool]:
             status = self._status()
             if _drives(status):  # by a pendant or another program: two readings may agree by chance
-                raise StageUsageError(f"{self.name} moves; wait until it rests")
+                raise StageUsageError(f"{self.name} is moving; wait until it stops")
             self._raise_if_held(status)  # it would not confirm a position
             return status.position_mm[index], status.state == "Alarm"
 
@@ -373,8 +373,8 @@ class GrblController(Controller):
         if status.state in ("Hold", "Door") and not _drives(status):
             state = status.state if status.substate is None else f"{status.state}:{status.substate}"
             raise DeviceError(
-                f"{self.name} is held at the board ({state}) and obeys nothing; release it there (cycle start), "
-                "or switch it off and on and home it"
+                f"{self.name} is held at the board ({state}) and ignores all commands; release it there (cycle "
+                "start), or switch it off and on and home it"
             )
 
     def _empty_unless_read(self) -> None:
@@ -450,7 +450,7 @@ class GrblController(Controller):
             self._alarm = None
             self._unread = False
             return
-        raise DeviceError(f"{self.name} does not come back from a reset; switch it off and on")
+        raise DeviceError(f"{self.name} does not respond after a reset; switch it off and on")
 
 
 def _banner(answer: object) -> bool | None:

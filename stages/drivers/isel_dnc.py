@@ -175,7 +175,9 @@ class IselController(Controller):
             return
         (index, steps), self._sent_to = self._sent_to, None
         if not self._near(channel, self._scale(channel))(self._steps()[index], steps):
-            raise MotionStopped(f"{self.name} channel {channel} rests short of its target and did not say why")
+            raise MotionStopped(
+                f"{self.name} channel {channel} stopped short of its target and reported no reason"
+            )
 
     def _still_referenced(self, channel: str) -> bool:
         self._refuse_while_moving()
@@ -203,7 +205,7 @@ class IselController(Controller):
 
     def _refuse_while_moving(self) -> None:
         if self._motion_pending:
-            raise StageUsageError(f"{self.name} answers nothing while it moves; wait for the motion to end")
+            raise StageUsageError(f"{self.name} does not answer while it moves; wait until the motion has ended")
 
     def _begin(self, command: dnc.Numbered | dnc.Move) -> None:
         """Send a command whose answer comes when the motion has ended."""
@@ -253,7 +255,7 @@ class IselController(Controller):
 
         def accept(answer: object) -> dnc.Position | dnc.Ack | None:
             if isinstance(answer, dnc.Ack) and answer.code != NOT_INITIALISED:
-                # a lone character is no position; it may belong to an older command
+                # a lone character is not a valid position; it may belong to an older command
                 raise ProtocolViolation(f"{self.name}: no position", answer.to_bytes())
             return answer if isinstance(answer, dnc.Position | dnc.Ack) else None
 

@@ -116,7 +116,7 @@ class PiController(Controller):
 
         def ask() -> float:
             if self._moves(channel):  # by a joystick or another program: two readings may agree by chance
-                raise StageUsageError(f"{self.name} axis {channel} moves; wait until it rests")
+                raise StageUsageError(f"{self.name} axis {channel} is moving; wait until it stops")
             return self._value("POS?", channel)
 
         return self._settle_reading(channel, ask, self._near(channel))

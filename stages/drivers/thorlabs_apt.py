@@ -142,7 +142,9 @@ class AptController(AptQuestions):
     def resolve_missing_reply(self, channel: str) -> None:
         """MotionStopped if it rested short of its target before our own halt: a person may have stopped it."""
         if channel in self._rested and not self._is_there(channel):
-            raise MotionStopped(f"{self.name} channel {channel} rests short of its target and did not say why")
+            raise MotionStopped(
+                f"{self.name} channel {channel} stopped short of its target and reported no reason"
+            )
 
     def position_mm(self, channel: str) -> float:
         """Counts / scale of a channel that rests; StageUsageError if it moves."""
@@ -151,7 +153,7 @@ class AptController(AptQuestions):
             moves = words.MOVES | words.HOMING
             if self._bits(channel) & moves and self._ask_until_equal(lambda: self._bits(channel)) & moves:
                 # at its wheel, or for another program: two readings may agree by chance
-                raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
+                raise StageUsageError(f"{self.name} channel {channel} is moving; wait until it stops")
             return self._count(channel)
 
         scale = self._scale(channel)
@@ -222,8 +224,8 @@ class AptController(AptQuestions):
                 number / self._scale(channel) / unit for number, unit in zip(taken, self._family[1:3], strict=True)
             )
             raise StageUsageError(
-                f"{self.name} channel {channel} has not taken its speed: it goes {fastest:.4g} mm/s with "
-                f"{steepest:.4g} mm/s2 at most; set no more than that in the bench file"
+                f"{self.name} channel {channel} did not accept its speed: its maximum is {fastest:.4g} mm/s with "
+                f"{steepest:.4g} mm/s2; set at most these in the bench file"
             )
         self._profile[channel] = profile
 

@@ -224,7 +224,7 @@ class ZaberController(Controller):
         reply = self._tell(channel, question)
         # Moved by a knob or by a program that was killed: two equal readings may be chance.
         if reply.busy:
-            raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
+            raise StageUsageError(f"{self.name} channel {channel} is moving; wait until it stops")
         data = reply.data
         if not re.fullmatch(r"-?\d{1,15}", data):
             self._suspect = True

@@ -97,7 +97,7 @@ class ForeignController(ForeignLibrary):
         if not self._homed_by_hand:
             super().confirm(channel, position_mm)
         if not math.isfinite(position_mm):
-            raise OutOfRange(f"{self.name}: {position_mm} is no position")
+            raise OutOfRange(f"{self.name}: {position_mm} is not a valid position")
         with self._lock:
             here_mm = self._reading_mm(channel)
             self._zero_mm[channel] = position_mm - here_mm
@@ -110,7 +110,7 @@ class ForeignController(ForeignLibrary):
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move, with the speed that the library has."""
         if not math.isfinite(target_mm):
-            raise OutOfRange(f"{self.name}: {target_mm} is no position")
+            raise OutOfRange(f"{self.name}: {target_mm} is not a valid position")
         with self._lock:
             if channel not in self._referenced:
                 raise NotReferenced(f"{self.name} channel {channel} has no reference; home it")
@@ -121,14 +121,15 @@ class ForeignController(ForeignLibrary):
         """Let the device look for its reference."""
         if self._homed_by_hand:
             raise StageUsageError(
-                f"{self.name} cannot look for its reference; see where channel {channel} stands, and confirm that"
+                f"{self.name} cannot search for its reference; read the position of channel {channel}, and "
+                "confirm it"
             )
         with self._lock:
             self._referenced -= self.channels_homed_with(channel)
             try:
                 self._begin(Motion(channel, self._look(channel)[1], None), partial(self._seek, channel))
             except CommandRejected as refused:
-                text = f"{refused}; if it cannot look for its reference, say homing: hand"
+                text = f"{refused}; if it cannot look for its reference, set homing: hand"
                 raise CommandRejected(text, refused.code) from refused
 
     def _begin(self, motion: Motion, function: Callable[[], None]) -> None:
@@ -192,7 +193,7 @@ class ForeignController(ForeignLibrary):
         where = f"{self.name} channel {' and '.join(reads_mm)}"
         if not motion.seen_to_move:
             raise DeviceError(
-                f"{where} was commanded to home and has not moved; if its library cannot home it, say homing: hand"
+                f"{where} was commanded to home and has not moved; if its library cannot home it, set homing: hand"
             )
         if off_mm > EARLY_END_MM:
             read = " and ".join(f"{mm:.3f}" for mm in reads_mm.values())

@@ -53,7 +53,7 @@ class ForeignLibrary(MotionController):
         super().__init__(name, channels, clock, latch)
         for channel in channels.values():
             if channel.steps_per_mm is not None:
-                raise StageUsageError(f"{name}: remove steps_per_mm of {channel.name}; say mm_per_unit")
+                raise StageUsageError(f"{name}: remove steps_per_mm of {channel.name}; set mm_per_unit instead")
         self._calls: Calls | None = None
         self._failed = False  # it has raised where it was only asked: nothing is believed any more
         self._stopped = False
@@ -153,7 +153,7 @@ class ForeignLibrary(MotionController):
             raise DeviceLost(f"{failed}; plug it in, open it again and home its axes") from failed
         if not math.isfinite(here_mm):
             self._forget_references()
-            raise DeviceError(f"{self.name} channel {channel} reads {here_mm}; it does not know where it is")
+            raise DeviceError(f"{self.name} channel {channel} reads {here_mm}; it has no position reference")
         return busy, here_mm
 
     def _at_rest(self, channel: str) -> float | None:
@@ -174,7 +174,7 @@ class ForeignLibrary(MotionController):
     def _reading_mm(self, channel: str) -> float:
         here_mm = self._at_rest(channel)
         if here_mm is None:
-            raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
+            raise StageUsageError(f"{self.name} channel {channel} is moving; wait until it stops")
         return here_mm
 
     def _say_stop(self) -> None:

@@ -61,11 +61,11 @@ class MicroManager(ForeignController):
 
     def _describe(self, label: str, wanted: int) -> str:
         if label not in self._core.getLoadedDevices():
-            raise WrongDevice(f"{self.name}: there is no device {label!r} in what was loaded")
+            raise WrongDevice(f"{self.name}: there is no device {label!r} in the loaded configuration")
         if int(self._core.getDeviceType(label)) != wanted:
             kind = {STAGE: "a stage of one axis", XY_STAGE: "an XY stage"}[wanted]
             raise WrongDevice(
-                f"{self.name}: device {label!r} is not {kind}; say LABEL, or LABEL/x and LABEL/y of a pair"
+                f"{self.name}: device {label!r} is not {kind}; use LABEL, or LABEL/x and LABEL/y of a pair"
             )
         return f"{label}: {self._core.getDeviceLibrary(label)} {self._core.getDeviceName(label)}"
 
@@ -162,7 +162,7 @@ def _load_file(core: Any, path: Path) -> str:  # noqa: ANN401
     text = data.decode("utf-8", "replace")
     if found := MOVES.search(text):
         line = text.count("\n", 0, found.start()) + 1
-        raise StageUsageError(f"{path}:{line}: opening moves nothing, so take this line out: {found[0]}...")
+        raise StageUsageError(f"{path}:{line}: opening must not move anything; remove this line: {found[0]}...")
     core.loadSystemConfiguration(str(path))
     return f"{path.name} {hashlib.sha256(data).hexdigest()[:8]}"
 

@@ -65,7 +65,7 @@ class Positioners(ForeignController):
     def _seek(self, channel: str) -> None:
         home = getattr(self._objects[channel], "home", None)
         if home is None:
-            raise StageUsageError(f"{self.name} channel {channel} has no home(); say homing: hand")
+            raise StageUsageError(f"{self.name} channel {channel} has no home(); set homing: hand")
         self._status[channel] = home()
 
     def _halt(self) -> str:

@@ -110,7 +110,7 @@ def test_a_link_out_of_a_run_is_not_followed(whole_run, tmp_path, verb, name, ca
             == USAGE
         )
         said = capsys.readouterr().err
-        assert f"{name!r} lies outside the run" in said
+        assert f"{name!r} is outside the run" in said
         assert len(said.splitlines()) == 1
         assert not list(elsewhere.iterdir())
     finally:

@@ -192,7 +192,7 @@ GOOD = "@ 9600\n> 3f\n< 31\n"
 WRONG = [
     ("target", None, "cannot be read"),
     ("target", "@ 9600\n> 3f\n< 3g\n", ":3: this is no line of a recording"),
-    ("target", "@ 9600\n< 31\n", "nothing is said to the box in this recording"),
+    ("target", "@ 9600\n< 31\n", "this recording contains no command to the box"),
     ("target", "\x00\x01\n", ":1: this is no line of a recording"),
     ("targt", GOOD, "there is no 'targt' on this bench; there are rail, portal"),
     ("camera", GOOD, "only devices on a serial port can be recorded"),
@@ -219,7 +219,7 @@ def test_what_cannot_be_replayed_is_one_sentence(path, tmp_path, name, text, wor
 
 def test_a_file_that_says_nothing_is_refused(path, tmp_path):
     (tmp_path / "faults.yaml").write_text("faults: []\n")
-    with pytest.raises(ConfigError, match="say faults or recorded"):
+    with pytest.raises(ConfigError, match="neither faults nor recorded is set"):
         Rehearsal(faults=tmp_path / "faults.yaml").of(load_bench(path))
 
 

@@ -206,7 +206,7 @@ def test_other_bad_input_is_one_sentence(path, tmp_path):
         Rehearsal([fault("mute", "target", step=5)]).of(bench, steps=4)
     with pytest.raises(ConfigError, match=r"^faults: .*no such"):
         Rehearsal([fault("dim", "lamp", at_s=1.0, share=0.5, by_mm=1.0)]).of(bench)
-    with pytest.raises(RunUsageError, match="seed -1: say a whole number from 0 to"):
+    with pytest.raises(RunUsageError, match="seed -1: use a whole number from 0 to"):
         Rehearsal(seed=-1).of(bench)
     with pytest.raises(RunUsageError, match="only a rehearsal keeps what happens"):
         read_event_log(tmp_path)

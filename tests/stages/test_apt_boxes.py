@@ -242,7 +242,7 @@ def test_its_own_backlash_correction_is_off_before_anything_moves(bench):
 def test_a_wheel_that_is_turned_moves_the_axis_and_the_position_is_known(bench):
     made = bench("thorlabs_apt").homed({"a": 60.0})
     made.line.emulator.turn_wheel("bay1", 800)
-    with pytest.raises(StageUsageError, match="wait until it rests"):
+    with pytest.raises(StageUsageError, match="wait until it stops"):
         _ = made.stage.axis("a").position_mm
     made.clock.sleep_s(5.0)
     made.line.receive()

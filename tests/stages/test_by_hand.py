@@ -138,7 +138,7 @@ def test_nobody_answers_and_the_place_is_unknown_until_it_is_read_again(typed):
     assert stage.axis("a").state is AxisState.UNREFERENCED
     assert stage.what_moves() is None
     stage.clear_stop()
-    with pytest.raises(NotReferenced, match="a does not know where it is; home it"):
+    with pytest.raises(NotReferenced, match="a has no position reference; home it"):
         stage.move({"a": 10.0})
     typist.lines = ["12.0", "10.0"]
     stage.home(["a"])

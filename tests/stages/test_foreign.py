@@ -337,15 +337,15 @@ def test_a_word_from_before_a_loss_does_not_hold(by_hand):
 @loop_over(
     "library, change, text",
     [
-        ("micromanager", {"devices": {}}, "say either devices, or config"),
-        ("micromanager", {"config": "a.cfg"}, "say either devices, or config"),
-        ("micromanager", {"devices": {}, "config": "../a.cfg"}, "must lie in the folder"),
-        ("micromanager", {"devices": {}, "config": "/etc/a.cfg"}, "must lie in the folder"),
+        ("micromanager", {"devices": {}}, "set either devices or config"),
+        ("micromanager", {"config": "a.cfg"}, "set either devices or config"),
+        ("micromanager", {"devices": {}, "config": "../a.cfg"}, "must be in the folder"),
+        ("micromanager", {"devices": {}, "config": "/etc/a.cfg"}, "must be in the folder"),
         ("micromanager", {"devices": {"Z": {"library": "L", "device": "D"}}}, "is no device"),
         (
             "micromanager",
             {"devices": {"XY": {"library": "L", "device": "D", "properties": {"Position": 1.0}}}},
-            "opening moves nothing",
+            "opening must not move anything",
         ),
         ("micromanager", {"homing": "maybe"}, "homing"),
         ("micromanager", {"port": "/dev/ttyUSB0"}, "port"),

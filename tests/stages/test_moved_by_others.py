@@ -27,7 +27,7 @@ def creeping(request, bench):
 @pytest.mark.provokes
 def test_it_is_said_and_not_believed(creeping):
     before_mm = creeping.world.true_mm("a")
-    with pytest.raises(StageUsageError, match="moves; wait until it rests"):
+    with pytest.raises(StageUsageError, match="is moving; wait until it stops"):
         _ = creeping.stage.axis("a").position_mm
     creeping.clock.sleep_s(0.5)
     assert creeping.world.true_mm("a") != before_mm
@@ -35,7 +35,7 @@ def test_it_is_said_and_not_believed(creeping):
 
 @pytest.mark.provokes
 def test_the_next_move_begins_at_rest(creeping):
-    with pytest.raises(StageUsageError, match="wait until it rests"):
+    with pytest.raises(StageUsageError, match="wait until it stops"):
         creeping.stage.move({"a": 40.0})
     creeping.clock.sleep_s(120.0)
     creeping.stage.move({"a": 40.0})

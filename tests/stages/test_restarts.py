@@ -234,7 +234,7 @@ def test_a_zaber_axis_that_moves_by_itself_tells_no_position(bench):
     made.clock.sleep_s(0.2)
     made.line.receive()
     assert made.stage.where_mm()["a"] is None
-    with pytest.raises(StageUsageError, match="wait until it rests"):
+    with pytest.raises(StageUsageError, match="wait until it stops"):
         made.stage.move({"a": 30.0})
 
 

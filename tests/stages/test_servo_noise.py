@@ -65,5 +65,5 @@ def test_a_slowly_turned_knob_is_motion_within_the_noise(noisy, box):
     made = noisy(box, 0).homed({"a": 40.0})
     motor = made.world.motors["a"]
     motor.go(motor.steps + 20 * STEPS_PER_MM, 0.04 * STEPS_PER_MM, 1e7)
-    with pytest.raises(StageUsageError, match="moves; wait until it rests"):
+    with pytest.raises(StageUsageError, match="is moving; wait until it stops"):
         _ = made.stage.axis("a").position_mm

@@ -172,7 +172,7 @@ def test_ports_are_closed_whatever_happens(mocker):
         (lambda t: t["axes"]["glass_x"].update(channel="2"), "shares its channel"),
         (lambda t: t["home_order"].pop(), "home_order must name every axis once"),
         (lambda t: t["controllers"]["rail"].update(driver="isel"), "driver 'isel' is unknown"),
-        (lambda t: t["controllers"]["rail"].update(driver="math:sqrt"), "is no Controller"),
+        (lambda t: t["controllers"]["rail"].update(driver="math:sqrt"), "is not a Controller"),
         (lambda t: t["controllers"]["rail"].update(driver="no.such:Thing"), "cannot be imported"),
     ],
 )

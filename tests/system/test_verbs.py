@@ -66,7 +66,7 @@ def test_what_is_not_there_is_a_device_error(tmp_path, capsys):
     assert "nothing was taken, so this run is not kept; without hardware: --simulate" in said
     assert not list((tmp_path / "runs").iterdir())
     assert main(["acquire", "--resume", str(tmp_path / "nowhere")]) == USAGE
-    assert "is no run folder" in capsys.readouterr().err
+    assert "is not a run folder" in capsys.readouterr().err
 
 
 def test_a_run_whose_axes_are_not_homed_leaves_no_folder(tmp_path, capsys):

@@ -69,18 +69,18 @@ class FlowPlan(PlanTable):
     @model_validator(mode="after")
     def _fits_together(self) -> "FlowPlan":
         if "frames" in self.model_fields_set:
-            raise ValueError("a flow is planned in pairs; say pairs instead of frames")
+            raise ValueError("a flow is planned in pairs; set pairs instead of frames")
         if self.laser is None and "warm_up_s" in self.model_fields_set:
             raise ValueError("warm_up_s belongs to a laser; leave it out where another program triggers it")
         if self.dt_sigma_us is not None and self.dt_measured_us is None:
-            raise ValueError("dt_sigma_us belongs to a dt_measured_us; say both or none")
+            raise ValueError("dt_sigma_us belongs to a dt_measured_us; set both or none")
         if self.dt_measured_us is not None and not 0.5 <= self.dt_measured_us / self.dt_us <= 2.0:
             hint = slip("dt_measured_us", self.dt_measured_us, 0.5 * self.dt_us, 2.0 * self.dt_us)
             raise ValueError(
                 f"dt_measured_us {self.dt_measured_us:g} is another time than dt_us {self.dt_us:g}{hint}"
             )
         if len(set(self.cameras)) < len(self.cameras) or CAMERA in self.cameras:
-            raise ValueError(f"cameras names a camera twice; {CAMERA} itself always takes part")
+            raise ValueError(f"cameras names a camera twice; {CAMERA} is always included")
         return self
 
     @property

@@ -40,7 +40,7 @@ class DisplacementTable(Table):
         if (self.mm is None) == (self.px is None):
             raise ValueError("give exactly one of mm and px")
         if not (self.mm or self.px):
-            raise ValueError("a displacement of 0 shows nothing; give another length")
+            raise ValueError("a displacement of 0 measures nothing; set another length")
         if not math.hypot(*self.along) > 0.0:
             raise ValueError("along must not be zero in every direction")
         return self

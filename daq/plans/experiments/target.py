@@ -45,7 +45,7 @@ class TargetPlan(PlanTable):
     @model_validator(mode="after")
     def _something_to_do(self) -> "TargetPlan":
         if self.clear is None and self.glass is None:
-            raise ValueError("say at least one of clear and glass")
+            raise ValueError("set at least one of clear and glass")
         return self
 
     @property

@@ -77,7 +77,7 @@ class _Synchroniser(TimingBox):
         with self._lock:
             self.drop()
             if self._ask_again(lambda: self._switch(self._off_line())):
-                raise LaserDoubt(f"{self.name} says that its laser is still on")
+                raise LaserDoubt(f"{self.name} reports that its laser is still on")
 
     def start_lamps(self) -> None:
         """There are none."""
@@ -117,7 +117,7 @@ class _Synchroniser(TimingBox):
         if self.gate is not None:
             raise WrongBox(f"{self.name} has no gate input that this driver could set; leave out `gate`")
         if wrong := [role for role, pin in self.wiring.items() if role in LAMPS or pin not in PINS]:
-            raise WrongBox(f"{self.name}: {wrong[0]} cannot hang on a synchroniser's pin")
+            raise WrongBox(f"{self.name}: {wrong[0]} cannot be connected to a pin of a synchroniser")
         self.address = self.identity
         self._offs_due = 0
 
@@ -152,7 +152,7 @@ class _Synchroniser(TimingBox):
         def accept(answer: object) -> bool | None:
             if isinstance(answer, LaserIs | Report):
                 return answer.on
-            raise ProtocolViolation(f"{self.name}: {answer!r} does not say whether the laser is on")
+            raise ProtocolViolation(f"{self.name}: {answer!r} does not report whether the laser is on")
 
         self._clear_line()  # first: answers that are drained are no longer due
         self._offs_due += not moves
@@ -199,7 +199,7 @@ class OltSyncBox(_Synchroniser):
             def accept(answer: object) -> bool | None:
                 if isinstance(answer, Verdict):
                     return answer.accepted
-                raise ProtocolViolation(f"{self.name}: {answer!r} is no verdict on a sequence")
+                raise ProtocolViolation(f"{self.name}: {answer!r} is not a valid answer to a sequence")
 
             if not self._ask_again(lambda: self._transact(sequence.to_bytes(), accept)):
                 raise CommandRejected(f"{self.name} refused the sequence as a whole", "Sequence:Error")
@@ -210,7 +210,7 @@ class OltSyncBox(_Synchroniser):
         """Start what was loaded; for alignment the camera has no pulses in it."""
         with self._lock:
             if self._sequence is None:
-                raise LaserDoubt(f"{self.name} has nothing to start")
+                raise LaserDoubt(f"{self.name} has no pulse sequence to start")
             self._require_untouched()
             if not self._switch(Switch(self.address, True).to_bytes(), moves=True):
                 self._require_untouched()
@@ -247,21 +247,21 @@ class XmSyncBox(_Synchroniser):
                 raise PulsesRefused(f"{self.name}: an xmSync is driven here for cameras with two triggers a pair")
             frames_hz = 2.0 * schedule.rate_hz
             if abs(frames_hz - round(frames_hz)) > 1e-6:
-                raise PulsesRefused(f"{self.name} knows whole frames/s, not {frames_hz:g}")
+                raise PulsesRefused(f"{self.name} supports whole frames/s only, not {frames_hz:g}")
             dt_us = round(schedule.dt_us)
             energy = round(100.0 * schedule.pulses[Role.Q_SWITCH_1].width_us / dt_us)
             if not 1 <= energy <= 100:
                 raise PulsesRefused(f"{self.name}: light must last 1 to 100 % of dt, not {energy} %")
             self._settings = Settings(self.address, round(frames_hz), 0, 0, energy, 0, dt_us, 0, 0, False)
             if self._ask_again(lambda: self._switch(self._line(False))):
-                raise LaserDoubt(f"{self.name} says that its laser is on")
+                raise LaserDoubt(f"{self.name} reports that its laser is on")
             return _round_schedule(schedule)
 
     def begin(self, pairs: int, camera: bool = True) -> None:
         """Send the same with the laser on."""
         with self._lock:
             if self._settings is None:
-                raise LaserDoubt(f"{self.name} has nothing to start")
+                raise LaserDoubt(f"{self.name} has no pulse sequence to start")
             self._require_untouched()
             if not self._switch(self._line(True), moves=True):
                 self._require_untouched()

@@ -79,13 +79,13 @@ class PulseBox(Link):
             (INTERVAL_US, round(period_us / 2.0 + later_us)), (LENGTH_US, OUTPUT_US), (WAITS, 1), (PULSES, 0),
         ):  # fmt: skip
             if self._tell(code, number) != number:
-                raise WrongDevice(f"{self.name} does not take {number} for its setting {code}")
+                raise WrongDevice(f"{self.name} rejects {number} for its setting {code}")
         self._tell(START)
         self.clock.sleep_s(IDLE_S)
         if found := self.restart():
             raise WrongDevice(
                 f"{self.name} has counted {found} pulses where there were none; build its firmware with "
-                "inputStateDeviceIsBusy = LOW, and see that its input hangs on an output of the box"
+                "inputStateDeviceIsBusy = LOW, and check that its input is connected to an output of the box"
             )
 
     def restart(self) -> int:
@@ -114,6 +114,6 @@ def _answer_of(code: int) -> Callable[[object], int | None]:
     def accept(answer: object) -> int | None:
         if isinstance(answer, Reply) and answer.code == code:
             return answer.number
-        raise ProtocolViolation(f"{answer!r} is no answer to command {code}")
+        raise ProtocolViolation(f"{answer!r} is not an answer to command {code}")
 
     return accept

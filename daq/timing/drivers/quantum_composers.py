@@ -129,7 +129,7 @@ class QuantumComposersBox(TimingBox):
         with self._lock:
             for role in schedule.pulses:
                 if role not in self.wiring and role is not Role.MARKER:
-                    raise PulsesRefused(f"{self.name} has no output for {role}; say it in channels")
+                    raise PulsesRefused(f"{self.name} has no output for {role}; assign one in channels")
             self._require_dark()
             for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), *self._gate_settings()):
                 self._keep(T0, keyword, value)
@@ -189,7 +189,7 @@ class QuantumComposersBox(TimingBox):
             for number in burst:
                 self._ask_again(lambda n=number: self._set(n, "BCO", str(pairs)))  # type: ignore[misc]
                 if self._whole(number, "BCO") != pairs:
-                    raise LaserDoubt(f"{self.name}: {_name(number)} does not take its count")
+                    raise LaserDoubt(f"{self.name}: {_name(number)} does not accept its count")
             for role in self.wiring:
                 for word, value in self._settings(role)[:3]:  # the last look at what would give other pulses
                     self._require(self._number(role), word, value)
@@ -243,8 +243,8 @@ class QuantumComposersBox(TimingBox):
             runs_by_itself = "0"
         if runs_by_itself != "0":
             raise WrongBox(
-                f"{self.name} is set to run by itself when it gets power (autorun); switch that off at its keys, "
-                "because a power dip would fire the laser"
+                f"{self.name} is set to run by itself when it gets power (autorun); switch that off at its front "
+                "panel, because a power dip would fire the laser"
             )
         self._find_clock_word()
         self._require_steady_clock()
@@ -279,12 +279,12 @@ class QuantumComposersBox(TimingBox):
                 continue
             self._clock_word = word
             return
-        raise WrongBox(f"{self.name} ({self.identity}) does not say what its clock is; it knows neither {words}")
+        raise WrongBox(f"{self.name} ({self.identity}) does not report its clock; it supports neither {words}")
 
     def _require_steady_clock(self) -> None:
         said = self._text(T0, self._clock_word)
         if not _CLOCKS.fullmatch(said):
-            raise WrongBox(f"{self.name}: its clock says {said!r}, so dt means nothing; lock it, or use its own")
+            raise WrongBox(f"{self.name}: its clock says {said!r}, so dt is undefined; lock it, or use its own")
 
     def _require_dark(self) -> None:
         for number in self._numbers(*Q_SWITCHES):
@@ -463,12 +463,12 @@ class QuantumComposersBox(TimingBox):
         return self._transact(command.to_bytes(), accept, timeout_s, moves=moves)
 
     def _judge(self, answer: object, what: str) -> None:
-        """Skip an echo; raise what is no answer to this."""
+        """Skip an echo; raise what is not an answer to this."""
         if isinstance(answer, Refused):
             reason = REASONS.get(answer.code, "an unknown reason")
             raise CommandRejected(f"{self.name} refused {what!r}: {reason} (?{answer.code})", answer.code)
         if not isinstance(answer, Echo):
-            raise ProtocolViolation(f"{self.name}: {answer!r} is no answer to {what!r}")
+            raise ProtocolViolation(f"{self.name}: {answer!r} is not an answer to {what!r}")
 
     def _clear_line(self) -> None:
         super()._clear_line()

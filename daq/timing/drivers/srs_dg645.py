@@ -82,7 +82,7 @@ class Dg645Box(TimingBox):
         with self._lock:
             for role in schedule.pulses:
                 if role not in self.wiring and role is not Role.MARKER:
-                    raise PulsesRefused(f"{self.name} has no output for {role}; say it in channels")
+                    raise PulsesRefused(f"{self.name} has no output for {role}; assign one in channels")
             self._wait_until_idle()
             self._require_dark()
             for word, value in FIXED.items():
@@ -121,7 +121,7 @@ class Dg645Box(TimingBox):
         """Write the count, give the outputs their lengths, and trigger."""
         with self._lock:
             if self._loaded is None:
-                raise LaserDoubt(f"{self.name} has nothing to begin")
+                raise LaserDoubt(f"{self.name} has no burst to start")
             if not 1 <= pairs <= LARGEST_COUNT:
                 raise PulsesRefused(f"{self.name} counts to {LARGEST_COUNT}, not to {pairs}")
             self._keep("BURC", str(pairs))
@@ -136,12 +136,16 @@ class Dg645Box(TimingBox):
             for output in OUTPUTS:
                 start, end = _channels(output)
                 if self._delay(end) != (start, _seconds(lengths.get(output, 0.0))):
-                    raise LaserDoubt(f"{self.name}: output {output} does not take its length, or was switched off")
+                    raise LaserDoubt(
+                        f"{self.name}: output {output} does not accept its length, or was switched off"
+                    )
             self._require_burst_mode()  # last of all: an off in between has cleared it
             self._send(Command("*TRG").to_bytes(), moves=True)
             self._happened = self._registers("INSR")
             if not self._happened & WAS_TRIGGERED:
-                raise LaserDoubt(f"{self.name} was not triggered; was it switched off, or is it at its keys?")
+                raise LaserDoubt(
+                    f"{self.name} was not triggered; was it switched off, or is it operated at its front panel?"
+                )
 
     def end(self) -> None:
         """Take the lengths away, and ask whether the burst has come to its end by itself."""
@@ -151,7 +155,9 @@ class Dg645Box(TimingBox):
             self._require_no_lengths()
             self._require_idle()
             if not (self._happened | self._registers("INSR")) & ENDED_BURST:
-                raise LaserDoubt(f"{self.name} has not run to the end of its burst; was it stopped at its keys?")
+                raise LaserDoubt(
+                    f"{self.name} has not run to the end of its burst; was it stopped at its front panel?"
+                )
             self._require_burst_mode()
 
     # ---- inside ------------------------------------------------------------------------------------
@@ -178,7 +184,7 @@ class Dg645Box(TimingBox):
                 )
         self._registers("INSR")
         if self._registers("INSR") & UNLOCKED:
-            raise WrongBox(f"{self.name}: its clock is not locked, so dt means nothing; lock it, or use its own")
+            raise WrongBox(f"{self.name}: its clock is not locked, so dt is undefined; lock it, or use its own")
 
     def _require_dark(self) -> None:
         if (source := self._whole("TSRC")) != SINGLE_SHOT:
@@ -269,7 +275,7 @@ class Dg645Box(TimingBox):
 
     def _unreadable(self, asked: str, text: str) -> ProtocolViolation:
         self._suspect = True
-        return ProtocolViolation(f"{self.name}: {text!r} is no answer to {asked}", text.encode())
+        return ProtocolViolation(f"{self.name}: {text!r} is not an answer to {asked}", text.encode())
 
     def _ask(self, word: str, values: str = "", timeout_s: float | None = None) -> str:
         def accept(answer: object) -> str | None:

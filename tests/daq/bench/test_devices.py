@@ -102,7 +102,7 @@ def test_a_kind_of_another_project_is_named_with_its_module(tmp_path, said):
 @pytest.mark.parametrize(
     ("devices", "words"),
     [
-        ("  left: {port: one}\n", r"bench\.yaml:\d+: devices\.left: say its kind"),
+        ("  left: {port: one}\n", r"bench\.yaml:\d+: devices\.left: set its kind"),
         ("  left: {kind: torch, port: one}\n", r"bench\.yaml:\d+: there is no kind of device 'torch'"),
         ("  left: {kind: lamp, prt: one}\n", r"bench\.yaml:\d+: unknown key 'prt'; did you mean 'port'"),
         ("  left:\n    kind: lamp\n    port: one\n    volt: high\n", r"volt: should be a number"),

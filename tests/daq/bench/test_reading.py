@@ -48,13 +48,13 @@ def test_the_newest_whole_row_of_a_file_counts(tmp_path):
     ("text", "words"),
     [
         ("", "no row with 2 columns"),
-        ("time,flow\n", "'time' is no time"),
+        ("time,flow\n", "'time' is not a time"),
         ("{old},5.2\n", "30 s old"),
         ("{coming},5.2\n", "30 s in the future"),
         ("{now},\n", "'' is no number"),
         ("{now},1O.0\n", "'1O.0' is no number"),
         ("{now},nan\n", "'nan' is no value"),
-        ("1e400,5.2\n", "is no time"),
+        ("1e400,5.2\n", "is not a time"),
         ("\x00\x00\n", "no row with 2 columns"),
     ],
 )
@@ -192,12 +192,12 @@ def test_a_silent_gauge_is_said_once_each_time_and_stops_only_who_needs_it():
 @pytest.mark.parametrize(
     ("device", "words"),
     [
-        ("{kind: reading, unit: C}", "comes from a file or by a port"),
-        ("{kind: reading, unit: C, file: a.csv, port: b}", "comes from a file or by a port"),
+        ("{kind: reading, unit: C}", "comes from a file or a port"),
+        ("{kind: reading, unit: C, file: a.csv, port: b}", "comes from a file or a port"),
         ("{kind: reading, unit: C, file: a.csv, baud: 9600}", "is not asked, so leave baud out"),
         ("{kind: reading, unit: C, file: a.csv, column: 1}", "is the time of its rows"),
         ("{kind: reading, unit: C, port: a, oldest_s: 3}", "leave oldest_s out"),
-        ("{kind: reading, unit: C, port: a, find: '(', }", "no regular expression"),
+        ("{kind: reading, unit: C, port: a, find: '(', }", "not a valid regular expression"),
         ("{kind: reading, unit: C, port: a, find: 'F=', }", "needs a group"),
         ("{kind: reading, unit: C, port: a, colum: 2}", "unknown key 'colum'"),
         ("{kind: reading, file: a.csv}", "unit"),

@@ -70,7 +70,7 @@ def test_leaving_by_an_error_switches_off(tmp_path):
 @loop_over(
     "changes, words",
     [
-        ({"channels": CHANNELS.replace("D", "B")}, "two things hang on one output"),
+        ({"channels": CHANNELS.replace("D", "B")}, "two things are connected to one output"),
         ({"channels": CHANNELS.replace("q_switch_1", "q_switch")}, "'q_switch' is none of"),
         ({"channels": "camera: E"}, "at least q_switch_1 and camera"),
         ({"channels": "q_switch_1: B, camera: E"}, "belong together"),

@@ -161,7 +161,7 @@ def test_a_buffer_that_overflows_ends_it(sim):
     while not camera._core.isBufferOverflowed():
         assert time.monotonic() < end_s
         time.sleep(0.01)
-    with pytest.raises(CameraError, match=r"has overflowed.*raise buffers") as caught:
+    with pytest.raises(CameraError, match=r"has overflowed.*increase buffers") as caught:
         camera.poll(1.0)
     assert type(caught.value) is CameraError  # neither a timeout nor a loss, after which a stream would go on
     assert camera.disarm().unused > 0

@@ -191,7 +191,7 @@ def test_pairs_that_begin_no_series_are_refused(tmp_path, said):
 
 @pytest.mark.parametrize("make", [letters, in_pairs])
 def test_frames_that_are_pairs_already_are_not_paired_again(tmp_path, make):
-    with pytest.raises(PairError, match="leave the numbers behind @ out"):
+    with pytest.raises(PairError, match="remove the numbers after @"):
         source_of(Path(f"{make(tmp_path, frames())}@1-2,2-3"))
 
 
@@ -228,8 +228,8 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
     with h5py.File(tmp_path / "none.h5", "w") as file:
         file["a"] = np.zeros((4, 4), np.uint16)
     for name, kind, words in (
-        ("empty.h5", FrameError, "is no HDF5 file"),
-        ("nothing.h5", FrameError, "is no HDF5 file"),
+        ("empty.h5", FrameError, "is not a readable HDF5 file"),
+        ("nothing.h5", FrameError, "is not a readable HDF5 file"),
         ("two.h5", FrameError, "several stacks of images; name one: .*two.h5@/x, .*two.h5@/y"),
         ("two.h5@/colour", FrameError, "/colour is 3 x 4 x 5 x 3; images are n x H x W"),
         ("two.h5@/c", FrameError, "/c is no data set"),

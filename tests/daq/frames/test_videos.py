@@ -159,7 +159,7 @@ def test_what_is_no_video_is_refused_in_one_sentence(tmp_path, name):
         bytes(4000),
     ):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(FrameError, match=r"is no video that can be read|holds no frame") as caught:
+        with pytest.raises(FrameError, match=r"is not a readable video|holds no frame") as caught:
             source_of(tmp_path / name)
         assert "\n" not in str(caught.value)
     (tmp_path / name).unlink()
@@ -236,5 +236,5 @@ def test_names_in_another_alphabet_and_packings_that_do_not_exist(tmp_path):
     assert np.array_equal(read_named(frame(tmp_path / "b.mp4", 2)), read_named(frame(tmp_path / "a.mp4", 2)))
     content = write_video(tmp_path / "d.mp4", moving(4), "libx264", "yuv420p").read_bytes()
     (tmp_path / "c.mp4").write_bytes(content.replace(b"avc1", b"xyz1"))
-    with pytest.raises(FrameError, match="packed in a way that nothing here reads"):
+    with pytest.raises(FrameError, match="its codec is not supported"):
         source_of(tmp_path / "c.mp4")

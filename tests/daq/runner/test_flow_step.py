@@ -227,5 +227,5 @@ def test_what_the_camera_says_is_asked_before_anything_fires():
     with pytest.raises(RunUsageError, match="25 pairs/s are 50 frames/s, and the camera can take 40"):
         require_rate({"ResultingFrameRate": 40.0}, 2, 25.0)
     assert exposure_of({"ExposureTimeAbs": 40.0}) == 40.0
-    with pytest.raises(PlanError, match="does not tell its ExposureTime"):
+    with pytest.raises(PlanError, match="does not report its ExposureTime"):
         exposure_of({"ExposureTime": "long"})

@@ -206,9 +206,9 @@ def _with(meta, **more):
 
 
 @pytest.mark.parametrize(("keys", "words"), [
-    ({"shape": "straddling"}, "nothing tells A from B"),
-    ({"shape": "burst"}, "nothing tells A from B"),
-    ({"shape": "two_blocks", "marker": "halves"}, "nothing tells A from B"),
+    ({"shape": "straddling"}, "frames A and B cannot be distinguished"),
+    ({"shape": "burst"}, "frames A and B cannot be distinguished"),
+    ({"shape": "two_blocks", "marker": "halves"}, "frames A and B cannot be distinguished"),
     ({"shape": "double_height", "marker": "spacing"}, "leave the marker out"),
     ({"shape": "straddling", "marker": "line_status"}, "line_status needs line"),
     ({"shape": "straddling", "marker": "counter"}, "counter needs counter"),

@@ -153,7 +153,7 @@ def test_names_from_a_journal_stay_inside(tmp_path, name):
 
 
 def test_no_run_folder_no_resume(tmp_path):
-    with pytest.raises(RunUnsuitable, match="is no run folder"):
+    with pytest.raises(RunUnsuitable, match="is not a run folder"):
         RunFolder.open(tmp_path)
     (tmp_path / "run.json").write_text('{"layout": 99}')
     with pytest.raises(RunUnsuitable, match=r"layout 99, known are \(1, 2\)"):

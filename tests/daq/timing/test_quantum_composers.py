@@ -90,7 +90,7 @@ def test_a_box_without_any_word_for_its_clock_is_refused():
     with desk() as d:
         for word in [word for word in d.emulator._t0.words if "ICL" in word]:
             del d.emulator._t0.words[word]
-        with pytest.raises(WrongBox, match="does not say what its clock is"):
+        with pytest.raises(WrongBox, match="does not report its clock"):
             d.laser.open("sim://desk")
 
 

@@ -167,7 +167,7 @@ def test_a_target_run_shows_its_first_frame_through_the_glass(tmp_path):
 
 def test_what_is_no_run_or_holds_nothing_is_one_sentence(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == USAGE
-    assert "is no run folder" in capsys.readouterr().err
+    assert "is not a run folder" in capsys.readouterr().err
     folder = run_folder(tmp_path, "target", [])
     assert main(["report", str(folder.path)]) == USAGE
     assert "holds no frame yet" in capsys.readouterr().err
