@@ -192,7 +192,7 @@ class Axis:
         """
         low, high = self.settings.limits_mm
         if not math.isfinite(target_mm):
-            raise OutOfRange(f"{self.name}: {target_mm} is not a valid position")
+            raise OutOfRange(f"{self.name}: {target_mm} is not a position")
         if not low <= target_mm <= high:
             raise OutOfRange(f"{self.name}: {target_mm:g} mm is outside its limits {low:g} to {high:g} mm")
         approach = self.settings.approach

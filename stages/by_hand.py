@@ -57,7 +57,7 @@ class ByHand(MotionController):
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Note where a screw is to be turned; `moving` asks for it."""
         if not math.isfinite(target_mm):
-            raise OutOfRange(f"{self.name}: {target_mm} is not a valid position")
+            raise OutOfRange(f"{self.name}: {target_mm} is not a position")
         if channel not in self._referenced:
             raise NotReferenced(f"{self._channels[channel].axis} was not read yet; home it")
         self._begin(channel, target_mm)

@@ -175,5 +175,5 @@ def read_dialogue(path: Path) -> tuple[Word, ...]:
         text = f"this is no line of a recording; it begins with >, <, @ or # ({len(wrong)} such lines)"
         raise ConfigError(path, [Problem(wrong[0], text)])
     if not any(word.by == ">" for word in words):
-        raise ConfigError(path, [Problem(0, "this recording contains no command to the box; record it again")])
+        raise ConfigError(path, [Problem(0, "this recording has no command to the box; record it again")])
     return tuple(words)

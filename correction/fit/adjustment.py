@@ -50,7 +50,8 @@ from tracer.scene.scene import Scene
 
 CAUCHY_SIGMAS = 3.0  # sigmas beyond which a corner weighs less and less
 OUTLIER = 5.0  # sigmas beyond which it weighs nothing
-FULL_WEIGHT = 1e6  # sigmas: knee of a Cauchy loss that weighs every corner in full
+# Sigmas: knee of a Cauchy loss that weighs every corner in full
+FULL_WEIGHT = 1e6
 
 
 class Adjustment:
@@ -205,10 +206,10 @@ class Adjustment:
         parts = [self.full_residuals(unknowns, wide, at, frame) for frame in used]
         every = [self.full_residuals(unknowns, wide, at, frame) for frame in measured]
         weighted = [self.weigh_corners(frame) for frame in measured]
-        verdict, given_cause = judge_model(locked, wide, at, measured, weighted, every)
+        verdict, given = judge_model(locked, wide, at, measured, weighted, every)
         weights = self
         if verdict.unexplained is not None:  # corners err by what the cause leaves, not by its field
-            weights, used, parts = self.reweight_given_cause(measured, every, given_cause)
+            weights, used, parts = self.reweight_given(measured, every, given)
         # The Cauchy loss halves the weight of good corners at its knee; the covariance counts their information
         # in full.
         _, gradient, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
@@ -219,12 +220,12 @@ class Adjustment:
         unit = np.ones(len(at))
         unit[first_shape:] = 0.0 if verdict.alarms else likely_scale(normal, gradient, len(at) - first_shape)
         gradient, normal = gradient * unit, normal * np.outer(unit, unit)
-        lattices = [replace(lattice, rate=lattice.rate * unit) for lattice in given_cause.lattices]
+        lattices = [replace(lattice, rate=lattice.rate * unit) for lattice in given.lattices]
         # Priors are tested jointly as they are given, unless an alarm has a named cause; those that fail are
         # widened (Birge's ratio).
         inverse = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
         if verdict.cause is None or not verdict.alarms:
-            spread = with_correlation(inverse, lattices, given_cause.correlation)
+            spread = with_correlation(inverse, lattices, given.correlation)
             pulls = prior_pulls(unknowns, solution.x, normal[:free, :free], spread)
             if verdict.cause is None:
                 verdict = replace(verdict, pulls=pulls)
@@ -235,16 +236,14 @@ class Adjustment:
         inverse = np.asarray(np.linalg.inv(normal + np.diag(prior)), dtype=np.float64)
         on_print = [weights.on_print(frame, part, unit) for frame, part in zip(used, parts, strict=True)]
         printed = print_errors(on_print)
-        covariance = with_correlation(inverse, lattices, given_cause.correlation)
+        covariance = with_correlation(inverse, lattices, given.correlation)
         covariance = covariance + inverse @ printed.spread @ inverse
-        # `errors` (P, R): one independent error in each column.  Those behind the root of the covariance have a
-        # known direction: the Newton step to which residuals pull the consider parameters and which the fit does
-        # not make, errors that all corners share, and the step that widened priors would allow.
-        errors = root_of(covariance)
-        if len(at) > free:
-            errors = np.column_stack((errors, newton_step(wide, at, gradient, normal)))
-        errors = np.column_stack((errors, inverse @ (unit[:, None] * weights.common_mode_gradients(used, parts))))
-        errors = np.column_stack((errors, inverse @ prior_step))
+        # One independent error in each column (P, R).  Those behind the root of the covariance have a known
+        # direction: the Newton step to which residuals pull the consider parameters and which the fit does not
+        # make, errors that all corners share, and the step that widened priors would allow.
+        step = [newton_step(wide, at, gradient, normal)] if len(at) > free else []
+        shared = unit[:, None] * weights.common_mode_gradients(used, parts)
+        errors = np.column_stack((root_of(covariance), *step, inverse @ shared, inverse @ prior_step))
         # From prior sigmas to mm, rad, px of the full vector; shapes, which it does not hold, have a root of their
         # own.
         root = wide.columns @ errors
@@ -270,22 +269,23 @@ class Adjustment:
             expected=_sum_counts([frame.expected for frame in measured]),
             refused=_sum_counts([frame.refused for frame in measured]),
             pushed_mm=pushed,
-            measured_scene=scene,  # in the same light, until `light` corrects for that of the target frames
+            # In the same light, until `light` corrects for that of the target frames
+            measured_scene=scene,
             verdict=verdict,
             history=(*history, *found, self.step("all together", unknowns, solution.x, measured, kept)),
             shapes=shapes,
         )
 
-    def reweight_given_cause(
-        self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], given_cause: ResidualsGivenCause
+    def reweight_given(
+        self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], given: ResidualsGivenCause
     ) -> tuple["Adjustment", list[MeasuredFrame], list[Residuals]]:
         """Return weights, frames and residuals of a fit that had known the cause of an alarm."""
         weights = Adjustment()
-        weights.scales = {region: scale * given_cause.factors[region] for region, scale in self.scales.items()}
+        weights.scales = {region: scale * given.factors[region] for region, scale in self.scales.items()}
         weights.lock = self.lock
         used, left = [], []
-        for frame, part, value in zip(measured, parts, given_cause.values, strict=True):
-            scale = by_region(frame.behind, given_cause.factors)[:, None]
+        for frame, part, value in zip(measured, parts, given.values, strict=True):
+            scale = by_region(frame.behind, given.factors)[:, None]
             value = value / scale
             near = np.linalg.norm(value, axis=1) < OUTLIER  # False for NaN
             near &= np.isfinite(part.rate).all(axis=(1, 2))  # a ray that meets the board with the cause alone

@@ -121,7 +121,7 @@ def _format_value(value: Value) -> str:
         plain = _PLAIN.fullmatch(value) and yaml.safe_load(value) == value
         return value if plain else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     if not math.isfinite(value):
-        raise RunUsageError(f"{value} is not a valid position")
+        raise RunUsageError(f"{value} is not a position")
     text = f"{_round(value):.{DECIMALS}f}".rstrip("0")
     return text + "0" if text.endswith(".") else text
 

@@ -97,7 +97,7 @@ class FaultFile(Table):
     @model_validator(mode="after")
     def _says_something(self) -> "FaultFile":
         if not self.faults and not self.recorded:
-            raise ValueError("neither faults nor recorded is set; set one of them")
+            raise ValueError("neither faults nor recorded is set; set one")
         return self
 
 

@@ -63,8 +63,7 @@ class PairsSection(Table):
             raise ValueError("double_height has A on top of B in one buffer; leave the marker out")
         if not is_one_buffer and self.marker in (None, "halves"):
             raise ValueError(
-                f"frames A and B cannot be distinguished; set a marker of {self.shape} frames: "
-                "line_status, counter or spacing"
+                f"A and B need a marker; set one for {self.shape} frames: line_status, counter or spacing"
             )
         for marker, key in (("line_status", "line"), ("counter", "counter")):
             if self.marker == marker and getattr(self, key) is None:

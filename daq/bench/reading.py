@@ -38,7 +38,7 @@ class ReadingSection(Table):
     @model_validator(mode="after")
     def _one_source(self) -> "ReadingSection":
         if (self.file is None) == (self.port is None):
-            raise ValueError("a reading comes from a file or a port; set one of them")
+            raise ValueError("a reading comes from a file or a port; set one")
         if self.file is not None and (more := FOR_PORTS & self.model_fields_set):
             raise ValueError(f"a file receives no query; remove {', '.join(sorted(more))}")
         if self.file is not None and self.column == 1:
@@ -46,11 +46,11 @@ class ReadingSection(Table):
         if self.port is not None and "oldest_s" in self.model_fields_set:
             raise ValueError("a port is read anew at every step, so leave oldest_s out")
         if self.column is not None and "find" in self.model_fields_set:
-            raise ValueError("the value is in a column or found by find; set one of them")
+            raise ValueError("the value is in a column or found by find; set one")
         try:
             groups = re.compile(self.find).groups
         except re.error as error:
-            raise ValueError(f"find is not a valid regular expression ({error})") from None
+            raise ValueError(f"find is not a regular expression ({error})") from None
         if groups < 1:
             raise ValueError("find needs a group in brackets, which is the value, such as F=([0-9.]+)")
         return self

@@ -208,7 +208,7 @@ class FilesCamera(CameraBase):
         except FileNotFoundError as error:
             raise CameraLost(f"{path} is gone; the folder changed while it was shown") from error
         except (OSError, ValueError, IndexError) as error:
-            raise BadFrame(f"{path} is not a readable TIFF: {error}") from error
+            raise BadFrame(f"{path} is not readable as TIFF: {error}") from error
         if image.ndim != 2 or image.dtype not in (np.dtype("u1"), np.dtype("u2")):
             raise BadFrame(f"{path} is {image.shape} {image.dtype}; a frame is (H, W) of 8 or 16 bit")
         return np.asarray(image, dtype=np.uint16)

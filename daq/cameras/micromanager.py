@@ -375,7 +375,7 @@ class MicroManagerCamera(CameraBase):
         if core.isBufferOverflowed():
             raise CameraError(
                 "the image buffer of Micro-Manager has overflowed, and does not report which frames it dropped; "
-                "increase buffers of the camera, or reduce the rate or the frame size"
+                "increase buffers of the camera, or reduce rate or frame size"
             )
         if not core.getRemainingImageCount():
             return None

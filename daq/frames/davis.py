@@ -163,9 +163,7 @@ class _Davis:
             with self._translate_errors():
                 buffer = self._library.read_buffer(str(self._path)) if self._set is None else self._set[place]
             if not set(buffer.attributes) - ITS_OWN:
-                raise FrameError(
-                    "is damaged or cut short: the data that DaVis writes after pixels are missing; copy it again"
-                )
+                raise FrameError("is damaged or cut short: the trailer of DaVis is missing; copy it again")
             self._last = place, buffer
         return self._last[1]
 
@@ -192,7 +190,7 @@ def _counts(frame: Any) -> NDArray[Any]:  # noqa: ANN401 - lvpyio's
         raise FrameError("is raw of a colour sensor (Bayer); export it as grey or as colours")
     pixels = np.asarray(frame.images[0])
     if not 0 < pixels.size <= MOST_PX:
-        raise FrameError(f"is {pixels.shape[1]} x {pixels.shape[0]} px, which is not the size of a camera frame")
+        raise FrameError(f"is {pixels.shape[1]} x {pixels.shape[0]} px, which is no frame size")
     if not np.asarray(frame.masks[0]).all():
         raise FrameError("is masked in DaVis; give the images as acquired, and the mask in the scene file")
     scale = frame.scales.i

@@ -143,7 +143,7 @@ def _open(file: Path) -> Any:  # noqa: ANN401 - h5py's file
     try:
         return h5py.File(file, "r")
     except OSError as error:
-        raise FrameError(f"{file}: is not a readable HDF5 file ({str(error)[:100]})") from None
+        raise FrameError(f"{file}: is not readable as HDF5 ({str(error)[:100]})") from None
 
 
 def _dataset_names(file: Any, given: str | None, path: Path) -> list[str]:  # noqa: ANN401

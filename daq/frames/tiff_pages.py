@@ -43,7 +43,7 @@ class TiffPages(PairedFrames):
         except OSError as error:
             raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from None
         except Exception as error:  # whatever a decoder meets in a damaged file
-            raise FrameError(f"{path}: is not a readable TIFF ({str(error)[:100]})") from None
+            raise FrameError(f"{path}: is not readable as TIFF ({str(error)[:100]})") from None
         if self._pages > MOST_PAGES:
             raise FrameError(f"{path}: has {self._pages} pages, and {MOST_PAGES} are read; cut it")
         self._keep_numbered(range(1, self._pages + 1), pairing)

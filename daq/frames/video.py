@@ -115,18 +115,16 @@ class _Decoder:
         except FrameError:
             raise
         except OSError as error:  # many of PyAV's own are as well
-            raise FrameError(f"{path}: is not a readable video ({error.strerror or error})") from None
+            raise FrameError(f"{path}: is not readable as a video ({error.strerror or error})") from None
         except self._library.error.FFmpegError as error:
-            raise FrameError(f"{path}: is not a readable video ({str(error)[:100]})") from None
+            raise FrameError(f"{path}: is not readable as a video ({str(error)[:100]})") from None
         try:
             self._packed = _number_frames(packed)
         except FrameError as error:
             raise FrameError(f"{path}: {error}") from None
         self.shape = int(self._track.height), int(self._track.width)
         if not 0 < self.shape[0] * self.shape[1] <= MOST_PX:
-            raise FrameError(
-                f"{path}: is {self.shape[1]} x {self.shape[0]} px, which is not the size of a camera frame"
-            )
+            raise FrameError(f"{path}: is {self.shape[1]} x {self.shape[0]} px, which is no frame size")
         if self._track.frames > len(packed):
             say_once(f"{path}: holds {len(packed)} of its {self._track.frames} frames; the file is cut short")
         self._alone = np.array([number for number, each in self._packed.items() if each.alone], int)

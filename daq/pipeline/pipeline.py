@@ -207,7 +207,7 @@ class Pipeline:
                 moved, since_s = self.stats.written, time.monotonic()
             if time.monotonic() - since_s > DISK_TIMEOUT_S:
                 raise DiskError(
-                    f"no frame was written for {DISK_TIMEOUT_S:g} s; free or repair the disk, then resume the run"
+                    f"no frame was written for {DISK_TIMEOUT_S:g} s; free or repair the disk, then resume"
                 )
             time.sleep(0.001)
         self._raise()
@@ -239,10 +239,8 @@ class Pipeline:
                 return
             except queue.Full:
                 if time.monotonic() - begun_s > DISK_TIMEOUT_S:
-                    raise DiskError(
-                        f"no frame was written for {DISK_TIMEOUT_S:g} s; free or repair the disk, then resume "
-                        "the run"
-                    ) from None
+                    text = f"no frame was written for {DISK_TIMEOUT_S:g} s; free or repair the disk, then resume"
+                    raise DiskError(text) from None
 
     def _show(self, shared: SharedJob) -> None:
         step, number = shared.job.step, shared.job.number

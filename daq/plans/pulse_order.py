@@ -55,7 +55,7 @@ def pairs_section(bench: Bench) -> PairsSection:
     section = bench.table.camera.pairs
     if section is None:
         raise PlanError(
-            f"{bench.path}: camera has no section pairs, which distinguishes exposure A from exposure B; add "
+            f"{bench.path}: camera has no pairs, which distinguishes exposure A from exposure B; add "
             "camera.pairs with shape, marker and dead_us (docs/files.md)"
         )
     return section
@@ -156,5 +156,5 @@ def check_marker(section: PairsSection, exposure_us: float, rate_hz: float) -> N
     if section.effective_marker == "spacing" and period_us - gap_us < SPACING_RATIO * gap_us:
         raise PlanError(
             f"A to B takes {gap_us:g} us and B to A {period_us - gap_us:g} us at {rate_hz:g} Hz: their spacing "
-            "cannot distinguish A from B; use another marker, or A to B shorter by more than 10 %"
+            "does not mark A; use another marker, or A to B shorter by more than 10 %"
         )

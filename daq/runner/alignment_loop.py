@@ -94,9 +94,7 @@ class AlignmentLoop:
             try:
                 stage.check(here, move)
             except StageUsageError as error:
-                raise PlanError(
-                    f"the glass cannot be moved to its position: {error}; nothing was moved"
-                ) from error
+                raise PlanError(f"the glass cannot be moved there: {error}; nothing was moved") from error
             here |= move
         self._say(move_in_words(before["planned_mm"], targets))
         return replace(step, positions_mm=tuple(targets.items()))

@@ -118,7 +118,8 @@ class Runner:
                 camera.lock()
             left = remaining(self._steps, self._first.folder.entries(), self._again)
             pulsed = any(step.pulses is not None for step in left)
-            used = self._cameras if pulsed else self._cameras[:1]  # further ones see pulsed steps alone
+            # Further ones see pulsed steps alone
+            used = self._cameras if pulsed else self._cameras[:1]
             for camera in used:
                 camera.open(left, self._again)
             present = frame_entries(self._first.folder.entries())
@@ -217,7 +218,8 @@ class Runner:
             self._tell("exposing")
             if flow is not None and step.pulses is not None:
                 self._see_to_seeding(step, step.pulses)
-                gaps: Gaps | None = [] if flow.take(step, record) else None  # None: ended on request
+                # None: ended on request
+                gaps: Gaps | None = [] if flow.take(step, record) else None
             else:
                 gaps = frames.take(step, record)
             self._require_still_there(frames, step, record)

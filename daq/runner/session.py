@@ -312,7 +312,7 @@ def reopen(path: Path, retake: bool = False, track: Track = no_tracking) -> Run:
         raise ResumeRefused(f"{path} is finished; there is nothing to resume")
     entries = folder.entries()
     if said := ambiguities(entries):
-        raise ResumeRefused(f"{path}: {said[0]}, so frames may be stored with the wrong position; begin a new run")
+        raise ResumeRefused(f"{path}: {said[0]}, so frames may have the wrong position; begin a new run")
     request = Request.from_dict(about["request"])
     bench = load_bench(request.bench)
     plan = load_plan(request.plan, bench)

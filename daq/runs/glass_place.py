@@ -60,9 +60,7 @@ def glass_place_mm(run: Path, frames: Iterable[Path], lines: Mapping[int, Entry]
             place = places.get(id(at_mm)) or glass_off_scene_mm(table, at_mm)
             places[id(at_mm)] = place
         except KeyError as error:
-            raise RunDamaged(
-                f"{run}: frame {frame.name} does not contain the position of {error}; {CURE}"
-            ) from None
+            raise RunDamaged(f"{run}: frame {frame.name} lacks the position of {error}; {CURE}") from None
         found = found or (place, frame.name)
         if place != found[0]:
             raise PairError(f"{run}: the glass was moved between {found[1]} and {frame.name}; evaluate two runs")

@@ -112,7 +112,7 @@ def read_proof(path: Path) -> Proof | None:
     except SealBroken:
         raise
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise SealBroken(f"is not a valid proof ({error})") from error
+        raise SealBroken(f"is not a proof ({error})") from error
 
 
 def proof_sentence(bench: Path, laser: str, identity: str, channels: Mapping[str, str], simulated: bool) -> str:

@@ -123,5 +123,5 @@ def _layout(path: Path) -> int:
     if isinstance(layout, int) and layout not in LAYOUTS:
         raise RunUnsuitable(f"{path}: has layout {layout}, known are {LAYOUTS}; read it with a newer version")
     if layout not in LAYOUTS:
-        raise RunDamaged(f"{path}: does not contain the layout version of the run; {CURE}")
+        raise RunDamaged(f"{path}: lacks the layout version of the run; {CURE}")
     return int(layout)

@@ -134,9 +134,7 @@ def target_views(path: Path) -> list[TargetView]:
         try:
             planned, measured = (table.offset_mm(TARGET, entry[name])[2] for name in ("planned_mm", "measured_mm"))
         except KeyError as error:
-            raise RunDamaged(
-                f"{path}: frame {entry['frame']} does not contain the position of {error}; {CURE}"
-            ) from None
+            raise RunDamaged(f"{path}: frame {entry['frame']} lacks the position of {error}; {CURE}") from None
         planned_mm.append(0.0 if step["on_plane"] else planned)
         reported_mm[planned_mm[-1]].append(measured)
     heights_mm = {planned: fmean(reported) for planned, reported in reported_mm.items()}

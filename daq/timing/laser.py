@@ -176,9 +176,7 @@ class Laser(LaserShutdown):
             self.box.token = self._token()
             self.schedule = self.box.load(schedule)
             if not math.isclose(self.schedule.dt_us, timing.dt_us, abs_tol=1.01 * self.box.least_step_us):
-                raise LaserDoubt(
-                    f"{self.name} was set to dt = {timing.dt_us} us and reports {self.schedule.dt_us}"
-                )
+                raise LaserDoubt(f"{self.name} was set to dt = {timing.dt_us} us and reads {self.schedule.dt_us}")
             return self.schedule
 
     def arm(self, conditions: Conditions, code: str) -> None:
@@ -265,9 +263,7 @@ class Laser(LaserShutdown):
                     f"{pairs} pairs in one chunk: 1 to {most} fit into {self.rules.chunk_s:g} s"
                 )
             if (old_s := self._clock.now_s() - self._armed_s) > ARMED_S:
-                raise NotArmed(
-                    f"{self.name} was armed {old_s:.0f} s ago; confirm the conditions again (disarm, arm)"
-                )
+                raise NotArmed(f"{self.name} was armed {old_s:.0f} s ago; confirm it again (disarm, arm)")
             if missing := self._conditions.missing(pairs, self.rules.clear_mm) or self.switches.objection():
                 raise NotArmed(f"{self.name} does not fire: {missing}")
             self.box.token = self._token()

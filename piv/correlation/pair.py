@@ -266,7 +266,8 @@ def _run_passes(
         if common is not None:
             field = _run_passes(replace(common.pair, given=suspect.given), sides, settings, threads, common)
             return replace(field, nan_pixels=nan_pixels)
-        if lag < -LAGS:  # -lag is part of the share that stands still, so a lower bound
+        # -lag is part of the share that stands still, so a lower bound
+        if lag < -LAGS:
             still_share = max(-lag, np.nan_to_num(still_share))
         del suspect
     every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
@@ -344,7 +345,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         asymmetry = correlation_asymmetry(
             blocks, grid, settings.window_sigma, left, partial(sums_of_sizes, grid, sizes, settings.window_sigma)
         )
-        central_light = asymmetry.light  # in the smallest windows, the middle of larger ones
+        central = asymmetry.light  # in the smallest windows, the middle of larger ones
         asymmetry = asymmetry_of_sizes(asymmetry, grid, sizes, settings.window_sigma)
         noise, particles = correlation_statistics(asymmetry, found.refined)
         if course.frames.inclination is not None:
@@ -358,8 +359,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
-        central_share = np.clip(central_light / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(axis=-1)
-        uneven = unevenness(particles, central_share)
+        uneven = unevenness(particles, np.clip(central / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(-1))
         resolution = np.maximum(_resolution_of_sizes(course, sizes, final, removed, uneven), missed_px)
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.

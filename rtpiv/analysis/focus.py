@@ -297,9 +297,7 @@ def focus_scan(run: Path) -> FocusScan:
                 table.offset_mm(element, entries[numbers[0]]["measured_mm"]) for element in (CAMERA, TARGET)
             )
         except KeyError as error:
-            raise RunDamaged(
-                f"frame {numbers[0]} does not contain the position of {error}", place=run, cure=CURE
-            ) from None
+            raise RunDamaged(f"frame {numbers[0]} lacks the position of {error}", place=run, cure=CURE) from None
         x, y, z = (float(c) for c in np.add(scene.camera.position_mm, camera_mm))
         stood = scene.with_camera(replace(scene.camera, position_mm=(x, y, z)))
         shown = [read_acquired(folder.inside(entries[n]["file"]), scene.camera.shape) for n in numbers[:2]]

@@ -175,9 +175,7 @@ class IselController(Controller):
             return
         (index, steps), self._sent_to = self._sent_to, None
         if not self._near(channel, self._scale(channel))(self._steps()[index], steps):
-            raise MotionStopped(
-                f"{self.name} channel {channel} stopped short of its target and reported no reason"
-            )
+            raise MotionStopped(f"{self.name} channel {channel} stopped short of its target for no known reason")
 
     def _still_referenced(self, channel: str) -> bool:
         self._refuse_while_moving()
@@ -255,7 +253,7 @@ class IselController(Controller):
 
         def accept(answer: object) -> dnc.Position | dnc.Ack | None:
             if isinstance(answer, dnc.Ack) and answer.code != NOT_INITIALISED:
-                # a lone character is not a valid position; it may belong to an older command
+                # a lone character is not a position; it may belong to an older command
                 raise ProtocolViolation(f"{self.name}: no position", answer.to_bytes())
             return answer if isinstance(answer, dnc.Position | dnc.Ack) else None
 

@@ -142,9 +142,7 @@ class AptController(AptQuestions):
     def resolve_missing_reply(self, channel: str) -> None:
         """MotionStopped if it rested short of its target before our own halt: a person may have stopped it."""
         if channel in self._rested and not self._is_there(channel):
-            raise MotionStopped(
-                f"{self.name} channel {channel} stopped short of its target and reported no reason"
-            )
+            raise MotionStopped(f"{self.name} channel {channel} stopped short of its target for no known reason")
 
     def position_mm(self, channel: str) -> float:
         """Counts / scale of a channel that rests; StageUsageError if it moves."""

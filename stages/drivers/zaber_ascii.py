@@ -34,9 +34,11 @@ from stages.errors import (
 from stages.protocols.zaber_ascii import AnswerStream, Command, Reply
 
 PER_SECOND = 1.6384
-MOTION_HAS_PROFILE = 7  # firmware from which on a move takes its own speed and acceleration
+# Firmware from which on a move takes its own speed and acceleration
+MOTION_HAS_PROFILE = 7
 LARGEST_SETTING = 2**31 - 1
-STOP_ID = 99  # command number of every stop: its answer is not awaited, and skipped when it comes
+# Command number of every stop: its answer is not awaited, and skipped when it comes
+STOP_ID = 99
 
 FAULTS = {
     "FS": "stalled", "FQ": "has an encoder error", "FD": "has its driver switched off",
@@ -48,7 +50,8 @@ FAULTS = {
 LIMITS = {"WL": "ran into a limit"}
 UNREFERENCED = {"WR", "WH"}  # no reference position; not homed
 INTERRUPTED = {"NI", "NC"}  # by a command; by manual control
-NO_FLAG = "--"  # no flag is set: an answer shows the one of highest priority
+# No flag is set: an answer shows the one of highest priority
+NO_FLAG = "--"
 
 
 class ZaberController(Controller):

@@ -97,7 +97,7 @@ class ForeignController(ForeignLibrary):
         if not self._homed_by_hand:
             super().confirm(channel, position_mm)
         if not math.isfinite(position_mm):
-            raise OutOfRange(f"{self.name}: {position_mm} is not a valid position")
+            raise OutOfRange(f"{self.name}: {position_mm} is not a position")
         with self._lock:
             here_mm = self._reading_mm(channel)
             self._zero_mm[channel] = position_mm - here_mm
@@ -110,7 +110,7 @@ class ForeignController(ForeignLibrary):
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move, with the speed that the library has."""
         if not math.isfinite(target_mm):
-            raise OutOfRange(f"{self.name}: {target_mm} is not a valid position")
+            raise OutOfRange(f"{self.name}: {target_mm} is not a position")
         with self._lock:
             if channel not in self._referenced:
                 raise NotReferenced(f"{self.name} channel {channel} has no reference; home it")

@@ -37,9 +37,12 @@ from tracer.strategies.lockstep import MAX_CHAIN, NO_WINDOWS, pack_chain, trace_
 from tracer.strategies.occluders import trace_with_occluders
 from tracer.strategies.trace import number_keys, pack_camera, world_of
 
-MIN_COSINE = 0.12  # of a ray in front of a window, 83 degrees from its normal: beyond, closed forms lose digits
-MIN_SQUARED_COSINE = 0.12  # of a ray in the glass and behind it (69.7 degrees): margin before total reflection
-CLEARANCE = 3.0  # height over the plane where a ray enters, in thicknesses: its path is at most 1/sqrt(0.12) = 2.9
+# Of a ray in front of a window, 83 degrees from its normal: beyond, closed forms lose digits
+MIN_COSINE = 0.12
+# Of a ray in the glass and behind it (69.7 degrees): margin before total reflection
+MIN_SQUARED_COSINE = 0.12
+# Height over the plane where a ray enters, in thicknesses: its path is at most 1/sqrt(0.12) = 2.9
+CLEARANCE = 3.0
 NO_CHAIN = np.empty((0, BALL))
 
 

@@ -54,8 +54,10 @@ from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
 
-OTHER_PATH, RETRY = -2, -3  # trips that no ray takes: verified as not on the sheet, and to be solved again
-CLOSE_PX = 2.0  # from its start, which lies within about a pixel of the solution
+# Trips that no ray takes: verified as not on the sheet, and to be solved again
+OTHER_PATH, RETRY = -2, -3
+# From its start, which lies within about a pixel of the solution
+CLOSE_PX = 2.0
 
 inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defined]
 stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]

@@ -117,7 +117,7 @@ class _Synchroniser(TimingBox):
         if self.gate is not None:
             raise WrongBox(f"{self.name} has no gate input that this driver could set; leave out `gate`")
         if wrong := [role for role, pin in self.wiring.items() if role in LAMPS or pin not in PINS]:
-            raise WrongBox(f"{self.name}: {wrong[0]} cannot be connected to a pin of a synchroniser")
+            raise WrongBox(f"{self.name}: {wrong[0]} cannot be on a synchroniser's pin")
         self.address = self.identity
         self._offs_due = 0
 
@@ -199,7 +199,7 @@ class OltSyncBox(_Synchroniser):
             def accept(answer: object) -> bool | None:
                 if isinstance(answer, Verdict):
                     return answer.accepted
-                raise ProtocolViolation(f"{self.name}: {answer!r} is not a valid answer to a sequence")
+                raise ProtocolViolation(f"{self.name}: {answer!r} does not answer a sequence")
 
             if not self._ask_again(lambda: self._transact(sequence.to_bytes(), accept)):
                 raise CommandRejected(f"{self.name} refused the sequence as a whole", "Sequence:Error")
@@ -210,7 +210,7 @@ class OltSyncBox(_Synchroniser):
         """Start what was loaded; for alignment the camera has no pulses in it."""
         with self._lock:
             if self._sequence is None:
-                raise LaserDoubt(f"{self.name} has no pulse sequence to start")
+                raise LaserDoubt(f"{self.name} has no sequence to start")
             self._require_untouched()
             if not self._switch(Switch(self.address, True).to_bytes(), moves=True):
                 self._require_untouched()
@@ -261,7 +261,7 @@ class XmSyncBox(_Synchroniser):
         """Send the same with the laser on."""
         with self._lock:
             if self._settings is None:
-                raise LaserDoubt(f"{self.name} has no pulse sequence to start")
+                raise LaserDoubt(f"{self.name} has no sequence to start")
             self._require_untouched()
             if not self._switch(self._line(True), moves=True):
                 self._require_untouched()

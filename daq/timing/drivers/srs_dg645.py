@@ -136,16 +136,12 @@ class Dg645Box(TimingBox):
             for output in OUTPUTS:
                 start, end = _channels(output)
                 if self._delay(end) != (start, _seconds(lengths.get(output, 0.0))):
-                    raise LaserDoubt(
-                        f"{self.name}: output {output} does not accept its length, or was switched off"
-                    )
+                    raise LaserDoubt(f"{self.name}: output {output} rejects its length, or was switched off")
             self._require_burst_mode()  # last of all: an off in between has cleared it
             self._send(Command("*TRG").to_bytes(), moves=True)
             self._happened = self._registers("INSR")
             if not self._happened & WAS_TRIGGERED:
-                raise LaserDoubt(
-                    f"{self.name} was not triggered; was it switched off, or is it operated at its front panel?"
-                )
+                raise LaserDoubt(f"{self.name} was not triggered; was it switched off, or is it used by hand?")
 
     def end(self) -> None:
         """Take the lengths away, and ask whether the burst has come to its end by itself."""
@@ -155,9 +151,7 @@ class Dg645Box(TimingBox):
             self._require_no_lengths()
             self._require_idle()
             if not (self._happened | self._registers("INSR")) & ENDED_BURST:
-                raise LaserDoubt(
-                    f"{self.name} has not run to the end of its burst; was it stopped at its front panel?"
-                )
+                raise LaserDoubt(f"{self.name} has not run to the end of its burst; was it stopped by hand?")
             self._require_burst_mode()
 
     # ---- inside ------------------------------------------------------------------------------------

@@ -228,8 +228,8 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
     with h5py.File(tmp_path / "none.h5", "w") as file:
         file["a"] = np.zeros((4, 4), np.uint16)
     for name, kind, words in (
-        ("empty.h5", FrameError, "is not a readable HDF5 file"),
-        ("nothing.h5", FrameError, "is not a readable HDF5 file"),
+        ("empty.h5", FrameError, "is not readable as HDF5"),
+        ("nothing.h5", FrameError, "is not readable as HDF5"),
         ("two.h5", FrameError, "several stacks of images; name one: .*two.h5@/x, .*two.h5@/y"),
         ("two.h5@/colour", FrameError, "/colour is 3 x 4 x 5 x 3; images are n x H x W"),
         ("two.h5@/c", FrameError, "/c is no data set"),

@@ -159,7 +159,7 @@ def test_what_is_no_video_is_refused_in_one_sentence(tmp_path, name):
         bytes(4000),
     ):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(FrameError, match=r"is not a readable video|holds no frame") as caught:
+        with pytest.raises(FrameError, match=r"is not readable as a video|holds no frame") as caught:
             source_of(tmp_path / name)
         assert "\n" not in str(caught.value)
     (tmp_path / name).unlink()

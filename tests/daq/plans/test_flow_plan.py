@@ -93,7 +93,7 @@ def test_another_dt_is_another_plan(tmp_path):
     ({"plan": PLAN + "operator: me\n"}, "unknown key"),
     ({"settings": SETTINGS.replace("ExposureTime: 200.0, ", "")}, "lacks ExposureTime"),
     ({"settings": SETTINGS.replace("Line1", "Software")}, "triggered by the timing unit"),
-    ({"pairs": "{shape: two_blocks, dead_us: 2.0}"}, "frames A and B cannot be distinguished"),
+    ({"pairs": "{shape: two_blocks, dead_us: 2.0}"}, "A and B need a marker"),
     ({"pairs": "null"}, "which distinguishes exposure A from exposure B"),
     ({"pairs": "{shape: straddling, marker: line_status, line: 2, dead_us: 2.0, second_exposure_us: 100.0}"},
      "have one exposure"),

@@ -206,9 +206,9 @@ def _with(meta, **more):
 
 
 @pytest.mark.parametrize(("keys", "words"), [
-    ({"shape": "straddling"}, "frames A and B cannot be distinguished"),
-    ({"shape": "burst"}, "frames A and B cannot be distinguished"),
-    ({"shape": "two_blocks", "marker": "halves"}, "frames A and B cannot be distinguished"),
+    ({"shape": "straddling"}, "A and B need a marker"),
+    ({"shape": "burst"}, "A and B need a marker"),
+    ({"shape": "two_blocks", "marker": "halves"}, "A and B need a marker"),
     ({"shape": "double_height", "marker": "spacing"}, "leave the marker out"),
     ({"shape": "straddling", "marker": "line_status"}, "line_status needs line"),
     ({"shape": "straddling", "marker": "counter"}, "counter needs counter"),

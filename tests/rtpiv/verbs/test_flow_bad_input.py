@@ -17,7 +17,7 @@ CHANGES = {
     "dt longer than the period": ("plan", "dt_us: 100.0", "dt_us: 50000.0", "longer than the 40000 us"),
     "rate above the camera's": ("bench", BLOCKS, f"{BLOCKS}, most_hz: 20.0", "more than the camera's 20"),
     "rate above the laser's": ("plan", "rate_hz: 25.0", "rate_hz: 26.0", "more than the laser's 25"),
-    "missing marker": ("bench", ", marker: line_status, line: 2", "", "frames A and B cannot be distinguished"),
+    "missing marker": ("bench", ", marker: line_status, line: 2", "", "A and B need a marker"),
     "marker without its line": ("bench", ", line: 2}", "}", "marker line_status needs line"),
     "no word of pairs": ("bench", f"pairs: {{{BLOCKS}, marker: line_status, line: 2}}", "timeout_s: 1.0",
                          "which distinguishes exposure A from exposure B"),
