@@ -93,8 +93,8 @@ class CameraConfig:
         By how much the camera's clock is faster than this computer's.
     celsius : float
         Temperature that it tells; it does not get warm.
-    dialect : str
-        Whose features it has, by name among `sim.camera.dialects.DIALECTS`; "" for its own.
+    features : str
+        Its table of features, a tuple of `sim.camera.features.Feature`, as "package.module:NAME".
     id_bits : int
         16 for ids that go 65535 -> 1.
     write_log : str
@@ -120,7 +120,7 @@ class CameraConfig:
     has_chunks: bool = True
     clock_ppm: float = 0.0
     celsius: float = 41.5
-    dialect: str = ""
+    features: str = "sim.camera.features:FEATURES"
     id_bits: int = 64
     write_log: str = ""
     faults: FaultPlan = field(default_factory=FaultPlan)

@@ -21,13 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.camera.config import CameraConfig
-from sim.camera.dialects import features_of
 from sim.camera.exposure import RESET_LINE, Exposure, Lines, Shutter
 from sim.camera.features import CHUNK_FEATURES, CHUNKS
 from sim.camera.packing import payload_bytes
 from sim.camera.payload import Picture, SensorReadout, tail, tail_bytes
 from sim.camera.registers import RegisterMap, Value, WriteProtected
-from sim.camera.source import FrameSource, PatternSource, image_of, load_source
+from sim.camera.source import FrameSource, PatternSource, image_of, load_named, load_source
 from sim.camera.wires import listen
 from tracer.errors import SceneError
 
@@ -88,7 +87,7 @@ class SimCamera:
         without_chunks = () if config.has_chunks else tuple(feature.name for feature in CHUNK_FEATURES)
         without_clock = () if config.has_clock else CLOCK
         without = (*without_clock, *without_chunks)
-        self.registers = RegisterMap(VENDOR, MODEL, without, features_of(config.dialect))
+        self.registers = RegisterMap(VENDOR, MODEL, without, load_named(config.features))
         self.sink: Callable[[SimFrame], None] | None = None
         self.on_lost: Callable[[], None] | None = None
         self._source = source or _source_of(config)

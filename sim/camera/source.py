@@ -107,17 +107,22 @@ class RingSource:
         return frame
 
 
-def load_source(dotted: str, arguments: Mapping[str, Any]) -> FrameSource:
-    """Make the source that a configuration names as "package.module:factory".
+def load_named(dotted: str) -> Any:  # noqa: ANN401 - whatever a module holds
+    """Import what a configuration names as "package.module:name".
 
     Raises
     ------
     ValueError
         The name has no colon.
     ImportError, AttributeError
-        There is no such module, or no such factory in it.
+        There is no such module, or no such name in it.
     """
     module_name, colon, name = dotted.partition(":")
     if not colon:
-        raise ValueError(f"frame source {dotted!r} must be written as package.module:factory")
-    return cast("FrameSource", getattr(import_module(module_name), name)(**arguments))
+        raise ValueError(f"{dotted!r} must be written as package.module:name")
+    return getattr(import_module(module_name), name)
+
+
+def load_source(dotted: str, arguments: Mapping[str, Any]) -> FrameSource:
+    """Make the frame source of a factory that a configuration names, see `load_named`."""
+    return cast("FrameSource", load_named(dotted)(**arguments))

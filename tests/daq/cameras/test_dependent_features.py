@@ -12,7 +12,7 @@ from daq.cameras.sfnc import apply_settings, verify_settings
 from daq.errors import SettingRefused
 from sim.camera.config import CameraConfig
 from sim.camera.device import SimCamera
-from sim.camera.dialects import features_of
+from tests.daq.cameras import dialects
 from tests.daq.cameras.rigs import AravisRig, HarvestersRig, need_harvesters
 
 SOFTWARE = {"TriggerMode": "On", "TriggerSource": "Software"}
@@ -71,6 +71,10 @@ REFUSED = [  # dialect, settings, reason
     ("plain", {"AcquisitionControl": 1, "Gain": 2.0}, r"AcquisitionControl"),
     ("plain", {"TriggerSelector": "AcquisitionStart", **SOFTWARE}, r"no feature TriggerSelector"),
 ]
+
+
+def config_of(dialect, **changes):
+    return CameraConfig(64, 48, features=f"{dialects.__name__}:{dialect.upper()}", **changes)
 
 
 class NodeMapRig:
@@ -150,7 +154,7 @@ def camera_of(rig, tmp_path):
     made = []
 
     def make(dialect, **changes):
-        made.append(rig.make(CameraConfig(64, 48, dialect=dialect, write_log=str(tmp_path / "writes"), **changes)))
+        made.append(rig.make(config_of(dialect, write_log=str(tmp_path / "writes"), **changes)))
         made[-1].open()
         return made[-1]
 
@@ -164,7 +168,7 @@ class Table:
     """A dialect's features by the names that its description shows."""
 
     def __init__(self, dialect):
-        features = [feature for feature in features_of(dialect) if feature.shown is not None]
+        features = [feature for feature in getattr(dialects, dialect.upper()) if feature.shown is not None]
         self.names = {feature.name: feature.shown or feature.name for feature in features}
         self._features = {self.names[feature.name]: feature for feature in features}
         self._selectors = {self.names[n]: f.name for f in features for n in f.selects if n in self.names}

@@ -16,7 +16,7 @@ after reports of users.  Only what decides about the order of setting differs fr
     plain        no selector of triggers; the source of the trigger exists while it is on
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -33,13 +33,13 @@ def _entries(*names: str) -> tuple[tuple[str, int], ...]:
     return tuple((name, number) for number, name in enumerate(names))
 
 
-def _automatic(name: str, default: int = 0, **changes: Any) -> Feature:  # noqa: ANN401 - fields of Feature
+def _automatic(name: str, default: int = 0, **changes: Any) -> Feature:
     return Feature(
         name, "AcquisitionControl", "enum", default, entries=_entries("Off", "Once", "Continuous"), **changes
     )
 
 
-def _triggers(*names: str, **source: Any) -> Changes:  # noqa: ANN401
+def _triggers(*names: str, **source: Any) -> Changes:
     """A selector of these triggers, each with its own mode and source."""
     return {
         "TriggerSelector": {"entries": _entries(*names), "selects": _TRIGGER},
@@ -55,6 +55,10 @@ def _raw_gain(*selectors: str) -> tuple[Changes, Feature]:
         "Gain": {"shown": None},
     }
     return gain, Feature("GainRaw", "AnalogControl", "int", 36, 0, 500, is_per_entry=True)
+
+
+def _changed(changes: Changes, *added: Feature) -> tuple[Feature, ...]:
+    return tuple(replace(feature, **changes.get(feature.name, {})) for feature in FEATURES) + added
 
 
 _OFF: tuple[str | int, ...] = ("Off",)
@@ -88,61 +92,51 @@ _LOCKED_RATE: Changes = {
 }  # fmt: skip
 _ACE_GAIN, _ACE_RAW = _raw_gain("All", "AnalogAll", "DigitalAll", "Tap1", "Tap2")
 _PILOT_GAIN, _PILOT_RAW = _raw_gain("All", "Tap1", "Tap2")
+_DELAY_ABS = replace(_DELAY, shown="TriggerDelayAbs")
 
-DIALECTS: Mapping[str, tuple[Changes, tuple[Feature, ...]]] = {
-    "": ({}, ()),
-    "blackfly_s": (
-        {
-            **_triggers(
-                "AcquisitionStart", "FrameStart", "FrameBurstStart", writable_while=(("TriggerMode", _OFF),)
-            ),
-            "AcquisitionFrameRateEnable": {"default": 0},
-            "AcquisitionFrameRate": {"exists_while": (("AcquisitionFrameRateEnable", (1,)),)},
-            "ExposureMode": {"entries": _entries("Timed", "TriggerWidth")},
-            "ExposureTime": {"writable_while": (("ExposureMode", ("Timed",)), ("ExposureAuto", _OFF))},
-            "Gain": {"writable_while": (("GainAuto", _OFF),)},
-        },
-        (_automatic("ExposureAuto", 2), _automatic("GainAuto", 2), _DELAY),
-    ),
-    "flea3": ({**_OLD_RATE, **_triggers("ExposureStart", "ExposureActive")}, _OLD_MODES),
-    "grasshopper": ({**_OLD_RATE, **_triggers("FrameStart", "ExposureActive")}, _OLD_MODES),
-    "ace": (
-        {**_ABS, **_LOCKED_RATE, **_ACE_GAIN, **_triggers("AcquisitionStart", "FrameStart")},
-        (_automatic("ExposureAuto"), _ACE_RAW, replace(_DELAY, shown="TriggerDelayAbs")),
-    ),
-    "pilot": (
-        {**_ABS, **_LOCKED_RATE, **_PILOT_GAIN, **_triggers("AcquisitionStart")},
-        (_automatic("ExposureAuto"), _PILOT_RAW, replace(_DELAY, shown="TriggerDelayAbs")),
-    ),
-    "manta": (
-        {
-            **_ABS, **_triggers("FrameStart", "AcquisitionStart", "AcquisitionEnd", "AcquisitionRecord"),
-            "AcquisitionFrameRateEnable": {"shown": None}, "GainSelector": {"entries": _entries("All")},
-        },
-        (_automatic("ExposureAuto"), replace(_DELAY, shown="TriggerDelayAbs")),
-    ),
-    "vieworks": (
-        {
-            **_triggers("ExposureStart"),
-            "GainSelector": {"entries": _entries("DigitalAll", "AnalogAll"), "selects": ("Gain",)},
-            "Gain": {"is_per_entry": True},
-        },
-        (),
-    ),
-    "hikrobot": (_triggers("FrameBurstStart"), (_automatic("ExposureAuto"),)),
-    "plain": (
-        {
-            "TriggerSelector": {"shown": None}, "GainSelector": {"shown": None},
-            "TriggerSource": {"default": 1, "exists_while": (("TriggerMode", ("On",)),)},
-            "ExposureMode": {"entries": _entries("Timed", "TriggerWidth"), "default": 1},
-            "ExposureTime": {"exists_while": (("ExposureMode", ("Timed",)),)},
-        },
-        (),
-    ),
-}  # fmt: skip
-
-
-def features_of(dialect: str) -> Sequence[Feature]:
-    """Table of features of a dialect; KeyError with the name of one that does not exist."""
-    changes, added = DIALECTS[dialect]
-    return tuple(replace(feature, **changes.get(feature.name, {})) for feature in FEATURES) + added
+BLACKFLY_S = _changed(
+    {
+        **_triggers(
+            "AcquisitionStart", "FrameStart", "FrameBurstStart", writable_while=(("TriggerMode", _OFF),)
+        ),
+        "AcquisitionFrameRateEnable": {"default": 0},
+        "AcquisitionFrameRate": {"exists_while": (("AcquisitionFrameRateEnable", (1,)),)},
+        "ExposureMode": {"entries": _entries("Timed", "TriggerWidth")},
+        "ExposureTime": {"writable_while": (("ExposureMode", ("Timed",)), ("ExposureAuto", _OFF))},
+        "Gain": {"writable_while": (("GainAuto", _OFF),)},
+    },
+    _automatic("ExposureAuto", 2), _automatic("GainAuto", 2), _DELAY,
+)  # fmt: skip
+FLEA3 = _changed({**_OLD_RATE, **_triggers("ExposureStart", "ExposureActive")}, *_OLD_MODES)
+GRASSHOPPER = _changed({**_OLD_RATE, **_triggers("FrameStart", "ExposureActive")}, *_OLD_MODES)
+ACE = _changed(
+    {**_ABS, **_LOCKED_RATE, **_ACE_GAIN, **_triggers("AcquisitionStart", "FrameStart")},
+    _automatic("ExposureAuto"), _ACE_RAW, _DELAY_ABS,
+)  # fmt: skip
+PILOT = _changed(
+    {**_ABS, **_LOCKED_RATE, **_PILOT_GAIN, **_triggers("AcquisitionStart")},
+    _automatic("ExposureAuto"), _PILOT_RAW, _DELAY_ABS,
+)  # fmt: skip
+MANTA = _changed(
+    {
+        **_ABS, **_triggers("FrameStart", "AcquisitionStart", "AcquisitionEnd", "AcquisitionRecord"),
+        "AcquisitionFrameRateEnable": {"shown": None}, "GainSelector": {"entries": _entries("All")},
+    },
+    _automatic("ExposureAuto"), _DELAY_ABS,
+)  # fmt: skip
+VIEWORKS = _changed(
+    {
+        **_triggers("ExposureStart"),
+        "GainSelector": {"entries": _entries("DigitalAll", "AnalogAll"), "selects": ("Gain",)},
+        "Gain": {"is_per_entry": True},
+    }
+)
+HIKROBOT = _changed(_triggers("FrameBurstStart"), _automatic("ExposureAuto"))
+PLAIN = _changed(
+    {
+        "TriggerSelector": {"shown": None}, "GainSelector": {"shown": None},
+        "TriggerSource": {"default": 1, "exists_while": (("TriggerMode", ("On",)),)},
+        "ExposureMode": {"entries": _entries("Timed", "TriggerWidth"), "default": 1},
+        "ExposureTime": {"exists_while": (("ExposureMode", ("Timed",)),)},
+    }
+)  # fmt: skip
