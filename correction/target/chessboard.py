@@ -167,7 +167,8 @@ class Chessboard(Board):
 
     def is_bright(self, squares: ArrayLike) -> NDArray[np.bool_]:
         """True for squares (..., 2) int that are bright apart from their disc."""
-        return np.asarray((np.asarray(squares).sum(axis=-1) % 2 == 1) == self.odd_bright)
+        column, row = np.moveaxis(np.asarray(squares), -1, 0)
+        return np.asarray(((column + row) & 1 == 1) == self.odd_bright)
 
     def has_corner(self, index: ArrayLike) -> NDArray[np.bool_]:
         """True for indices (..., 2) int of corners that the board has: not those on its edges."""
@@ -331,7 +332,8 @@ class Chessboard(Board):
         bright = self.is_bright(squares)
         for disc in self.discs:
             centre = (np.array(disc) + 0.5) * self.square_mm
-            bright = bright ^ (np.sum((points - centre) ** 2, axis=-1) < 0.25 * self.disc_mm**2)
+            across, up = (points[..., axis] - centre[axis] for axis in (0, 1))
+            bright = bright ^ (across**2 + up**2 < 0.25 * self.disc_mm**2)
         if self.codes is not None:
             from correction.target.codes import marker_cells  # it knows boards, and OpenCV loads slowly
 

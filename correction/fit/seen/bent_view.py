@@ -25,10 +25,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from correction.fit.seen.kernels.edges import shade_edges
 from correction.fit.seen.prediction import Expected, in_target_frame
 from correction.target import Chessboard
 from correction.target.corners import ASIDE_PX
 from correction.target.marks import refine_marks
+from ground.rows import run_rows
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import trace
@@ -38,8 +40,6 @@ CONTRAST = 0.85  # of black and white print
 DRAWN_PX = 0.2  # blur of what is drawn, before the rest of it is added
 WINDOW_MARGIN_PX = 3  # what is drawn beyond a window
 CORNERS_AT_ONCE = 64  # corners traced and fitted at a time
-DRAWN_AT_ONCE = 4  # of those: points between pixels are FINER**2 as many, and stay in the processor's cache
-FAR = 6.0  # erf of more is 1 to the last bit
 WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
 WORTH_OF_DOTS_PX = 0.01  # of what the rim of a dot says, the same
 LEFT_BY_RIM, LEFT_OF_DOTS = 0.03, 0.02  # of what is taken off dots, by their rims and as drawn
@@ -154,38 +154,34 @@ def draw_marks(
     """
     size = squares.shape[1]
     seen, between, spread = np.empty(passed.shape), _between(size), _spread(size, blur_px)
-    for first in range(0, len(seen), DRAWN_AT_ONCE):
-        some = slice(first, first + DRAWN_AT_ONCE)
-        light = np.einsum("av,nvu,bu->nab", between, passed[some], between, optimize=True)
-        light *= 1.0 + CONTRAST * _shade(squares[some], between, board, index[some])
-        seen[some] = spread @ light @ spread.T
+
+    def draw(first: int, last: int) -> None:
+        for n in range(first, last):
+            light = between @ passed[n] @ between.T
+            light *= 1.0 + CONTRAST * _shade(squares[n], between, board, index[n])
+            seen[n] = spread @ light @ spread.T
+
+    run_rows(draw, len(seen), 1)
     return seen
 
 
 def _shade(
     squares: NDArray[np.float64], between: NDArray[np.float64], board: Chessboard, index: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Draw the print, dark -1 and bright 1, between the pixels (N, M, M); arguments are those of `draw_marks`."""
-    fine = np.einsum("av,nvuk,bu->nabk", between, squares, between, optimize=True)
+    """Draw the print, dark -1 and bright 1, between the pixels of a tile (M, M); arguments as of `draw_marks`."""
+    x, y = (between @ squares[..., part] @ between.T for part in (0, 1))
+    width = np.sqrt(2.0) * DRAWN_PX
     if board.dots is not None:
+        fine = np.stack((x, y), axis=-1)
         node = np.rint(fine).astype(np.int64)
-        beyond = np.linalg.norm(fine - node, axis=-1) - 0.5 * board.dot_share(node + index[:, None, None])
-        return (-1.0 if board.dots.bright else 1.0) * _edge(beyond)
-    shade = np.broadcast_to(board.corner_sign(index)[:, None, None], fine.shape[:3]).astype(np.float64)
-    for edge in range(2):
-        nearest = np.rint(fine[..., edge])
-        odd = nearest - 2.0 * np.floor(0.5 * nearest)  # a fifth of the time of %
-        shade *= (1.0 - 2.0 * odd) * _edge(fine[..., edge], nearest)
+        beyond = np.linalg.norm(fine - node, axis=-1) - 0.5 * board.dot_share(node + index)
+        shade = np.full(beyond.shape, -1.0 if board.dots.bright else 1.0)
+        shade_edges(beyond, FINER, width, False, shade)
+        return shade
+    shade = np.full(x.shape, float(board.corner_sign(index)))
+    for field in (x, y):
+        shade_edges(field, FINER, width, True, shade)
     return shade
-
-
-def _edge(field: NDArray[np.float64], level: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-    """Shade (N, M, M), -1 to 1, around where a field that is drawn FINER goes through a level."""
-    slope = np.hypot(*np.gradient(field, 1.0 / FINER, axis=(1, 2)))
-    off = (field - level) / np.maximum(slope, 1e-12) / (np.sqrt(2.0) * DRAWN_PX)
-    shade, near = np.sign(off), np.abs(off) < FAR
-    shade[near] = scipy.special.erf(off[near])
-    return np.asarray(shade)
 
 
 @cache

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from correction.fit.seen.prediction import in_target_frame
 from correction.grid import grid_of
 from correction.target import Chessboard
+from ground.rows import run_rows
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.sensitivity import TargetPose
@@ -34,6 +35,7 @@ NEARBY = 4.0  # squares: side of what W and B are taken from
 LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
 BLACKEST = 0.001  # share of the pixels below what a camera shows of no light
 DIMMEST = 0.05  # transmittance from which light is compared
+ROWS_AT_ONCE = 16  # of a frame: what is computed of them stays in a core's cache
 DIRECT_VIEW = 0  # number of the view beside the glass
 Bounds = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -69,18 +71,26 @@ class Shown:
     def of(cls, scene: Scene, pose: TargetPose, board: Chessboard, bounds_mm: Bounds) -> "Shown":
         """Trace a scene to a board at a pose, whose corners reach from least to largest x, y."""
         seen = in_target_frame(scene, pose)
-        rays = build_ray_map(seen)
-        width = _square_px(rays, board)
+        rays = first = build_ray_map(seen)
         for depth_mm in board.depths_mm[1:]:
             rays = _on_plate(rays, build_ray_map(in_target_frame(scene, pose.behind(depth_mm))), board)
         passed = np.ones(rays.branch.shape, np.float32)
         rows, columns = np.nonzero(rays.recovered & (rays.branch != DIRECT_VIEW))
         behind = np.stack((columns, rows), axis=1).astype(np.float64)
         passed[rows, columns] = trace(seen, behind).rays["transmittance"]
-        point = np.nan_to_num(rays.plane_mm).astype(np.float64)
-        there = rays.recovered & ((point >= bounds_mm[0]) & (point <= bounds_mm[1])).all(axis=-1)
-        there &= (width >= MIN_SQUARE_PX) & (passed > DIMMEST)
-        bright = board.shade(point) > 0.5
+        width = np.empty(rays.branch.shape)
+        there, bright = (np.empty(width.shape, np.bool_) for _ in range(2))
+
+        def fill(low: int, high: int) -> None:
+            rows = slice(low, high)
+            width[rows] = _square_px(first.plane_mm, board, low, high)
+            point = np.nan_to_num(rays.plane_mm[rows])
+            on_board = (point >= bounds_mm[0]) & (point <= bounds_mm[1])
+            there[rows] = on_board[..., 0] & on_board[..., 1] & (width[rows] >= MIN_SQUARE_PX)
+            bright[rows] = board.shade(point) > 0.5
+
+        run_rows(fill, len(width), ROWS_AT_ONCE)
+        there &= rays.recovered & (passed > DIMMEST)
         pitch_mm = grid_of(seen.camera).pitch_mm
         side = 2 * int(NEARBY * board.square_mm / pitch_mm / 2) + 1
         return cls(rays, passed, bright, _clear(rays, there, bright), width, side)
@@ -163,11 +173,16 @@ def _on_plate(rays: RayMap, other: RayMap, board: Chessboard) -> RayMap:
     return replace(rays, plane_mm=plane, status=status)
 
 
-def _square_px(rays: RayMap, board: Chessboard) -> NDArray[np.float64]:
-    """Narrow side (H, W) of a square as seen at each pixel; 0 where it is not known."""
-    by_v, by_u = (np.asarray(np.gradient(rays.plane_mm, axis=axis), np.float64) for axis in (0, 1))
-    square = (by_u**2 + by_v**2).sum(axis=-1)
-    turned = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
+def _square_px(plane_mm: NDArray[np.floating[Any]], board: Chessboard, low: int, high: int) -> NDArray[np.float64]:
+    """Narrow side (N, W) of a square as seen at each pixel of some rows of a map; 0 where it is not known."""
+    above = max(low - 1, 0)  # derivatives along v need a row more on either side
+    own = slice(low - above, high - above)
+    (x_v, y_v), (x_u, y_u) = (
+        np.moveaxis(np.asarray(np.gradient(plane_mm[above : high + 1], axis=axis), np.float64)[own], -1, 0)
+        for axis in (0, 1)
+    )
+    square = (x_u**2 + x_v**2) + (y_u**2 + y_v**2)
+    turned = x_u * y_v - y_u * x_v
     with np.errstate(invalid="ignore", divide="ignore"):
         widest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * turned**2, 0.0))))
         return np.asarray(np.nan_to_num(board.square_mm / widest, nan=0.0, posinf=0.0))

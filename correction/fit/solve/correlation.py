@@ -20,6 +20,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 FURTHEST = 8  # squares
@@ -130,11 +131,17 @@ def with_correlation(
         if not len(rho):
             continue
         for lattice in frames:
-            for distance, a, b in lattice.pairs(behind):
-                if distance <= len(rho):
-                    flat = len(a) * 2
-                    both = lattice.rate[a].reshape(flat, -1).T @ lattice.rate[b].reshape(flat, -1)
-                    extra += rho[distance - 1] * (both + both.T)
+            near = [(rho[far - 1], a, b) for far, a, b in lattice.pairs(behind) if far <= len(rho)]
+            if not near:
+                continue
+            count, _, free = lattice.rate.shape
+            rhos, first, second = zip(*near, strict=True)
+            places = np.concatenate(first), np.concatenate(second)
+            weight = np.repeat(rhos, [len(a) for a in first])
+            alike = scipy.sparse.coo_array((weight, places), shape=(count, count)).tocsr()
+            around = alike @ lattice.rate.reshape(count, -1)  # of each corner: sum over neighbours of rho J_b
+            both = lattice.rate.reshape(-1, free).T @ around.reshape(-1, free)
+            extra += both + both.T
     values, vectors = np.linalg.eigh(extra)
     extra = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return np.asarray(covariance + covariance @ extra @ covariance)

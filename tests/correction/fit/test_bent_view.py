@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy
 
-from correction.fit.seen.bent_view import DRAWN_AT_ONCE, LEFT, draw_marks
+from correction.fit.seen.bent_view import LEFT, draw_marks
+from correction.fit.seen.kernels.edges import shade_edges
 from correction.fit.seen.measurement import TargetFrame, glass_frame
 from correction.fit.seen.prediction import Expected, expect
 from correction.target import Chessboard
@@ -85,7 +86,7 @@ def test_a_corner_is_drawn_as_the_board_shows_it_through_a_bent_view(even, twist
 def test_many_corners_at_once_show_each_its_own_squares():
     """A flat view of three squares to every side, of dark and bright corners: off the edges the print itself."""
     places = np.arange(-HALF, HALF + 1.0)
-    count = 2 * DRAWN_AT_ONCE + 1
+    count = 9
     shift = np.linspace(-0.4, 0.4, count)[:, None, None, None] * (1.0, -0.5)
     squares = np.stack(np.meshgrid(places, places), axis=-1) / 4.5 + shift
     corner = np.array([[number // 3 % 2, 0] for number in range(count)])
@@ -95,6 +96,19 @@ def test_many_corners_at_once_show_each_its_own_squares():
     away = (np.abs(squares - np.rint(squares)) > 0.35).all(axis=-1)
     assert away.mean() > 0.05
     np.testing.assert_array_equal(np.sign(seen - 1.0)[away], bright[away])
+
+
+@pytest.mark.parametrize("edges", [shade_edges, shade_edges.py_func], ids=["compiled", "python"])
+@pytest.mark.parametrize("whole", [True, False])
+def test_edges_are_shaded_as_gradient_and_erf_of_numpy_and_scipy_say(edges, whole):
+    rng = np.random.default_rng(3)
+    field = np.cumsum(rng.normal(0.02, 0.05, (17, 23)), axis=1) + np.cumsum(rng.normal(0.0, 0.05, (17, 1)), axis=0)
+    level = np.rint(field) if whole else np.zeros_like(field)
+    slope = np.hypot(*np.gradient(field, 0.25))
+    wanted = np.where(level % 2 == 0, 0.7, -0.7) * scipy.special.erf((field - level) / slope / 0.3)
+    shade = np.full(field.shape, 0.7)
+    edges(field, 4, 0.3, whole, shade)
+    np.testing.assert_allclose(shade, wanted, rtol=0.0, atol=1e-15)
 
 
 def test_what_the_bending_of_a_view_does_to_corners_is_taken_off():

@@ -1,5 +1,7 @@
 """Does the fit know when its model is wrong?  A few drawn labs; hundreds of them behind `make labs`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -113,6 +115,25 @@ def test_the_covariance_holds_the_scatter_of_means_of_corners_that_err_alike():
         said.append(with_correlation(np.array([[1.0 / value.size]]), [seen], found)[0, 0])
     assert np.std(means) > 1.5 / np.sqrt(2 * len(PIXEL))
     assert np.std(means) == pytest.approx(np.sqrt(np.mean(said)), rel=0.35)
+
+
+def test_the_covariance_is_the_sandwich_summed_pair_by_pair():
+    rng = np.random.default_rng(6)
+    frames = [replace(lattice(bent(10.0) + rng.normal(size=PIXEL.shape)), rate=rng.normal(size=(len(PIXEL), 2, 5)))
+              for _ in range(2)]  # fmt: skip
+    found = {True: correlation_of(frames, True)}
+    rho, middle = found[True].by_distance, np.zeros((5, 5))
+    assert len(rho) > 1
+    for frame in frames:
+        for distance, first, second in frame.pairs(True):
+            for one, other in zip(first, second, strict=True):
+                if distance <= len(rho):
+                    both = frame.rate[one].T @ frame.rate[other]
+                    middle += rho[distance - 1] * (both + both.T)
+    values, vectors = np.linalg.eigh(middle)
+    inverse = np.linalg.inv(sum(np.einsum("nkp,nkq->pq", frame.rate, frame.rate) for frame in frames))
+    wanted = inverse + inverse @ (vectors * np.maximum(values, 0.0)) @ vectors.T @ inverse
+    np.testing.assert_allclose(with_correlation(inverse, frames, found), wanted, rtol=1e-11)
 
 
 def test_landing_points_move_with_a_balls_shape_as_optics_of_another_hand_say():

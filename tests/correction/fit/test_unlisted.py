@@ -8,6 +8,7 @@ import pytest
 
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.unlisted_parts import Compared, View, compare_views
+from correction.fit.seen.view_agreement import Shown
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from correction.target import Chessboard
@@ -45,6 +46,19 @@ def lab() -> Scene:
 def frame(stray: str) -> np.ndarray:
     bodies = [BODIES[stray]] if stray else []
     return photograph(lab().with_bodies([*lab().bodies, *bodies]), True, 0.0, 17, SQUARE_MM).image
+
+
+def test_squares_are_as_wide_as_derivatives_of_the_whole_map_say():
+    """Rows are computed some at a time: no width differs at their borders."""
+    reach = np.full(2, 17 * SQUARE_MM)
+    shown = Shown.of(lab(), TargetPose(), BOARD, (-reach, reach))
+    plane = shown.rays.plane_mm
+    moved = np.stack([np.asarray(np.gradient(plane, axis=axis)) for axis in (0, 1)], axis=-1)
+    known = np.isfinite(moved).all(axis=(2, 3))
+    widest = np.linalg.svd(moved[known], compute_uv=False)[:, 0]
+    np.testing.assert_allclose(shown.width_px[known], SQUARE_MM / widest, rtol=1e-9)
+    assert not shown.width_px[~known].any()
+    assert (shown.bright == (BOARD.shade(np.nan_to_num(plane)) > 0.5)).all()
 
 
 def masked_parts(found: Compared) -> tuple[MaskedPart, ...]:

@@ -1,0 +1,1 @@
+"""Kernels of what frames of the target show, see `correction.fit.seen`."""
