@@ -16,7 +16,7 @@ class NodeStatus(IntEnum):
     FOLD = FOLD  # at or beyond a fold: two images merge and vanish
     BLOCKED = BLOCKED  # behind an opaque body
     OUT_OF_FRAME = OUT_OF_FRAME  # seen, but beside the sensor
-    LOW_MAGNIFICATION = LOW_MAGNIFICATION  # seen too small to be worth anything
+    LOW_MAGNIFICATION = LOW_MAGNIFICATION  # resolution too low
     UNSURE = UNSURE  # the map's sigma is beyond the limit that was set
     BLURRED = BLURRED  # the aperture shows it too blurred, or too far from its chief ray
     IN_GLASS = IN_GLASS  # the plane runs through a body there

@@ -66,7 +66,7 @@ def where_scene_holds(bench: Bench, glass_off_mm: Sequence[float]) -> dict[str, 
 
 
 def sheet_mm(bench: Bench) -> tuple[float, float] | None:
-    """Width and height of what hangs on the target's stage, if the bench file says it."""
+    """Width and height of the object on the target's stage, if the bench file says it."""
     table = bench.table.keep_out
     return None if table is None else (table.target_size_mm[0], table.target_size_mm[1])
 

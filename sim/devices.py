@@ -1,6 +1,6 @@
 """Devices of the simulated bench beside stages and cameras, each behind a port of its own: timing units, readings.
 
-What hangs on a timing unit is camera and light:
+Camera and light are connected to a timing unit:
 
     camera -> Line1 (a trigger; the box adds camera_b), or wherever a person puts this cable
     marker -> Line2 (high over exposure A; resets the exposure counter)

@@ -1,6 +1,6 @@
 """A simulated timing unit on a bench: firmware with a clock of its own behind a port, and plugs at its back.
 
-Simulations of what hangs on it find it in `world.timing` and listens:
+Simulations of devices connected to it find it in `world.timing` and listens:
 
     for unit in world.timing:
         unit.listen(Role.CAMERA, lambda pulse: ...)     # pulse.rises_s, pulse.falls_s on the world's clock
@@ -81,7 +81,7 @@ class SimulatedTiming:
 
     def __init__(self, table: TimingTable, clock: Clock) -> None:
         self.wiring = table.wiring
-        self.trigger_cable = self.wiring.get(Role.CAMERA)  # output that the camera's trigger input hangs on
+        self.trigger_cable = self.wiring.get(Role.CAMERA)  # output wired to the camera's trigger
         self._light_delays_us = table.head.head().q_switch_to_light_us
         made = emulator_of(table.box)
         options: dict[str, Any] = {"name": table.identity}

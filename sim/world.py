@@ -91,7 +91,7 @@ class World:
     stages : SimulatedStages
         Every axis.
     shows : str
-        What hangs on the target's stage.
+        Object on the target's stage.
     exposures_before : int
         Exposures made before this process began.
     first : World, optional
@@ -113,7 +113,7 @@ class World:
         self._worlds: list[World] = [] if first is None else first._worlds  # of all cameras
         self._worlds.append(self)
         self.drawing: DrawingTime = DrawingTime() if first is None else first.drawing
-        self.timing: list[SimulatedTiming] = []  # units that have power; who hangs on one listens to it
+        self.timing: list[SimulatedTiming] = []  # units that have power; devices connected to one listen to it
         self._bench = bench
         self._table = table
         self._stages = stages
@@ -261,7 +261,7 @@ def _board_of(bench: Bench, seed: int) -> Chessboard | CodedBoard | DotGrid | Pl
 
 
 def print_of(bench: Bench, seed: int, shows: str) -> Print:
-    """Return what hangs on the target's stage."""
+    """Return the object on the target's stage."""
     if shows == BOARD:
         return _board_of(bench, seed)
     camera = bench.scene.camera

@@ -6,7 +6,7 @@ bench file may say words that only the right box says of itself (its serial numb
 every connect asks for them before anything moves.
 
 A box that tells nothing of its own (isel and C142 know their model only, a Grbl board what was written with
-``$I=name``) is tied by the converter it hangs on: ``/dev/serial/by-id/...`` carries the converter's serial number.
+``$I=name``) is tied by its converter: ``/dev/serial/by-id/...`` carries the converter's serial number.
 """
 
 from stages.config import StagesTable

@@ -178,7 +178,7 @@ class Camera:
         return np.asarray(centre + self.focal_px * self.lens.apply((acquired - centre) / self.focal_px))
 
     def coarser(self, times: int) -> "Camera":
-        """Return the camera with pixels so many times wider and the same view, but for a rest at its far edges."""
+        """Return the camera with pixels `times` times wider, same view except a rest at the far edges."""
         if times == 1:
             return self
         (cu, cv), (width, height) = self.principal_px, self.sensor_px

@@ -70,7 +70,7 @@ class MaskedPart:
                 raise SceneError(f"masked: an {name} is a list of three points or more, two numbers each")
 
     def coarser(self, times: int) -> "MaskedPart":
-        """Return the same before a camera with pixels so many times wider."""
+        """Return the same before a camera with pixels `times` times wider."""
         if times == 1:
             return self
         outline = tuple(((u + 0.5) / times - 0.5, (v + 0.5) / times - 0.5) for u, v in self.outline_px)

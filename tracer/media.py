@@ -171,7 +171,7 @@ COMMON_NAMES = {  # what people call them, without case, spaces and hyphens
 
 
 def medium_called(name: str, media: Mapping[str, Medium] = MEDIA) -> Medium | None:
-    """Return the medium of this name, as it is written or as people call it; None if it is unknown.
+    """Return the medium of this name, by its symbol or common name; None if it is unknown.
 
     Parameters
     ----------

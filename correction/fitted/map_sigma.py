@@ -23,7 +23,7 @@ spreads of `SceneSigma` the sigma of the displacement is |spread(X2) - spread(X1
 |spread(X)|.  Where one end has no picture on the vector's own branch, twice the other half is taken.
 
 These are errors of the map, common to all pairs of a calibration: averaging over pairs does not reduce them.
-The random sigma of the correlation comes on top, in squares.
+The random sigma of the correlation is added to it (root sum of squares).
 """
 
 from dataclasses import dataclass, field

@@ -60,7 +60,7 @@ PRESETS: dict[str, dict[str, Setting]] = {
 
 
 def needs_line(preset: Preset) -> bool:
-    """Return whether a preset hangs on an input line."""
+    """Return whether a preset depends on an input line."""
     return LINE in PRESETS[preset].values()
 
 
@@ -148,7 +148,7 @@ class GlassSection(Table):
 
 
 class TargetSection(Table):
-    """The board that hangs on the target's stage."""
+    """The board on the target's stage."""
 
     square_mm: Positive = 2.5
     disc_mm: Positive = 1.0

@@ -299,7 +299,7 @@ def _pulse_generator(asked: Probe, baud: int) -> Found | None:
             f"devices:\n  laser:\n    {{kind: timing, box: srs_dg645, port: {asked.url}, baud: {baud},\n"
             "     channels: {q_switch_1: AB, q_switch_2: CD, camera: EF}, head: {max_rate_hz: ..}}"
         )
-        return Found("delay generator", identity, baud, (), ("what hangs on which output",), lines)
+        return Found("delay generator", identity, baud, (), ("the device on each output",), lines)
     match = re.match(r"(?i)(QC|QUANTUM|BNC|BERKELEY)\w*,\s*(\d{3,4})", identity)
     if match is None:
         return None
@@ -324,7 +324,7 @@ def _pulse_generator(asked: Probe, baud: int) -> Found | None:
         f'    {{kind: timing, box: {box}, port: {asked.url}{rate}, identity: "{identity}",\n'
         "     channels: {q_switch_1: .., camera: ..}, head: {max_rate_hz: ..}}  # docs/laser.md"
     )
-    unknown = ("what hangs on which output", "what arms a burst: rtpiv laser prove shows it")
+    unknown = ("the device on each output", "what arms a burst: rtpiv laser prove shows it")
     return Found("pulse generator", identity, baud, facts, unknown, lines)
 
 

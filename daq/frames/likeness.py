@@ -28,7 +28,7 @@ Pixels = NDArray[Any]
 
 def likeness(one: Pixels, other: Pixels) -> tuple[float, float]:
     """Return how well tiles of two pictures correlate, and how far apart they are [px]; medians of the tiles."""
-    import cv2  # most commands read no frames of others
+    import cv2  # most commands read no external frames
 
     height, width = (min(one.shape[k], other.shape[k]) for k in (0, 1))
     sides = min(TILE_PX, height), min(TILE_PX, width)

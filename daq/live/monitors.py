@@ -48,7 +48,7 @@ class RimMonitor(Monitor):
     scene : Scene
         Where the glass is believed to stand.
     board : Chessboard
-        What hangs on the plane when a frame shows a chessboard.
+        Object in the plane when a frame shows a chessboard.
     """
 
     def __init__(self, slot: SlotReader, scene: Scene, board: Chessboard) -> None:

@@ -33,7 +33,7 @@ class Step:
     view : str
         ``clear`` or ``glass``.
     shows : str
-        What hangs on the target's stage: ``chessboard`` or ``particles``.
+        Object on the target's stage: ``chessboard`` or ``particles``.
     on_plane : bool
         Whether the target lies in the investigation plane, so that the frame can be corrected.
     reference : int or None

@@ -4,7 +4,7 @@
                      the middle of one
     a lamp's plug:   count while the lamps run -> switch off
 
-A counter that hangs on one plug at a time is the judge, not the box. That it hangs on the right one is measured: a
+A counter connected to one plug at a time decides, not the box. That it is on the right one is measured: a
 burst of all other plugs gives nothing there, and a burst of this plug alone gives everything. That the cable is
 out is measured too: the box must answer while a burst runs, and stop answering before its end. What was not
 observed is neither right nor wrong, and certifies nothing.
@@ -151,7 +151,7 @@ class BoxTrials:
     # ---- counting --------------------------------------------------------------------------------
 
     def _locate(self, output: str, roles: Sequence[Role]) -> Trial:
-        """Find out whether the counter hangs on an output: what it sees of this one alone, and of all others."""
+        """Test whether the counter is connected to an output: its counts of this one alone, and of all others."""
         trial = Trial("", None, "")
         for _ in range(TRIAL_ATTEMPTS):
             self._helper.move_counter(output, ", ".join(roles))

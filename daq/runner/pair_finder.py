@@ -14,9 +14,9 @@ nothing has to be learnt by counting, and no fault can swap the pairs behind it.
 is a marker that is wired to exposure B of evenly spaced frames.
 
 **A marker that is wired wrongly** (`MarkerPolarity`).  Frames that come evenly spaced look the same whichever way
-they are paired.  A marker that is high during exposure B, because it hangs on the second trigger or its input is
-inverted, makes pairs of B and the NEXT A: light 2 of one pulse and light 1 of the next, a period less dt apart,
-and brightness and spacing say nothing against it.
+they are paired.  A marker that is high during exposure B, because it is connected to the second trigger or its
+input is inverted, makes pairs of B and the NEXT A: light 2 of one pulse and light 1 of the next, a period less dt
+apart, and brightness and spacing say nothing against it.
 
 What gives it away is that a chunk ends: the timing unit triggers A, B, A, B ... A, B and no more, so the last
 frame of all is a B.  A marker that calls it an A is wired wrongly, or the very last frame was lost.  Frames are

@@ -42,7 +42,7 @@ class Counted:
 
 
 class Counter(Protocol):
-    """Something whose input hangs on one plug at a time."""
+    """Counter whose input is connected to one plug at a time."""
 
     def begin(self, roles: Collection[Role], period_us: float, pulse: Pulse) -> None:
         """Begin to count at the plug with these roles, whose pulses come one a period."""
@@ -68,7 +68,7 @@ class _Exposures:
 
 
 class CameraCounter:
-    """Count by the exposures of a camera whose trigger input hangs on the plug.
+    """Count by the exposures of a camera whose trigger input is connected to the plug.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class CameraCounter:
 
 
 class BoxCounter:
-    """Count by a pulse box whose input hangs on the plug; it knows no times.
+    """Count by a pulse box whose input is connected to the plug; it records no times.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class TimingBox(Link):
     name : str
         What the bench file calls it; used in messages.
     wiring : mapping of Role to str
-        Output of the box by what hangs on it.
+        Output of the box by the device connected to it.
     clock : Clock
         Clock of every deadline.
     latch : StopLatch, optional

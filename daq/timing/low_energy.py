@@ -45,7 +45,7 @@ def low_energy_burst(
     head : LaserHead
         What the laser can do.
     wired : container of Role
-        What hangs on the box.
+        Devices connected to the box.
     rate_hz : float
         Pulses a second.
     for_s : float

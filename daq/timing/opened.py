@@ -47,7 +47,7 @@ class _Signals(StopSignals):
 
 @contextmanager
 def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Laser]:
-    """Open a timing unit and switch everything off that hangs on it; nothing is switched on.
+    """Open a timing unit and switch off everything connected to it; nothing is switched on.
 
     Parameters
     ----------

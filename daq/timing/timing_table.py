@@ -106,7 +106,7 @@ class TimingTable(Table):
 
     @property
     def wiring(self) -> dict[Role, str]:
-        """Output of the box by what hangs on it."""
+        """Output of the box by the device connected to it."""
         return {Role(name): output for name, output in self.channels.items()}
 
     def rules(self) -> Rules:

@@ -23,7 +23,7 @@ fluctuations. Squares forget faster: their autocorrelation is rho_k^2, and for r
 1/T)/2. Rare strong events (intermittency) make both larger than said here.
 
 What the map of the glass is unsure of is the same in every pair, so that no N makes it smaller: it is kept apart
-(`correction.fitted.map_sigma`) and added in squares only to be compared with a truth.
+(`correction.fitted.map_sigma`) and added (root sum of squares) only for comparison with a truth.
 """
 
 from collections.abc import Mapping

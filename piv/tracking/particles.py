@@ -1,4 +1,4 @@
-"""Particles of a frame: where each is, to a hundredth of a pixel, and how sure that is.
+"""Particles of a frame: their positions, to a hundredth of a pixel, and their uncertainties.
 
 A maximum of the slightly blurred frame that stands well above the noise is fitted by a Gaussian (height, place,
 width) on 5 x 5 px, by least squares. What is left of the pixels after the fit must be no more than noise and the

@@ -149,12 +149,12 @@ class CorrectionRecipe:
         return dewarp_of(target, camera, board, self.dewarp_order)
 
     def limit(self, sigma: SceneSigma | str) -> SigmaLimit | None:
-        """Return how sure the map must be, by what is unsure of its scene; None without a limit.
+        """Return the limit of the map uncertainty with the uncertainty of its scene; None without a limit.
 
         Raises
         ------
         MapUsageError
-            It is not known how sure the scene is, or the limit is not positive.
+            The uncertainty of the scene is not known, or the limit is not positive.
         """
         if self.sigma_limit_px is None:
             return None

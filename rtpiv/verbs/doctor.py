@@ -193,7 +193,7 @@ def _lines(ports: list[SerialPort], cameras: list[UsbCamera], files: list[Path])
         yield f"    {name}: {{driver: {port.driver or NO_DRIVER}, port: {_as_text(port.path)}}}{remark}"
     if not ports:
         yield f"    box_1: {{driver: {NO_DRIVER}, port: /dev/serial/by-id/...}}  # one of {', '.join(DRIVERS)}"
-    yield "# a timing unit hangs on such a port too: docs/laser.md"
+    yield "# a timing unit may be connected to such a port too: docs/laser.md"
     yield "camera:"
     if files or cameras:
         producer = str(files[0]) if files else EXAMPLE_PRODUCER

@@ -31,7 +31,7 @@ def prove_box(hardware: OpenBench, name: str, laser: Laser, rate_hz: float) -> N
     Parameters
     ----------
     hardware : OpenBench
-        With the laser and the camera that hangs on its box.
+        With the laser and the camera connected to its box.
     name : str
         Device of the bench.
     laser : Laser

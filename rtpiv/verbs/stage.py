@@ -273,7 +273,7 @@ class Prompt:
 
     def _connect(self, words: list[str]) -> None:
         opened = self._session.connect(*words)
-        self._say(f"opened {', '.join(opened)}; home what hangs on it" if opened else "nothing was lost")
+        self._say(f"opened {', '.join(opened)}; home its axes" if opened else "nothing was lost")
 
     def _here(self, words: list[str]) -> None:
         for name, mm in self._session.here(*words).items():

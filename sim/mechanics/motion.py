@@ -100,7 +100,7 @@ class _Piece(NamedTuple):
 
 
 class Motor:
-    """A motor with everything that hangs on it.
+    """A motor with everything it carries.
 
     Parameters
     ----------

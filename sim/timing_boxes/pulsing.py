@@ -1,7 +1,8 @@
 """Base of boxes that give pulses by themselves: periods that begin, pulses on their way, and the outputs.
 
 A period begins at its moment on the world's clock, with or without a listener and a living host; what
-falls into it is put on its way then, and leaves at its own moment, in order.  Who hangs on an output hears each:
+falls into it is put on its way then, and leaves at its own moment, in order.  A device connected to an output
+receives each:
 
     outputs = line.emulator.outputs
     outputs.listen(lambda pulse: ...)        # a Pulse(output, rises_s, falls_s), in the order in which they rise

@@ -216,7 +216,7 @@ class QuantumComposersEmulator(PulsingEmulator):
             self._all[number].words[keyword] = value
 
     def set_gate(self, is_high: bool) -> None:
-        """A door or a shutter moves whose switch hangs on the gate input."""
+        """A door or a shutter moves whose switch is connected to the gate input."""
         self.advance()
         self.gate_is_high = is_high
 

@@ -1,6 +1,6 @@
 """Zaber ASCII, firmware 6 and 7.
 
-A chain of devices with up to 9 axes each hangs on one line, 115200 8N1.  The host says
+A chain of devices with up to 9 axes each is connected to one line, 115200 8N1.  The host says
 
     /<device> <axis> <id> <command>[:<checksum>] LF          missing numbers mean 0 = all / the device itself
 

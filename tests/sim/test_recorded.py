@@ -192,7 +192,7 @@ GOOD = "@ 9600\n> 3f\n< 31\n"
 WRONG = [
     ("target", None, "cannot be read"),
     ("target", "@ 9600\n> 3f\n< 3g\n", ":3: this is no line of a recording"),
-    ("target", "@ 9600\n< 31\n", "this recording contains no command to the box"),
+    ("target", "@ 9600\n< 31\n", "this recording has no command to the box"),
     ("target", "\x00\x01\n", ":1: this is no line of a recording"),
     ("targt", GOOD, "there is no 'targt' on this bench; there are rail, portal"),
     ("camera", GOOD, "only devices on a serial port can be recorded"),

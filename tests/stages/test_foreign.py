@@ -238,7 +238,7 @@ def test_nothing_but_numbers_reaches_the_library(made, mm):
 
 def test_a_position_that_is_no_number_is_no_position(made, mocker):
     mocker.patch.object(made.line.emulator, "position_mm", return_value=math.nan)
-    with pytest.raises(DeviceError, match="does not know"):
+    with pytest.raises(DeviceError, match="no position reference"):
         made.stage.where_mm()
     mocker.stopall()
     assert made.stage.where_mm() == {"a": None, "b": None}
@@ -349,7 +349,7 @@ def test_a_word_from_before_a_loss_does_not_hold(by_hand):
         ),
         ("micromanager", {"homing": "maybe"}, "homing"),
         ("micromanager", {"port": "/dev/ttyUSB0"}, "port"),
-        ("positioners", {"objects": {"z": {"object": "a:B"}}}, "is no object"),
+        ("positioners", {"objects": {"z": {"object": "a:B"}}}, "is not one of the objects"),
         ("positioners", {"objects": {"x": {"object": "a.B"}}}, "object"),
         ("positioners", {"call_s": 0.0}, "call_s"),
     ],

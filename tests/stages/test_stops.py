@@ -255,7 +255,7 @@ def test_a_stop_at_a_mute_box_whose_one_word_is_lost_is_a_stop(bench, after_s):
         made.line.emulator.person_stops()
 
     made.clock.at(made.clock.now_s() + after_s, pressed)
-    with pytest.raises(MotionStopped, match="rests short of its target"):
+    with pytest.raises(MotionStopped, match="stopped short of its target"):
         made.stage.move({"a": 20.0})
     rests_mm = made.world.true_mm("a")
     made.clock.sleep_s(30.0)

@@ -139,7 +139,7 @@ class Scene:
         return replace(self, camera=camera)
 
     def coarser(self, times: int) -> "Scene":
-        """Return the scene before a camera of the same view with pixels so many times wider."""
+        """Return the scene before a camera of the same view with pixels `times` times wider."""
         masked = tuple(part.coarser(times) for part in self.masked)
         return replace(self, camera=self.camera.coarser(times), masked=masked)
 

@@ -97,7 +97,7 @@ class FittedCorners:
 @short_repr
 @dataclass(frozen=True)
 class SceneFit:
-    """A fitted scene and how sure it is.
+    """A fitted scene and its uncertainty.
 
     Parameters
     ----------

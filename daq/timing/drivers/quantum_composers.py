@@ -234,7 +234,7 @@ class QuantumComposersBox(TimingBox):
             raise WrongBox(f"{self.name}: no pulse generator has the outputs {catalogue!r}")
         for role, output in self.wiring.items():
             if output not in OUTPUTS[: self._outputs]:
-                raise WrongBox(f"{self.name}: {role} hangs on output {output}, and the box has {catalogue}")
+                raise WrongBox(f"{self.name}: {role} is on output {output}, and the box has {catalogue}")
         try:
             runs_by_itself = self._ask_until_equal(lambda: self._ask(":SYST:AUT"))
         except CommandRejected as refused:

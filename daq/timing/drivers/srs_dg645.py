@@ -173,9 +173,7 @@ class Dg645Box(TimingBox):
                 why = "lamps run on between bursts" if role in LAMPS else "the box adds no outputs"
                 raise WrongBox(f"{self.name}: {role} cannot hang on a DG645, because {why}")
             if output not in OUTPUTS:
-                raise WrongBox(
-                    f"{self.name}: {role} hangs on output {output!r}, not on one of {', '.join(OUTPUTS)}"
-                )
+                raise WrongBox(f"{self.name}: {role} is on output {output!r}, not on one of {', '.join(OUTPUTS)}")
         self._registers("INSR")
         if self._registers("INSR") & UNLOCKED:
             raise WrongBox(f"{self.name}: its clock is not locked, so dt is undefined; lock it, or use its own")

@@ -48,7 +48,7 @@ class MarkerBoard:
 
 @dataclass(frozen=True)
 class Target:
-    """The target that hangs on the bench."""
+    """The target on the bench."""
 
     board: Chessboard
     channels: ClassVar[int] = 1
@@ -120,7 +120,7 @@ def pattern_view(
     scene : Scene
         The scene.
     pattern : Pattern
-        What hangs on the plane.
+        Object in the plane.
     samples : int
         Rays a pixel along each side.
     watched : callable

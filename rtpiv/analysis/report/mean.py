@@ -1,4 +1,4 @@
-"""The page of a mean flow: the field, how sure it is, its fluctuations, and every pair that is not in it.
+"""The page of a mean flow: the field, its uncertainty, its fluctuations, and every pair that is not in it.
 
 One chapter asks the particles of the run that are seen twice whether the spheres stand where they were calibrated.
 """

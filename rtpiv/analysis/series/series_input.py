@@ -57,7 +57,7 @@ class Tasks:
     sigma : SceneSigma or str
         Uncertainty of the scene, or why there is none.
     limit : SigmaLimit or None
-        How sure the map must be.
+        Largest accepted uncertainty of the map.
     alone : int
         Frames of the run whose partner was lost.
     """
@@ -227,7 +227,7 @@ def series_input(
     Parameters
     ----------
     run : Path
-        A flow run, or a stream with a group; or frames of others, see `daq.frames.source`.
+        A flow run, or a stream with a group; or external frames, see `daq.frames.source`.
     out : Path
         Folder of the series.
     choice : PivChoice

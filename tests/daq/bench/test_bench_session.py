@@ -119,7 +119,7 @@ def test_here_moves_the_scene_and_keep_out_with_it(bench, path):
     with pytest.raises(Obstructed):
         bench.move(glass_z=38.0)
     bench.stage.controllers["target"].close()
-    with pytest.raises(PlanError, match="do not know where they are"):
+    with pytest.raises(PlanError, match="have no position reference"):
         bench.here()
     assert scene_places(path) == {}  # nothing is written before `save`
 

@@ -56,8 +56,8 @@ def ray(camera, pixel):
 
 
 @pytest.mark.parametrize(("settings", "words"), [
-    ({"BinningHorizontal": 2}, "BinningHorizontal 2 and BinningVertical 1 make pixels that are no squares"),
-    ({"DecimationVertical": 2}, "no squares"),
+    ({"BinningHorizontal": 2}, "BinningHorizontal 2 and BinningVertical 1 make pixels that are not square"),
+    ({"DecimationVertical": 2}, "not square"),
     ({"ReverseX": True}, "alone mirrors"),
     ({"Width": 121}, "121 x 90 px at 0, 0 does not lie on a sensor that gives 120 x 90 px"),
     ({"BinningHorizontal": 2, "BinningVertical": 2, "Width": 120}, "gives 60 x 45 px"),
@@ -92,7 +92,7 @@ def test_a_bench_is_told_which_of_the_two_its_scene_shows(tmp_path):
 
 
 @pytest.mark.parametrize(("settings", "more", "words"), [
-    (", BinningHorizontal: 2", "", r"bench.yaml:\d+: .*no squares"),
+    (", BinningHorizontal: 2", "", r"bench.yaml:\d+: .*not square"),
     (", ReverseX: true", "  scene_shows: sensor\n", r"bench.yaml:\d+: .*alone mirrors"),
     (", Width: 200", "  scene_shows: sensor\n", r"bench.yaml:\d+: .*sensor that gives 96 x 96"),
 ])  # fmt: skip

@@ -194,10 +194,10 @@ def test_a_silent_gauge_is_said_once_each_time_and_stops_only_who_needs_it():
     [
         ("{kind: reading, unit: C}", "comes from a file or a port"),
         ("{kind: reading, unit: C, file: a.csv, port: b}", "comes from a file or a port"),
-        ("{kind: reading, unit: C, file: a.csv, baud: 9600}", "is not asked, so leave baud out"),
+        ("{kind: reading, unit: C, file: a.csv, baud: 9600}", "receives no query; remove baud"),
         ("{kind: reading, unit: C, file: a.csv, column: 1}", "is the time of its rows"),
         ("{kind: reading, unit: C, port: a, oldest_s: 3}", "leave oldest_s out"),
-        ("{kind: reading, unit: C, port: a, find: '(', }", "not a valid regular expression"),
+        ("{kind: reading, unit: C, port: a, find: '(', }", "not a regular expression"),
         ("{kind: reading, unit: C, port: a, find: 'F=', }", "needs a group"),
         ("{kind: reading, unit: C, port: a, colum: 2}", "unknown key 'colum'"),
         ("{kind: reading, file: a.csv}", "unit"),

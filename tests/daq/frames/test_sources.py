@@ -232,7 +232,7 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
         ("nothing.h5", FrameError, "is not readable as HDF5"),
         ("two.h5", FrameError, "several stacks of images; name one: .*two.h5@/x, .*two.h5@/y"),
         ("two.h5@/colour", FrameError, "/colour is 3 x 4 x 5 x 3; images are n x H x W"),
-        ("two.h5@/c", FrameError, "/c is no data set"),
+        ("two.h5@/c", FrameError, "/c is not a data set"),
         ("none.h5", FrameError, "holds no stack of images: /a is 4 x 4"),
         ("torn.tif", FrameError, "TIFF|cannot be read"),
         ("nothing.tif", FrameError, "no such file"),

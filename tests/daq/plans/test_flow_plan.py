@@ -100,7 +100,7 @@ def test_another_dt_is_another_plan(tmp_path):
     ({"pairs": "{shape: straddling, marker: line_status, line: 2, dead_us: 2.0}"}, "wire channel camera_b"),
     ({"laser": LASER.replace("marker: F", "marker: F, camera_b: G")}, "camera_b would trigger unwanted exposures"),
     ({"pairs": "{shape: burst, marker: spacing, dead_us: 49800.0}",
-      "plan": PLAN.replace("80.0", "49900.0")}, "cannot distinguish A from B"),
+      "plan": PLAN.replace("80.0", "49900.0")}, "does not mark A"),
 ])  # fmt: skip
 def test_what_cannot_be_done_is_one_sentence(tmp_path, changes, words):
     with pytest.raises((ConfigError, DaqError), match=words) as caught:

@@ -80,7 +80,7 @@ def test_a_controller_that_restarts_while_frames_are_taken_fails_its_step(run, d
             hardware.clock.sleep_s(2.0)
 
         disturbed.act = restart
-        with pytest.raises(PlanError, match="do not know where they are"):
+        with pytest.raises(PlanError, match="have no position reference"):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert steps_on_disk(folder.entries()) == {0, 1}
     assert sorted(frame_entries(folder.entries())) == [0, 1, 2, 3]
