@@ -209,7 +209,7 @@ class Adjustment:
         verdict, given = judge_model(locked, wide, at, measured, weighted, every)
         weights = self
         if verdict.unexplained is not None:  # corners err by what the cause leaves, not by its field
-            weights, used, parts = self.reweight_given(measured, every, given)
+            weights, used, parts = self.reweight_given_cause(measured, every, given)
         # The Cauchy loss halves the weight of good corners at its knee; the covariance counts their information
         # in full.
         _, gradient, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
@@ -276,7 +276,7 @@ class Adjustment:
             shapes=shapes,
         )
 
-    def reweight_given(
+    def reweight_given_cause(
         self, measured: Sequence[MeasuredFrame], parts: Sequence[Residuals], given: ResidualsGivenCause
     ) -> tuple["Adjustment", list[MeasuredFrame], list[Residuals]]:
         """Return weights, frames and residuals of a fit that had known the cause of an alarm."""
