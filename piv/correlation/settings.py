@@ -117,7 +117,7 @@ class PivSettings:
         return self.windows_px[-1] if self.finest_px is None else self.finest_px
 
     @property
-    def windows_said(self) -> str:
+    def windows_text(self) -> str:
         """Sides of the last windows in words."""
         usual = f"{self.windows_px[-1]} px"
         return f"{usual}, or {self.finest} px where they show more" if self.finds_windows else usual

@@ -189,7 +189,7 @@ class Preparation:
         return next((name for name in self.steps if name in RAW), None)
 
     @property
-    def said(self) -> list[str]:
+    def descriptions(self) -> list[str]:
         """Description of each step, a sentence."""
         return [(RAW | CORRECTED)[name] for name in self.steps]
 

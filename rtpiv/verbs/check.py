@@ -166,7 +166,7 @@ def _describe(path: Path, kind: str, benches: "Benches | None", named: Sequence[
     if kind == "piv":
         from rtpiv.analysis.pairs.piv_file import piv_choice
 
-        return f"last windows of {piv_choice(piv=path).settings.windows_said}", []
+        return f"last windows of {piv_choice(piv=path).settings.windows_text}", []
     if kind == "board":
         return _describe_board(path), []
     assert benches is not None

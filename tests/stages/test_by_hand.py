@@ -132,7 +132,7 @@ def test_a_scale_that_counts_the_other_way_is_asked_for_as_it_reads(bench):
 def test_nobody_answers_and_the_place_is_unknown_until_it_is_read_again(typed):
     stage, typist = typed("20.0", "30.0")
     stage.home()
-    with pytest.raises(MotionStopped, match="the position of a was not read; home it"):
+    with pytest.raises(MotionStopped, match="the position of a was not read; home the axis"):
         stage.move({"a": 10.0})
     assert stage.where_mm() == {"a": None, "b": 20.0}
     assert stage.axis("a").state is AxisState.UNREFERENCED

@@ -320,7 +320,7 @@ def test_a_configuration_file_of_micro_manager(tmp_path):
     with Stage.open(config.beside(tmp_path)) as stage:
         assert stage.controllers["box"].identity != first
     (tmp_path / "glass.cfg").write_text("\n".join([*lines, "ConfigGroup,System,Startup,XY,Position,3.0"]))
-    with pytest.raises(StageUsageError, match=r"glass.cfg:6: opening moves nothing"):
+    with pytest.raises(StageUsageError, match=r"glass.cfg:6: opening must not move anything"):
         Stage.open(config.beside(tmp_path))
     (tmp_path / "glass.cfg").unlink()
     with pytest.raises(PortUnavailable, match="cannot be read"):

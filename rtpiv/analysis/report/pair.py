@@ -215,7 +215,7 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
     page.table(tables.count_table(field))
     use = "may be used" if is_plain(evaluation) else "are recovered"
     rule = (
-        f"Windows of {evaluation.settings.windows_said}; {field.step_px} px apart. A window is masked if less "
+        f"Windows of {evaluation.settings.windows_text}; {field.step_px} px apart. A window is masked if less "
         f"than 30 % of its pixels {use} in both frames; replaced vectors are interpolated and count "
         "nowhere as measured."
     )

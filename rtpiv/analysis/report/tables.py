@@ -459,7 +459,7 @@ def response_table(settings: PivSettings) -> Table:
         for length, high, low in zip(lengths, strong, weak, strict=True)
     ]
     title = (
-        f"Spatial resolution with windows of {settings.windows_said}: measured share of the amplitude of a"
+        f"Spatial resolution with windows of {settings.windows_text}: measured share of the amplitude of a"
         " velocity wave, by wavelength, for waves far above the noise and below it (linear theory of the passes)."
         " Smaller windows resolve more and are noisier (--final-window)"
     )

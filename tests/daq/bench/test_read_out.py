@@ -59,11 +59,11 @@ def ray(camera, pixel):
     ({"BinningHorizontal": 2}, "BinningHorizontal 2 and BinningVertical 1 make pixels that are not square"),
     ({"DecimationVertical": 2}, "not square"),
     ({"ReverseX": True}, "alone mirrors"),
-    ({"Width": 121}, "121 x 90 px at 0, 0 does not lie on a sensor that gives 120 x 90 px"),
+    ({"Width": 121}, "121 x 90 px at 0, 0 is not within a sensor that gives 120 x 90 px"),
     ({"BinningHorizontal": 2, "BinningVertical": 2, "Width": 120}, "gives 60 x 45 px"),
-    ({"OffsetX": 120}, "does not lie"),
-    ({"OffsetX": -1}, "OffsetX = -1 is no number"),
-    ({"Width": 10.5}, "Width = 10.5 is no number"),
+    ({"OffsetX": 120}, "is not within"),
+    ({"OffsetX": -1}, "OffsetX = -1 is not a number"),
+    ({"Width": 10.5}, "Width = 10.5 is not a number"),
 ])  # fmt: skip
 def test_what_no_scene_describes_is_refused(settings, words):
     with pytest.raises(SettingRefused, match=words):

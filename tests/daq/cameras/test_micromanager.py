@@ -309,5 +309,5 @@ def test_a_target_run_gives_the_very_frames_that_another_backend_gives(tmp_path)
 @pytest.mark.parametrize("more", ["  pairs: {shape: two_blocks, marker: spacing, dead_us: 2.0}\n",
                                   "  chunks: [Timestamp]\n"])  # fmt: skip
 def test_pairs_of_a_flow_are_refused(tmp_path, more):
-    with pytest.raises(ConfigError, match=r"bench.yaml:\d+: .*no pair of light pulses is sure"):
+    with pytest.raises(ConfigError, match=r"bench.yaml:\d+: .*frames cannot be assigned to light pulses"):
         load_bench(write_bench(tmp_path, camera=CAMERA.format(backend="micromanager") + more))

@@ -129,7 +129,7 @@ def test_a_camera_without_chunks_is_refused_where_the_marker_is_one(rig, tmp_pat
     camera = rig.make(CameraConfig(32, 16, has_chunks=False))
     camera.open()
     with pytest.raises(
-        SettingRefused, match="sends no chunk LineStatusAll, so nothing would tell exposure A from B"
+        SettingRefused, match="sends no chunk LineStatusAll, so it cannot distinguish exposure A from B"
     ):
         camera.configure({"ExposureTime": 500.0}, ("LineStatusAll",))
     with pytest.raises(SettingRefused, match="sends no chunk"):

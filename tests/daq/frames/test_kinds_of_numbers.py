@@ -66,7 +66,7 @@ def test_axes_in_any_order(tmp_path):
     for name, words in (
         ("flat", "is 40 x 48; images are"),
         ("cubes", "is 3 x 4 x 5 x 6; images are"),
-        ("no", "no data"),
+        ("no", "not a data set"),
     ):
         with pytest.raises(FrameError, match=words):
             source_of(Path(f"{tmp_path / 'a.h5'}@/{name}"))

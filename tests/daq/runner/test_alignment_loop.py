@@ -118,7 +118,7 @@ def test_a_wrong_sign_or_a_loose_coupling_ends_it_after_one_move(run, follows, w
 def test_a_limit_in_the_way_is_said_before_the_move(run):
     narrow = lambda text: re.sub(r"limits_mm: \[-70.0, 70.0\]", "limits_mm: [-0.5, 70.0]", text)  # noqa: E731
     carry_out, *_, folder = run(change=narrow)
-    with pytest.raises(PlanError, match=r"cannot be brought to its place: glass_x.*nothing was moved"):
+    with pytest.raises(PlanError, match=r"cannot be moved there: glass_x.*nothing was moved"):
         carry_out()
     assert steps_on_disk(folder.entries()) == {0}
 

@@ -295,7 +295,7 @@ def test_a_dead_disk_is_named(bench_and_plan, folder, files, monkeypatch):
         gate.wait(20.0)
 
     monkeypatch.setattr(pipeline_module, "write_raw", dead)
-    with files_bench(bench, files) as hardware, pytest.raises(DiskError, match=r"taken no frame for 0\.3 s"):
+    with files_bench(bench, files) as hardware, pytest.raises(DiskError, match=r"no frame was written for 0\.3 s"):
         Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
 
 

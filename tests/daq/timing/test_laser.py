@@ -382,7 +382,7 @@ def test_a_dt_that_reads_back_as_another_is_found_and_switched_off(off_us):
         return load(Schedule(schedule.period_us, {**schedule.pulses, Role.Q_SWITCH_2: late}))
 
     box.load = load_another
-    with pytest.raises(LaserDoubt, match=r"was set to dt = 20.0 us and says (21|19)"):
+    with pytest.raises(LaserDoubt, match=r"was set to dt = 20.0 us and reads (21|19)"):
         laser.set(TIMING, EXPOSURES)
     assert laser.state is LaserState.UNKNOWN
     assert not box.lamps

@@ -140,7 +140,7 @@ def test_steps_move_no_vector(step, particle_pair):
 def test_steps_have_an_order_and_one_background():
     whole = Preparation(("pod", "cap", "min-max"))
     assert whole.background == "pod"
-    assert len(whole.said) == 3
+    assert len(whole.descriptions) == 3
     assert Preparation(()).background is None
     frame = np.ones((3, 3), np.float32)
     assert Preparation(("pod",)).apply(frame, np.ones((3, 3), bool)) is frame
