@@ -1,4 +1,4 @@
-"""Frames as if the glass were not there, and what they are worth.
+"""Frames as if the glass were not there, and their uncertainty.
 
 ``__init__.pyi`` lists names for a notebook, imported when first used; inside the project modules are named
 in full.

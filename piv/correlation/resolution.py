@@ -2,7 +2,7 @@
 
 Where the frames tell what vectors miss (`piv.correlation.agreement`), that replaces 1. to 3.
 
-Four things, the first three added as squares:
+Four things, the first three as root sum of squares:
 
 1. **Taken off.** Detail that is no stronger than its noise goes with the noise (`piv.correlation.denoise`, which
    knows what it takes).

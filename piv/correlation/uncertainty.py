@@ -171,8 +171,8 @@ def correlation_statistics(lean: CorrelationAsymmetry, refined: Refined) -> Stat
 
     Parameters
     ----------
-    lean : Leaning
-        How the windows lean.
+    lean : CorrelationAsymmetry
+        Asymmetry of the correlation of the windows.
     refined : Refined
         What was measured with them.
     """

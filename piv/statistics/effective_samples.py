@@ -1,7 +1,7 @@
-"""Uncertainty of a mean of correlated pairs: that of fewer independent ones.
+"""Uncertainty of a mean of correlated pairs: by their effective number.
 
 Successive pairs see nearly the same flow where it changes slowly. With the autocorrelation rho_k between pairs k
-apart, the mean of n of them is as sure as that of N = n/T independent ones,
+apart, the mean of n of them has the uncertainty of N = n/T independent pairs,
 
     T = 1 + 2 sum_k rho_k,      var(mean) = R_uu/N.
 
@@ -47,7 +47,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class EffectiveSamples:
-    """Number of independent vectors that are worth those of a series.
+    """Effective number of independent vectors of a series.
 
     Parameters
     ----------

@@ -188,7 +188,7 @@ def show_calibration(screen: Console, found: "Calibration", page: bool = True) -
     for behind, alike in fit.verdict.correlation.items():
         if alike.corners:
             region = "behind glass" if behind else "seen directly"
-            screen.print(f"corners {region}: {alike.corners} are worth {alike.independent:.0f} independent ones")
+            screen.print(f"corners {region}: {alike.independent:.0f} effectively independent of {alike.corners}")
     for sentence in fit.verdict.sentences:
         screen.print(f"model: {sentence}", style="" if fit.verdict.is_right else "bold red")
     for weakness in found.weak:

@@ -13,7 +13,7 @@ independent have the covariance
     A^-1 (A + E) A^-1,        E = sum over pairs of rho (J_a^T J_b + J_b^T J_a)
 
 (the sandwich of White and of Conley, J. Econometrics 92, 1 (1999)); what E has of negative eigenvalues is left
-out.  N corners are worth N / (1 + mean sum of rho) independent ones.
+out.  The effective number of independent corners is N / (1 + mean sum of rho).
 """
 
 from collections.abc import Iterator, Sequence
@@ -83,7 +83,7 @@ class Correlation:
     neighbours : float
         rho at one square, counted or not.
     independent : float
-        Number of independent corners that they are worth.
+        Effective number of independent corners.
     """
 
     corners: int

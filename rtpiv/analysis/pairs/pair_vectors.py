@@ -18,7 +18,7 @@ of a pair that is evaluated alone, with more of its quality:
     map_sigma_x, _y               that of the position by the fitted map [mm]
     slant_sigma_u, _v             standard uncertainty of u, v by the velocity w through the sheet (`out_of_plane`
                                   says what it is taken to be); missing where particles were moved by a known way
-    total_sigma_u, _v             all of these that are known, added as squares
+    total_sigma_u, _v             all of these that are known, as root sum of squares
     vorticity, divergence, shear, swirling_strength; sigma_vorticity ...
                                   of u, v [s-1], or of displacements [mm per mm] (`piv.statistics.derived`)
     peak_ratio, valid_fraction    of the highest peaks; share of valid pixels in the window

@@ -62,7 +62,7 @@ class MeanFlow:
     moments : Moments
         Of the vectors [m/s].
     effective : EffectiveSamples
-        Independent vectors that they are worth.
+        Effective number of independent vectors.
     used : int
         Pairs in these statistics.
     usual_share : float
@@ -236,7 +236,7 @@ class MeanFlow:
 
     @property
     def total_sigma_m_s(self) -> Floats:
-        """All that is known of the uncertainty of the mean (ny, nx, 2), added as squares."""
+        """All that is known of the uncertainty of the mean (ny, nx, 2), as root sum of squares."""
         parts = [self.local_sigma_m_s, np.nan_to_num(self.dt_sigma_m_s)]
         more = (self.map_sigma_m_s, self.slant_sigma_m_s)
         parts += [np.nan_to_num(part) for part in more if part is not None]

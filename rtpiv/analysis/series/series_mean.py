@@ -15,8 +15,8 @@ mean.nc, where rows begin at the lowest y:
                                   one within it (`piv.statistics.out_of_plane`; `out_of_plane` says what w is
                                   taken to be); the same in all pairs, too
     dxdz, dydz (by place)         slopes of the rays: measured are u - w dxdz, v - w dydz; w is towards the camera
-    total_sigma_u, _v             all of these that are known, added as squares
-    n, n_effective_u, _v          vectors, and independent ones that they are worth
+    total_sigma_u, _v             all of these that are known, as root sum of squares
+    n, n_effective_u, _v          vectors, and their effective number
     R_uu, R_vv, R_uv              Reynolds stresses without the noise of correlation [m2 s-2]; may be below 0
     R_uu_measured, _vv_, _uv_     the same with it
     noise_uu, noise_vv            what was taken off: the mean of sigma^2 of the vectors
