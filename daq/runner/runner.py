@@ -238,6 +238,7 @@ class Runner:
             )
         record |= {"gaps": gaps} if gaps else {}
         record |= {"readings": readings} if readings else {}
+        # Standard deviation of one reading [um] of each scale that a person reads.
         by_hand = self._hardware.bench.table.stages.by_hand
         record |= {"reading_um": by_hand} if by_hand else {}
         for camera in self._closing_order:

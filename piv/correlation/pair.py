@@ -331,7 +331,7 @@ def _needs_another_pass(course: MultipassState) -> bool:
 def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_px: Floats) -> VectorField:
     """Judge the vectors of the last pass by their own uncertainty, and take noise off them (steps: see the top).
 
-    `missed_px` (ny, nx) is what smaller windows have shown that they miss.
+    `missed_px` (ny, nx): error of larger windows as smaller ones showed it; `spread_px2`: variance of an image.
     """
     found, grid, settings = course.found, course.grid, course.settings
     vectors, good = found.vectors_px, found.good
