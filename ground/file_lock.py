@@ -102,7 +102,8 @@ def folder_held(folder: Path) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):
-            flock(descriptor, LOCK_UN)  # processes that were forked meanwhile have the descriptor as well
+            # Processes that were forked meanwhile have the descriptor as well
+            flock(descriptor, LOCK_UN)
         close(descriptor)
 
 

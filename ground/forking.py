@@ -29,7 +29,8 @@ def can_fork() -> bool:
         threads = opencv.getNumThreads()
         opencv.setNumThreads(1)  # joins its threads; they begin again when they are needed
         opencv.setNumThreads(threads)
-    for _ in range(LOOKS):  # a thread that has been joined is still there for the system until it has left
+    # A thread that has been joined is still there for the system until it has left
+    for _ in range(LOOKS):
         if len(list(TASKS.iterdir())) == 1:
             break
         time.sleep(LOOK_S)

@@ -79,7 +79,8 @@ def run_rows(
     finally:
         queue.clear()  # after an error or Ctrl-C no thread begins another block
         for future in others:
-            if not future.cancel():  # cancelled: other work held the pool, and nothing was left for this thread
+            # Cancelled: other work held the pool, and nothing was left for this thread
+            if not future.cancel():
                 future.result()
 
 
@@ -115,7 +116,8 @@ def run_parts(function: Callable[[T], object], parts: Iterable[T]) -> None:
         while waiting:
             end_first()
     finally:
-        for _, future in waiting:  # after an error or Ctrl-C no thread begins another part
+        # After an error or Ctrl-C no thread begins another part
+        for _, future in waiting:
             future.cancel()
         wait([future for _, future in waiting])
 

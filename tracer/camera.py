@@ -28,7 +28,8 @@ from tracer.pupil import Pupil
 Vector3 = tuple[float, float, float]
 
 SMALLEST_MM = 1e-9  # a picometre: the smallest radius
-LONGEST_MM = 1e12  # a million kilometres; far below where squares of lengths leave float64
+# A million kilometres; far below where squares of lengths leave float64
+LONGEST_MM = 1e12
 STEEPEST_SENSOR = float(np.cos(np.deg2rad(80.0)))  # cosine of the largest tilt
 SETTLED_PX = 1e-12  # a round that no longer matters
 

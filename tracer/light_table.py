@@ -51,10 +51,12 @@ Wavelength = Annotated[float, Field(ge=VISIBLE_NM[0], le=VISIBLE_NM[1])]
 Width = Annotated[float, Field(ge=0.0, le=500.0)]
 Point = Annotated[list[Annotated[float, Field(ge=0.0, le=1e9)]], Field(min_length=2, max_length=2)]
 Points = Annotated[list[Point], Field(min_length=2, max_length=10_000)]
-MIDDLE_NM = 532.0  # where a laser is tried that has the scene's wavelength, which this table does not know
+# Where a laser is tried that has the scene's wavelength, which this table does not know
+MIDDLE_NM = 532.0
 VARIANCE_WIDTH = float(np.sqrt(12.0))  # width of a band in its standard deviations
 LAMPS_DIFFER_NM = 5.0  # in mean wavelength, between lamps of one data sheet
-ONE_FIGURE_NM = 8.0  # of a wavelength that is all that is said, whatever it is and of whatever source
+# Of a wavelength that is all that is said, whatever it is and of whatever source
+ONE_FIGURE_NM = 8.0
 UNCOVERED = 0.01  # of the light may lie where a response or filter says nothing
 
 

@@ -182,9 +182,7 @@ def powers(order: int) -> tuple[tuple[int, int], ...]:
     return tuple((total - m, m) for total in range(order + 1) for m in range(total + 1))
 
 
-def fit_dewarp(
-    image: NDArray[Any], camera: Camera, board: Chessboard, order: int = 2, mask: NDArray[np.bool_] | None = None
-) -> Dewarp:
+def fit_dewarp(image: NDArray[Any], camera: Camera, board: Chessboard, order: int = 2) -> Dewarp:
     """Fit the dewarp to a frame of the bare target at z = 0.
 
     Parameters
@@ -197,8 +195,6 @@ def fit_dewarp(
         The target.
     order : int
         2, 3, 4 or 5.
-    mask : (H, W) bool, optional
-        True where pixels may be used.
 
     Raises
     ------
@@ -215,7 +211,7 @@ def fit_dewarp(
             f"the target frame is {size} px, the camera {camera.sensor_px[0]} x {camera.sensor_px[1]};"
             " give a frame of this camera"
         )
-    found = track_board(image, board, camera.project, mask)
+    found = track_board(image, board, camera.project)
     return fit_dewarp_pairs(
         camera.project_ideal(board.place_mm(found.index)),
         found.position_px,

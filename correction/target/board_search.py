@@ -94,7 +94,7 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     )
 
 
-def find_lattice(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None = None) -> BoardDetection:
+def find_lattice(image: NDArray[Any], board: Chessboard) -> BoardDetection:
     """Find the marks of a board whose place and turn do not matter, as of one that is held by hand.
 
     Marks that show the origin are used where they are seen, and required where the print is stretched along one of
@@ -102,7 +102,7 @@ def find_lattice(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_]
 
     Parameters
     ----------
-    image, board, mask
+    image, board
         As in `find_board`.
 
     Raises
@@ -114,12 +114,12 @@ def find_lattice(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_]
     """
     turns_matter = board.scale[0] != board.scale[1] or len(board.depths_mm) > 1
     if board.codes is not None or turns_matter:
-        return find_board(image, board, mask)
+        return find_board(image, board)
     endless = replace(board, discs=(), squares=None, origin_corner=None)
-    frame, patches, _ = _patches(image, endless, mask)
+    frame, patches, _ = _patches(image, endless, None)
     exchanged = float(np.mean(patches[0].sign == endless.corner_sign(patches[0].index))) < MIN_VOTE_SHARE
     place = Placing(QUARTER_TURNS[0], (int(exchanged), 0))  # one square on, bright and dark are exchanged
-    return measure_lattice(frame, endless, [(patches[0], place)], mask)
+    return measure_lattice(frame, endless, [(patches[0], place)], None)
 
 
 def track_board(

@@ -52,7 +52,6 @@ def refine_dots(
     dots: Dots,
     usable: NDArray[np.uint8],
     search: CornerSearch,
-    threads: int | None = None,
 ) -> CornerFit:
     """Fit dots from start positions.
 
@@ -72,8 +71,6 @@ def refine_dots(
         0 where pixels may not be used.
     search : CornerSearch
         Of which the largest move counts.
-    threads : int, optional
-        Threads to use.
 
     Returns
     -------
@@ -99,7 +96,7 @@ def refine_dots(
                 batch.ask_row()
             out[some], verdict[some] = batch.fit(search.max_shift)
 
-    run_rows(rows, len(order), block=DOTS_AT_ONCE, threads=threads)
+    run_rows(rows, len(order), block=DOTS_AT_ONCE)
     amplitude = out[:, 7]
     with np.errstate(invalid="ignore", divide="ignore"):
         residual, sigma = 2.0 * out[:, 5] / np.abs(amplitude), np.sqrt(out[:, 2:4])

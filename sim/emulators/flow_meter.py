@@ -12,6 +12,7 @@ from sim.emulators.device import Clock, Emulator
 EVERY_S = 0.1
 WAVES = ((0.7, 0.31), (0.3, 1.9))  # share, Hz
 WAVERS = 0.01
+FLOW = 5.2  # in the unit that it says
 
 
 class FlowMeter(Emulator):
@@ -21,15 +22,13 @@ class FlowMeter(Emulator):
     ----------
     clock : Clock
         Time of the world.
-    flow : float
-        What flows, in the unit that it says.
     unit : str
-        That unit.
+        Of the flow that it says.
     """
 
-    def __init__(self, clock: Clock, flow: float = 5.2, unit: str = "l/min") -> None:
+    def __init__(self, clock: Clock, unit: str = "l/min") -> None:
         super().__init__({}, clock)
-        self.flow, self.unit = flow, unit
+        self.flow, self.unit = FLOW, unit
         self.is_silent = False
         self._heard = b""
         self._next_s = math.inf

@@ -157,14 +157,14 @@ def spheres_around(balls: NDArray[np.float64]) -> NDArray[np.float64]:
     return around
 
 
-def new_table(entries: int, longest: int = MAX_EVENTS) -> BranchTable:
+def new_table(entries: int) -> BranchTable:
     """Return a table for so many branches, which has the direct view."""
     slots = 1 << (4 * entries - 1).bit_length()
     table = BranchTable(
         np.zeros(slots, np.int32),
         np.empty(entries + 1, np.int64),
         np.zeros(entries + 2, np.int64),
-        np.empty(entries * longest, np.int32),
+        np.empty(entries * MAX_EVENTS, np.int32),
         np.zeros(1, np.int64),
     )
     first = BranchTable(table.slots, np.ones(1, np.int64), np.zeros(2, np.int64), table.met, np.ones(1, np.int64))

@@ -240,14 +240,13 @@ def pair_from(
     frames: Sequence[Candidates],
     board: Chessboard,
     pitch_mm: float,
-    knees_px: Sequence[float] = KNEES_PX,
 ) -> Start:
     """Minimise the distance to the nearest corners from one start."""
 
     def evaluate(at: NDArray[np.float64]) -> list[Residuals]:
         return [pairing_residuals(unknowns, at, frame, board, pitch_mm) for frame in frames]
 
-    for knee in knees_px:
+    for knee in KNEES_PX:
         solution = minimise(unknowns, evaluate, x, knee=knee, steps=25, tolerance=1e-2)
         x = solution.x
     square = np.concatenate([(part.value**2).sum(axis=1) for part in evaluate(x)])

@@ -108,17 +108,15 @@ def streamlines_figure(mean: MeanFlow, scene: Scene, speed: Floats) -> Figure:
     return figure
 
 
-def maps_figure(
-    mean: MeanFlow, scene: Scene, maps: Sequence[tuple[str, Floats]], columns: int = 2, signed: bool = True
-) -> Figure:
+def maps_figure(mean: MeanFlow, scene: Scene, maps: Sequence[tuple[str, Floats]]) -> Figure:
     """Draw scalars (ny, nx) on the plane, each with its own scale."""
-    figure, panels = plane_panels(_ratio(mean), len(maps), columns, 2.9)
+    figure, panels = plane_panels(_ratio(mean), len(maps), 2, 2.9)
     half = 0.5 * (mean.x_mm[1] - mean.x_mm[0])
     extent = (mean.x_mm[0] - half, mean.x_mm[-1] + half, mean.y_mm[0] - half, mean.y_mm[-1] + half)
     for axes, (label, values) in zip(panels, maps, strict=True):
         known = values[np.isfinite(values)]
         top = max(float(np.percentile(np.abs(known), 99)), 1e-12) if known.size else 1.0
-        both = signed and bool(known.size) and float(np.percentile(known, 2)) < -0.05 * top
+        both = bool(known.size) and float(np.percentile(known, 2)) < -0.05 * top
         image = axes.imshow(
             values, extent=extent, origin="lower", interpolation="nearest", cmap=SIGNED if both else HEAT,
             vmin=-top if both else 0.0, vmax=top,

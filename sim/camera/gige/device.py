@@ -29,7 +29,6 @@ from sim.camera.features import XML_BASE
 from sim.camera.gige import wire
 from sim.camera.gige.wire import Command, Request, Status
 from sim.camera.registers import BadAddress, BadValue, WriteProtected
-from sim.camera.source import FrameSource
 
 TABLE = Path("/proc/net/udp")
 FULL_BYTES = 50_000
@@ -98,28 +97,16 @@ class GigeDevice:
         The simulated camera.
     address : str
         Loopback address to live on; one device an address, for the port is fixed by the standard.
-    source : FrameSource, optional
-        Use this object instead of the source the configuration names.
-    is_paced : bool
-        Wait for the receiver's queue; see `pacing`.
     is_discoverable : bool
         Answer discovery broadcasts of this machine too; for private network namespaces.
     """
 
-    def __init__(
-        self,
-        config: CameraConfig,
-        address: str = "127.0.0.1",
-        source: FrameSource | None = None,
-        is_paced: bool = True,
-        is_discoverable: bool = False,
-    ) -> None:
+    def __init__(self, config: CameraConfig, address: str = "127.0.0.1", is_discoverable: bool = False) -> None:
         if not ipaddress.IPv4Address(address).is_loopback:
             raise ValueError(f"{address} is not a loopback address; simulated cameras live on 127.0.0.0/8 only")
         self.address = address
-        self.camera = SimCamera(config, source)
+        self.camera = SimCamera(config)
         self.resent_packets = 0
-        self._is_paced = is_paced
         self._loss = config.faults.packet_loss
         self._random = random.Random(config.faults.seed)
         self._owner: Address | None = None
@@ -303,7 +290,7 @@ class GigeDevice:
             if self._owner is None:
                 self._forget_client()
         if address == STREAM_PORT:
-            self._pacer = Pacer(value & 0xFFFF) if self._is_paced and value & 0xFFFF else None
+            self._pacer = Pacer(value & 0xFFFF) if value & 0xFFFF else None
         if address == TIMESTAMP_CONTROL and value & 2:
             now_ns = self.camera.now_ns()
             self._put(0x0948, now_ns >> 32)
