@@ -129,8 +129,10 @@ def _gaussian_fit(level: NDArray[np.float64], usable: NDArray[np.bool_], axis: i
 
 def _particles(frame: NDArray[Any], usable: NDArray[np.bool_], background: float, noise: float) -> int:
     """Number of local maxima that rise out of the noise, after a light smoothing that hides its own maxima."""
+    import cv2
+
     smooth = scipy.ndimage.gaussian_filter(np.where(usable, frame, background).astype(np.float64), 0.7)
     threshold = background + DETECTION * (noise if np.isfinite(noise) else 0.0)
-    peak = (smooth == scipy.ndimage.maximum_filter(smooth, 3)) & (smooth > threshold) & usable
+    peak = (smooth == cv2.dilate(smooth, np.ones((3, 3), np.uint8))) & (smooth > threshold) & usable
     _, count = scipy.ndimage.label(peak, np.ones((3, 3)))  # neighbours of equal height are one particle
     return int(count)

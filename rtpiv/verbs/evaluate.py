@@ -14,7 +14,7 @@ from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
 from daq.runs.names import is_run
 from daq.runs.pairs import pairs_of
-from daq.runs.run_views import where_lit
+from daq.runs.run_views import tells_a_scale_alone, where_lit
 from ground.plain_file import read_plain
 from ground.printable import readable_name
 from ground.terminal import console
@@ -157,6 +157,8 @@ def evaluate(
             return found
 
         with drawing() as draw:
+            if output.pictures and not tells_a_scale_alone(seen := given.tasks[0].scene):
+                draw("rtpiv.analysis.report.pair:draw_scene_of_page", seen, output.figures)
             found, failed = _show_pairs(
                 screen, ((task.name, evaluate_one(task)) for task in given.tasks), len(given.tasks)
             )

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from rtpiv.analysis.pictures import saved
-from rtpiv.analysis.report import page
+from rtpiv.analysis.report import page, pair
 from tests.watched_benches import witnesses  # noqa: F401 - a fixture
 
 PIXEL = base64.b64decode(
@@ -37,6 +37,7 @@ DRAWING = {
 def _draw(here):
     for (module, name), (drawn, not_drawn) in DRAWING.items():
         setattr(module, name, drawn if here else not_drawn)
+    pair._drawn.clear()
 
 
 @pytest.hookimpl(tryfirst=True)  # before fixtures, which draw as well

@@ -1,5 +1,6 @@
 """A frame before and after the correction, for a page: small pictures, and figures that say what it cost."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +10,9 @@ from numpy.typing import NDArray
 from correction.maps.corrector import Corrector
 from correction.node_status import NodeStatus
 from daq.runs.run_views import tells_a_scale_alone
+from ground.rows import run_parts
 from piv.preprocessing.image_figures import ImageFigures, image_figures
-from rtpiv.analysis.pictures.rasters import data_address, grey, mask_overlay, mask_picture, tint
+from rtpiv.analysis.pictures.rasters import data_address, grey, mask_picture, tint
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 from tracer.scene.scene import Scene
 
@@ -52,17 +54,29 @@ def before_after(
     frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, scene: Scene, full_scale: float
 ) -> BeforeAfter:
     """Look at a frame (H, W) as acquired, with its full scale, and (h, w) as corrected, NaN where nothing is."""
-    limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
-    shown = tint(grey(corrected, limits), mask_overlay(corrector.status))
+    low, high = np.percentile(frame, (1.0, 99.0))
+    limits = (float(low), float(high))
     name = PLAIN if tells_a_scale_alone(scene) else CORRECTED
-    layers = [(name, data_address(shown))]
-    if name == CORRECTED or (corrector.status != NodeStatus.RECOVERED).any():
-        layers.append(("mask", data_address(mask_picture(corrector.status))))
+    status, layers, figures = corrector.status, dict[str, str](), dict[str, ImageFigures]()
+    pictures: dict[str, Callable[[], NDArray[np.uint8]]] = {name: lambda: tint(grey(corrected, limits), status)}
     if frame.shape == corrected.shape:
-        layers.insert(0, ("acquired", data_address(grey(frame, limits))))
+        pictures = {"acquired": lambda: grey(frame, limits), **pictures}
+    if name == CORRECTED or (status != NodeStatus.RECOVERED).any():
+        pictures["mask"] = lambda: mask_picture(status)
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
-    named = {"acquired": (frame, None), name: (corrected, corrector.recovered)}
-    figures = {name: image_figures(image, full_scale, which) for name, (image, which) in named.items()}
+    images = {"acquired": (frame, None), name: (corrected, corrector.recovered)}
+
+    def measure(each: str) -> None:
+        figures[each] = image_figures(images[each][0], full_scale, images[each][1])
+
+    def draw(each: str) -> None:
+        layers[each] = data_address(pictures[each]())
+
+    run_parts(
+        lambda part: part[0](part[1]),
+        [*((measure, each) for each in images), *((draw, each) for each in pictures)],
+    )
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
-    return BeforeAfter(tuple(layers), shares, full_scale, figures, through)
+    in_order = tuple((each, layers[each]) for each in pictures)
+    return BeforeAfter(in_order, shares, full_scale, {each: figures[each] for each in images}, through)

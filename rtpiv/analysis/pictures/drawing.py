@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.patches import Circle, Patch, Polygon
 
-from rtpiv.analysis.pictures.plane_axes import INK, MOST_NAMES, SOFT, Figure, bare, outline_mm
+from rtpiv.analysis.pictures.plane_axes import INK, MOST_NAMES, SOFT, Figure, add_axes_in, bare, outline_mm
 from rtpiv.analysis.pictures.saved import save_picture, short
 from rtpiv.analysis.pictures.section import (
     BESIDE,
@@ -46,13 +46,18 @@ def scene_figure(scene: Scene) -> Figure:
     upper = max((reach[1] - reach[0]) / scene.camera.position_mm[2] * 0.58, 0.27 * height / width)
     lower = 0.86 * max((high - low) / (1.05 * top) for low, high, top in frames) / len(cuts)
     tall = [float(np.clip(share, 0.16, 0.62)) for share in (upper, lower)]
-    figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * sum(tall) + 1.1), layout="constrained")
-    grid = figure.add_gridspec(2, 6, height_ratios=tall)
-    _from_the_side(figure.add_subplot(grid[0, :4]), scene, cuts[0], reach)
-    _from_the_camera(figure.add_subplot(grid[0, 4:]), scene, cuts, corners)
-    each = 6 // len(cuts)
+    above, below, between = 0.35, 0.55, 0.7  # inches for titles and labels
+    upper_in, lower_in = (WIDTH_IN * share for share in tall)
+    figure = Figure(figsize=(WIDTH_IN, upper_in + lower_in + 2.0 * (above + below)))
+    inner, high = WIDTH_IN - between - 0.1, 2.0 * below + lower_in + above
+    wide = 0.68 * (inner - between)
+    _from_the_side(add_axes_in(figure, between, high, wide, upper_in), scene, cuts[0], reach)
+    beside = 2.0 * between + wide
+    _from_the_camera(add_axes_in(figure, beside, high, WIDTH_IN - beside - 0.1, upper_in), scene, cuts, corners)
+    each = (inner + between) / len(cuts)
     for number, (cut, frame) in enumerate(zip(cuts, frames, strict=True)):
-        _cut(figure.add_subplot(grid[1, each * number : each * (number + 1)]), scene, cut, frame)
+        place = between + number * each
+        _cut(add_axes_in(figure, place, below, each - between, lower_in), scene, cut, frame)
     return figure
 
 

@@ -126,11 +126,16 @@ def draw_outlines(axes: Axes, scene: Scene, names: bool = True) -> None:
 
 
 def plane_panels(
-    ratio: float, count: int = 1, columns: int = 1, width_in: float = 4.2
+    ratio: float,
+    count: int = 1,
+    columns: int = 1,
+    width_in: float = 4.2,
+    beyond_in: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Figure, list[Axes]]:
     """A figure of panels of one fixed shape with room for labels and a colour bar at each.
 
     A layout engine does not know how wide a picture of fixed aspect will be, and cuts the label of its bar off.
+    It also takes as long as the drawing itself.
 
     Parameters
     ----------
@@ -140,28 +145,39 @@ def plane_panels(
         Panels, and how many stand beside each other.
     width_in : float
         Width of a panel in inches; a tall one is narrower.
+    beyond_in : (float, float)
+        Room below and above all panels in inches, for a legend and a title.
     """
     wide = width_in / max(1.0, ratio)
     tall = max(wide * ratio, 0.3 * wide)
     left, right, below, above = 0.8, 1.4, 0.6, 0.3
     rows = -(-count // columns)
-    width, height = columns * (left + wide + right), rows * (below + tall + above)
+    width, height = columns * (left + wide + right), rows * (below + tall + above) + sum(beyond_in)
     figure = Figure(figsize=(width, height))
     panels = []
     for number in range(count):
         row, column = divmod(number, columns)
-        x, y = column * (left + wide + right) + left, height - (row + 1) * (below + tall + above) + below
-        panels.append(figure.add_axes((x / width, y / height, wide / width, tall / height)))
+        x, y = (
+            column * (left + wide + right) + left,
+            height - (row + 1) * (below + tall + above) + below - beyond_in[1],
+        )
+        panels.append(add_axes_in(figure, x, y, wide, tall))
         bare(panels[-1])
     return figure, panels
 
 
-def bare_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
-    """A figure with one pair of axes, without frame."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    axes = figure.add_subplot()
+def bare_figure(width_in: float, height_in: float, above_in: float = 0.25) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes, without frame, with room for labels and, `above_in`, for a title."""
+    figure = Figure(figsize=(width_in, height_in))
+    axes = add_axes_in(figure, 0.85, 0.5, width_in - 1.0, height_in - 0.5 - above_in)
     bare(axes)
     return figure, axes
+
+
+def add_axes_in(figure: Figure, x: float, y: float, wide: float, tall: float) -> Axes:
+    """Add axes to a figure: their lower left corner and size in inches."""
+    width, height = figure.get_size_inches()
+    return figure.add_axes((x / width, y / height, wide / width, tall / height))
 
 
 def bare(axes: Axes) -> None:

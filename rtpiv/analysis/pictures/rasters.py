@@ -42,12 +42,7 @@ _PALETTE = np.array([COLOURS[status] for status in NodeStatus], np.uint8)
 
 def mask_picture(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """RGB picture (H, W, 3) of a mask (H, W)."""
-    return np.asarray(_PALETTE[status], dtype=np.uint8)
-
-
-def mask_overlay(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """RGB picture (H, W, 3) of what is not recovered; black where a corrected frame shows."""
-    return np.where((status == NodeStatus.RECOVERED)[..., None], 0, mask_picture(status)).astype(np.uint8)
+    return np.take(_PALETTE, status, axis=0)
 
 
 def web(colour: Colour) -> str:
@@ -73,12 +68,13 @@ def grey(frame: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
     return np.asarray(255.0 * np.clip(scaled, 0.0, 1.0) ** GAMMA, dtype=np.uint8)
 
 
-def tint(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """RGB picture of a grey one (H, W): where `colours` (H, W, 3) is not black, that."""
-    covered = colours.any(axis=-1)
-    rgb = np.repeat(picture[..., None], 3, axis=-1)
-    rgb[covered] = colours[covered]
-    return rgb
+def tint(picture: NDArray[np.uint8], status: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """RGB picture of a grey one (H, W): in the colours of a mask (H, W) where nothing is recovered."""
+    import cv2
+
+    rgb = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+    lost = (status != NodeStatus.RECOVERED).astype(np.uint8)
+    return np.asarray(cv2.copyTo(mask_picture(status), lost, rgb), dtype=np.uint8)
 
 
 def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -9,8 +9,8 @@ from matplotlib.colors import LogNorm
 from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
-from rtpiv.analysis.pictures.plane_axes import Figure, colour_bar, plane_panels
-from rtpiv.analysis.pictures.rasters import grey, mask_overlay, shrink, swatch, tint
+from rtpiv.analysis.pictures.plane_axes import Figure, add_axes_in, colour_bar, plane_panels
+from rtpiv.analysis.pictures.rasters import grey, shrink, swatch, tint
 from rtpiv.analysis.pictures.saved import save_picture
 
 if TYPE_CHECKING:  # names alone: who draws one of them does not wait for what makes the others
@@ -41,21 +41,23 @@ def draw_overview(
     status : ndarray (h, w) uint8
         NodeStatus; what is not recovered takes the colour of its reason.
     """
-    figure = Figure(figsize=(18.0, 0.9 + 6.0 * raw.shape[0] / raw.shape[1]), layout="constrained")
+    lost = [each for each in NodeStatus if each != NodeStatus.RECOVERED and (status == each).any()]
+    tall, below = 5.9 * raw.shape[0] / raw.shape[1], 0.1 + 0.22 * -(-len(lost) // 5)
+    figure = Figure(figsize=(18.0, tall + below + 0.35))
     low, high = np.percentile(raw, (0.5, 99.5))
     limits = (float(low), float(high))
     images = (
         (grey(raw, limits), "acquired"),
         (grey(computed, (0.0, max(float(computed.max()), 1e-6))), "computer-generated from the scene"),
-        (tint(grey(corrected, limits), mask_overlay(status)), "corrected"),
+        (tint(grey(corrected, limits), status), "corrected"),
     )
-    for axes, (image, title) in zip(figure.subplots(1, 3), images, strict=True):
+    for number, (image, title) in enumerate(images):
+        axes = add_axes_in(figure, 0.05 + 6.0 * number, below, 5.9, tall)
         axes.imshow(shrink(image), cmap="gray", interpolation="antialiased", vmin=0, vmax=255)
         axes.set_title(title)
         axes.set_axis_off()
-    lost = [each for each in NodeStatus if each != NodeStatus.RECOVERED and (status == each).any()]
     if lost:
-        figure.legend(handles=[swatch(each) for each in lost], loc="outside lower right", ncols=5, frameon=False)
+        figure.legend(handles=[swatch(each) for each in lost], loc="lower right", ncols=5, frameon=False)
     save_picture(figure, path, 100)
 
 

@@ -20,7 +20,14 @@ from correction.maps.aperture import BlurMap, blur_map
 from correction.maps.correction_map import build_correction_map, nodes_in_glass
 from correction.maps.lit import PlaneLight
 from correction.node_status import MEANING, NodeStatus
-from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, bare, colour_bar, draw_outlines, plane_panels
+from rtpiv.analysis.pictures.plane_axes import (
+    NOTHING,
+    Figure,
+    bare_figure,
+    colour_bar,
+    draw_outlines,
+    plane_panels,
+)
 from rtpiv.analysis.pictures.rasters import COLOURS, THROUGH, Colour, ShownPlane, mask_picture, web
 from rtpiv.analysis.pictures.saved import save_picture, short
 from rtpiv.analysis.steepness import ShownSlant
@@ -57,13 +64,14 @@ def draw_plane(path: Path, scene: Scene, found: ShownPlane, share: PlaneShare, t
     """
     colours = mask_picture(found.status)
     colours[found.through_glass] = THROUGH
-    figure = Figure(figsize=(12.4, 2.0 + 5.0 * share.size_mm[1] / share.size_mm[0]), layout="constrained")
-    mask, scale = figure.subplots(1, 2)
+    swatches = _swatches(share)
+    below = 0.2 + 0.22 * -(-len(swatches) // 3)
+    figure, (mask, scale) = plane_panels(share.size_mm[1] / share.size_mm[0], 2, 2, 4.4, (below, 0.45))
     x0, y0 = found.grid.origin_mm
     (width, height), half = share.size_mm, 0.5 * found.grid.pitch_mm
     extent = (x0 - half, x0 - half + width, y0 + half - height, y0 + half)
     mask.imshow(colours, extent=extent, interpolation="nearest")
-    figure.legend(handles=_swatches(share), loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(handles=swatches, loc="lower center", ncols=3, frameon=False)
     mask.set_title(
         f"recovered of the whole plane: {area_text(share.recovered_mm2)} of {area_text(share.whole_mm2)} mm\u00b2"
     )
@@ -76,7 +84,6 @@ def draw_plane(path: Path, scene: Scene, found: ShownPlane, share: PlaneShare, t
     scale.set_title(f"magnification: 1 is {found.grid.px_per_mm:.4g} px/mm")
     for axes in (mask, scale):
         draw_outlines(axes, scene, names=axes is mask)
-        bare(axes)
         axes.set(xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
     through = (
         "" if share.through is None else f": {share.through.percent} {share.through.name} is seen through glass"
@@ -112,9 +119,7 @@ def draw_camera_view(
 ) -> None:
     """Draw what a sensor sees, an image (h, w, 3) in 0..1, of a board with squares of `square_mm` as PNG."""
     width, height = sensor_px
-    figure = Figure(figsize=(8.6, 0.9 + 7.9 * height / width), layout="constrained")
-    axes = figure.add_subplot()
-    bare(axes)
+    figure, axes = bare_figure(8.6, 0.85 + 7.6 * height / width, 0.35)
     shown = np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
     axes.imshow(shown, extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="antialiased")
     said = f"{short(title, 40)}: squares of {square_mm:g} mm on the plane; black: no light arrives"
@@ -215,8 +220,7 @@ def draw_curve(path: Path, scene: Scene, view: FieldOfView, title: str) -> None:
     image = np.linspace(0.0, view.silhouette_mm, 1500)[:-1]
     plane, _ = radial_curve(scene, image)
     before = image <= view.fold_mm
-    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = bare_figure(6.4, 4.8, 0.35)
     limit = 1.05 * max(view.silhouette_mm, view.edge_mm) / radius
     axes.plot([0, limit], [0, limit], "--", color="0.6", label="no glass")
     axes.plot(image[before] / radius, abs(plane[before]) / radius, color="C0", label="through the glass")

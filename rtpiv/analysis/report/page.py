@@ -29,6 +29,7 @@ from tracer.scene.scene import Scene
 if TYPE_CHECKING:
     from rtpiv.analysis.pictures.plane_axes import Figure
 
+Drawn = dict[str, bytes]  # a figure by the kind of its file, "svg" or "png"
 PNG_DPI = 170
 
 _STYLE = Path(__file__).with_name("page.css")
@@ -62,7 +63,7 @@ class Page:
     """
 
     def __init__(self, title: str, subtitle: str = "", twice: bool = False) -> None:
-        self._title, self._subtitle, self._twice = title, subtitle, twice
+        self._title, self._subtitle, self.twice = title, subtitle, twice
         self._parts: list[str] = []
         self._files: dict[str, bytes] = {}
         self._sliders = 0
@@ -123,23 +124,23 @@ class Page:
             f"<details><summary>{html.escape(name)}</summary><pre>{html.escape(text)}</pre></details>"
         )
 
-    def figure(self, name: str, figure: "Figure", caption: str, dense: bool = False) -> None:
+    def figure(self, name: str, figure: "Figure | Drawn", caption: str, dense: bool = False) -> None:
         """Add a figure; `write` also puts NAME.svg or NAME.png beside the page, or both.
 
         Parameters
         ----------
         name : str
             Of the files, once a page.
-        figure : Figure
-            What was drawn.
+        figure : Figure or dict
+            What was drawn, or its files as `render_figure` makes them.
         caption : str
             Said below.
         dense : bool
             Embed pixels: thousands of arrows as lines would make the page slow.
         """
         kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
-        for each, drawn in _render_figure(figure, ("svg", "png") if self._twice else (kind,)).items():
-            self._files[f"{name}.{each}"] = drawn
+        drawn = figure if isinstance(figure, dict) else render_figure(figure, self.twice, dense)
+        self._files |= {f"{name}.{each}": content for each, content in drawn.items()}
         data = base64.b64encode(self._files[f"{name}.{kind}"]).decode()
         self._parts.append(
             _figure_html(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption)
@@ -217,7 +218,12 @@ def _figure_html(inner: str, caption: str) -> str:
     return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
-def _render_figure(figure: "Figure", kinds: Sequence[str]) -> dict[str, bytes]:
+def render_figure(figure: "Figure", twice: bool, dense: bool = False) -> Drawn:
+    """Bytes of a figure by kind: PNG if it is `dense`, else SVG, `twice` both."""
+    return _render_figure(figure, ("svg", "png") if twice else ("png" if dense else "svg",))
+
+
+def _render_figure(figure: "Figure", kinds: Sequence[str]) -> Drawn:
     """Bytes of a figure as SVG, as PNG or as both; `savefig` draws an SVG twice as well."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG

@@ -22,7 +22,7 @@ from rtpiv.analysis.report.figures import (
     track_figure,
     vector_figure,
 )
-from rtpiv.analysis.report.page import Page, through_lead
+from rtpiv.analysis.report.page import Drawn, Page, render_figure, through_lead
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.report.tables import (
     Total,
@@ -41,6 +41,7 @@ from tracer.scene.scene import Scene
 
 NO_SCALE_SIGMA = "The uncertainty of the image scale is not included"
 PLAIN_CAPTION = "To scale; thick line: the plane."
+_drawn: dict[tuple[str, bool], Drawn] = {}  # the scene drawn last, by its hash and whether both kinds are made
 
 
 def pair_summary(page: Page, evaluation: Evaluation) -> None:
@@ -126,7 +127,7 @@ def scene_chapter(page: Page, scene: Scene) -> None:
     if tells_a_scale_alone(scene):
         return
     page.heading("Scene")
-    page.figure("scene", scene_figure(scene), CAPTION if scene.bodies else PLAIN_CAPTION)
+    page.figure("scene", draw_scene_of_page(scene, page.twice), CAPTION if scene.bodies else PLAIN_CAPTION)
     rows = [
         (s.name, ", ".join(f"{c:.4f}" for c in s.centre_mm), f"{s.radius_mm:.4f}",
          "opaque" if s.medium is None else ", ".join(
@@ -139,6 +140,15 @@ def scene_chapter(page: Page, scene: Scene) -> None:
         page.table(Table("", columns, rows))
     if scene.camera.pupil is not None and rows:
         page.figure("blur", blur_figure(*blur_of(scene)), BLUR_CAPTION, dense=True)
+
+
+def draw_scene_of_page(scene: Scene, twice: bool) -> Drawn:
+    """Draw the figure of a scene, once: a process that draws does it before there is anything else to draw."""
+    key = (scene.content_hash(), twice)
+    if key not in _drawn:
+        _drawn.clear()
+        _drawn[key] = render_figure(scene_figure(scene), twice)
+    return _drawn[key]
 
 
 def light_sheet_line(page: Page, scene: Scene) -> None:

@@ -9,7 +9,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from rtpiv.analysis.pictures.rasters import data_address, grey, tint
+from correction.node_status import NodeStatus
+from rtpiv.analysis.pictures.rasters import data_address, grey, mask_picture, tint
 from rtpiv.analysis.pictures.saved import lay_out
 from rtpiv.analysis.report.page import PNG_DPI, Link, Page, _render_figure
 from rtpiv.analysis.report.table import Table
@@ -23,9 +24,8 @@ def page(twice=True):
     picture = grey(np.arange(4800).reshape(60, 80), (0.0, 4800.0))
     made.tiles([("0.01 px", "scatter <i>", "of & from")])
     made.heading("Pictures")
-    colours = np.zeros((60, 80, 3), np.uint8)
-    colours[picture > 40] = (56, 66, 92)
-    layers = {"raw": picture, "corrected": tint(picture, colours), "mask": colours}
+    status = np.where(picture > 40, NodeStatus.RIM, NodeStatus.RECOVERED).astype(np.uint8)
+    layers = {"raw": picture, "corrected": tint(picture, status), "mask": mask_picture(status)}
     made.slider([(name, data_address(image)) for name, image in layers.items()], "drag <me>")
     figure = Figure(figsize=(2.0, 1.0))
     figure.add_subplot().plot([0, 1])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from rtpiv.analysis.report import pair
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
 from tests.correction.small_scenes import small_scene
@@ -25,6 +26,23 @@ def test_blur_is_drawn_where_an_aperture_looks_through_glass(tmp_path, f_number,
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert ("aperture shows each point" in text) == drawn
     assert (tmp_path / "blur.png").exists() == drawn
+
+
+@pytest.mark.draws
+def test_a_scene_is_drawn_once_for_all_pages_and_before_them(tmp_path, monkeypatch):
+    """As the process that draws has nothing else to do then; another scene is drawn anew."""
+    scene, other, drawn = small_scene("two_spheres_500", 96), small_scene("one_sphere_500", 96), []
+    plain = pair.scene_figure
+    monkeypatch.setattr(pair, "scene_figure", lambda scene: drawn.append(scene) or plain(scene))
+    pair.draw_scene_of_page(scene, False)
+    for number, each in enumerate((scene, scene, other)):
+        page = Page("a", "b")
+        scene_chapter(page, each)
+        (folder := tmp_path / str(number)).mkdir()
+        page.write(folder / "page.html")
+    assert drawn == [scene, other]
+    files = [(tmp_path / str(number) / "scene.svg").read_bytes() for number in range(3)]
+    assert files[0] == files[1] != files[2]
 
 
 @pytest.mark.parametrize(
