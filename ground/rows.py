@@ -15,6 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
 T = TypeVar("T")
+R = TypeVar("R")
 LEAST_ROWS = 16  # of a block whose length is not prescribed
 NAME = "rtpiv-rows"
 SHARES = 3  # a block is at most this part of what is left, for each core
@@ -120,6 +121,17 @@ def run_parts(function: Callable[[T], object], parts: Iterable[T]) -> None:
         for _, future in waiting:
             future.cancel()
         wait([future for _, future in waiting])
+
+
+def map_parts(function: Callable[[T], R], parts: Iterable[T]) -> list[R]:
+    """Return ``function(part)`` of all parts, in their order, computed as `run_parts` does."""
+    found: dict[int, R] = {}
+
+    def keep(numbered: tuple[int, T]) -> None:
+        found[numbered[0]] = function(numbered[1])
+
+    run_parts(keep, enumerate(parts))
+    return [found[number] for number in sorted(found)]
 
 
 def _blocks(rows: int, block: int | None, threads: int) -> list[tuple[int, int]]:

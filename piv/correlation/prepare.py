@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import map_parts
 from piv.correlation.fill import FilledPixels, Texture, blur_frame, without_gaps
 from piv.errors import FrameError, PairError
 from piv.preprocessing.coarse_light import coarse_light, shows_particles, without_coarse_light
@@ -146,8 +147,8 @@ def prepare_pair(
     whole = bool(seen.all())
     weight = seen.astype(np.float32)
     side_px = window_px | 1
-    a = _remove_level(frames[0], weight, whole, side_px, "A")
-    b = _remove_level(frames[1], weight, whole, side_px, "B")
+    named = zip(frames, "AB", strict=True)
+    a, b = map_parts(lambda each: _remove_level(each[0], weight, whole, side_px, each[1]), named)
     coarse, hidden = coarse_light(a, b, window_px), None
     if coarse is not None:
         coarse = coarse * weight

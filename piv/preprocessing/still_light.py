@@ -37,6 +37,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import map_parts
+
 STILL_CELL_PX = 4
 STILL_LEVEL_PX = (
     11  # side of the surroundings: larger than a particle image, so that a wall's edge does not reach far
@@ -123,9 +125,11 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     weight = None if valid.all() else np.maximum(_means_around(valid.astype(np.float32)), np.float32(1e-6))
     for a, b in frames:
         numbers = _numbers((a, b), valid)
-        (one, of_a), (other, of_b) = (_remove_level(frame, valid, weight) for frame in numbers)
-        of_one, of_other = (np.maximum(_products(part, part), 0.0) for part in (one, other))
-        both = np.float32(0.5) * (_products(one, other) + _products(other, one))
+        (one, of_a), (other, of_b) = map_parts(lambda frame: _remove_level(frame, valid, weight), numbers)
+        ordered = (one, one), (other, other), (one, other), (other, one)
+        of_one, of_other, there, back = map_parts(lambda parts: _products(*parts), ordered)
+        of_one, of_other = (np.maximum(part, 0.0) for part in (of_one, of_other))
+        both = np.float32(0.5) * (there + back)
         if not (of_one.any() and of_other.any()):
             continue
         power = np.sqrt(of_one * of_other)

@@ -1,11 +1,12 @@
 """Rows and parts on all cores: each once, errors out, nothing begun after an error."""
 
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 
-from ground.rows import LEAST_ROWS, run_parts, run_rows
+from ground.rows import LEAST_ROWS, map_parts, run_parts, run_rows
 from tests.loops import loop_over
 
 
@@ -91,3 +92,16 @@ def test_a_part_that_fails_is_not_silent(threads: str, monkeypatch: pytest.Monke
     monkeypatch.setenv("RTPIV_THREADS", threads)
     with pytest.raises(ZeroDivisionError):
         run_parts(lambda part: 1 // part, iter((3, 0, 2)))
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_what_parts_give_comes_in_their_order(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever is done first."""
+    monkeypatch.setenv("RTPIV_THREADS", threads)
+
+    def square(number: int) -> int:
+        time.sleep(0.01 * (5 - number))
+        return number * number
+
+    assert map_parts(square, range(6)) == [0, 1, 4, 9, 16, 25]
+    assert map_parts(square, []) == []

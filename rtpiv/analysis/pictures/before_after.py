@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from correction.maps.corrector import Corrector
 from correction.node_status import NodeStatus
 from daq.runs.run_views import tells_a_scale_alone
-from ground.rows import run_parts
+from ground.rows import map_parts
 from piv.preprocessing.image_figures import ImageFigures, image_figures
 from rtpiv.analysis.pictures.rasters import data_address, grey, mask_picture, tint
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
@@ -57,7 +58,7 @@ def before_after(
     low, high = np.percentile(frame, (1.0, 99.0))
     limits = (float(low), float(high))
     name = PLAIN if tells_a_scale_alone(scene) else CORRECTED
-    status, layers, figures = corrector.status, dict[str, str](), dict[str, ImageFigures]()
+    status = corrector.status
     pictures: dict[str, Callable[[], NDArray[np.uint8]]] = {name: lambda: tint(grey(corrected, limits), status)}
     if frame.shape == corrected.shape:
         pictures = {"acquired": lambda: grey(frame, limits), **pictures}
@@ -66,17 +67,16 @@ def before_after(
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
     images = {"acquired": (frame, None), name: (corrected, corrector.recovered)}
-
-    def measure(each: str) -> None:
-        figures[each] = image_figures(images[each][0], full_scale, images[each][1])
-
-    def draw(each: str) -> None:
-        layers[each] = data_address(pictures[each]())
-
-    run_parts(
-        lambda part: part[0](part[1]),
-        [*((measure, each) for each in images), *((draw, each) for each in pictures)],
-    )
+    work: list[Callable[[], Any]] = [
+        partial(image_figures, each, full_scale, seen) for each, seen in images.values()
+    ]
+    work += [partial(_small_picture, drawn) for drawn in pictures.values()]
+    found = map_parts(lambda each: each(), work)
+    figures = dict(zip(images, found, strict=False))
+    layers = tuple(zip(pictures, found[len(images) :], strict=True))
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
-    in_order = tuple((each, layers[each]) for each in pictures)
-    return BeforeAfter(in_order, shares, full_scale, {each: figures[each] for each in images}, through)
+    return BeforeAfter(layers, shares, full_scale, figures, through)
+
+
+def _small_picture(drawn: Callable[[], NDArray[np.uint8]]) -> str:
+    return data_address(drawn())
