@@ -187,14 +187,14 @@ def moments(case: Case, numbers: range) -> Sums:
             np.where(np.isnan(part), np.nan, np.abs(uv - seen.itself) < part)
             for part in (np.hypot(plain, slant.sigma_px), plain)
         ]
-        assert field.resolution_px is not None
+        assert field.steady_px is not None
         apart = max(1, round(0.5 * field.window_px / field.step_px))
         one = Sums(
             Moments.of(uv, field.valid, sigma),
             *(Moments.of(true, field.valid) for true in seen),
             Moments.of(uv - seen.seen, field.valid, sigma),
             *(Moments.of(share, field.valid) for share in inside),
-            Unresolved.of(uv, field.valid, field.resolution_px, apart),
+            Unresolved.of(uv, field.valid, field.steady_px, apart),
         )
         total = one if total is None else total.merge_with(one)
     assert total is not None

@@ -226,7 +226,7 @@ def by_vectors(
         field = evaluate_pair(a, b, valid, settings, still=still)
         uv, sigma = (np.stack(p, -1) for p in ((field.u_px, field.v_px), (field.sigma_u_px, field.sigma_v_px)))
         moments = moments.add(uv, field.valid, sigma)
-        missing = missing.merge_with(Unresolved.of(uv, field.valid, field.resolution_px, 1))
+        missing = missing.merge_with(Unresolved.of(uv, field.valid, field.steady_px, 1))
         looked += field.asked
         vectors.append((uv, sigma, field.valid))
     often = is_measured_often(moments, looked)

@@ -62,6 +62,7 @@ def live_vectors(
         nan_pixels=4 * field.nan_pixels,
         side_px=None if field.side_px is None else 2 * field.side_px,
         resolution_px=None if field.resolution_px is None else 2.0 * field.resolution_px,
+        steady_px=None if field.steady_px is None else 2.0 * field.steady_px,
     )
 
 

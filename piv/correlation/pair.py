@@ -34,6 +34,7 @@ the same, as a share of what the window holds, stands still.
 6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it.
 
 `sigma_u_px` and `sigma_v_px` are the result of 2., `resolution_px` that of 3. to 6.; both together are the total.
+Of the resolution `steady_px` is the part that is the same in every pair of a steady flow.
 
 Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 233 (2005).
 Sign and axis conventions: see `piv.correlation.vector_field`.
@@ -46,7 +47,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ground.blas import one_blas_thread
@@ -75,11 +75,19 @@ from piv.correlation.passes import Measured, MultipassState, search
 from piv.correlation.planes import fill_gaps
 from piv.correlation.prepare import Pair, check_frames, prepare_pair
 from piv.correlation.refine import window_weights
-from piv.correlation.resolution import Window, match_share, mismatch_px, resolution_model_px, unevenness
+from piv.correlation.resolution import (
+    Modelled,
+    Window,
+    match_share,
+    mismatch_px,
+    resolution_model_px,
+    steady_px,
+    unevenness,
+)
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
-from piv.correlation.taken_out import is_measured, without_still, without_vectors
+from piv.correlation.taken_out import is_measured, without_seams, without_still, without_vectors
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
@@ -94,8 +102,6 @@ from piv.preprocessing.empty_areas import empty_areas
 from piv.preprocessing.still_light import still_light, with_clean_rim
 
 BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
-# Light that stands still
-COMMON_LIGHT_MARGIN = 1.5  # of the shortest vectors: as long ones are not trusted beside shorter ones
 # Larger first windows are tried if few places have a vector, and kept if they find more
 MIN_VALID_SHARE = 0.8  # of the windows
 RETRY_GAIN, RETRY_LEFT = 1.5, 0.6  # share with a vector, and without, over that of the usual windows
@@ -283,30 +289,9 @@ def _run_passes(
         course.found = course.found._replace(peak_ratio=ratio)
     field = _judge_vectors(course, spread_px2, added, missed_px)
     if common is not None:
-        field = _without_seams(field, common)
+        field = without_seams(field, common)
         still_share = common.share
     return _decimate(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
-
-
-def _without_seams(field: VectorField, common: CommonLight) -> VectorField:
-    """Field of a pair without common light: short vectors rejected, the length of others corrected."""
-    length_px = np.hypot(field.u_px, field.v_px)
-    pushed_px = common.lengthening_px(length_px)
-    kept = 1.0 - pushed_px / np.maximum(length_px, common.least_px)
-    resolution = field.resolution_px
-    field = replace(
-        field,
-        u_px=field.u_px * kept,
-        v_px=field.v_px * kept,
-        resolution_px=None if resolution is None else np.hypot(resolution, 0.5 * pushed_px),
-        common_light_px=common.least_px,
-    )
-    short = field.valid & (length_px < common.least_px)
-    # Beside short ones others are pushed beyond that length.
-    beside = scipy.ndimage.binary_dilation(short, np.ones((5, 5), bool)) & (
-        length_px < COMMON_LIGHT_MARGIN * common.least_px
-    )
-    return without_vectors(field, field.valid & (short | beside), VectorFlag.REJECTED)
 
 
 def _decimate(field: VectorField, every: int) -> VectorField:
@@ -336,7 +321,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     found, grid, settings = course.found, course.grid, course.settings
     vectors, good = found.vectors_px, found.good
     sizes = found.sizes or Sizes((grid.size_px,), np.zeros(grid.shape, np.int64))
-    sigma, resolution = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
+    sigma, parts = np.full(vectors.shape, np.nan), np.full((2, *grid.shape), np.nan)
     if found.refined is not None:
         # 1. Noise of one correlation; it decides which vectors are measured.
         # What the last pass still found: the asymmetry that it causes is no noise.
@@ -360,11 +345,15 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
         uneven = unevenness(particles, np.clip(central / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(-1))
-        resolution = np.maximum(_resolution_of_sizes(course, sizes, final, removed, uneven), missed_px)
+        modelled = _resolution_of_sizes(course, sizes, final, removed, uneven)
+        steady = steady_px(
+            modelled, missed_px, sizes.side_px == settings.windows_px[-1], settings.windows_px[-1] / grid.step_px
+        )
+        parts = np.stack((np.maximum(modelled.total_px, missed_px), steady))
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.
             finer = _short_wave_error(course, good, noise, added)
-            resolution = np.where(large, resolution, np.hypot(resolution, finer))
+            parts = np.where(large, parts, np.hypot(parts, finer))
         # 4. Resolution as blocks of the frames show it.
         # Blocks measure what the frames show beyond the vectors; the frames are deformed by the predictor (vectors
         # less what the pass found), so final - predictor is subtracted.  Clipped: the asymmetry of a block is
@@ -372,15 +361,15 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         weight = good * large * found.refined.gain
         measured = measure_agreement(blocks, grid, beyond, weight, settings.windows_px[-1])
-        resolution = resolution_of(measured, resolution, sigma, noise)
+        parts = parts * resolution_of(measured, parts[0], sigma, noise) / np.maximum(parts[0], 1e-30)
         # 5. Light that moves otherwise by a pixel and more, of which blocks show nothing.
-        resolution = np.maximum(resolution, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
+        parts = np.maximum(parts, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
         # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of
         # them: part of the cut counts.
         seen, given = course.frames.valid, course.frames.given
         around = seen if given is None else seen + np.float32(RIM_CUT) * (given - seen)
         cut = (cut_px(final, around, grid, side, settings.window_sigma) for side in sizes.sides_px)
-        resolution = np.hypot(resolution, sizes.pick(list(cut)))
+        parts = np.hypot(parts, sizes.pick(list(cut)))
     fill, near = fill_gaps(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED
@@ -395,6 +384,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     fill = np.where(nothing[..., None], np.nan, fill)
     known = (flags == VectorFlag.VALID) & settings.uncertainty
     sigma = np.where(known[..., None], sigma, np.nan)
+    resolution, steady = np.where(known & np.isfinite(sigma).all(axis=-1), parts, np.nan)
     return VectorField(
         x_px=grid.x_px,
         y_px=grid.y_px,
@@ -409,7 +399,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         window_px=settings.windows_px[-1],
         step_px=grid.step_px,
         nan_pixels=0,
-        resolution_px=np.where(known & np.isfinite(sigma).all(axis=-1), resolution, np.nan),
+        resolution_px=resolution,
+        steady_px=steady,
         added_passes=added,
         side_px=None if found.sizes is None else found.sizes.side_px,
     )
@@ -483,7 +474,7 @@ def _short_wave_error(course: MultipassState, good: NDArray[np.bool_], sigma: Fl
 
 def _resolution_of_sizes(
     course: MultipassState, sizes: Sizes, vectors: Floats, removed: Floats, uneven: Floats
-) -> Floats:
+) -> Modelled:
     """Modelled resolution error (ny, nx) [px], every node by the size of its own window."""
     settings, step = course.settings, course.grid.step_px
     parts = []
@@ -495,4 +486,4 @@ def _resolution_of_sizes(
                 vectors, removed, uneven, Window(side, step, weights, float(shown), side < settings.windows_px[-1])
             )
         )
-    return sizes.pick(parts)
+    return Modelled(*(sizes.pick(list(part)) for part in zip(*parts, strict=True)))

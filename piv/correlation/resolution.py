@@ -45,6 +45,7 @@ NOISE_RANGE = 3.0  # range of nine normal deviates over their deviation
 GAP = 3  # windows of 3 x 3
 LARGEST_PX = 1e6  # more than any displacement
 MATCHED = 0.75  # quantile
+STEADY = 1.5  # windows: deviation of the weights by which seeding is taken off
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +63,17 @@ class Window(NamedTuple):
     found: bool = False
 
 
-def resolution_model_px(vectors: Floats, taken_px: Floats, uneven: Floats, window: Window) -> Floats:
+class Modelled(NamedTuple):
+    """Standard deviation (ny, nx) of a component by what windows do not resolve.
+
+    `total_px` is the whole, `seeding_px` the part by where particles lie, which is new in every pair.
+    """
+
+    total_px: Floats
+    seeding_px: Floats
+
+
+def resolution_model_px(vectors: Floats, taken_px: Floats, uneven: Floats, window: Window) -> Modelled:
     """Standard deviation (ny, nx) of a component by what windows of one size do not resolve.
 
     Parameters
@@ -84,8 +95,29 @@ def resolution_model_px(vectors: Floats, taken_px: Floats, uneven: Floats, windo
     if window.found:
         displaced = displaced * np.minimum(displaced / TWICE_PX, 1.0)
     missing = 0.5 * (1.0 - window.shown) * bent_px
-    total: Floats = np.sqrt(taken_px**2 + displaced**2 + missing**2)
-    return total
+    return Modelled(np.sqrt(taken_px**2 + displaced**2 + missing**2), displaced)
+
+
+def steady_px(modelled: Modelled, missed_px: Floats, is_usual: NDArray[np.bool_], window_steps: float) -> Floats:
+    """Return the part (ny, nx) of the resolution error that is the same in every pair of a steady flow.
+
+    Parameters
+    ----------
+    modelled : Modelled
+        What the model says.
+    missed_px : ndarray of float64, shape (ny, nx)
+        What halving has shown that windows miss: both parts, so that seeding is taken off it, in the mean of
+        the windows around, as both are known by chance only.
+    is_usual : ndarray of bool, shape (ny, nx)
+        Windows that were halved.
+    window_steps : float
+        Side of these windows [grid steps].
+    """
+    squares = (np.square(np.where(is_usual, part, 0.0)) for part in (missed_px, modelled.seeding_px))
+    missed, seeding = (scipy.ndimage.gaussian_filter(part, STEADY * window_steps) for part in squares)
+    share = np.clip(1.0 - seeding / np.maximum(missed, 1e-30), 0.0, 1.0)
+    model = np.maximum(np.square(modelled.total_px) - np.square(modelled.seeding_px), 0.0)
+    return np.asarray(np.sqrt(np.maximum(model, share * np.square(missed_px))))
 
 
 def unevenness(pieces: Floats, middle: Floats) -> Floats:

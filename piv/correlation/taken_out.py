@@ -4,11 +4,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from piv.correlation.common_light import CommonLight
 from piv.correlation.vector_field import VectorField, VectorFlag
 
 WITHIN, MEASURED_SHARE = 0.99, 0.3  # of a window that lies in an empty area; of such windows with a vector
+COMMON_LIGHT_MARGIN = 1.5  # of the shortest vectors: as long ones are not trusted beside shorter ones
 
 
 def without_still(
@@ -44,10 +47,32 @@ def without_vectors(field: VectorField, gone: NDArray[np.bool_], flag: VectorFla
         "v_px",
         "sigma_u_px",
         "sigma_v_px",
-        *(() if field.resolution_px is None else ("resolution_px",)),
+        *(() if field.resolution_px is None else ("resolution_px", "steady_px")),
     )
     without: dict[str, Any] = {name: np.where(gone, np.nan, getattr(field, name)) for name in names}
     return replace(field, flags=flags, **without)
+
+
+def without_seams(field: VectorField, common: CommonLight) -> VectorField:
+    """The field of a pair whose common light is off: without short vectors, and what lengthens the others."""
+    length_px = np.hypot(field.u_px, field.v_px)
+    pushed_px = common.lengthening_px(length_px)
+    kept = 1.0 - pushed_px / np.maximum(length_px, common.least_px)
+    parts = {name: getattr(field, name) for name in ("resolution_px", "steady_px")}
+    more = {name: np.hypot(part, 0.5 * pushed_px) for name, part in parts.items() if part is not None}
+    field = replace(
+        field,
+        u_px=field.u_px * kept,
+        v_px=field.v_px * kept,
+        common_light_px=common.least_px,
+        **more,
+    )
+    short = field.valid & (length_px < common.least_px)
+    # Beside short ones others are pushed beyond that length.
+    beside = scipy.ndimage.binary_dilation(short, np.ones((5, 5), bool)) & (
+        length_px < COMMON_LIGHT_MARGIN * common.least_px
+    )
+    return without_vectors(field, field.valid & (short | beside), VectorFlag.REJECTED)
 
 
 def _share_around(which: NDArray[np.bool_], side_px: int) -> NDArray[np.float32]:

@@ -78,6 +78,8 @@ class VectorField:
     resolution_px : ndarray of float64, shape (ny, nx), optional
         Standard uncertainty of a component by what windows do not resolve (`piv.correlation.resolution`), beside
         the random part: means over pairs keep most of it. NaN where sigma is.
+    steady_px : ndarray of float64, shape (ny, nx), optional
+        The part of it that is the same in every pair of a steady flow; where particles lie in windows changes.
     added_passes : int
         Passes with the last windows beyond those asked for, made because vectors still moved: each shows more of
         short waves (`piv.correlation.response`).
@@ -105,6 +107,7 @@ class VectorField:
     nan_pixels: int
     static_share: float = float("nan")
     resolution_px: Floats | None = None
+    steady_px: Floats | None = None
     added_passes: int = 0
     side_px: NDArray[np.int64] | None = None
     is_one_picture: bool = False

@@ -1,12 +1,16 @@
 """Systematic error of a mean of many pairs: detail that no pair resolves, and vectors that were lost.
 
 **What all pairs miss.** A vector is unsure by what its window does not resolve, beside noise
-(`piv.correlation.resolution`): r, in proportion to how much its field bends. What bends in the same way in every
-pair is missed in every pair, and no number of pairs makes it smaller; what bends anew each time (turbulence,
-noise) is missed now to one side and now to the other. How much is which, second differences say: b of single
-fields, whose mean square is <b^2>, and B of the mean field,
+(`piv.correlation.resolution`). Part of that is by where particles lie, which changes from pair to pair: it is in
+the scatter of the vectors. The other part, r, is in proportion to how much the field bends. What bends in the same
+way in every pair is missed in every pair, and no number of pairs makes it smaller; what bends anew each time
+(turbulence, noise) is missed now to one side and now to the other. How much is which, second differences say: b of
+single fields, whose mean square is <b^2>, and B of the mean field,
 
-    R^2 = <r^2> min(1, B^2/<b^2>).
+    R = <r> min(1, B/sqrt(<b^2>)).
+
+The mean of r and not of its square, as halving shows some of it by chance (`piv.correlation.halving`), which is
+elsewhere each time.
 
 In a steady flow R is r; where nothing but fluctuations bends B is b/sqrt(N), and so is R. What remains, f^2 =
 <r^2> - R^2, is missing in the fluctuations. It moves with what is seen of them, so stresses may lack up to
@@ -83,21 +87,21 @@ class Unresolved:
         Nodes over which second differences are taken: half a window.
     count : ndarray of int64, shape (ny, nx)
         Vectors whose resolution was known.
-    squares : ndarray of float64, shape (ny, nx)
-        Sum of the squares of their resolution.
+    missed : ndarray of float64, shape (ny, nx, 2)
+        Sum of their r, and of its square.
     bent_squares : ndarray of float64, shape (ny, nx)
         Sum of the squares of second differences of these pairs' fields.
     """
 
     apart: int
     count: NDArray[np.int64]
-    squares: Floats
+    missed: Floats
     bent_squares: Floats
 
     @classmethod
     def nothing(cls, shape: tuple[int, int], apart: int) -> "Unresolved":
         """Of no pair."""
-        return cls(apart, np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape))
+        return cls(apart, np.zeros(shape, np.int64), np.zeros((*shape, 2)), np.zeros(shape))
 
     @classmethod
     def of(cls, vectors: Floats, valid: NDArray[np.bool_], resolution: Floats, apart: int) -> "Unresolved":
@@ -110,7 +114,8 @@ class Unresolved:
         valid : ndarray of bool, shape (ny, nx)
             Those that were measured.
         resolution : ndarray of float64, shape (ny, nx)
-            Standard uncertainty of a component by what windows do not resolve; NaN where not known.
+            The part of it that is the same in every pair of a steady flow (`VectorField.steady_px`); NaN where
+            not known.
         apart : int
             See above.
 
@@ -125,8 +130,8 @@ class Unresolved:
         if not good.any():
             return cls.nothing((len(valid), len(valid[0])), apart)
         bent = _curvature(vectors, good, apart)
-        squares = np.square(np.where(good, resolution, 0.0))
-        return cls(apart, good.astype(np.int64), squares, np.where(good, np.square(bent), 0.0))
+        missed = np.where(good, resolution, 0.0)[..., None] ** (1, 2)
+        return cls(apart, good.astype(np.int64), missed, np.where(good, np.square(bent), 0.0))
 
     def merge_with(self, other: "Unresolved") -> "Unresolved":
         """Of both; SeriesError if they belong to different grids."""
@@ -137,7 +142,7 @@ class Unresolved:
         return Unresolved(
             self.apart,
             self.count + other.count,
-            self.squares + other.squares,
+            self.missed + other.missed,
             self.bent_squares + other.bent_squares,
         )
 
@@ -149,12 +154,12 @@ class Unresolved:
         bent = np.square(_curvature(mean, known, self.apart)) * self.count
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(self.bent_squares > 0.0, np.minimum(bent / self.bent_squares, 1.0), 1.0)
-            return np.where(self.count > 0, np.sqrt(self.squares / self.count * share), np.nan)
+            return np.where(self.count > 0, self.missed[..., 0] / self.count * np.sqrt(share), np.nan)
 
     def of_stresses(self, shared: Floats, stresses: Floats) -> Floats:
         """By how much stresses (ny, nx, 3) may be too small, see the top; `share_of_mean` is R."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            single = np.where(self.count > 0, self.squares / self.count, np.nan)
+            single = np.where(self.count > 0, self.missed[..., 1] / self.count, np.nan)
         f = np.sqrt(np.maximum(single - np.square(shared), 0.0))[..., None]
         deviation = np.sqrt(np.maximum(stresses[..., :2], 0.0))
         both = np.concatenate((2.0 * deviation, deviation.sum(axis=-1, keepdims=True)), axis=-1)

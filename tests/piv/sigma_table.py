@@ -93,7 +93,7 @@ def mean_of(pairs):
         sigma = np.stack((field.sigma_u_px, field.sigma_v_px), -1)
         apart = max(1, round(0.5 * field.window_px / field.step_px))
         one = Moments.of(vectors, field.valid, sigma)
-        part = Unresolved.of(vectors, field.valid, field.resolution_px, apart)
+        part = Unresolved.of(vectors, field.valid, field.steady_px, apart)
         moments = one if moments is None else moments.merge_with(one)
         missing = part if missing is None else missing.merge_with(part)
         looked = field.asked.astype(int) + (0 if looked is None else looked)

@@ -7,6 +7,7 @@ By pair and place:
     displacement_x, _y            what it was made from, y up [px of the corrected image]
     sigma_u, sigma_v              random standard uncertainty of u, v (correlation statistics)
     resolution                    standard uncertainty of u and of v by what windows do not resolve
+    resolution_steady             the part of it that is the same in every pair of a steady flow
     correlation, chc, flag        coefficient of the peak; 1 = measured; VectorFlag
 
 By pair: delta_t and sigma_delta_t [s] (NaN: not known, not measured), failed (1 = no vectors: `failures` says
@@ -49,8 +50,8 @@ from rtpiv.analysis.pairs.slanted import Slanted
 from tracer.scene.scene import Scene
 
 PER_TIME = (  # in m/s, or in mm
-    "u", "v", "sigma_u", "sigma_v", "resolution", "map_sigma_u", "map_sigma_v", "slant_sigma_u", "slant_sigma_v",
-    "total_sigma_u", "total_sigma_v",
+    "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "map_sigma_u", "map_sigma_v",
+    "slant_sigma_u", "slant_sigma_v", "total_sigma_u", "total_sigma_v",
 )  # fmt: skip
 UNITS = {
     "displacement_x": "pixel", "displacement_y": "pixel", "delta_t": "s", "sigma_delta_t": "s",
@@ -59,7 +60,10 @@ UNITS = {
 RATE, ONE = "s-1", "1"
 RATES = ("vorticity", "divergence", "shear", "swirling_strength")
 SLOPES = ("dxdz", "dydz")
-MEASURED = ("u", "v", "sigma_u", "sigma_v", "resolution", "displacement_x", "displacement_y", "correlation")
+MEASURED = (
+    "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "displacement_x", "displacement_y",
+    "correlation",
+)  # fmt: skip
 Floats = NDArray[np.float64]
 
 
@@ -102,6 +106,8 @@ class SeriesField:
         u to the right and v UP, and their random standard uncertainty.
     resolution_m_s : (ny, nx) float64
         Standard uncertainty of u and of v by what windows do not resolve; NaN where not known.
+    steady_m_s : (ny, nx) float64
+        The part of it that is the same in every pair of a steady flow.
     displacement_px : (ny, nx, 2) float64
         The same in pixels of the corrected image, y up.
     flags : (ny, nx) uint8
@@ -121,6 +127,7 @@ class SeriesField:
     velocity_m_s: Floats
     sigma_m_s: Floats
     resolution_m_s: Floats
+    steady_m_s: Floats
     displacement_px: Floats
     flags: NDArray[np.uint8]
     correlation: Floats
@@ -317,6 +324,7 @@ def read_chunk(content: bytes) -> ChunkContent:
     unresolved = vectors.fields.get(
         "resolution", np.full_like(vectors.fields["u"], np.nan)
     )  # before it was stored
+    steady = vectors.fields.get("resolution_steady", unresolved)
     fields = tuple(
         SeriesField(
             tag,
@@ -326,6 +334,7 @@ def read_chunk(content: bytes) -> ChunkContent:
             both(place, "u", "v"),
             both(place, "sigma_u", "sigma_v"),
             unresolved[place].astype(np.float64),
+            steady[place].astype(np.float64),
             both(place, "displacement_x", "displacement_y"),
             vectors.fields["flag"][place].astype(np.uint8),
             vectors.fields["correlation"][place].astype(np.float64),
@@ -381,6 +390,7 @@ def _by_place(result: PairResult, shape: tuple[int, int], pitch_mm: float, timed
         "sigma_u": field.sigma_u_px * scale,
         "sigma_v": field.sigma_v_px * scale,
         "resolution": nothing if field.resolution_px is None else field.resolution_px * scale,
+        "resolution_steady": nothing if field.steady_px is None else field.steady_px * scale,
         "displacement_x": field.u_px,
         "displacement_y": -field.v_px,
         "correlation": field.correlation,

@@ -312,7 +312,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
                 looked = seen if looked is None else looked + seen
                 moments.add(number, Moments.of(field.velocity_m_s, field.valid, field.sigma_m_s))
                 blocks.add(number, Blocking.of(field.velocity_m_s, field.valid))
-                unresolved.add(number, Unresolved.of(field.velocity_m_s, field.valid, field.resolution_m_s, apart))
+                unresolved.add(number, Unresolved.of(field.velocity_m_s, field.valid, field.steady_m_s, apart))
             if keeps:
                 good = field.valid[..., None] & (not why)
                 kept.append(np.where(good, field.velocity_m_s, np.nan).astype(np.float32))

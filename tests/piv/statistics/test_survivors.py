@@ -69,7 +69,7 @@ def test_the_mean_of_a_steep_jet_is_that_of_the_flow(particle_pair):
         flow = shaken_jet(seed)
         field = evaluate_pair(*particle_pair(flow, (256, 512), seed=100 + seed, ppp=0.03, noise=0.02))
         vectors = np.stack((field.u_px, field.v_px), axis=-1)
-        one = Moments.of(vectors, field.valid), Unresolved.of(vectors, field.valid, field.resolution_px, 1)
+        one = Moments.of(vectors, field.valid), Unresolved.of(vectors, field.valid, field.steady_px, 1)
         moments = one[0] if moments is None else moments.merge_with(one[0])
         unresolved = one[1] if unresolved is None else unresolved.merge_with(one[1])
         looked = 0 * field.flags.astype(np.int64) + 24

@@ -55,6 +55,7 @@ def series(step_px=(0.0, 0.0), whole=False, bodies=True):
                 velocity_m_s=shift / scale,
                 sigma_m_s=sigma,
                 resolution_m_s=np.zeros(X.shape),
+                steady_m_s=np.zeros(X.shape),
                 displacement_px=shift,
                 flags=flags,
                 correlation=np.ones(X.shape),
