@@ -426,7 +426,7 @@ def _is_unmeasured(course: MultipassState, sigma: Floats, particles_per_px2: Flo
     uncertain = found.good & np.isnan(sigma).any(axis=-1)
     if not uncertain.any():
         return uncertain
-    ratio = peak_ratios(course.deformed, course.grid, uncertain, settings.min_valid, course.threads)
+    ratio = peak_ratios(course.deformed, course.grid, uncertain, settings.support, course.threads)
     empty = is_low_confidence(ratio, sigma)
     if found.sizes is not None:
         around_px = MATCH_SIDE * settings.windows_px[-1]

@@ -119,9 +119,10 @@ def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | N
     half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2) if halves else grid
     seen = pair.half_resolution() if halves else pair
     frames = DeformedPair(seen.a, seen.b, seen.valid, seen.floor)
-    raw = correlate_windows(frames, half, settings.min_valid, threads)
-    good, ratio = _accept_vectors(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
-    shift = raw.shift_px * (2.0 if halves else 1.0)
+    raw = correlate_windows(frames, half, settings.support, threads)
+    seen_px = np.where(_is_supported(raw.valid_fraction, settings)[..., None], raw.shift_px, np.nan)
+    good, ratio = _accept_vectors(seen_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
+    shift = seen_px * (2.0 if halves else 1.0)
     return Measured(shift, shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)
 
 
@@ -149,14 +150,14 @@ def refine_pass(
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
     if pair.inclination is not None:
         shift = pair.inclination.solve(shift, grid)
-    dense = raw.valid_fraction >= settings.min_valid
+    dense = _is_supported(raw.valid_fraction, settings)
     shift[~dense] = np.nan
     known = raw.correlation[dense & np.isfinite(raw.correlation)]  # constant windows have none
     least = LEAST_CORRELATION * (1.0 if is_first or not known.size else float(np.median(known)))
     lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
     seen = predictor + shift
     if lost.any() and pair.worth is None:  # frames that complete each other match in the middle, always
-        found, ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
+        found, ratio[lost] = correlate_some(pair, grid, lost, settings.support, threads)
         seen[lost] = predictor[lost] + found
         # Not where it was expected, and one of many; what lies in the middle may be right in later passes.
         is_weak = ratio[lost] < WEAK
@@ -167,6 +168,12 @@ def refine_pass(
     vectors = predictor + shift
     good, ratio = _accept_vectors(vectors, ratio, pair, grid, settings, threads, sizes)
     return Measured(vectors, seen, raw.correlation, ratio, raw.valid_fraction, good, shift, raw, own, sizes)
+
+
+def _is_supported(valid_fraction: Floats, settings: PivSettings) -> NDArray[np.bool_]:
+    """Windows (ny, nx) with enough light for the field; none where no window has enough for a vector."""
+    enough = (valid_fraction >= settings.min_valid).any()
+    return np.asarray((valid_fraction >= settings.support) & enough)
 
 
 def _accept_vectors(
@@ -184,7 +191,7 @@ def _accept_vectors(
     good = candidates & ~suspects
     unknown = suspects & np.isnan(ratio)
     if unknown.any():
-        ratio = np.where(unknown, peak_ratios(pair, grid, unknown, settings.min_valid, threads), ratio)
+        ratio = np.where(unknown, peak_ratios(pair, grid, unknown, settings.support, threads), ratio)
     if suspects.any():
         good |= is_supported_by_peak(vectors, candidates, suspects, ratio, grid.size_px)
     if not good.any():

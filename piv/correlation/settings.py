@@ -20,6 +20,7 @@ from piv.correlation.windows import WindowGrid, grid_with_step
 from piv.errors import PairError
 
 SMALLEST_WINDOW_PX = 8
+LEAST_SUPPORT = 0.1  # of a window's weight: with less than a few particles a field is continued as well
 ADD_UP = 0.5  # overlap from which on sums over windows add up to those over larger ones
 Overlap = Annotated[float, Interval(ge=0.0, lt=1.0)]
 WindowSigma = Annotated[float, Interval(ge=0.15, le=2.0)]
@@ -115,6 +116,14 @@ class PivSettings:
     def finest(self) -> int:
         """Side of the smallest windows there are."""
         return self.windows_px[-1] if self.finest_px is None else self.finest_px
+
+    @property
+    def support(self) -> float:
+        """Share of a window's weight on valid pixels from which on passes follow it, with a vector or without.
+
+        Where they end half a window before a mask, what continues their field errs by the wall's layer.
+        """
+        return min(LEAST_SUPPORT, self.min_valid)
 
     @property
     def windows_text(self) -> str:
