@@ -50,6 +50,13 @@ class PlaneGrid:
         y = self.origin_mm[1] - pixels[..., 1] * self.pitch_mm
         return np.stack((x, y), axis=-1)
 
+    def every(self, count: int) -> "PlaneGrid":
+        """Grid whose nodes stand for `count` x `count` of this one, in their middles."""
+        middle = 0.5 * (count - 1) * self.pitch_mm
+        origin = self.origin_mm[0] + middle, self.origin_mm[1] - middle
+        shape = -(-self.shape[0] // count), -(-self.shape[1] // count)
+        return PlaneGrid(origin, count * self.pitch_mm, shape)
+
 
 def grid_of(camera: Camera) -> PlaneGrid:
     """Grid that shows the plane as an ideal camera straight above it would.

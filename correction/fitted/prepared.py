@@ -132,7 +132,7 @@ def prepare(
         The limit is that of another scene's fit.
     """
     found = _map(scene, max(layers, view + 1), maps, _other(grid, scene))
-    found = through_light(through_pupil(found.of_view(view) if view else found, scene), scene)
+    found = through_pupil(through_light(found.of_view(view) if view else found, scene), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
     return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid, view))
 

@@ -29,6 +29,7 @@ from pydantic import ConfigDict, Field
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.solve.considered import ShapeRoot
 from correction.fit.solve.unknowns import rotation_jacobian
+from correction.maps.light_height import HeightRate
 from ground.config import Table
 from ground.errors import MapFileError
 from ground.map_file import Hash, check_header, load_arrays, save_arrays
@@ -86,6 +87,8 @@ class SceneSigma(SceneBound):
     joint : (str, int)
         Key of a joint fit of several cameras, and number of the first columns of `root` that are the same draws in
         all of them.
+    light : HeightRate or None
+        Height of the traced light by that of the sheet, where the light passes bodies.
     """
 
     scene_hash: str
@@ -95,6 +98,7 @@ class SceneSigma(SceneBound):
     numbers: tuple[str, ...] = ()
     shapes: ShapeRoot = field(default_factory=ShapeRoot)
     joint: tuple[str, int] = ("", 0)
+    light: HeightRate | None = None
     noun: ClassVar[str] = "fit"
     cure: ClassVar[str] = "calibrate again"
 
@@ -161,7 +165,10 @@ class SceneSigma(SceneBound):
             numbers = numbers or parameter_names(scene)[: -len(TARGET)]
         shapes = self.shapes.of_balls([sphere.name for sphere in seen.spheres]).rotate(axes)
         hashed, plane = seen.content_hash(), scene.lit.pose_root()
-        return replace(self, scene_hash=hashed, root=root, plane_root=plane, numbers=numbers, shapes=shapes)
+        return replace(
+            self, scene_hash=hashed, root=root, plane_root=plane, numbers=numbers, shapes=shapes,
+            light=HeightRate.of(seen),
+        )  # fmt: skip
 
     def of_glass(self) -> "SceneSigma":
         """Return the same in a plane that is known exactly."""
@@ -215,7 +222,10 @@ class SceneSigma(SceneBound):
         ways = self._ways(scene, pixels[asked], rays)
         known = rate @ self._rows(rays.names[: -len(TARGET)]) + self._of_shapes(scene, pixels[asked], ways)
         parts = [known, self._systematic(ways, rays)]
-        parts.append(rays.rate[:, :, -len(TARGET) :] @ self.plane_root)
+        by_plane = rays.rate[:, :, -len(TARGET) :] @ self.plane_root
+        if self.light is not None:
+            by_plane *= self.light.at(rays.point_mm)[:, None, None]
+        parts.append(by_plane)
         found = np.full((len(pixels), 2, sum(part.shape[2] for part in parts)), np.nan)
         found[asked] = np.concatenate(parts, axis=2)
         return found

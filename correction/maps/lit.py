@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import CorrectionMap, nodes_in_glass
+from correction.maps.light_height import at_light
 from correction.node_status import NodeStatus
 from tracer.bodies import CONTACT_TOL_MM
 from tracer.errors import SceneError
@@ -55,6 +57,15 @@ class PlaneLight:
         wide = np.repeat(np.repeat(field, self.every, axis=0), self.every, axis=1)
         return wide[: shape[0], : shape[1]]
 
+    def height_on(self, grid: PlaneGrid) -> NDArray[np.float64]:
+        """Height (H, W) [mm] of the light at all nodes of the map, between those traced; 0 where there is none."""
+        light = self.light
+        u, v = np.moveaxis(self.grid.to_px(grid.nodes_mm()), -1, 0)
+        weight = np.where(np.isfinite(light.height_mm), light.brightness, 0.0)
+        moment = weight * np.nan_to_num(light.height_mm)
+        both = [scipy.ndimage.map_coordinates(one, (v, u), order=1, mode="nearest") for one in (moment, weight)]
+        return np.asarray(np.where(both[1] > 0.0, both[0] / np.where(both[1] > 0.0, both[1], 1.0), 0.0))
+
 
 def light_of(scene: Scene, grid: PlaneGrid) -> PlaneLight | None:
     """Trace the light of a scene in its sheet to the nodes of a grid; None if its file gives no source.
@@ -70,17 +81,16 @@ def light_of(scene: Scene, grid: PlaneGrid) -> PlaneLight | None:
     if inside is not None and inside.all():
         raise SceneError("the light sheet lies wholly in glass within the view; correct its z_mm or the bodies")
     every = -(-max(grid.shape) // MOST_NODES)
-    middle = 0.5 * (every - 1) * grid.pitch_mm  # a traced node stands for `every` x `every` of the map
-    origin = grid.origin_mm[0] + middle, grid.origin_mm[1] - middle
-    shape = -(-grid.shape[0] // every), -(-grid.shape[1] // every)
-    coarse = PlaneGrid(origin, every * grid.pitch_mm, shape)
-    light = trace_light(scene, scene.light, origin, coarse.pitch_mm, shape)
+    coarse = grid.every(every)
+    light = trace_light(scene, scene.light, coarse.origin_mm, coarse.pitch_mm, coarse.shape)
     light.brightness[:] /= np.maximum(_gas_share(scene, coarse), LEAST_GAS)
     return PlaneLight(coarse, light, every)
 
 
 def through_light(found: CorrectionMap, scene: Scene, lit: PlaneLight | None = None) -> CorrectionMap:
-    """Return a map without the nodes that the sheet lights too little or too much; itself without a source.
+    """Return a map of the light's surface, without nodes that it lights too little or too much.
+
+    It is the same map without a source.
 
     Parameters
     ----------
@@ -96,7 +106,7 @@ def through_light(found: CorrectionMap, scene: Scene, lit: PlaneLight | None = N
         return found
     for nodes, why in ((lit.too_dark(), NodeStatus.DARK), (lit.too_bright(), NodeStatus.OVERLIT)):
         found = found.without(lit.on(nodes, found.grid.shape) & found.recovered, why)
-    return found
+    return at_light(found, scene, lit.height_on(found.grid))
 
 
 def _gas_share(scene: Scene, grid: PlaneGrid) -> NDArray[np.float64]:
