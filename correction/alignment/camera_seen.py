@@ -23,8 +23,8 @@ from correction.target.board_count import place_by_count
 from correction.target.board_origin import place_by_prediction
 from correction.target.board_search import corners_in_view
 from correction.target.corners import CornerSearch
-from correction.target.lattice_growth import Patch, grow_patches
-from correction.target.marks import find_marks, refine_marks
+from correction.target.lattice_growth import Patch
+from correction.target.marks import find_marks, grow_marks, refine_marks
 from tracer.camera import Camera
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
@@ -130,7 +130,7 @@ def find_camera(
             "alignment reads no frames of a mirrored camera; set its ReverseX, or measure by hand"
         )
     nominal, beside = scene.camera, _beside(scene, reach_mm)
-    patches = grow_patches(find_marks(frame, board, beside, square_px(nominal, board, board_mm)))
+    patches = grow_marks(find_marks(frame, board, beside, square_px(nominal, board, board_mm)))
 
     def predict(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         return nominal.project(place_mm + board_mm)

@@ -32,7 +32,8 @@ RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur
 MIN_VOTE_SHARE = 0.5  # of the votes
 AROUND_SQUARE, AROUND_DOT = ((0, 0), (1, 0), (1, 1), (0, 1)), ((1, 0), (0, 1), (-1, 0), (0, -1))  # in turn
 WITHIN_ROW = 0.8  # of the rings around a dot: walls stand closer between staggered rows of a plate
-MARK_EDGE, TRIANGULAR = 0.25, 0.25  # of the contrast, where a mark begins; see `_is_triangle`
+MARK_EDGE = 0.35  # of the contrast, where a mark begins
+TRIANGULAR, CLEARLY_MORE = 0.15, 2.0  # of a triangle (`_triangularity`), and times that of the other marks
 WIDEST_MARK, CLEAR_OF_DOTS = 0.45, 0.3  # squares from the middle of a mark, and from the dots around it
 PRESENT = 0.5  # of the contrast of dots, in the middle of a mark
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
@@ -69,8 +70,11 @@ def place_by_discs(
     find = _disc_squares if board.dots is None else _FIND[board.dots.marks]
     cells, bright, diameter = find(frame, patch, board)
     wanted = np.array(board.discs)
-    shades = board.disc_kinds()
+    triangle = board.dots is not None and board.dots.triangle is not None
+    shades = np.zeros(len(wanted), bool) if triangle else board.disc_kinds()
     fits = _matches(cells, bright, board, wanted, shades)
+    if triangle:
+        fits = _with_triangle(fits, diameter, board, turn)
     if len(fits) > 1 and board.dots is None:  # squares that something covers in part look like discs
         cells, bright, diameter = find(frame, _crossings(frame, patch, board), board)
         fits = _matches(cells, bright, board, wanted, shades)
@@ -266,29 +270,51 @@ def _large_dots(
 def _marks_between(
     frame: NDArray[Any], patch: Patch, board: Chessboard
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Squares (N, 2) of a patch with a mark in their middle, which are triangles (N,), no diameter (N,)."""
+    """Squares (N, 2) of a patch with a mark in their middle, one shade (N,), how like triangles they are (N,)."""
     place, _holes = _with_holes(patch)
     cells = [(i, j) for i, j in place if all((i + a, j + b) in place for a, b in AROUND_SQUARE)]
     dots = np.array([[place[i + a, j + b] for a, b in AROUND_SQUARE] for i, j in cells]).reshape(-1, 4, 2)
     # Two opposite corners are of the row of the mark, and on its level, where rows are staggered.
     middle = [dots[:, first::2].mean(axis=1) for first in (0, 1)]
-    share = np.stack([_share_of_dots(frame, patch, at, dots) for at in middle])
-    marked = share.max(axis=0) > PRESENT
+    share, beside = np.stack([_share_of_dots(frame, patch, at, dots) for at in middle], axis=1)
+    marked = (share.max(axis=0) > PRESENT) & (beside.min(axis=0) < PRESENT)  # a rod crosses the whole square
     chosen = np.array(cells, np.int64).reshape(-1, 2)[marked]
     at = np.where((share[0] > share[1])[:, None], *middle)[marked]
     assert board.dots is not None
     if board.dots.triangle is None:
         return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
-    pointed = [_is_triangle(frame, one, around, board.dots) for one, around in zip(at, dots[marked], strict=True)]
-    return chosen, np.array(pointed, bool), np.zeros(len(chosen))
+    shape = [_triangularity(frame, one, around, board.dots) for one, around in zip(at, dots[marked], strict=True)]
+    return chosen, np.zeros(len(chosen), bool), np.array(shape)
 
 
-def _is_triangle(
+def _with_triangle(
+    fits: list[tuple[Placing, list[int]]],
+    shape: NDArray[np.float64],
+    board: Chessboard,
+    turn: NDArray[np.int64] | None,
+) -> list[tuple[Placing, list[int]]]:
+    """Fits whose triangle is one; where light or blur hide its shape, those of the `turn` to expect."""
+    assert board.dots is not None
+    own = [square == board.dots.triangle for square in board.discs]
+    clear, open_ = [], []
+    for fit in fits:
+        values = shape[fit[1]]
+        triangle, other = float(values[own].max()), float(values[~np.array(own)].max(initial=0.0))
+        if triangle > max(TRIANGULAR, CLEARLY_MORE * other):
+            clear.append(fit)
+        elif other <= max(TRIANGULAR, CLEARLY_MORE * triangle):
+            open_.append(fit)
+    if clear or not open_ or turn is None:
+        return clear
+    return [fit for fit in open_ if np.array_equal(fit[0].turn, turn)]
+
+
+def _triangularity(
     frame: NDArray[Any], at_px: NDArray[np.float64], around_px: NDArray[np.float64], dots: Dots
-) -> bool:
-    """Return whether a mark at a place (2,) amid four dots (4, 2), in turn, is a triangle, not a square or disc.
+) -> float:
+    """Return how much like a triangle a mark at a place (2,) amid four dots (4, 2), in turn, is.
 
-    |<z^3>| / <|z|^2>^(3/2), z the complex place within the mark, is 0.8 of a triangle and 0 of both others.
+    |<z^3>| / <|z|^2>^(3/2), z the complex place within the mark, is 0.8 of a triangle, 0 of a square or a disc.
     """
     first, second, third, fourth = around_px
     axes = 0.5 * np.stack((second - first + third - fourth, fourth - first + third - second), axis=-1)
@@ -297,12 +323,12 @@ def _is_triangle(
     within = _GRID[(away > CLEAR_OF_DOTS) & (np.hypot(*_GRID.T) <= WIDEST_MARK)]
     light = _rings(frame, (at_px + within @ axes.T)[None, :, None])[0].astype(np.float64)
     light = light if dots.bright else -light
-    ground, mark = np.percentile(light, (10.0, 95.0))  # of either some is within
-    weight = np.clip((light - ground) / max(float(mark - ground), 1e-9) - MARK_EDGE, 0.0, 1.0) + 1e-9
+    ground, mark = np.percentile(light, (50.0, 95.0))  # most within is ground, walls are darker
+    weight = np.clip((light - ground) / max(float(mark - ground), 1e-9) - MARK_EDGE, 0.0, MARK_EDGE) + 1e-9
     z = within @ np.array((1.0, 1.0j))
     z = z - np.average(z, weights=weight)
     spread = float(np.average(np.abs(z) ** 2, weights=weight))
-    return bool(np.abs(np.average(z**3, weights=weight)) > TRIANGULAR * spread**1.5)
+    return float(np.abs(np.average(z**3, weights=weight)) / spread**1.5)
 
 
 def _missing_dots(
@@ -313,7 +339,7 @@ def _missing_dots(
     holes = [(i, j) for i, j in holes if all((i + a, j + b) in place for a, b in AROUND_DOT)]
     dots = np.array([[place[i + a, j + b] for a, b in AROUND_DOT] for i, j in holes]).reshape(-1, 4, 2)
     middle = np.array([place[hole] for hole in holes]).reshape(-1, 2)
-    chosen = np.array(holes, np.int64).reshape(-1, 2)[_share_of_dots(frame, patch, middle, dots) < PRESENT]
+    chosen = np.array(holes, np.int64).reshape(-1, 2)[_share_of_dots(frame, patch, middle, dots)[0] < PRESENT]
     return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
 
 
@@ -335,15 +361,20 @@ def _with_holes(patch: Patch) -> tuple[dict[Square, NDArray[np.float64]], list[S
 
 def _share_of_dots(
     frame: NDArray[Any], patch: Patch, middle: NDArray[np.float64], dots: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Level (N,) at some places (N, 2), 0 of the ground and 1 of the four dots (N, 4, 2) around each in turn."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Level (N,) at some places (N, 2), 0 of the ground and 1 of the four dots (N, 4, 2) around each in turn.
+
+    The second (N,) is the level of the brightest ground between two dots, 0 of the darkest.
+    """
     between = 0.5 * (dots + np.roll(dots, 1, axis=1))
     asked = np.concatenate((middle[:, None], dots, between), axis=1)
     size = float(np.median(np.linalg.norm(patch.axes_px, axis=1)))
     points = asked[:, None] + size * _AROUND[:_MIDDLE].reshape(-1, 1, 2)
     value = _rings(frame, points.transpose(0, 2, 1, 3)).astype(np.float64)
     dot, ground = value[:, 1:5].mean(axis=1), value[:, 5:].mean(axis=1)
-    return np.asarray((value[:, 0] - ground) / np.where(dot == ground, np.inf, dot - ground))
+    over = np.where(dot == ground, np.inf, dot - ground)
+    spread = np.ptp(value[:, 5:], axis=1)
+    return (value[:, 0] - ground) / over, spread / np.abs(over)
 
 
 _FIND = {"large": _large_dots, "between": _marks_between, "missing": _missing_dots}

@@ -36,8 +36,8 @@ from correction.target.lattice_fit import (
     holds_discs,
     measure_lattice,
 )
-from correction.target.lattice_growth import Patch, grow_patches, lattice_axes
-from correction.target.marks import find_marks
+from correction.target.lattice_growth import Patch, lattice_axes
+from correction.target.marks import find_marks, grow_marks
 from correction.target.scale_search import crossing_corners, find_patches
 from correction.target.size_seen import CLEARLY_OFF, size_seen
 from correction.target.smooth_view import on_smooth_map
@@ -302,7 +302,7 @@ def _why_no_lattice(frame: NDArray[Any], board: Chessboard, seen: int) -> str:
         (other, "dots of the other shade: change bright_dots"),
         (squares, "a chessboard: change kind"),
     ):
-        patches = grow_patches(find_marks(frame, kind))
+        patches = grow_marks(find_marks(frame, kind))
         if patches and len(patches[0].index) > max(seen, LEAST_BOARD):
             return f"the frame shows {words} in the board file, or show the board that it describes"
     return (
@@ -321,7 +321,10 @@ def _with_discs(
     for patch in patches:
         if 2 * len(patch.index) < len(patches[0].index):
             break
-        turn = as_expected(patch, *view)[0] if view is not None and board.is_turn_symmetric else None
+        needs_turn = (
+            view is not None and board.dots is not None and (board.is_turn_symmetric or board.dots.triangle)
+        )
+        turn = as_expected(patch, *view)[0] if view is not None and needs_turn else None
         placing = place_by_discs(frame, patch, board, turn)
         if placing is not None:
             return patch, placing

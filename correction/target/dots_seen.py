@@ -15,23 +15,26 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.target.lattice_growth import Saddles
+from correction.target.two_levels import level_steps
 from tracer.board import Dots
 
 MAX_DOT_RATIO = 4.0  # dots of the board as seen without glass, that the widest in the frame is at most
 NEARBY_PX = 9  # side of the window in which the darkest point counts
 FAINTEST = 0.12  # of the paper: what is less dark is noise
 SMALLEST_PX = 5  # pixels in a dot
+SPECK, SPECK_NEIGHBOURS = 0.2, 24  # of the usual area around: half of all area is in dots of at least that
 ELLIPSE = 0.8, 1.2  # area of a dot over that of an ellipse with its covariance
 NEAREST_DOTS = 9  # nearest dots that are asked for the grid's directions
 AROUND, NEARER_THAN_DOTS = 4, 0.82  # dots around a mark, 0.71 pitches away; of what dots are from four others
 RIGHT_ANGLE = 0.5  # cosine between both directions at most, in the frame in which the dot is a circle
-ALIKE, ALIKE_ON_PLATE = 0.6, 0.45  # shorter over longer step, there
+ALIKE = 0.6  # shorter over longer step, there
 USUAL_PX = 24.0  # a dot, if no width is known
 
 
 def find_dots(
     frame: NDArray[Any],
     dots: Dots,
+    pitch_mm: float,
     dot_px: float | None = None,
     mask: NDArray[np.bool_] | None = None,
 ) -> Saddles:
@@ -43,6 +46,8 @@ def find_dots(
         The frame.
     dots : Dots
         Whether they are brighter than what is around them, and on which levels they are.
+    pitch_mm : float
+        From one to the next.
     dot_px : float, optional
         Diameter of the largest dots as seen without glass.
     mask : (H, W) bool, optional
@@ -77,11 +82,17 @@ def find_dots(
         at = np.clip(np.rint(np.nan_to_num(mean)).astype(np.int64), 0, (width - 1, height - 1))
         whole &= mask[at[:, 1], at[:, 0]]
     found = np.flatnonzero(whole)
+    found = found[~_is_speck(mean[found], area[found])]
     found = found[np.argsort(-depths[found], kind="stable")]
-    if dots.marks == "between":
-        found = found[~_stand_between(mean[found], covariance[found])]
-    towards = _directions(mean[found], covariance[found], ALIKE_ON_PLATE if dots.levels else ALIKE)
-    return Saddles(mean[found], towards, depths[found], alike=True, levels=dots.levels)
+    if dots.levels:
+        steps = level_steps(mean[found], covariance[found], dots, pitch_mm)
+        towards = steps / np.linalg.norm(steps, axis=2, keepdims=True)
+    else:
+        steps = None
+        if dots.marks == "between":
+            found = found[~_stand_between(mean[found], covariance[found])]
+        towards = _directions(mean[found], covariance[found])
+    return Saddles(mean[found], towards, depths[found], alike=True, levels=dots.levels, steps=steps)
 
 
 def _moments(
@@ -103,6 +114,18 @@ def _moments(
     return mean, covariance.transpose(2, 0, 1), mean_of(depth[v, u])
 
 
+def _is_speck(mean: NDArray[np.float64], area: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """True (N,) for what is far smaller than most around it by area: noise on walls, glints, dust."""
+    count = min(SPECK_NEIGHBOURS, len(mean))
+    if count < 2:
+        return np.zeros(len(mean), bool)
+    near = scipy.spatial.cKDTree(mean).query(mean, k=count)[1]
+    around = np.sort(area[near], axis=1)
+    share = np.cumsum(around, axis=1) / around.sum(axis=1, keepdims=True)
+    usual = around[np.arange(len(mean)), (share >= 0.5).argmax(axis=1)]
+    return np.asarray(area < SPECK * usual)
+
+
 def _stand_between(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.bool_]:
     """True (N,) for what stands in the middle of four dots, of whatever size and shape.
 
@@ -116,7 +139,7 @@ def _stand_between(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -
     return np.asarray(far < NEARER_THAN_DOTS * np.median(far))
 
 
-def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64], alike: float) -> NDArray[np.float64]:
+def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors (N, 2, 2: rows) from dots to their neighbours along the grid; NaN where no grid is around."""
     out = np.full((len(mean), 2, 2), np.nan)
     if len(mean) <= NEAREST_DOTS:
@@ -132,7 +155,7 @@ def _directions(mean: NDArray[np.float64], covariance: NDArray[np.float64], alik
     unit = there / far[..., None]
     along = np.abs(np.einsum("nmi,ni->nm", unit, unit[rows, first]))
     second = np.where(along < RIGHT_ANGLE, far, np.inf).argmin(axis=1)
-    good = (along[rows, second] < RIGHT_ANGLE) & (far[rows, first] > alike * far[rows, second])
+    good = (along[rows, second] < RIGHT_ANGLE) & (far[rows, first] > ALIKE * far[rows, second])
     for k, which in enumerate((first, second)):
         chosen = step[rows, which]
         out[good, k] = (chosen / np.linalg.norm(chosen, axis=1, keepdims=True))[good]

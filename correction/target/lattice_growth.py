@@ -16,8 +16,7 @@ agree with its neighbour's.  Steps are predicted from the last step, so the latt
 much as it likes (perspective, barrel distortion), only not by more than a quarter of a square from one
 square to the next.
 
-On a plate with two levels every second dot, along one axis or both, is seen beside the lattice of the others, by
-the same vector in one part of the view: each patch begins with what its seed shows of it, and learns on the way.
+Dots of a plate with two levels grow level by level (`two_levels`).
 
 Indices are relative here: i along the first axis, j along the second, handed as the board's x, y are in a
 view from the front (v points down, hence det < 0).
@@ -35,19 +34,13 @@ MIN_SHRUNK_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddle
 WORTH_IT = 1.25  # times that a frame is shrunk at least, or not at all
 NEAREST_PX = 3  # two corners are never closer
 MIN_SADDLE_STRENGTH = 0.06  # of the strength of the strongest corners
-TOLERANCE = 0.28  # largest miss of a predicted corner, in squares
+TOLERANCE, TOLERANCE_ON_PLATE = 0.28, 0.18  # largest miss of a predicted corner, in squares
 COS_EDGE = 0.9  # edges of neighbours agree to 25 degrees
 MIN_PATCH_CORNERS = 9  # a patch smaller than this is chance
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 NEAREST_SADDLES = 13  # nearest saddles looked at around a seed
-LEARNT = 0.1  # squares: how far a level may be seen elsewhere than before; beyond, dots are seen through something
 SEED_COSINE = 0.97  # of a seed: cosine between an edge and the way to a neighbour
 MAX_UNEVEN_STEP = 0.25  # of the longer: by how much the ways to both neighbours along an axis differ
-STRAIGHT_ON_PLATE, EVEN_ON_PLATE, COS_ON_PLATE = (
-    0.82,
-    0.55,
-    0.8,
-)  # the same where levels are seen beside each other
 Index = tuple[int, int]
 
 
@@ -68,6 +61,8 @@ class Saddles:
         Whether all are of one kind, as dots are.
     levels : str
         Of dots of a plate: `tracer.board.Dots.levels`.
+    steps : (N, 2, 2) float64, optional
+        Of dots of a plate: to the next ones of the same level along the edges [px].
     """
 
     position_px: NDArray[np.float64]
@@ -75,6 +70,7 @@ class Saddles:
     strength: NDArray[np.float64]
     alike: bool = False
     levels: str = ""
+    steps: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.strength)
@@ -185,14 +181,16 @@ def grow_patches(saddles: Saddles) -> list[Patch]:
     if len(saddles) < MIN_PATCH_CORNERS:
         return []
     tree = scipy.spatial.cKDTree(saddles.position_px)
-    axes, asides, good = _seeds(saddles, tree)
+    axes, good = _seeds(saddles, tree) if saddles.steps is None else _right_handed(saddles.steps)
     free = np.ones(len(saddles), dtype=bool)
     patches = []
     for seed in np.flatnonzero(good):  # strongest first
         if free[seed]:
-            patch = _grow(saddles, tree, int(seed), axes[seed], asides[seed], free)
+            patch = _grow(saddles, tree, int(seed), axes[seed], free)
             if len(patch.index) >= MIN_PATCH_CORNERS:
                 patches.append(patch)
+            elif saddles.levels and len(patch.index):
+                free[tree.query(patch.position_px[1:])[1]] = True
     return sorted(patches, key=lambda patch: -len(patch.index))
 
 
@@ -248,12 +246,12 @@ def lattice_axes(
                 axes[n, :, k] = position[n] - position[behind]
 
 
-def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64], cos_edge: float) -> NDArray[np.int8]:
+def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.int8]:
     """Kinds (N,) of saddles with unit edges (N, 2, 2: rows) in axes (N, 2, 2: columns); 0 if edges disagree."""
     unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     cosine = np.abs(edges @ unit)  # [saddle, edge, axis]
-    straight = np.minimum(cosine[:, 0, 0], cosine[:, 1, 1]) > cos_edge
-    crossed = np.minimum(cosine[:, 0, 1], cosine[:, 1, 0]) > cos_edge
+    straight = np.minimum(cosine[:, 0, 0], cosine[:, 1, 1]) > COS_EDGE
+    crossed = np.minimum(cosine[:, 0, 1], cosine[:, 1, 0]) > COS_EDGE
     bright = edges[:, 0] + edges[:, 1]
     both, apart = unit[..., 0] + unit[..., 1], unit[..., 0] - unit[..., 1]
     # The bisector of the axes is compared in length-free form, so sheared squares count as well; multiplied out,
@@ -265,43 +263,41 @@ def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64], cos_edge: floa
 
 def _kinds(saddles: Saddles, which: NDArray[np.intp], axes: NDArray[np.float64]) -> NDArray[np.int8]:
     """Kinds of some saddles (N,) in axes (N, 2, 2): columns; 0 where the edges disagree with these."""
-    signs = _signs(saddles.edges[which], axes, COS_ON_PLATE if saddles.levels else COS_EDGE)
+    if saddles.levels:  # large dots, and those beside marks or at the rim, show other directions or none
+        return np.ones(len(which), np.int8)
+    signs = _signs(saddles.edges[which], axes)
     return np.abs(signs) if saddles.alike else signs
 
 
-def _seeds(
-    saddles: Saddles, tree: "scipy.spatial.cKDTree"
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Axes (N, 2, 2) of every saddle from its nearest neighbours along its edges, and whether all four exist.
-
-    In between, how far (N, 2, 2: columns) both neighbours along each axis lie aside, as on another level.
-    """
-    plate = bool(saddles.levels)
-    straight, even = (STRAIGHT_ON_PLATE, EVEN_ON_PLATE) if plate else (SEED_COSINE, MAX_UNEVEN_STEP)
+def _seeds(saddles: Saddles, tree: "scipy.spatial.cKDTree") -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Axes (N, 2, 2) of every saddle from its nearest neighbours along its edges, and whether all four exist."""
     position, edges = saddles.position_px, saddles.edges
     count = min(NEAREST_SADDLES, len(saddles))
     distance, neighbour = tree.query(position, k=count)
     distance, neighbour = distance[:, 1:], neighbour[:, 1:]
     towards = (position[neighbour] - position[:, None]) / distance[..., None]
-    axes, asides = np.zeros((2, len(saddles), 2, 2))
+    axes = np.zeros((len(saddles), 2, 2))
     good = np.ones(len(saddles), dtype=bool)
     rows = np.arange(len(saddles))
     for k in range(2):
         along = np.einsum("nmc,nc->nm", towards, edges[:, k])
         ends = []
         for side in (1.0, -1.0):
-            reach = np.where(side * along > straight, distance, np.inf)
+            reach = np.where(side * along > SEED_COSINE, distance, np.inf)
             best = reach.argmin(axis=1)
             good &= np.isfinite(reach[rows, best])
             ends.append(position[neighbour[rows, best]] - position)
         ahead, behind = np.hypot(*ends[0].T), np.hypot(*ends[1].T)
-        good &= np.abs(ahead - behind) < even * np.maximum(ahead, behind)
+        good &= np.abs(ahead - behind) < MAX_UNEVEN_STEP * np.maximum(ahead, behind)
         axes[:, :, k] = 0.5 * (ends[0] - ends[1])
-        if plate:
-            asides[:, :, k] = 0.5 * (ends[0] + ends[1])
-    mirrored = np.linalg.det(axes) > 0.0
-    axes[mirrored, :, 1] *= -1.0
-    return axes, asides, good
+    return _right_handed(axes.transpose(0, 2, 1))[0], good
+
+
+def _right_handed(steps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Axes (N, 2, 2: columns), handed as the board is, from two steps (N, 2, 2: rows), and whether they exist."""
+    axes = steps.transpose(0, 2, 1).copy()
+    axes[np.linalg.det(np.nan_to_num(axes)) > 0.0, :, 1] *= -1.0
+    return axes, np.asarray(np.isfinite(axes).all(axis=(1, 2)))
 
 
 def _grow(
@@ -309,19 +305,10 @@ def _grow(
     tree: "scipy.spatial.cKDTree",
     seed: int,
     axes: NDArray[np.float64],
-    asides: NDArray[np.float64],
     free: NDArray[np.bool_],
 ) -> Patch:
-    """Grow one patch from a seed; corners taken are no longer free.
-
-    Steps along which the level changes lead `aside` as well, from the other level back again.
-    """
-    changes = np.zeros(2, bool)
-    if saddles.levels in ("alternating", "staggered"):
-        changes[:] = True
-    elif saddles.levels:
-        changes[np.linalg.norm(asides / np.linalg.norm(axes, axis=0), axis=0).argmax()] = True
-    aside: dict[Index, NDArray[np.float64]] = {(0, 0): (asides @ changes) / max(int(changes.sum()), 1)}
+    """Grow one patch from a seed; corners taken are no longer free."""
+    tolerance = TOLERANCE_ON_PLATE if saddles.levels else TOLERANCE
     next_to = 1 if saddles.alike else -1  # the kind of a neighbour, times one's own
     sign = int(_kinds(saddles, np.array([seed]), axes[None])[0])
     found: dict[Index, tuple[int, NDArray[np.float64], int]] = {}
@@ -338,16 +325,14 @@ def _grow(
             break
         start = np.array([saddles.position_px[found[at][0]] for at, _ in steps])
         stride = np.array([found[at][1] @ step for at, step in steps])
-        if saddles.levels:
-            stride = stride + np.array([aside[at] * changes[0 if di else 1] for at, (di, _) in steps])
         distance, nearest = tree.query(start + stride)
-        near = np.flatnonzero(distance < TOLERANCE * np.hypot(*stride.T))
+        near = np.flatnonzero(distance < tolerance * np.hypot(*stride.T))
         if not len(near):
             break
         own = np.array([found[steps[n][0]][1] for n in near])
         for row, n in enumerate(near):
-            at, (di, dj) = steps[n]
-            over = saddles.position_px[nearest[n]] - start[n] - aside.get(at, 0.0) * changes[0 if di else 1]
+            _, (di, dj) = steps[n]
+            over = saddles.position_px[nearest[n]] - start[n]
             own[row, :, 0 if di else 1] = over * (di + dj)
         signs = _kinds(saddles, nearest[near], own)
         for row, n in enumerate(near):
@@ -360,20 +345,10 @@ def _grow(
                 found[key] = (saddle, own[row], next_to * parent_sign)
                 free[saddle] = False
                 frontier.append(key)
-                if saddles.levels:
-                    aside[key] = aside[i, j]
-                    if changes[0 if di else 1]:
-                        behind = found.get((i - di, j - dj))
-                        if behind is not None:  # what this parent shows itself
-                            both = saddles.position_px[[saddle, behind[0]]].mean(axis=0)
-                            seen = both - saddles.position_px[found[i, j][0]]
-                            if np.hypot(*(seen - aside[i, j])) < LEARNT * np.hypot(*stride[n]):
-                                aside[i, j] = seen
-                        aside[key] = -aside[i, j]
     index = np.array(list(found), dtype=np.int64).reshape(-1, 2)
     members = list(found.values())
     position = saddles.position_px[[saddle for saddle, _, _ in members]].reshape(-1, 2)
     all_axes = np.array([own for _, own, _ in members]).reshape(-1, 2, 2)
     if len(index):
-        lattice_axes(index, position, all_axes, bool(saddles.levels))
+        lattice_axes(index, position, all_axes)
     return Patch(index, position, all_axes, np.array([s for _, _, s in members], dtype=np.int8))

@@ -9,7 +9,8 @@ from correction.target.chessboard import Chessboard
 from correction.target.corners import ARM_LENGTH, CornerFit, CornerSearch, check_pixels, refine_corners
 from correction.target.dot_centres import refine_dots
 from correction.target.dots_seen import find_dots
-from correction.target.lattice_growth import Saddles, coarse_saddles, find_saddles
+from correction.target.lattice_growth import Patch, Saddles, coarse_saddles, find_saddles, grow_patches
+from correction.target.two_levels import grow_levels
 
 ANYWHERE = CornerSearch()  # as far as the fit of a mark follows by itself
 
@@ -34,8 +35,13 @@ def find_marks(
     """
     if board.dots is not None:
         dot_px = None if square_px is None else square_px * board.disc_mm / board.square_mm
-        return find_dots(frame, board.dots, dot_px, mask)
+        return find_dots(frame, board.dots, board.square_mm, dot_px, mask)
     return find_saddles(frame, mask) if square_px is None else coarse_saddles(frame, square_px, mask)
+
+
+def grow_marks(saddles: Saddles) -> list[Patch]:
+    """Return patches of lattice, largest first, of a board on one level or on two."""
+    return grow_levels(saddles) if saddles.levels else grow_patches(saddles)
 
 
 def refine_marks(

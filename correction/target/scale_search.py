@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from correction.target.chessboard import Chessboard
 from correction.target.corners import ARM_LENGTH, MIN_HALF_WINDOW_PX, half_widths_px
 from correction.target.lattice_growth import MIN_PATCH_CORNERS, Patch, coarse_saddles, grow_patches
-from correction.target.marks import find_marks
+from correction.target.marks import find_marks, grow_marks
 
 COARSER_PX = 24.0, 48.0, 96.0  # squares for which copies of the frame are made
+COARSER_DOTS = 2, 4  # times that copies for dots are smaller
 COARSE_ERROR = 0.3  # of the shrinkage: how far corners of a copy may be off in the frame [px]
 COARSER_GAIN = 1.02  # of the corners of a finer scale that a coarser one must show at least
 KNOWN_SQUARES = 0.3  # from a known corner: the same corner
@@ -42,8 +43,10 @@ def find_patches(
     frame, board, mask, square_px
         As of `find_marks`; with `square_px` only its scale is searched.
     """
-    best = grow_patches(find_marks(frame, board, mask, square_px))
-    if board.dots is not None or square_px is not None:
+    best = grow_marks(find_marks(frame, board, mask, square_px))
+    if board.dots is not None and square_px is None:
+        return _dots_in_copies(frame, board, mask, best)
+    if square_px is not None:
         return best
     counts = [_count_corners(frame, board, patch) for patch in best]
     most = max(counts, default=0)
@@ -59,6 +62,33 @@ def find_patches(
             best, counts, most = patches, seen, max(seen)
     order = sorted(range(len(best)), key=lambda n: -counts[n])
     return [best[n] for n in order]
+
+
+def _dots_in_copies(
+    frame: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None, best: list[Patch]
+) -> list[Patch]:
+    """Patches of dots, of the copy that shows more of them: in dim frames noise tears dots apart."""
+    import cv2
+
+    for shrink in COARSER_DOTS:
+        most = len(best[0].index) if best else 0
+        height, width = frame.shape[0] // shrink, frame.shape[1] // shrink
+        cut = np.s_[: height * shrink, : width * shrink]
+        small = cv2.resize(frame[cut].astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+        middle = np.s_[shrink // 2 :: shrink, shrink // 2 :: shrink]
+        seen = None if mask is None else np.ascontiguousarray(mask[cut][middle])
+        patches = grow_marks(find_marks(small, board, seen))
+        if patches and len(patches[0].index) > COARSER_GAIN * most:
+            best = [
+                replace(
+                    patch,
+                    position_px=(patch.position_px + 0.5) * shrink - 0.5,
+                    axes_px=patch.axes_px * shrink,
+                    error_px=patch.error_px * shrink,
+                )
+                for patch in patches
+            ]
+    return best
 
 
 def crossing_corners(
