@@ -11,3 +11,9 @@ MAPS = "maps"  # beside runs: maps by the hash of their scene
 def is_run(path: Path) -> bool:
     """Return whether a folder is a run, if only by the name of a record that can no longer be read."""
     return os.path.lexists(path / FILE)
+
+
+def main_run(path: Path) -> Path:
+    """Return the run that the folder of a further camera lies in; of any other folder itself."""
+    path = path.resolve()
+    return path.parents[1] if path.parent.name == CAMERAS else path

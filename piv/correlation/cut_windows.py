@@ -8,6 +8,9 @@ flow does at its own middle x_0 where that is nearly straight. Over the way from
 g the gradient, b what it changes by over half a window, as second differences there say: b is seen beside the
 wall, where it is less than at it (boundary layer of 20 px: errors of 0.56, 0.63, 0.70 px with windows of 16 px,
 found ones and 32 px); in a flow of 0.04 px/px that does not bend up to a quarter of g is left beside a mask.
+
+Vectors that no filter has taken noise off bend by their noise, and the largest bend around is that of noise: its
+square goes off b^2 (`NOISE_BEND`, of noise that windows share as they do light, windows of 16 to 64 px).
 """
 
 import numpy as np
@@ -19,12 +22,18 @@ from piv.correlation.resolution import second_differences
 from piv.correlation.windows import WindowGrid
 
 OF_BEND, OF_GRADIENT = 2.0, 0.25
+NOISE_BEND = 3.7  # largest second difference around by noise, over its deviation: 3.3 to 4.4
 CUT_CELL_PX = 4  # in which a mask is looked at
 Floats = NDArray[np.float64]
 
 
 def cut_px(
-    vectors: Floats, valid: NDArray[np.float32], grid: WindowGrid, side_px: int, window_sigma: float
+    vectors: Floats,
+    valid: NDArray[np.float32],
+    grid: WindowGrid,
+    side_px: int,
+    window_sigma: float,
+    noise_px: Floats | float = 0.0,
 ) -> Floats:
     """Standard deviation (ny, nx) of a component by light that lies beside the middle of windows.
 
@@ -40,14 +49,17 @@ def cut_px(
         Side of the windows.
     window_sigma : float
         See `piv.correlation.refine.window_weights`.
+    noise_px : ndarray of float64, shape (ny, nx), or float
+        Standard deviation of the noise of a component that is still in the vectors; 0 after the noise filter.
     """
     if valid.min() >= 1.0:
         return np.zeros(grid.shape)
     beside = beside_px(valid, grid, side_px, window_sigma)
     apart = max(1, round(0.5 * side_px / grid.step_px))
-    bent = second_differences(vectors, apart) / (apart * grid.step_px)
+    bent = second_differences(vectors, apart)
     # Beyond the mask all is a plane: what bends is seen half a window to the other side.
-    near = scipy.ndimage.maximum_filter(bent, 2 * apart + 1)
+    near = np.square(scipy.ndimage.maximum_filter(bent, 2 * apart + 1)) - np.square(NOISE_BEND * noise_px)
+    near = np.sqrt(np.maximum(near, 0.0)) / (apart * grid.step_px)
     slopes = [np.gradient(vectors, grid.step_px, axis=axis) for axis in range(2) if vectors.shape[axis] > 1]
     slope = np.sqrt(sum((np.square(part).sum(axis=-1) for part in slopes), np.zeros(grid.shape)) / 2.0)
     return np.asarray(beside * (OF_BEND * near + OF_GRADIENT * slope))

@@ -12,9 +12,12 @@ several views have errors in common (`piv.statistics.three_components`).
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # uu, vv, ww, uv, uw, vw
+NEIGHBOUR_SIDE = 7  # places a side over which variances of few pairs are averaged
+NEIGHBOUR_FREEDOM = 8.0  # degrees of freedom that their mean is worth
 Floats = NDArray[np.float64]
 
 
@@ -62,6 +65,32 @@ class StressSums:
         n = self.count[..., None, None]
         product = self._first[..., :, None] * self._first[..., None, :]
         return np.where(n > 1, (self._second - product / np.maximum(n, 1)) / np.maximum(n - 1, 1), np.nan)
+
+    @property
+    def noise(self) -> Floats:
+        """Mean variance (ny, nx, 3) of the errors of a vector."""
+        total = np.diagonal(self._noise, axis1=-2, axis2=-1)
+        return np.asarray(total / np.maximum(self.count, 1)[..., None])
+
+    @property
+    def fluctuation(self) -> Floats:
+        """Variance (ny, nx, 3) of u, v, w from pair to pair beyond their noise; NaN below two vectors.
+
+        n - 1 differences tell a variance to sqrt(2/(n - 1)) of itself.  So instead of F = s^2 - <C>
+
+            F + k/(k + n - 1) (<F> - F)
+
+        counts, with the mean <F> over `NEIGHBOUR_SIDE` places: with many pairs the place itself, with few what is around.
+        """
+        more = np.diagonal(self.covariance, axis1=-2, axis2=-1) - self.noise
+        known = np.isfinite(more)
+        share, around = (
+            scipy.ndimage.uniform_filter(part, (NEIGHBOUR_SIDE, NEIGHBOUR_SIDE, 1), mode="constant")
+            for part in (known.astype(np.float64), np.where(known, more, 0.0))
+        )
+        pull = NEIGHBOUR_FREEDOM / (NEIGHBOUR_FREEDOM + np.maximum(self.count - 1, 1))[..., None]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.maximum(more + pull * (around / share - more), 0.0))
 
     @property
     def stresses(self) -> Floats:

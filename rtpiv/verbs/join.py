@@ -10,7 +10,7 @@ from rich.console import Console
 
 from correction.grid import PlaneGrid, grid_of
 from daq.errors import RunUsageError
-from daq.runs.names import CAMERAS
+from daq.runs.names import main_run
 from ground.terminal import console
 from piv.errors import PairError
 from rtpiv.analysis.fit_beside import SCENE_FILE
@@ -218,11 +218,7 @@ def _differ_in_focus(seen: Sequence[tuple[Scene, bool]]) -> bool:
 
 def _is_one_run(paths: Sequence[Path]) -> bool:
     """Return whether all are cameras of one run, or their series."""
-    runs = set()
-    for path in map(Path.resolve, paths):
-        run = path.parent if (path / FILE).is_file() else path
-        runs.add(run.parents[1] if run.parent.name == CAMERAS else run)
-    return len(runs) == 1
+    return len({main_run(path.resolve().parent if (path / FILE).is_file() else path) for path in paths}) == 1
 
 
 def _join_focus(screen: Console, series: Sequence[SeriesView], out: Path) -> JoinedMean:

@@ -40,13 +40,19 @@ def one_of(named: Sequence[Named] | Named) -> Path:
     paths = paths_of(named)
     if len(paths) == 1:
         return paths[0]
-    from daq.runs.names import is_run
+    from daq.runs.names import is_run, main_run
     from daq.runs.run_folder import RunFolder  # most commands have no run
     from ground.terminal import console
 
     if not all(map(is_run, paths)):
         raise RunUsageError(
             f"one folder is wanted, not {len(paths)}: {', '.join(map(str, paths))}; give one of them"
+        )
+    if len(set(map(main_run, paths))) < len(set(map(Path.resolve, paths))):
+        named = " ".join(map(str, paths))
+        raise RunUsageError(
+            "these are cameras of one run, each with a view of its own; give one, or join them:"
+            f" rtpiv mean --join {named}"
         )
     runs = [RunFolder.open(path) for path in paths]
     plans = sorted({run.about["name"] for run in runs})

@@ -312,7 +312,7 @@ def join_views(
     ]
     fit = _combine(views, uv, noise, np.stack([mean.resolution_m_s for mean in means]), sigma_w, limits)
     samples = np.min([np.nan_to_num(m.effective.samples, nan=np.inf).min(axis=-1) for m in means], axis=0)
-    uvw, random, sums = fit.found.uvw, _variance(fit.noise), None
+    uvw, random, varying, sums = fit.found.uvw, _variance(fit.noise), np.zeros(3), None
     kind, systematic, w = fit.found, fit.systematic, fit.w
     tests, chi2, freedom = fit.tests, fit.found.chi2, fit.found.freedom
     if at_once:
@@ -325,13 +325,14 @@ def join_views(
                 sums.add(*each)
             write_statistics(chunk_path(out, number), _pair_vectors(views, pairs, fits, filtered))
         tests, chi2, freedom = sums.tests, sums.chi2, sums.freedom
-        uvw, random = sums.mean(samples)
+        uvw, random, varying = sums.mean(samples)
         w = limits.filter.filter_w(uvw[..., 2], random[..., 2])
-        is_sure = w[1] + w[2] + fit.wide_systematic[..., 2] <= limits.sigma_w**2  # more often than in a pair
+        sure = w[1] + w[2] + varying[..., 2] + fit.wide_systematic[..., 2]
+        is_sure = sure <= limits.sigma_w**2  # more often than in a pair
         kind, systematic = fit.wide, np.where(is_sure[..., None], fit.wide_systematic, fit.systematic)
-        uvw, random = sums.mean(samples, is_sure)
+        uvw, random, varying = sums.mean(samples, is_sure)
     uvw, noise, taken = limits.filter.apply(kind, uvw, random, w)
-    random = _variance(noise)
+    random = _variance(noise) + varying
     with np.errstate(divide="ignore", invalid="ignore"):
         residuals, chi = np.sqrt(tests[:, 0] / tests[:, 1]), np.sqrt(chi2 / freedom)
     is_used = np.any(fit.found.gains != 0.0, axis=(-2, -1))
@@ -391,17 +392,22 @@ class PairSums:
         self.chi2 += np.nan_to_num(found.chi2)
         self.freedom += found.freedom
 
-    def mean(self, samples: Floats, is_sure: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats]:
-        """Mean (ny, nx, 3) and its random variance for so many independent pairs (ny, nx); w where it is sure.
+    def mean(self, samples: Floats, is_sure: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats, Floats]:
+        """Mean (ny, nx, 3), its variance by noise and by fluctuations of the flow; w where it is sure.
 
-        Pairs without w have u and v with a perspective error: they count only where most pairs have none.
+        `samples` (ny, nx) is the number of independent pairs.  Noise alone is filtered: fluctuations have no more
+        detail than the mean.  Pairs without w have u and v with a perspective error: they count only where most
+        pairs have none.
         """
         often = self._wide.count >= np.maximum(MOST_OFTEN * self._any.count, 2)
         often &= True if is_sure is None else is_sure
-        uvw = np.where(often[..., None], self._wide.mean, self._any.mean)
+        sums = (self._wide, self._any)
+        uvw, noise, varying = (
+            np.where(often[..., None], *(getattr(each, name) for each in sums))
+            for name in ("mean", "noise", "fluctuation")
+        )
         uvw[..., 2] = np.where(often, uvw[..., 2], np.nan)
-        scatter = np.where(often[..., None, None], self._wide.covariance, self._any.covariance)
-        return uvw, _variance(scatter) / samples[..., None]
+        return uvw, noise / np.maximum(self._any.count, 1)[..., None], varying / samples[..., None]
 
 
 def _fits_of_pairs(views: Sequence[_View], limits: _Limits) -> Iterator[tuple[list[SeriesField], list[_Fit]]]:

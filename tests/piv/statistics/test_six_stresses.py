@@ -37,6 +37,17 @@ def test_mixed_noise_is_taken_off_and_sigma_is_as_large_as_the_scatter():
     assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.parametrize("pairs", [2, 3, 60])
+def test_fluctuation_is_known_from_few_pairs(pairs):
+    rng, noise, grid = np.random.default_rng(2), 0.3**2 * np.eye(3), (24, 30)
+    sums = StressSums(np.zeros((*grid, 3)))
+    for _ in range(pairs):
+        sums.add(rng.normal(0.0, np.hypot(1.0, 0.3), (*grid, 3)), np.broadcast_to(noise, (*grid, 3, 3)))
+    np.testing.assert_allclose(sums.noise, 0.09)
+    assert sums.fluctuation.mean() == pytest.approx(1.0, abs=0.1)
+    assert sums.fluctuation.std() < 0.35  # 1.4 of two pairs by themselves
+
+
 def test_no_pair_no_stress():
     sums = StressSums(np.zeros((*GRID, 3)))
     sums.add(np.full((*GRID, 3), np.nan), np.full((*GRID, 3, 3), np.nan))

@@ -4,6 +4,10 @@ import pytest
 
 from daq.errors import RunUsageError
 from daq.runs.run_folder import RunFolder
+from piv.errors import SeriesError
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_plan import ask_for
+from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.command_line.cli import USAGE, main
 from rtpiv.verbs.paths import one_of
 from tests.daq.small_run import about_run, planned
@@ -38,6 +42,17 @@ def test_runs_of_several_plans_and_other_folders_are_no_choice(tmp_path):
         one_of(runs)
     with pytest.raises(RunUsageError, match="one folder is wanted, not 2: "):
         one_of([runs[0], tmp_path])
+
+
+def test_cameras_of_one_run_are_no_choice(tmp_path):
+    """The first is in no way older than the second, and their views are not repetitions of each other."""
+    first = begun(tmp_path, "20260101T000000Z_flow", "flow", done=True)
+    side = begun(first / "cameras", "side", "flow", done=True)
+    with pytest.raises(RunUsageError, match=f"cameras of one run.*mean --join {first} {side}"):
+        one_of([first, side])
+    with pytest.raises(SeriesError, match="cameras of one run"):
+        ask_for(CampaignFolder(tmp_path / "campaign"), [first, side], piv_choice())
+    assert not (tmp_path / "campaign").exists()
 
 
 @pytest.mark.parametrize("verb", ["report", "mean", "calibrate", "focus"])
