@@ -80,7 +80,8 @@ class StressSums:
 
             F + k/(k + n - 1) (<F> - F)
 
-        counts, with the mean <F> over `NEIGHBOUR_SIDE` places: with many pairs the place itself, with few what is around.
+        counts, with the mean <F> over `NEIGHBOUR_SIDE` places: of many pairs the place itself, of few its
+        surroundings.
         """
         more = np.diagonal(self.covariance, axis1=-2, axis2=-1) - self.noise
         known = np.isfinite(more)
