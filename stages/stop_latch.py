@@ -84,7 +84,7 @@ class StopLatch:
         if self._held:
             raise MotionStopped(f"{self._why}; look at the bench, then clear the stop")
         if self._count != token:
-            raise MotionStopped("stopped: another part of the bench has failed or requested it")
+            raise MotionStopped("halted: another part of the bench has failed or requested it")
 
     @contextmanager
     def gate(self, token: int) -> Iterator[None]:

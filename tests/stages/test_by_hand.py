@@ -175,7 +175,7 @@ def test_a_stop_ends_the_question_and_holds(hands):
 
 def test_nobody_is_there(bench):
     made = bench("by_hand")
-    with pytest.raises(StageUsageError, match="b is moved by hand, and there is no operator to ask"):
+    with pytest.raises(StageUsageError, match="b is moved by hand, and no operator is set"):
         made.stage.home()
     assert made.stage.what_moves() is None
 
