@@ -190,7 +190,7 @@ def test_what_ran_before_us_is_off_before_a_word_is_asked():
     ("firmware", "words"),
     [
         ({"autorun": True}, "set to run by itself"),
-        ({"outputs": 4}, "marker hangs on output F|camera hangs on output E"),
+        ({"outputs": 4}, "marker is on output F|camera is on output E"),
     ],
 )
 def test_a_box_that_must_not_be_used(firmware, words):
