@@ -175,9 +175,7 @@ def _fit_camera(
                 f"rests on {found.origin_basis}, as no mark is in view: an error of whole pitches would not show"
             )
             work.note(FitStep(f"the origin of the target {basis}"))
-        solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
-        work.full = unknowns.full(solution.x)
-        work.note(work.fits.step(f"camera on {frame.name}", unknowns, solution.x, work.bare[-1:]))
+        solution = _fit_bare(work, unknowns, f"camera on {frame.name}", -1)
     return unknowns, solution
 
 
@@ -217,10 +215,7 @@ def _measure_through_walls(work: Progress, unknowns: Unknowns) -> Solution:
         for frame in work.bare_frames
     ]
     _refuse_few_marks(work, "clear of the edges of the walls")
-    solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
-    work.full = unknowns.full(solution.x)
-    work.note(work.fits.step("camera through walls", unknowns, solution.x, work.bare))
-    return solution
+    return _fit_bare(work, unknowns, "camera through walls", 0)
 
 
 def _centre_dots(work: Progress, unknowns: Unknowns) -> Solution:
@@ -231,9 +226,14 @@ def _centre_dots(work: Progress, unknowns: Unknowns) -> Solution:
         for one in work.bare
     ]
     _refuse_few_marks(work, "seen whole and large enough")
+    return _fit_bare(work, unknowns, "camera by centres of dots", 0)
+
+
+def _fit_bare(work: Progress, unknowns: Unknowns, what: str, first: int) -> Solution:
+    """Fit the corners of all bare frames, and note the residuals of those from a first one on."""
     solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
     work.full = unknowns.full(solution.x)
-    work.note(work.fits.step("camera by centres of dots", unknowns, solution.x, work.bare))
+    work.note(work.fits.step(what, unknowns, solution.x, work.bare[first:]))
     return solution
 
 

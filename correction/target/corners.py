@@ -104,6 +104,20 @@ class CornerFit:
         """Root mean square (N,) of both blurs."""
         return np.asarray(np.sqrt(np.mean(self.blurs_px**2, axis=1)))
 
+    @classmethod
+    def of_rows(
+        cls,
+        out: NDArray[np.float64],
+        verdict: NDArray[np.uint8],
+        sigma_px: NDArray[np.float64],
+        residual: NDArray[np.float64],
+        contrast: NDArray[np.float64],
+    ) -> "CornerFit":
+        """Return the fit of a kernel's rows: places, their covariance in columns 2 to 4, blurs in 8 and 9."""
+        places, covariance = out[:, :2].copy(), out[:, [2, 4, 4, 3]].reshape(-1, 2, 2)
+        is_ok = verdict == CornerReason.OK
+        return cls(places, sigma_px, covariance, residual, contrast, out[:, 8:10].copy(), is_ok, verdict)
+
     def counts(self) -> dict[str, int]:
         """Return how many corners ended with which reason, in words."""
         return {r.name: n for r in CornerReason if (n := int(np.count_nonzero(self.reason == r)))}
@@ -273,16 +287,7 @@ def _judge(
         verdict[fitted & ~(residual <= LARGEST_RESIDUAL)] = CornerReason.MISFIT
         if sign is not None:
             verdict[fitted & (np.sign(amplitude) != np.asarray(sign))] = CornerReason.INVERTED
-    return CornerFit(
-        position_px=out[:, :2].copy(),
-        sigma_px=sigma,
-        covariance_px2=out[:, [2, 4, 4, 3]].reshape(-1, 2, 2),
-        residual=residual,
-        contrast=2.0 * amplitude,
-        blurs_px=out[:, 8:10].copy(),
-        valid=verdict == CornerReason.OK,
-        reason=verdict,
-    )
+    return CornerFit.of_rows(out, verdict, sigma, residual, 2.0 * amplitude)
 
 
 def fraction_saturated(image: NDArray[Any]) -> float:

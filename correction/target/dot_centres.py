@@ -108,16 +108,7 @@ def refine_dots(
         misfit = ~(residual <= LARGEST_RESIDUAL) | ~((size > SIZE[0] - rough) & (size < SIZE[1] + rough))
         verdict[fitted & misfit] = CornerReason.MISFIT
         verdict[fitted & ((amplitude > 0.0) != dots.bright)] = CornerReason.INVERTED
-    return CornerFit(
-        position_px=out[:, :2].copy(),
-        sigma_px=sigma,
-        covariance_px2=out[:, [2, 4, 4, 3]].reshape(-1, 2, 2),
-        residual=residual,
-        contrast=amplitude.copy(),
-        blurs_px=out[:, 8:10].copy(),
-        valid=verdict == CornerReason.OK,
-        reason=verdict,
-    )
+    return CornerFit.of_rows(out, verdict, sigma, residual, amplitude.copy())
 
 
 class _Batch:

@@ -149,9 +149,4 @@ _LIMITS = (-LARGEST_STEP_PX, LARGEST_STEP_PX)
 
 def _newton(seen: Landings, chief: Landings) -> NDArray[np.float64]:
     """Step (N, 2) [px] towards the points of the chief rays; 0 where a ray does not land."""
-    j, off = seen.pixel_rate, chief.point_mm - seen.point_mm
-    with np.errstate(invalid="ignore", divide="ignore"):
-        det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]
-        u = (j[:, 1, 1] * off[:, 0] - j[:, 0, 1] * off[:, 1]) / det
-        v = (j[:, 0, 0] * off[:, 1] - j[:, 1, 0] * off[:, 0]) / det
-    return np.nan_to_num(np.stack((u, v), axis=-1), nan=0.0, posinf=0.0, neginf=0.0)
+    return np.nan_to_num(seen.step_px(chief), nan=0.0, posinf=0.0, neginf=0.0)

@@ -91,6 +91,15 @@ class Landings:
         """Derivatives (N, 2, len(names)) by the parameters asked for."""
         return self.rate[:, :, [self.names.index(name) for name in names]]
 
+    def step_px(self, to: "Landings") -> NDArray[np.float64]:
+        """Newton's step (N, 2) [px] of every pixel to where another one lands; NaN where either does not."""
+        j, off = self.pixel_rate, to.point_mm - self.point_mm
+        with np.errstate(invalid="ignore", divide="ignore"):
+            det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]
+            u = (j[:, 1, 1] * off[:, 0] - j[:, 0, 1] * off[:, 1]) / det
+            v = (j[:, 0, 0] * off[:, 1] - j[:, 1, 0] * off[:, 0]) / det
+        return np.stack((u, v), axis=-1)
+
     def where(self, chosen: NDArray[np.bool_], other: "Landings") -> "Landings":
         """Return these landings for the chosen pixels (N,), and others of the same pixels for the rest."""
 

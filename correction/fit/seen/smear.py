@@ -154,7 +154,7 @@ def colour_steps(
     steps = np.zeros((len(dispersion.index_step), *pixels.shape))
     for steps_of, index_step in zip(steps, dispersion.index_step, strict=True):
         for _ in range(NEWTON_ROUNDS):
-            steps_of += _displacement(_land(scene, pose, pixels + steps_of, index_step), mean)
+            steps_of += _land(scene, pose, pixels + steps_of, index_step).step_px(mean)
     return np.nan_to_num(steps), np.array(np.broadcast_to(dispersion.weight[:, None], steps.shape[:2]))
 
 
@@ -247,12 +247,3 @@ def _land(
     table[:, 4] += np.asarray(index_step) / [scene.n_around(sphere) for sphere in scene.spheres]
     world = world_from(table, scene.other_tables(), scene.rooms(), scene.shapes())
     return landings_through(scene.camera, world, pixels, pose, scene.n_ambient)
-
-
-def _displacement(colour: Landings, mean: Landings) -> NDArray[np.float64]:
-    """Pixels (N, 2) from where the mean shows a point to where a colour shows it."""
-    j, off = colour.pixel_rate, colour.point_mm - mean.point_mm
-    det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]
-    u = (j[:, 1, 1] * off[:, 0] - j[:, 0, 1] * off[:, 1]) / det
-    v = (j[:, 0, 0] * off[:, 1] - j[:, 1, 0] * off[:, 0]) / det
-    return -np.stack((u, v), axis=-1)
