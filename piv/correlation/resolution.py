@@ -106,14 +106,16 @@ def steady_px(modelled: Modelled, missed_px: Floats, is_usual: NDArray[np.bool_]
     modelled : Modelled
         What the model says.
     missed_px : ndarray of float64, shape (ny, nx)
-        What halving has shown that windows miss: both parts, so that seeding is taken off it, in the mean of
-        the windows around, as both are known by chance only.
+        What halving has shown that windows miss: both parts, so that seeding is taken off it as far as smaller
+        windows cure it, in the mean of the windows around, as both are known by chance only.
     is_usual : ndarray of bool, shape (ny, nx)
         Windows that were halved.
     window_steps : float
         Side of these windows [grid steps].
     """
-    squares = (np.square(np.where(is_usual, part, 0.0)) for part in (missed_px, modelled.seeding_px))
+    halved = modelled.seeding_px * np.minimum(modelled.seeding_px / TWICE_PX, 1.0)  # stays in smaller windows
+    gained = np.square(modelled.seeding_px) - np.square(halved)
+    squares = (np.where(is_usual, part, 0.0) for part in (np.square(missed_px), gained))
     missed, seeding = (scipy.ndimage.gaussian_filter(part, STEADY * window_steps) for part in squares)
     share = np.clip(1.0 - seeding / np.maximum(missed, 1e-30), 0.0, 1.0)
     model = np.maximum(np.square(modelled.total_px) - np.square(modelled.seeding_px), 0.0)

@@ -7,10 +7,10 @@ way in every pair is missed in every pair, and no number of pairs makes it small
 (turbulence, noise) is missed now to one side and now to the other. How much is which, second differences say: b of
 single fields, whose mean square is <b^2>, and B of the mean field,
 
-    R = <r> min(1, B/sqrt(<b^2>)).
+    R^2 = min(<r>^2, <r^2> B^2/<b^2>).
 
-The mean of r and not of its square, as halving shows some of it by chance (`piv.correlation.halving`), which is
-elsewhere each time.
+The square of the mean r is less where halving shows some by chance (`piv.correlation.halving`), elsewhere each
+time. Both say how much is new in each pair, so the lesser counts and not their product.
 
 In a steady flow R is r; where nothing but fluctuations bends B is b/sqrt(N), and so is R. What remains, f^2 =
 <r^2> - R^2, is missing in the fluctuations. It moves with what is seen of them, so stresses may lack up to
@@ -154,7 +154,8 @@ class Unresolved:
         bent = np.square(_curvature(mean, known, self.apart)) * self.count
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(self.bent_squares > 0.0, np.minimum(bent / self.bent_squares, 1.0), 1.0)
-            return np.where(self.count > 0, self.missed[..., 0] / self.count * np.sqrt(share), np.nan)
+            mean, square = np.moveaxis(self.missed / self.count[..., None], -1, 0)
+            return np.where(self.count > 0, np.sqrt(np.minimum(mean**2, square * share)), np.nan)
 
     def of_stresses(self, shared: Floats, stresses: Floats) -> Floats:
         """By how much stresses (ny, nx, 3) may be too small, see the top; `share_of_mean` is R."""

@@ -36,7 +36,7 @@ def show_through(screen: Console, scene: "Scene") -> None:
 def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:
     """Print the result of a pair, and the path of its page."""
     from rtpiv.analysis.report import tables
-    from rtpiv.analysis.report.tables import claim_said, worst_claim
+    from rtpiv.analysis.report.sigma_verdict import claim_said, worst_claim
 
     if evaluation.seen is not None and evaluation.seen.through is not None:
         screen.print(evaluation.seen.through.sentence, style="bold")

@@ -3,7 +3,8 @@
 page.py, page.css   elements of a page: headings, tables, figures, a slider; no physics
 figures.py          matplotlib figures of the page
 table.py            a table as a value, for page, terminal and JSON
-tables.py           tables of an evaluation, and the verdict on its sigma
+tables.py           tables of an evaluation
+sigma_verdict.py    the verdict on its sigma
 pair.py             the chapters of one evaluated pair
 series.py, mean.py   the chapters of a flow run: its frames and one pair; its mean
 flow.py             plausibility of that mean: rims, lines, divergence, convergence

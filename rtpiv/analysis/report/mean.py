@@ -191,18 +191,18 @@ def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
 
 
 def _velocity_figures(page: Page, view: SeriesView, mean: MeanFlow) -> None:
-    """The mean and its random uncertainty, side by side."""
+    """The mean and its total uncertainty, side by side."""
     scene, grid = view.scene, view.grid
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)[::-1]
-    sigma = np.linalg.norm(mean.sigma_m_s, axis=-1)[::-1]
+    sigma = np.linalg.norm(mean.total_sigma_m_s, axis=-1)[::-1]
     with page.row():
         said = "Mean velocity; its magnitude in colour."
         page.figure(
             "mean", vector_figure(field, grid, scene, speed, f"mean speed [{mean.unit}]"), said, dense=True
         )
-        said = f"Random standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
-        figure = vector_figure(field, grid, scene, sigma, f"random sigma of the mean [{mean.unit}]")
+        said = f"Total standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
+        figure = vector_figure(field, grid, scene, sigma, f"total sigma of the mean [{mean.unit}]")
         page.figure("mean_sigma", figure, said, dense=True)
 
 

@@ -23,10 +23,10 @@ from rtpiv.analysis.report.figures import (
     vector_figure,
 )
 from rtpiv.analysis.report.page import Drawn, Page, render_figure, through_lead
+from rtpiv.analysis.report.sigma_verdict import sigma_verdict
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.report.tables import (
     Total,
-    claim_said,
     coverage_of,
     is_plain,
     lead_of,
@@ -34,7 +34,6 @@ from rtpiv.analysis.report.tables import (
     offset_said,
     region_masks,
     totals_of,
-    worst_claim,
 )
 from rtpiv.analysis.steepness import Steepness
 from tracer.scene.scene import Scene
@@ -79,14 +78,14 @@ def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, 
             f"of {asked} nodes{'' if total.is_plain else ' there'}",
         )
     ]
-    found, worst = coverage_of(evaluation, where), worst_claim(evaluation)
+    found = coverage_of(evaluation, where)
     if found is not None:
         inside = "{:.0f}, {:.0f} %".format(*(100 * share for share in found.within_1))
         tiles.append(
             (
                 inside,
                 "of their errors u, v within 1 total sigma, after removing the common offset",
-                f"68 % claimed: {'too few vectors to judge' if worst is None else claim_said(*worst)}",
+                f"68 % claimed: {sigma_verdict(evaluation)}",
             )
         )
         tiles.append(
@@ -199,7 +198,7 @@ def _limit(evaluation: Evaluation, error: NDArray[np.float64]) -> float | None:
 
 
 def _sigma(evaluation: Evaluation) -> NDArray[np.float64]:
-    return np.asarray(np.hypot(evaluation.field.sigma_u_px, evaluation.field.sigma_v_px))
+    return np.asarray(np.linalg.norm(evaluation.total_sigma_px, axis=-1))
 
 
 def _vectors(page: Page, evaluation: Evaluation) -> None:
@@ -213,8 +212,8 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
             limit = _limit(evaluation, error)
         page.figure(
             "uncertainty",
-            vector_figure(field, grid, scene, sigma, "random sigma [px]", limit),
-            "The vectors before their random uncertainty, as the correlation estimates it, without any truth.",
+            vector_figure(field, grid, scene, sigma, "total sigma [px]", limit),
+            "The vectors before their total uncertainty; its parts stand in the table of uncertainties.",
             dense=True,
         )
     if evaluation.task.dt_s is not None:
@@ -267,6 +266,9 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
             "The common error of the stage is subtracted. As claimed: within the 95 % interval of chance for"
             " vectors whose windows do not overlap, or within 10 %."
         )
+    else:
+        verdict = sigma_verdict(evaluation)
+        page.text(f"{verdict[0].upper()}{verdict[1:]}.")
     page.table(tables.response_table(evaluation.settings))
     if evaluation.slant is not None:
         region, slope = evaluation.regions.region, evaluation.slant.through.slope

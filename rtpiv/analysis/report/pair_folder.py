@@ -12,7 +12,8 @@ from ground.printable import utf8
 from piv.files.vector_file import write_list, write_vectors, write_vtk
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import columns_of
-from rtpiv.analysis.report.tables import claim_said, claim_table, sigma_table, track_summary, worst_claim
+from rtpiv.analysis.report.sigma_verdict import sigma_verdict
+from rtpiv.analysis.report.tables import claim_table, sigma_table, track_summary
 
 
 def frame_names(frames: Sequence[Path]) -> dict[str, str]:
@@ -46,8 +47,7 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
         summary["static_share"] = field.static_share
     summary["sigma_px"] = sigma_table(evaluation).records()
     summary["sigma_claims"] = claim_table(evaluation).records()
-    if worst := worst_claim(evaluation):
-        summary["sigma_verdict"] = claim_said(*worst)
+    summary["sigma_verdict"] = sigma_verdict(evaluation)
     if evaluation.shift is not None:
         summary["shift"] = evaluation.shift.to_dict()
     if evaluation.tracks is not None:

@@ -220,13 +220,16 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     what, unit = ("displacement", shown.length) if shown.dt_s is None else ("speed", "m/s")
     scale = per_px(grid.pitch_mm, shown.dt_s)
     speed = np.hypot(field.u_px, field.v_px) * scale
-    sigma = np.hypot(field.sigma_u_px, field.sigma_v_px) * scale
+    sigma = np.linalg.norm(field.total_sigma_px, axis=-1) * scale
     with page.row():
         figure = vector_figure(field, grid, given.method.scene, speed, f"{what} [{unit}]")
         page.figure("pair", figure, f"Pair {shown.tag}: vectors, their {what} in colour.", dense=True)
         if np.isfinite(sigma).any():
-            figure = vector_figure(field, grid, given.method.scene, sigma, f"random sigma [{unit}]")
-            page.figure("pair_sigma", figure, "Same vectors, coloured by random uncertainty.", dense=True)
+            figure = vector_figure(
+                field, grid, given.method.scene, sigma, f"random sigma, and not resolved [{unit}]"
+            )
+            said = "Same vectors, coloured by what is uncertain in a single pair."
+            page.figure("pair_sigma", figure, said, dense=True)
     facts = [] if shown.dt_s is None else [("time between the frames", f"{shown.dt_s * 1e6:.3f} us")]
     page.facts([*facts, ("1 px of displacement is", f"{scale:.6g} {unit}")])
     page.table(count_table(field))

@@ -9,8 +9,8 @@ import pytest
 from correction.evaluate.regions import Region, Regions, evaluate_shift
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import quality_of
+from rtpiv.analysis.report.sigma_verdict import claim_said, sigma_verdict, worst_claim
 from rtpiv.analysis.report.tables import (
-    claim_said,
     claim_table,
     coverage_of,
     displacement_table,
@@ -18,7 +18,6 @@ from rtpiv.analysis.report.tables import (
     offset_said,
     sigma_table,
     totals_of,
-    worst_claim,
 )
 from tests.correction.evaluate.vectors import uniform_field
 from tests.loops import loop_over
@@ -174,6 +173,18 @@ def test_the_verdict_names_the_worst_region(behind, beside, said):
         assert words.partition("too ")[2].split()[1:3] == said.partition("too ")[2].split()[1:3]
     else:
         assert words == said
+
+
+def test_without_a_known_shift_the_verdict_says_that_nothing_is_judged():
+    made = evaluation(known=False, sigma=0.03)
+    glass = made.regions.region == Region.GLASS
+    made.field = replace(made.field, resolution_px=np.where(glass, 0.12, 0.01))
+    assert sigma_verdict(made) == (
+        "sigma is not judged: the true displacement is not known; it is largest behind glass, r < 0.75 R, 0.12 px,"
+        " most of it not resolved by the windows"
+    )
+    made.field.sigma_u_px[:] = np.nan
+    assert sigma_verdict(made) == "sigma is not judged: the true displacement is not known"
 
 
 def test_an_offset_that_is_the_same_beside_the_glass_is_the_stage():
