@@ -1,18 +1,21 @@
 """Height of the light sheet from where it is bright: the mean frame of particles against the traced light.
 
 Refraction keeps radiance along a ray, so the mean of many frames of particles, the background taken off, is at
-each pixel as bright as the sheet where its ray crosses it, times a gain that changes slowly over the frame
-(seeding, vignetting).  Shadows, foci and the edges of balls move in the frame with the height z of the sheet: its
-light takes another way through the balls, and an oblique view shows it elsewhere.  The light is traced for some z,
+each pixel as bright as the light where its ray crosses the lit surface, times a gain that changes slowly over the
+frame (seeding, vignetting).  Shadows and foci move in the frame with the height z of the sheet: its light takes
+another way through the balls, and an oblique view shows it elsewhere.  The light is traced for some z,
 
     sqrt(seen) = gain(u, v) sqrt(traced(z)),       gain of second order, least squares over all pixels,
 
-with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).  The best height
-lies where the sum of squares is least.  Neighbouring pixels err together where the scene is not quite right, so
-the uncertainty is that of the jackknife over blocks of the frame.
+with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).
 
-Light that passes a ball at a height h from its middle leaves it as it would at -h, and for small h hardly bent: a
-sheet through the middle of a layer looks alike from half a millimetre below it to half above.
+All heights are allowed that leave at most MODEL_SHARE more squares than the best one: by so much traced light
+differs from that of the simulator's own optics at the true height.  The result is the middle of their range, its
+standard uncertainty that of an even distribution over it, and that of the jackknife over blocks of the frame.
+
+Light that passes a ball at a height h from its middle leaves it as it would at -h.  So a sheet through the middle
+of a layer looks alike below and above it, but for the oblique view of shadows, and the range is as wide as the
+sheet is thick; a scene that claims to know the height better is not confirmed.
 """
 
 from dataclasses import dataclass, replace
@@ -23,21 +26,22 @@ from numpy.typing import NDArray
 
 from correction.grid import grid_of
 from correction.maps.lit import light_of
+from correction.maps.slant import ray_slopes
 from tracer.errors import SceneError
+from tracer.light_sheet import LightSheet
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.trace import RayStatus
 
 COMPARED_HEIGHTS = 9  # that are traced
-SPLINE_PLACES = 401  # places between two of them at which the sum is interpolated
+SPLINE_PLACES = 961  # over all of them, at which the sum is interpolated
 COMPARED_SPAN = 1.2  # thicknesses of the sheet to either side of the given height
 TRACED_PX = 800  # width of the frames for which the light is traced
 RAYS = 2  # along and down a pixel of those compared: edges of glass are sharper than pixels
 JACKKNIFE_BLOCKS = 4, 5  # of a frame, down and along
 SPOT_PX = 1.2  # standard deviation of a particle's image
 ELSEWHERE_SIGMAS = 2.0  # sigmas from which a sheet is said to lie elsewhere
-ELSEWHERE_SHARE = 0.3  # of its thickness that it is then off at least
-LIGHT_MODEL_SHARE = 0.3  # of it that the height may be off whatever the scatter: see above
+MODEL_SHARE = 0.006  # of the sum of squares: see above
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,10 @@ class BrightnessHeight:
     Parameters
     ----------
     z_mm, sigma_mm : float
-        Height over the target's plane; NaN where the least sum lies at an end of the heights compared.
-    given_mm, thickness_mm : float
+        Height over the target's plane; NaN where heights at an end of those compared are allowed.
+    range_mm : (float, float)
+        Lowest and highest of those allowed.
+    given : LightSheet
         As the scene has it.
     correlation : float
         Of the brightness seen with that traced at the best height.
@@ -56,25 +62,34 @@ class BrightnessHeight:
 
     z_mm: float
     sigma_mm: float
-    given_mm: float
-    thickness_mm: float
+    range_mm: tuple[float, float]
+    given: LightSheet
     correlation: float
 
     @property
     def is_elsewhere(self) -> bool:
         """Return whether the sheet lies elsewhere by more than chance."""
-        return abs(self.z_mm - self.given_mm) > max(
-            ELSEWHERE_SHARE * self.thickness_mm, ELSEWHERE_SIGMAS * self.sigma_mm
-        )
+        return abs(self.z_mm - self.given.z_mm) > ELSEWHERE_SIGMAS * self.sigma_mm
 
     @property
     def sentence(self) -> str:
         """In words."""
         if not np.isfinite(self.z_mm):
             return "brightness does not tell the height of the light sheet: no height compared explains it best"
-        found = f"brightness puts the light sheet at z = {self.z_mm:.2f} +- {self.sigma_mm:.2f} mm"
+        low, high = self.range_mm
+        found = (
+            f"brightness puts the light sheet at z = {self.z_mm:.2f} +- {self.sigma_mm:.2f} mm"
+            f" ({low:.2f} to {high:.2f})"
+        )
         if self.is_elsewhere:
-            return f"{found}, {self.z_mm - self.given_mm:+.2f} mm from where the scene has it; correct sheet.z_mm"
+            return (
+                f"{found}, {self.z_mm - self.given.z_mm:+.2f} mm from where the scene has it; correct sheet.z_mm"
+            )
+        if self.sigma_mm > self.given.sigma_mm:
+            return (
+                f"{found}; it agrees with the scene, but cannot confirm its sigma_mm of {self.given.sigma_mm:g}: a"
+                " sheet through the middle of a layer looks alike below and above it"
+            )
         return f"{found}, as the scene has it within that"
 
 
@@ -106,13 +121,13 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     roots = [np.sqrt(scipy.ndimage.gaussian_filter(np.nan_to_num(field), blur)) for field in traced]
     root = np.sqrt(np.maximum(scipy.ndimage.gaussian_filter(seen, blur), 0.0))
     sums = np.array([_misfit(root, one, use) for one in roots])  # (heights, blocks)
-    best = [_lowest(heights, sums.sum(axis=1) - sums[:, left]) for left in range(sums.shape[1])]
-    z, count = _lowest(heights, sums.sum(axis=1)), len(best)
-    scatter = (count - 1) / count * float(np.sum((np.array(best) - np.mean(best)) ** 2))
-    sigma = float(np.hypot(np.sqrt(scatter), LIGHT_MODEL_SHARE * sheet.thickness_mm))
+    low, high = height_range(heights, sums.sum(axis=1))
+    without = [sum(height_range(heights, sums.sum(axis=1) - sums[:, left])) / 2.0 for left in range(sums.shape[1])]
+    scatter = (len(without) - 1) * float(np.nanvar(without))  # jackknife
+    sigma = float(np.sqrt(scatter + (high - low) ** 2 / 12.0))
     nearest = roots[int(np.argmin(sums.sum(axis=1)))]
     alike = float(np.corrcoef(root[use], nearest[use])[0, 1])
-    return BrightnessHeight(z, sigma, sheet.z_mm, sheet.thickness_mm, alike)
+    return BrightnessHeight(0.5 * (low + high), sigma, (low, high), sheet, alike)
 
 
 def _bin_pixels(frame: NDArray[np.float64], times: int) -> NDArray[np.float64]:
@@ -129,7 +144,11 @@ def _brightness(scene: Scene) -> NDArray[np.float64]:
     out = np.where(rays.status == RayStatus.IN_GLASS, 0.0, np.nan)
     if lit is None:
         return out
-    column, row = np.moveaxis(lit.grid.to_px(rays.plane_mm[rays.recovered].astype(np.float64)), -1, 0)
+    v, u = np.nonzero(rays.recovered)
+    feet = rays.plane_mm[rays.recovered].astype(np.float64)
+    slopes = ray_slopes(scene, np.stack((u, v), axis=-1).astype(np.float64))
+    places = feet + lit.height_at(feet)[:, None] * slopes
+    column, row = lit.grid.to_px(places).T
     out[rays.recovered] = scipy.ndimage.map_coordinates(lit.light.brightness, [row, column], order=1, cval=np.nan)
     return out
 
@@ -146,10 +165,14 @@ def _misfit(seen: NDArray[np.float64], traced: NDArray[np.float64], use: NDArray
     return np.array([part.sum() for band in bands for part in np.array_split(band, JACKKNIFE_BLOCKS[1], axis=1)])
 
 
-def _lowest(heights: NDArray[np.float64], sums: NDArray[np.float64]) -> float:
-    """Height of the least sum, by a cubic spline through all; NaN at an end."""
-    at = int(np.argmin(sums))
-    if not 0 < at < len(sums) - 1:
-        return float("nan")
-    fine = np.linspace(heights[at - 1], heights[at + 1], SPLINE_PLACES)
-    return float(fine[np.argmin(scipy.interpolate.CubicSpline(heights, sums)(fine))])
+def height_range(heights: NDArray[np.float64], sums: NDArray[np.float64]) -> tuple[float, float]:
+    """Lowest and highest of the heights allowed, NaN where an end is one of them.
+
+    Between heights the sum is interpolated by modified Akima splines, which hardly overshoot beside a steep side.
+    """
+    fine = np.linspace(heights[0], heights[-1], SPLINE_PLACES)
+    between = scipy.interpolate.Akima1DInterpolator(heights, sums, method="makima")(fine)
+    there = np.flatnonzero(between <= (1.0 + MODEL_SHARE) * between.min())
+    if there[0] == 0 or there[-1] == len(fine) - 1:
+        return float("nan"), float("nan")
+    return float(fine[there[0]]), float(fine[there[-1]])

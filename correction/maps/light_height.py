@@ -27,9 +27,9 @@ from tracer.strategies.light_map import trace_light
 from tracer.strategies.trace import trace
 
 LEVEL_MM = 1e-4  # heights that are those of the plane: 0.0003 px behind two balls
-STEEP_PX = 0.05  # a shorter way on the sensor is straight to 1e-3 px
-MOST_STEPS = 4
-FARTHEST_PX = 30.0  # beyond, the node is not seen at that height on this branch
+CURVED_PX = 0.05  # a shorter way on the sensor is straight to 1e-3 px
+NEWTON_STEPS = 4
+LONGEST_STEP_PX = 30.0  # beyond, the node is not seen at that height on this branch
 RATE_NODES = 160  # along a side of the raster of `HeightRate`, at most
 RATE_STEPS = 0.05, 0.25  # thicknesses by which the sheet is moved for it: least and most, its sigma between
 
@@ -74,7 +74,7 @@ def _pixels_at(
     """
     at, there, keys = pixels.copy(), np.ones(len(pixels), np.bool_), np.zeros(len(pixels), np.int64)
     which = np.arange(len(pixels))
-    for turn in range(MOST_STEPS):
+    for turn in range(NEWTON_STEPS):
         rays, points = trace(scene, at[which]), points_mm[which]
         way = rays.rays["direction"]
         if turn == 0:
@@ -82,10 +82,10 @@ def _pixels_at(
         off = rays.plane_mm + points[:, 2:] * way[:, :2] / way[:, 2:] - points[:, :2]
         step = np.einsum("nij,nj->ni", to_px[which], off)
         size = np.hypot(*step.T)
-        good = rays.recovered & (rays.rays["key"] == keys[which]) & (size < FARTHEST_PX)
+        good = rays.recovered & (rays.rays["key"] == keys[which]) & (size < LONGEST_STEP_PX)
         at[which] -= np.where(good[:, None], step, 0.0)
         there[which[~good]] = False
-        which = which[good & (size > STEEP_PX)]
+        which = which[good & (size > CURVED_PX)]
         if not len(which):
             break
     there[which] = False  # no end was found
@@ -118,7 +118,7 @@ class HeightRate:
         least, most = (share * sheet.thickness_mm for share in RATE_STEPS)
         step_mm = min(max(sheet.sigma_mm, least), most)
         low, high = (
-            trace_light(_lowered(scene, way), sheet, grid.origin_mm, grid.pitch_mm, grid.shape).height_mm
+            trace_light(_lower_bodies(scene, way), sheet, grid.origin_mm, grid.pitch_mm, grid.shape).height_mm
             for way in (-step_mm, step_mm)
         )
         return cls(grid, 1.0 + np.nan_to_num((high - low) / (2.0 * step_mm)))
@@ -129,6 +129,6 @@ class HeightRate:
         return np.asarray(scipy.ndimage.map_coordinates(self.rate, (v, u), order=1, mode="nearest"))
 
 
-def _lowered(scene: Scene, by_mm: float) -> Scene:
-    """Scene whose bodies lie lower, as they do to a sheet that lies higher."""
+def _lower_bodies(scene: Scene, by_mm: float) -> Scene:
+    """Lower all bodies of a scene: to them its sheet lies higher."""
     return replace(scene, bodies=tuple(body.moved(translate_by((0.0, 0.0, -by_mm))) for body in scene.bodies))

@@ -57,14 +57,14 @@ class PlaneLight:
         wide = np.repeat(np.repeat(field, self.every, axis=0), self.every, axis=1)
         return wide[: shape[0], : shape[1]]
 
-    def height_on(self, grid: PlaneGrid) -> NDArray[np.float64]:
-        """Height (H, W) [mm] of the light at all nodes of the map, between those traced; 0 where there is none."""
+    def height_at(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height (...) [mm] of the light at points (..., 2) of the plane; 0 where there is none."""
         light = self.light
-        u, v = np.moveaxis(self.grid.to_px(grid.nodes_mm()), -1, 0)
-        weight = np.where(np.isfinite(light.height_mm), light.brightness, 0.0)
-        moment = weight * np.nan_to_num(light.height_mm)
-        both = [scipy.ndimage.map_coordinates(one, (v, u), order=1, mode="nearest") for one in (moment, weight)]
-        return np.asarray(np.where(both[1] > 0.0, both[0] / np.where(both[1] > 0.0, both[1], 1.0), 0.0))
+        u, v = np.moveaxis(self.grid.to_px(points_mm), -1, 0)
+        known = np.where(np.isfinite(light.height_mm), light.brightness, 0.0)
+        moments = known * np.nan_to_num(light.height_mm), known
+        moment, weight = (scipy.ndimage.map_coordinates(one, (v, u), order=1, mode="nearest") for one in moments)
+        return np.asarray(moment / np.where(weight > 0.0, weight, 1.0))
 
 
 def light_of(scene: Scene, grid: PlaneGrid) -> PlaneLight | None:
@@ -106,7 +106,7 @@ def through_light(found: CorrectionMap, scene: Scene, lit: PlaneLight | None = N
         return found
     for nodes, why in ((lit.too_dark(), NodeStatus.DARK), (lit.too_bright(), NodeStatus.OVERLIT)):
         found = found.without(lit.on(nodes, found.grid.shape) & found.recovered, why)
-    return at_light(found, scene, lit.height_on(found.grid))
+    return at_light(found, scene, lit.height_at(found.grid.nodes_mm()))
 
 
 def _gas_share(scene: Scene, grid: PlaneGrid) -> NDArray[np.float64]:

@@ -38,6 +38,7 @@ ALONE = 2.0  # diameters between a body and what is nearest to it
 OUTLIER = 5.0  # between the radius of a ball and the median of all
 THINNEST_CORE = 0.2  # radius of a core over that of its ball
 WALL = Usual(0.005, 0.4)  # of a tube, over its radius
+LIGHT_NODES = 64  # along the longer side, to see whether the light of a sheet reaches the view
 SHEET_Z, SHEET_THICKNESS = 0.02, Usual(0.001, 0.05)  # over what the camera sees of the plane
 
 
@@ -181,9 +182,16 @@ def _sheet_asked(scene: Scene) -> Asked:
         return
     in_bed = False
     try:
-        in_bed = bool(scene.in_light_sheet().spheres_in_plane and sheet.sources)
+        lit = scene.in_light_sheet()
+        in_bed = bool(lit.spheres_in_plane and sheet.sources)
+        if sheet.sources:
+            from correction.grid import grid_of  # compiled kernels, for scenes that need them
+            from correction.maps.lit import light_of
+
+            light_of(lit, grid_of(lit.camera).every(-(-max(lit.camera.sensor_px) // LIGHT_NODES)))
     except SceneError as error:
         yield ("sheet",), f"sheet: {error}"
+        return
     if abs(sheet.z_mm) > SHEET_Z * seen_mm and not in_bed:
         text = f"is z_mm {sheet.z_mm:g} right, {abs(sheet.z_mm) / seen_mm:.1%} of what the camera sees?"
         yield ("sheet", "z_mm"), f"sheet: {text}"

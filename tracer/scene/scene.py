@@ -28,6 +28,7 @@ from tracer.light_sheet import LightSheet
 from tracer.masked import LEFT_OUT, MaskedPart
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 from tracer.scene.rooms import Arrangement
+from tracer.scene.view import bodies_around_view
 
 DEEPEST_CUT_MM = 1.0  # that a light sheet may run into a body which touches the target's plane
 
@@ -154,7 +155,7 @@ class Scene:
         Raises
         ------
         SceneError
-            The sheet runs through a body, or lies behind the camera.
+            The sheet runs through a body, lies in one as far as it is seen, or lies behind the camera.
         """
         sheet = self.sheet
         if sheet is None:
@@ -173,6 +174,11 @@ class Scene:
             raise SceneError(
                 f"the light sheet at z = {sheet.z_mm:g} mm runs through {names}; put the bodies where they stood"
                 " while the sheet was on, or correct z_mm and the tilt of the sheet"
+            )
+        for body in bodies_around_view(moved, bodies):
+            raise SceneError(
+                f"all that the camera sees of the light sheet at z = {sheet.z_mm:g} mm lies inside body"
+                f" {body.name!r}; correct z_mm or the body"
             )
         return Scene(
             moved, bodies, self.wavelength_nm, self.ambient, cut_mm=DEEPEST_CUT_MM, masked=self.masked, light=light

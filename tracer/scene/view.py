@@ -53,13 +53,9 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
         text = f"the lens terms move a corner of the picture by {100.0 * share:.3g} %, which no lens does"
         problems.append(("", f"{text}; they belong to radii in units of the focal length"))
     bodies = tuple(bodies)
-    corners = None if angle_deg <= 0.0 else _corners_mm(camera)
-    for body in bodies:
-        if corners is None:
-            break
-        if body.may_cross_plane and body.room is None and (body.distance_mm(corners) < 0.0).all():
-            text = f"all that the camera sees of the investigation plane lies inside body {body.name!r}"
-            problems.append((body.name, f"{text}; let the plane cut the gas beside it"))
+    for body in bodies_around_view(camera, bodies) if angle_deg > 0.0 else ():
+        text = f"all that the camera sees of the investigation plane lies inside body {body.name!r}"
+        problems.append((body.name, f"{text}; let the plane cut the gas beside it"))
     for body in bodies:
         if float(np.abs([body.capsule.start_mm, body.capsule.end_mm]).max()) > FARTHEST_MM:
             problems.append((body.name, f"body {body.name!r} is farther than {FARTHEST_MM:g} mm away; um for mm?"))
@@ -76,6 +72,14 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
             text = f"body {body.name!r} lies behind the camera, which cannot see through it; move one of them"
             problems.append((body.name, text))
     return problems
+
+
+def bodies_around_view(camera: Camera, bodies: Iterable[Body]) -> list[Body]:
+    """Return the bodies inside which all that a camera sees of z = 0 lies, so that nothing flows there."""
+    if (corners := _corners_mm(camera)) is None:
+        return []
+    able = [body for body in bodies if body.may_cross_plane and body.room is None]
+    return [body for body in able if (body.distance_mm(corners) < 0.0).all()]
 
 
 def distortion(camera: Camera) -> float:

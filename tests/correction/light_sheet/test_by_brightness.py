@@ -47,6 +47,6 @@ def test_frames_of_the_simulators_own_optics_tell_the_height_within_its_uncertai
     for given in (22.0, 21.2):
         found = height_by_brightness(given_at(given), mean)
         assert found is not None
-        assert abs(found.z_mm - 22.0) < 2.5 * found.sigma_mm
+        assert abs(found.z_mm - 22.0) < 2.0 * found.sigma_mm
         assert found.sigma_mm < 0.45
         assert found.is_elsewhere == (given != 22.0)

@@ -138,10 +138,14 @@ def test_light_that_cannot_be(tmp_path):
     path.write_text(path.read_text().replace("L_mm: 900.0", aside))
     with pytest.raises(SceneError, match="never reaches the view"):
         trace(path, pictures=False)
+    assert "never reaches the view" in " ".join(scene_questions(path))
     path = bed(tmp_path, FROM_LEFT.replace("thickness_mm: 1.0, ", ""))
     with pytest.raises(ConfigError, match="has sources and no thickness_mm"):
         trace(path, pictures=False)
     glass = "  - {name: whole, kind: sphere, centre_mm: [0, 0, 150], radius_mm: 100.0, material: N-BK7}"
     path.write_text(f"{BED}{glass}\nsheet: {{z_mm: 150.0, {FROM_LEFT}}}\n")
-    with pytest.raises(SceneError, match="wholly in glass"):
+    with pytest.raises(SceneError, match="lies inside body 'whole'"):
         trace(path, pictures=False)
+    path.write_text(f"{BED}{glass}\nsheet: {{z_mm: 150.0}}\n")
+    asked_now = scene_questions(path)
+    assert sum("lies inside body 'whole'" in question for question in asked_now) == 1
