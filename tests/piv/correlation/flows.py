@@ -6,6 +6,20 @@ divergence but for `mix`, so they are flows that a light sheet could hold.
 
 import numpy as np
 
+MARGIN = 3  # windows at the edge that `errors` leaves out
+
+
+def rms(values):
+    """Root mean square of all values."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def errors(field, truth):
+    """Errors (ny, nx, 2) of vectors but for those at the edge."""
+    du, dv = truth(*np.moveaxis(field.grid_px, -1, 0))
+    off = np.stack([field.u_px - du, field.v_px - dv], axis=-1)
+    return off[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
 
 def uniform(du_px, dv_px):
     """The same displacement everywhere."""

@@ -10,21 +10,9 @@ from piv.correlation.kernels import deform as deform_kernels
 from piv.correlation.kernels import kriging
 from piv.correlation.prepare import prepare_pair
 from piv.correlation.windows import window_grid
-from tests.piv.correlation.flows import mix, uniform, vortex
+from tests.piv.correlation.flows import MARGIN, errors, mix, rms, uniform, vortex
 from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
-
-MARGIN = 3
-
-
-def errors(field, truth):
-    du, dv = truth(*np.moveaxis(field.grid_px, -1, 0))
-    off = np.stack([field.u_px - du, field.v_px - dv], axis=-1)
-    return off[MARGIN:-MARGIN, MARGIN:-MARGIN]
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def scattered(share, seed=3, shape=(512, 512)):

@@ -5,14 +5,11 @@ import pytest
 
 from piv.correlation.finer_waves import Evaluated, finer_px
 from piv.correlation.refine import window_weights
+from tests.piv.correlation.flows import rms
 
 SIDE, STEP, SIGMA = 16, 8, 0.3
 PIXELS, MARGIN = 480, 48
 HOW = Evaluated(SIDE, STEP, SIGMA, [])
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def random_field(rng, slope, shortest_px):

@@ -7,21 +7,9 @@ from piv.correlation.live import live_vectors
 from piv.correlation.response import response_at
 from piv.correlation.settings import PivSettings
 from piv.errors import PairError
-from tests.piv.correlation.flows import mix, turbulence, uniform, wave
+from tests.piv.correlation.flows import MARGIN, errors, mix, rms, turbulence, uniform, wave
 from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
-
-MARGIN = 3  # windows at the edge that are not counted here
-
-
-def errors(field, truth):
-    du, dv = truth(*np.moveaxis(field.grid_px, -1, 0))
-    off = np.stack([field.u_px - du, field.v_px - dv], axis=-1)
-    return off[MARGIN:-MARGIN, MARGIN:-MARGIN]
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def test_benchmarks_draw_their_pairs_with_generator_and_flows_of_these_tests():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piv.correlation.settings import PivSettings
-from tests.piv.correlation.flows import gaussian_jet, plane_jet
+from tests.piv.correlation.flows import gaussian_jet, plane_jet, rms
 from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
@@ -32,10 +32,6 @@ def judged(make, jet, seeds, **image):
         inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
         parts.append([each[inner] for each in (truth, off, field.total_sigma_px, field.valid)])
     return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 @pytest.mark.parametrize("jet", STEEP)

@@ -5,6 +5,7 @@ import pytest
 
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorFlag
+from tests.piv.correlation.flows import rms
 from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
@@ -24,10 +25,6 @@ def shear(rate, centre):
 def errors(field, displacement):
     du, dv = displacement(*np.moveaxis(field.grid_px, -1, 0))
     return np.stack([field.u_px - du, field.v_px - dv], -1)
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def test_bias_nowhere_between_0_and_1_px_exceeds_5_thousandths(particle_pair):

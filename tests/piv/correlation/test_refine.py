@@ -14,10 +14,7 @@ from piv.correlation.settings import PivSettings
 from piv.correlation.uncertainty import blocks_of, correlation_asymmetry, correlation_statistics
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
+from tests.piv.correlation.flows import rms
 
 
 def smooth_noise(shape, seed=0, sigma_px=1.2):

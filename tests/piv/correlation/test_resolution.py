@@ -8,15 +8,11 @@ from piv.correlation.resolution import UNEVEN, Window, resolution_model_px, seco
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
-from tests.piv.correlation.flows import endless, mix, turbulence, vortex, wave
+from tests.piv.correlation.flows import endless, mix, rms, turbulence, vortex, wave
 from tests.piv.fixed_windows import evaluate_pair
 from tests.slow_cases import slow
 
 MARGIN = 3
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def judged(make, truth, settings, seeds, **image):

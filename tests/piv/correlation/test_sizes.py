@@ -15,6 +15,7 @@ from piv.correlation.windows import WindowGrid, grid_with_step, window_grid
 from piv.errors import PairError
 from tests.loops import loop_over
 from tests.piv.correlation import flows
+from tests.piv.correlation.flows import rms
 from tests.piv.fixed_windows import evaluate_pair
 from tests.piv.sigma_table import figures, flows_of, of_vectors, pair_of
 from tests.slow_cases import slow
@@ -29,10 +30,6 @@ def errors(field, truth):
     inner = (np.minimum(u, v) > MARGIN) & (np.maximum(u, v) < SHAPE[0] - MARGIN) & field.valid
     off = np.stack([field.u_px, field.v_px], axis=-1) - np.stack(truth(u, v), axis=-1)
     return off[inner], field.total_sigma_px[inner], None if field.side_px is None else field.side_px[inner]
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def test_large_windows_are_sums_of_small_ones(particle_pair):

@@ -8,12 +8,8 @@ from piv.errors import PairError
 from piv.tracking.particles import find_particles
 from piv.tracking.tracks import Tracks, local_plane, match, track_particles
 from tests.piv.conftest import draw
-from tests.piv.correlation.flows import mix, vortex, wave
+from tests.piv.correlation.flows import mix, rms, vortex, wave
 from tests.piv.fixed_windows import evaluate_pair
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def tracks_of(a, b):
