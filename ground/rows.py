@@ -124,13 +124,23 @@ def run_parts(function: Callable[[T], object], parts: Iterable[T]) -> None:
 
 
 def map_parts(function: Callable[[T], R], parts: Iterable[T]) -> list[R]:
-    """Return ``function(part)`` of all parts, in their order, computed as `run_parts` does."""
+    """Return ``function(part)`` of all parts, in their order, computed as `run_parts` does.
+
+    Of several that fail the error of the first is raised, whatever the number of threads.
+    """
     found: dict[int, R] = {}
+    failed: dict[int, Exception] = {}
 
     def keep(numbered: tuple[int, T]) -> None:
-        found[numbered[0]] = function(numbered[1])
+        number, part = numbered
+        try:
+            found[number] = function(part)
+        except Exception as error:
+            failed[number] = error
 
     run_parts(keep, enumerate(parts))
+    if failed:
+        raise failed[min(failed)]
     return [found[number] for number in sorted(found)]
 
 

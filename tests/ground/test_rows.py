@@ -96,12 +96,16 @@ def test_a_part_that_fails_is_not_silent(threads: str, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("threads", ["1", "3"])
 def test_what_parts_give_comes_in_their_order(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever is done first."""
+    """Whoever is done first; and so do errors."""
     monkeypatch.setenv("RTPIV_THREADS", threads)
 
     def square(number: int) -> int:
-        time.sleep(0.01 * (5 - number))
+        time.sleep(0.01 * max(5 - number, 0))
+        if number > 5:
+            raise ValueError(number)
         return number * number
 
     assert map_parts(square, range(6)) == [0, 1, 4, 9, 16, 25]
+    with pytest.raises(ValueError, match="6"):
+        map_parts(square, [*range(3), 6, 7])
     assert map_parts(square, []) == []

@@ -40,7 +40,7 @@ from tracer.scene.scene import Scene
 
 NO_SCALE_SIGMA = "The uncertainty of the image scale is not included"
 PLAIN_CAPTION = "To scale; thick line: the plane."
-_drawn: dict[tuple[str, bool], Drawn] = {}  # the scene drawn last, by its hash and whether both kinds are made
+_drawn: list[tuple[Scene, bool, Drawn]] = []  # the scene drawn last, and whether both kinds are made
 
 
 def pair_summary(page: Page, evaluation: Evaluation) -> None:
@@ -143,11 +143,9 @@ def scene_chapter(page: Page, scene: Scene) -> None:
 
 def draw_scene_of_page(scene: Scene, twice: bool) -> Drawn:
     """Draw the figure of a scene, once: a process that draws does it before there is anything else to draw."""
-    key = (scene.content_hash(), twice)
-    if key not in _drawn:
-        _drawn.clear()
-        _drawn[key] = render_figure(scene_figure(scene), twice)
-    return _drawn[key]
+    if [(known, both) for known, both, _ in _drawn] != [(scene, twice)]:  # its hash knows no names
+        _drawn[:] = [(scene, twice, render_figure(scene_figure(scene), twice))]
+    return _drawn[0][2]
 
 
 def light_sheet_line(page: Page, scene: Scene) -> None:
