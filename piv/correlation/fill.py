@@ -21,7 +21,7 @@ from ground.rows import run_rows
 from piv.correlation.kernels.kriging import krige
 
 FILL_BLUR_PX = 1.0  # standard deviation of the weights that fill regions
-AROUND_PX, HOLE = 2.0, 0.5  # by these weights so much around a hole is valid; less beyond the edge of a region
+AROUND_PX, HOLE = 2.0, 0.5  # by these weights so much around a hole is valid
 NEAR_PX2 = 10  # squared distance of the neighbours that a hole learns from
 LEAST_NOISE = 0.007  # of the picture's variance: what sampling alone makes of particle images
 
@@ -64,7 +64,7 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     """
     weight = seen.astype(np.float32)
     missing = ~seen
-    holes = np.argwhere(missing & (blur_frame(weight, AROUND_PX) > HOLE))
+    holes = np.argwhere(missing & ~_region(missing) & (blur_frame(weight, AROUND_PX) > HOLE))
     filled = np.empty((len(holes), 3))
     alike = np.exp(-np.square(np.arange(8.0)) / (4.0 * texture.spread_px2))
 
@@ -84,6 +84,16 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     variance = np.zeros(a.shape, np.float32)
     variance[at] = filled[:, 2]
     return FilledPixels(variance, max(texture.noise, LEAST_NOISE))
+
+
+def _region(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) within and beside what is missing over 3 x 3 px and more, whose edge may be ragged."""
+    import cv2
+
+    square = np.ones((3, 3), np.uint8)
+    region = cv2.morphologyEx(missing.view(np.uint8), cv2.MORPH_OPEN, square)
+    region = cv2.dilate(region, square, iterations=2)
+    return np.asarray(region > 0)
 
 
 def blur_frame(frame: Floats, sigma_px: float) -> Floats:

@@ -87,7 +87,7 @@ from piv.correlation.resolution import (
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
-from piv.correlation.taken_out import is_measured, without_seams, without_still, without_vectors
+from piv.correlation.taken_out import is_measured, without_masked, without_seams, without_still, without_vectors
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
@@ -99,7 +99,7 @@ from piv.correlation.vector_field import TRUSTED_SHARE, VectorField, VectorFlag
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
 from piv.preprocessing.empty_areas import empty_areas
-from piv.preprocessing.still_light import still_light, with_clean_rim
+from piv.preprocessing.still_light import light_beside, still_light, with_clean_rim
 
 BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
 # Larger first windows are tried if few places have a vector, and kept if they find more
@@ -162,15 +162,17 @@ def evaluate_pair(
     if still is None:
         still = still_light([(frames[0], frames[1])], seen)
     empty = empty_areas(frames[0], frames[1], seen)
-    given = valid
-    if given is not None and not given.all():
+    given = None if valid is None or valid.all() else valid
+    if given is not None:
         usable = check_frames(frame_a, frame_b, None)[2]
         valid = with_clean_rim((frames[0], frames[1]), given, usable)
+        leaking = light_beside((frames[0], frames[1]), given, usable)
+        still = leaking if still is None else still | leaking
     del frames, seen
     if still is not None:
         valid = ~still if valid is None else valid & ~still
     sides = list(settings.windows_px)
-    rim = None if valid is None or given is None or given.all() or not (valid & ~given).any() else given
+    rim = given if given is not None and valid is not None and (valid & ~given).any() else None
 
     hidden: list[NDArray[np.bool_]] = []
 
@@ -189,6 +191,8 @@ def evaluate_pair(
     field = _without_chance_vectors(field)
     for area in hidden:
         still = area if still is None else still | area
+    if given is not None:
+        field = without_masked(field, given)
     if still is not None and still.any():
         field = without_still(field, given, still, settings.min_valid)
     return replace(field, is_one_picture=_is_one_picture(frame_a, frame_b))

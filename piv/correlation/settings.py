@@ -20,7 +20,7 @@ from piv.correlation.windows import WindowGrid, grid_with_step
 from piv.errors import PairError
 
 SMALLEST_WINDOW_PX = 8
-LEAST_SUPPORT = 0.1  # of a window's weight: with less than a few particles a field is continued as well
+LEAST_SUPPORT = 0.1  # of a window's weight
 ADD_UP = 0.5  # overlap from which on sums over windows add up to those over larger ones
 Overlap = Annotated[float, Interval(ge=0.0, lt=1.0)]
 WindowSigma = Annotated[float, Interval(ge=0.15, le=2.0)]

@@ -1,4 +1,4 @@
-"""Vectors that are taken out of a field: where light stands still, and where there are no particles."""
+"""Vectors that are taken out of a field: in masks, where light stands still, and where there are no particles."""
 
 from dataclasses import replace
 from typing import Any
@@ -8,8 +8,10 @@ import scipy
 from numpy.typing import NDArray
 
 from piv.correlation.common_light import CommonLight
+from piv.correlation.settings import SMALLEST_WINDOW_PX
 from piv.correlation.vector_field import VectorField, VectorFlag
 
+STANDS = 0.51  # share of what lies around a vector that a mask leaves; half of it on an edge
 WITHIN, MEASURED_SHARE = 0.99, 0.3  # of a window that lies in an empty area; of such windows with a vector
 COMMON_LIGHT_MARGIN = 1.5  # of the shortest vectors: as long ones are not trusted beside shorter ones
 
@@ -27,6 +29,14 @@ def without_still(
     of_still = (field.flags == VectorFlag.MASKED) & (seen >= min_valid)
     of_still &= _share_around(still, field.window_px)[at] > 0.0
     return without_vectors(field, still[at] | of_still, VectorFlag.STILL)
+
+
+def without_masked(field: VectorField, given: NDArray[np.bool_]) -> VectorField:
+    """The field without vectors within a mask or on its very edge, whose light lies all to one side."""
+    row, column = (np.rint(place).astype(np.int64) for place in (field.y_px, field.x_px))
+    share = _share_around(given, SMALLEST_WINDOW_PX)
+    outside = share[np.ix_(row, column)] < STANDS
+    return without_vectors(field, outside, VectorFlag.MASKED)
 
 
 def is_measured(field: VectorField, empty: NDArray[np.bool_]) -> bool:

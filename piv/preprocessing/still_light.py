@@ -64,6 +64,8 @@ EQUAL = 0.1  # of a plateau's height: difference between both frames
 HALF = 0.5
 RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle images
 CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
+LEAK_PX = 6  # off a mask: light of what it hides
+LEAKS = 0.5  # of the height of a body: its edge
 QUICK, SPREADS = 0.3, 9.0  # r of a usual cell below which flow is quick; of floors, in median deviations
 GRAIN = 0.08  # of how much a floor is raised: change from frame to frame that is still that of a body
 LINE_PX = 48  # length of a line that is ruled
@@ -223,6 +225,37 @@ def with_clean_rim(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.boo
     )
     clean = (spoilt <= CLEAN_SHARE * known) & (np.abs(level) <= SAME * deviation * known)
     return np.asarray(valid | (rim & (known > 0.0) & clean))
+
+
+def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) up to `LEAK_PX` off a mask that show, in either frame, the light of the body it hides.
+
+    So it is where the body moves, or the camera shakes. `usable` says where frames are numbers.
+    """
+    import cv2
+
+    size = np.ones((2 * LEAK_PX + 1, 2 * LEAK_PX + 1), np.uint8)
+    within = ~valid & usable
+    near = valid & usable & (cv2.dilate(within.view(np.uint8), size) > 0)
+    found = np.zeros(valid.shape, bool)
+    if not near.any():
+        return found
+    around = (4 * LEAK_PX + 1, 4 * LEAK_PX + 1)
+    square = LETTER_PX2, LETTER_PX2
+    body = np.maximum(
+        cv2.blur(within.astype(np.float32), around),
+        1e-3,
+    )
+    for frame in _numbers(frames, usable):
+        some = frame[::3, ::3][valid[::3, ::3]]
+        ground, deviation = (np.float32(part) for part in (np.median(some), some.std()))
+        above = frame - ground
+        inside = np.where(within, above, np.float32(0.0))
+        height = cv2.blur(inside, around) / body
+        lit = (height > deviation) & (above > LEAKS * height)
+        # Particles are smaller.
+        found |= _dilate(_erode(lit, square), square)
+    return _dilate(found & near, (3, 3)) & near
 
 
 def _floors(cells: Cells, moves: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:

@@ -45,7 +45,10 @@ def day(tmp_path_factory):
 
 
 def errors_beside(day, out, name, mask):
-    """Error of u and v (pair, row, column) of windows that reach the wall's row or end within one window of it."""
+    """Error of u and v (pair, row, column) of windows that reach the wall's row or end within one window of it.
+
+    None stands on the edge of the wall, 0.5 px before its row.
+    """
     found = []
     recipe = CorrectionRecipe(mm_per_px=MM, mask=day / "mask.png" if mask else None)
     for number in range(3):
@@ -59,10 +62,10 @@ def errors_beside(day, out, name, mask):
                 .details[0]
                 .field
             )  # fmt: skip
-        near = (field.y_px < WALL_ROW) & (field.y_px > WALL_ROW - 2 * WINDOW_PX)
+        near = (field.y_px < WALL_ROW - 1) & (field.y_px > WALL_ROW - 2 * WINDOW_PX)
         error = np.stack((field.u_px - SHIFT[0], field.v_px - SHIFT[1]))[:, near]
         found.append(np.where(field.valid[near], error, np.nan))
-        assert not field.valid[field.y_px > WALL_ROW + WINDOW_PX / 2].any() or not mask
+        assert not field.valid[field.y_px > WALL_ROW - 1].any() or not mask
     return np.array(found)
 
 
@@ -79,9 +82,9 @@ def test_a_masked_wall_gives_no_bias_beside_it(day, tmp_path):
             np.isfinite(masked[:, component]).sum((0, 2))
         )
         assert (abs(per_row[0] - per_row[1]) < np.maximum(4.0 * scatter, 0.005)).all()
-        assert abs(np.nanmedian(masked[:, component], axis=(0, 2))).max() < 0.03
-    assert np.isfinite(masked).mean() > 0.9
-    assert np.mean(abs(masked[np.isfinite(masked)]) > 0.3) < 0.002
+        assert abs(per_row[0]).max() < 0.03
+    assert np.isfinite(masked).mean() > 0.98
+    assert np.nanmax(abs(masked)) < 0.1  # on the very edge of the mask vectors were off by up to 0.9 px
     without = errors_beside(day, tmp_path, "free", True)  # the mask alone, and nothing bright under it
     np.testing.assert_allclose(masked, without, atol=0.01)
 
@@ -95,8 +98,8 @@ def test_a_series_keeps_its_mask_where_its_picture_is_gone(day, tmp_path):
         again = mean(tmp_path / "s", output=files)
     measured = np.isfinite(found.mean_m_s[..., 0])  # y upwards; 8 px apart, from 7.5 px on
     row_px = 7.5 + 8.0 * np.arange(len(measured))[::-1]
-    assert measured[row_px < WALL_ROW].all()
-    assert not measured[row_px > WALL_ROW + WINDOW_PX].any()
+    assert measured[row_px < WALL_ROW - 1].all()
+    assert not measured[row_px > WALL_ROW - 1].any()
     np.testing.assert_array_equal(again.mean_m_s, found.mean_m_s)
     assert [part.why for part in load_scene(tmp_path / "s" / "scene.yaml").left_out] == ["left out"]
 
