@@ -122,8 +122,9 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     root = np.sqrt(np.maximum(scipy.ndimage.gaussian_filter(seen, blur), 0.0))
     sums = np.array([_misfit(root, one, use) for one in roots])  # (heights, blocks)
     low, high = height_range(heights, sums.sum(axis=1))
-    without = [sum(height_range(heights, sums.sum(axis=1) - sums[:, left])) / 2.0 for left in range(sums.shape[1])]
-    scatter = (len(without) - 1) * float(np.nanvar(without))  # jackknife
+    rest = sums.sum(axis=1)[:, None] - sums  # without each block
+    middles = [sum(height_range(heights, one)) / 2.0 for one in rest.T]
+    scatter = (len(middles) - 1) * float(np.nanvar(middles))  # jackknife
     sigma = float(np.sqrt(scatter + (high - low) ** 2 / 12.0))
     nearest = roots[int(np.argmin(sums.sum(axis=1)))]
     alike = float(np.corrcoef(root[use], nearest[use])[0, 1])

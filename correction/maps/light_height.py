@@ -48,21 +48,30 @@ def at_light(found: CorrectionMap, scene: Scene, height_mm: NDArray[np.float64])
     height_mm : (H, W) float64
         Of each node.
     """
-    pixel, raised = found.pixel.copy(), np.abs(height_mm) > LEVEL_MM
-    nodes_mm, lost = found.grid.nodes_mm(), np.zeros(found.weight.shape, np.bool_)
+    grid, pixel = found.grid, found.pixel.copy()
+    nodes_mm = grid.nodes_mm()
+    raised = np.abs(height_mm) > LEVEL_MM
+    to_nodes = np.array((1.0, -1.0)) / grid.pitch_mm
+    lost = np.zeros(found.weight.shape, np.bool_)
     for layer in range(found.layers):
         seen = raised & (found.weight[layer] > 0.0)
-        to_px = found.jacobian[layer][seen].reshape(-1, 2, 2) * (np.array((1.0, -1.0)) / found.grid.pitch_mm)
-        raised_mm = np.column_stack((nodes_mm[seen], height_mm[seen]))
-        pixel[layer][seen], there = _pixels_at(scene, pixel[layer][seen], to_px, raised_mm)
+        jacobian = found.jacobian[layer][seen]
+        to_px = jacobian.reshape(-1, 2, 2) * to_nodes
+        feet = pixel[layer][seen]
+        points = np.column_stack((nodes_mm[seen], height_mm[seen]))
+        at, there = _pixels_at(scene, feet, to_px, points)
+        pixel[layer][seen] = at
         lost[layer][seen] = ~there
-    right, bottom = found.sensor_px[0] - 1.0, found.sensor_px[1] - 1.0
-    pixel = np.clip(pixel, 0.0, (right, bottom))  # NaN stays
+    corner = np.array(found.sensor_px) - 1.0
+    pixel = np.clip(pixel, 0.0, corner)  # NaN stays
     pixel[lost] = np.nan
     weight = np.where(lost, np.float32(0.0), found.weight)
     total = weight.sum(axis=0)
-    weight = np.where(lost.any(axis=0), weight / np.where(total > 0.0, total, 1.0), weight)
-    return replace(found, pixel=pixel, weight=weight).without(found.recovered & (total == 0.0), NodeStatus.RIM)
+    whole = np.where(lost.any(axis=0) & (total > 0.0), total, 1.0)
+    weight = np.asarray(weight / whole, np.float32)
+    moved = replace(found, pixel=pixel, weight=weight)
+    gone = found.recovered & (total == 0.0)
+    return moved.without(gone, NodeStatus.RIM)
 
 
 def _pixels_at(
@@ -72,17 +81,20 @@ def _pixels_at(
 
     `to_px` (N, 2, 2) is d pixel / d point [px/mm].
     """
-    at, there, keys = pixels.copy(), np.ones(len(pixels), np.bool_), np.zeros(len(pixels), np.int64)
-    which = np.arange(len(pixels))
+    at, which = pixels.copy(), np.arange(len(pixels))
+    there = np.ones(len(pixels), np.bool_)
+    keys = np.zeros(len(pixels), np.int64)
     for turn in range(NEWTON_STEPS):
         rays, points = trace(scene, at[which]), points_mm[which]
         way = rays.rays["direction"]
         if turn == 0:
             keys = rays.rays["key"]
-        off = rays.plane_mm + points[:, 2:] * way[:, :2] / way[:, 2:] - points[:, :2]
+        slope = way[:, :2] / way[:, 2:]
+        off = rays.plane_mm + points[:, 2:] * slope - points[:, :2]
         step = np.einsum("nij,nj->ni", to_px[which], off)
         size = np.hypot(*step.T)
-        good = rays.recovered & (rays.rays["key"] == keys[which]) & (size < LONGEST_STEP_PX)
+        good = rays.recovered & (size < LONGEST_STEP_PX)
+        good &= rays.rays["key"] == keys[which]
         at[which] -= np.where(good[:, None], step, 0.0)
         there[which[~good]] = False
         which = which[good & (size > CURVED_PX)]
@@ -131,4 +143,5 @@ class HeightRate:
 
 def _lower_bodies(scene: Scene, by_mm: float) -> Scene:
     """Lower all bodies of a scene: to them its sheet lies higher."""
-    return replace(scene, bodies=tuple(body.moved(translate_by((0.0, 0.0, -by_mm))) for body in scene.bodies))
+    down = translate_by((0.0, 0.0, -by_mm))
+    return replace(scene, bodies=tuple(body.moved(down) for body in scene.bodies))

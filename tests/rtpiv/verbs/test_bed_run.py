@@ -1,0 +1,94 @@
+"""A bed from `init` to its mean flow: calibrated with the board behind it, through an aperture, in bent light."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from piv.files.vector_file import read_vectors
+from rtpiv.command_line.cli import DONE, main
+from tracer.scene.scene_file import load_scene
+
+FLOW_M_S = np.array((0.8, -0.4))
+BED = "--arrangement bcc --layers 3 --plane 1 --sensor-px 640 512 --pixel-pitch-um 9.6 --lens-mm 25 --yes"
+ON_THE_BENCH = "--simulate --home --operator me"
+PAIRS = 20
+
+
+def edit(path: Path, *changes: tuple[str, str]) -> None:
+    """Put other words for those that a pattern finds, once each."""
+    text = path.read_text()
+    for pattern, instead in changes:
+        text, count = re.subn(pattern, instead, text, count=1)
+        assert count == 1, (path, pattern)
+    path.write_text(text)
+
+
+def run_bed(folder: Path) -> None:
+    """Acquire, calibrate and evaluate a simulated bed in the working folder."""
+    assert main(["init", ".", *BED.split()]) == DONE
+    aperture = r"  aperture: {f_mm: 25, f_number: 16, focus_mm: 460}\n  seed: "
+    uniform = "field: uniform, parameters: {velocity_mm_s: [800.0, -400.0, 0.0]}"
+    for name in ("bench.yaml", "bench-flow.yaml"):
+        edit(folder / name, (r"  seed: ", aperture))
+    edit(folder / "bench-flow.yaml", (r"field: between_balls, parameters: {.*?}", uniform))
+    edit(folder / "scene.yaml", (r"  f_mm: 25 ", "  f_number: 16\n  focus_mm: 460\n  f_mm: 25 "))
+    edit(folder / "plan-flow.yaml", (r"pairs: \d+ ", f"pairs: {PAIRS} "))
+    target = f"plan-target.yaml --bench bench.yaml {ON_THE_BENCH} --no-correct"
+    assert main(["acquire", *target.split()]) == DONE
+    (seen,) = folder.glob("runs/*plan-target")
+    assert main(["calibrate", str(seen), "-o", "bedfit"]) == DONE
+    assert main(["acquire", *f"plan-flow.yaml --bench bench-flow.yaml {ON_THE_BENCH}".split()]) == DONE
+    (flow,) = folder.glob("runs/*plan-flow")
+    how = ["--scene", "bedfit/scene.yaml", "--final-window", "24"]
+    assert main(["mean", str(flow), *how]) == DONE
+
+
+def mean_errors(series: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Errors (N, 2) of a mean against the flow itself, and their stated standard uncertainty [px]."""
+    found = read_vectors(series / "mean.nc")
+    to_px = float(found.attributes["px_per_mm"]) * 1e3 * float(found.attributes["delta_t"])
+    mean, sigma = (
+        np.stack([found.fields[name + axis][0] for axis in "uv"], axis=-1) for name in ("", "total_sigma_")
+    )
+    known = np.isfinite(mean).all(axis=-1) & np.isfinite(sigma).all(axis=-1)
+    return (mean[known] - FLOW_M_S) * to_px, sigma[known] * to_px
+
+
+def centre_errors(fitted: Path, truth: Path) -> NDArray[np.float64]:
+    """Errors (B, 3) [mm] of the centres of all balls."""
+    true = yaml.safe_load(truth.read_text())["bodies"]
+    found = {ball.name: ball.centre_mm for ball in load_scene(fitted).spheres}
+    return np.array([np.subtract(found[ball["name"]], ball["centre_mm"]) for ball in true])
+
+
+def judge_bed(folder: Path) -> None:
+    """Hold a calibrated bed and its mean flow to the truth."""
+    (seen,), (flow,) = (tuple(folder.glob(f"runs/*{plan}")) for plan in ("plan-target", "plan-flow"))
+    off, sigma = mean_errors(flow / "series")
+    within = float(np.mean(np.abs(off) < sigma))
+    centres = centre_errors(folder / "bedfit" / "scene.yaml", seen / "truth.yaml")
+    rms = np.sqrt(np.mean(centres**2, axis=0))
+    print(len(off), np.median(np.abs(off)), np.sqrt(np.mean(off**2)), within, rms)
+    assert len(off) > 500
+    assert np.median(np.abs(off)) < 0.015
+    assert np.sqrt(np.mean(off**2)) < 0.03
+    assert 0.63 < within < 0.80
+    assert rms[:2].max() < 0.015
+    assert rms[2] < 0.06
+
+
+@pytest.mark.slow
+def test_a_bed_from_init_to_its_mean_flow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_bed(tmp_path)
+    said = " ".join(capsys.readouterr().out.split())
+    share = re.search(r"inside a bed: (\d+) % of the gaps is lit and seen", said)
+    assert share is not None
+    assert int(share[1]) >= 60
+    judge_bed(tmp_path)
