@@ -35,7 +35,7 @@ WITHIN_ROW = 0.8  # of the rings around a dot: walls stand closer between stagge
 MARK_EDGE = 0.35  # of the contrast, where a mark begins
 TRIANGULAR, CLEARLY_MORE = 0.15, 2.0  # of a triangle (`_triangularity`), and times that of the other marks
 WIDEST_MARK, CLEAR_OF_DOTS = 0.45, 0.3  # squares from the middle of a mark, and from the dots around it
-PRESENT = 0.5  # of the contrast of dots, in the middle of a mark
+PRESENT, BRIGHTEST = 0.5, 1.8  # of the contrast of dots, in the middle of a mark
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
 
 
@@ -73,8 +73,13 @@ def place_by_discs(
     triangle = board.dots is not None and board.dots.triangle is not None
     shades = np.zeros(len(wanted), bool) if triangle else board.disc_kinds()
     fits = _matches(cells, bright, board, wanted, shades)
-    if triangle:
+    if triangle and fits:
         fits = _with_triangle(fits, diameter, board, turn)
+        if not fits and turn is None:
+            raise TargetNotFound(
+                "light or focus hide which mark of the board is the triangle; give a prediction of its view, or"
+                " light it evenly"
+            )
     if len(fits) > 1 and board.dots is None:  # squares that something covers in part look like discs
         cells, bright, diameter = find(frame, _crossings(frame, patch, board), board)
         fits = _matches(cells, bright, board, wanted, shades)
@@ -96,7 +101,8 @@ def place_by_discs(
                 " is in the frame"
             )
         in_mirror = wanted * np.array((-1, 1))  # but for a shift
-        if _matches(cells, bright, board, in_mirror, shades):
+        mirrored = _matches(cells, bright, board, in_mirror, shades)
+        if _with_triangle(mirrored, diameter, board, None) if triangle else mirrored:
             raise TargetNotFound(
                 f"the {board.origin_marks} of the board are seen in a mirror: set ReverseX or ReverseY of the"
                 " camera back, or mirrored: true in the camera section of the scene where it looks by a mirror"
@@ -276,8 +282,8 @@ def _marks_between(
     dots = np.array([[place[i + a, j + b] for a, b in AROUND_SQUARE] for i, j in cells]).reshape(-1, 4, 2)
     # Two opposite corners are of the row of the mark, and on its level, where rows are staggered.
     middle = [dots[:, first::2].mean(axis=1) for first in (0, 1)]
-    share, beside = np.stack([_share_of_dots(frame, patch, at, dots) for at in middle], axis=1)
-    marked = (share.max(axis=0) > PRESENT) & (beside.min(axis=0) < PRESENT)  # a rod crosses the whole square
+    share = np.stack([_share_of_row(frame, patch, dots, first) for first in (0, 1)])
+    marked = share.max(axis=0) > PRESENT
     chosen = np.array(cells, np.int64).reshape(-1, 2)[marked]
     at = np.where((share[0] > share[1])[:, None], *middle)[marked]
     assert board.dots is not None
@@ -339,7 +345,7 @@ def _missing_dots(
     holes = [(i, j) for i, j in holes if all((i + a, j + b) in place for a, b in AROUND_DOT)]
     dots = np.array([[place[i + a, j + b] for a, b in AROUND_DOT] for i, j in holes]).reshape(-1, 4, 2)
     middle = np.array([place[hole] for hole in holes]).reshape(-1, 2)
-    chosen = np.array(holes, np.int64).reshape(-1, 2)[_share_of_dots(frame, patch, middle, dots)[0] < PRESENT]
+    chosen = np.array(holes, np.int64).reshape(-1, 2)[_share_of_dots(frame, patch, middle, dots) < PRESENT]
     return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
 
 
@@ -359,22 +365,37 @@ def _with_holes(patch: Patch) -> tuple[dict[Square, NDArray[np.float64]], list[S
     return place | holes, list(holes)
 
 
+def _share_of_row(frame: NDArray[Any], patch: Patch, dots: NDArray[np.float64], first: int) -> NDArray[np.float64]:
+    """Level (N,) amid four dots (N, 4, 2), 0 of the ground and 1 of both dots `first`, `first` + 2; 0 of no mark.
+
+    Ground is asked between these two: light and shadow of the other level do not reach there.  What is brighter
+    than both dots, or goes on across, as a rod before the plate does, is no mark.
+    """
+    one, other, left, right = np.moveaxis(np.roll(dots, -first, axis=1)[:, [0, 2, 1, 3]], 1, 0)
+    at, along, across = 0.5 * (one + other), 0.25 * (other - one), 0.25 * (right - left)
+    asked = np.stack((at, one, other, at - along, at + along, at - across, at + across), axis=1)
+    value = _levels_at(frame, patch, asked)
+    dot, ground = value[:, 1:3].mean(axis=1), value[:, 3:5].mean(axis=1)
+    share = (value - ground[:, None]) / np.where(dot == ground, np.inf, dot - ground)[:, None]
+    is_mark = (share[:, 0] < BRIGHTEST) & (share[:, 5:].min(axis=1) < PRESENT)
+    return np.where(is_mark, share[:, 0], 0.0)
+
+
 def _share_of_dots(
     frame: NDArray[Any], patch: Patch, middle: NDArray[np.float64], dots: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Level (N,) at some places (N, 2), 0 of the ground and 1 of the four dots (N, 4, 2) around each in turn.
-
-    The second (N,) is the level of the brightest ground between two dots, 0 of the darkest.
-    """
+) -> NDArray[np.float64]:
+    """Level (N,) at some places (N, 2), 0 of the ground and 1 of the four dots (N, 4, 2) around each in turn."""
     between = 0.5 * (dots + np.roll(dots, 1, axis=1))
-    asked = np.concatenate((middle[:, None], dots, between), axis=1)
+    value = _levels_at(frame, patch, np.concatenate((middle[:, None], dots, between), axis=1))
+    dot, ground = value[:, 1:5].mean(axis=1), value[:, 5:].mean(axis=1)
+    return np.asarray((value[:, 0] - ground) / np.where(dot == ground, np.inf, dot - ground))
+
+
+def _levels_at(frame: NDArray[Any], patch: Patch, asked: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Levels (N, M) around places (N, M, 2), over about a tenth of a square."""
     size = float(np.median(np.linalg.norm(patch.axes_px, axis=1)))
     points = asked[:, None] + size * _AROUND[:_MIDDLE].reshape(-1, 1, 2)
-    value = _rings(frame, points.transpose(0, 2, 1, 3)).astype(np.float64)
-    dot, ground = value[:, 1:5].mean(axis=1), value[:, 5:].mean(axis=1)
-    over = np.where(dot == ground, np.inf, dot - ground)
-    spread = np.ptp(value[:, 5:], axis=1)
-    return (value[:, 0] - ground) / over, spread / np.abs(over)
+    return _rings(frame, points.transpose(0, 2, 1, 3)).astype(np.float64)
 
 
 _FIND = {"large": _large_dots, "between": _marks_between, "missing": _missing_dots}

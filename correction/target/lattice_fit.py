@@ -157,7 +157,7 @@ def measure_lattice(
     foreign += int(np.count_nonzero(~smooth))
     known_index, known_axes = known_index[smooth], known_axes[smooth]
     position, sigma, blurs = position[smooth], sigma[smooth], blurs[smooth]
-    if deep is not None and not holds_discs(known_index, board):
+    if deep is not None and board.has_large_dots and not holds_discs(known_index, board):
         raise TargetNotFound(
             "the large dots of the plate do not lie on one smooth view with most others; take away what hides or"
             " bends the view around them"

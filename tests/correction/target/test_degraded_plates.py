@@ -1,0 +1,58 @@
+"""Plates on two levels in frames as cameras give them: with specks, and partly covered."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from correction.errors import TargetNotFound
+from correction.target.board_search import find_board
+from tests.correction.target.drawn_plates import drawn
+
+SEED = 13  # staggered rows on two levels, a square and a triangle
+
+
+@lru_cache
+def frame():
+    return drawn(SEED)
+
+
+def with_specks(light, rng):
+    """Add glints of three pixels, three for each dot."""
+    for v, u in rng.integers(4, np.array(light.shape) - 6, (600, 2)):
+        light[v : v + 3, u : u + 3] += 0.35
+    return light
+
+
+def with_a_rod(light, rng):
+    """Cover a strip and a corner, brightly."""
+    height, width = light.shape
+    cv2.line(light, (int(0.78 * width), 0), (int(0.7 * width), height), 0.9, width // 30)
+    cv2.fillPoly(light, [np.array(((0, 0), (width // 3, 0), (0, height // 2)))], 0.7)
+    return light
+
+
+@pytest.mark.parametrize("degrade", [with_specks, with_a_rod])
+def test_a_plate_is_found_in_a_frame_as_cameras_give_them(degrade):
+    one, rng = frame(), np.random.default_rng(SEED)
+    light = np.array(one.image, np.float32) / np.percentile(one.image, 99.0)
+    image = np.clip(200.0 * degrade(light, rng) + 0.5, 0, 255).astype(np.uint8)
+    found, off = replace(one, image=image).find()
+    assert len(found) > 200
+    assert np.median(off) < 0.1
+    assert off.max() < 1.0
+
+
+def test_a_triangle_that_light_hides_is_told_by_the_camera_and_else_refused():
+    one = frame()
+    image = np.array(one.image)
+    for mark in one.board.discs:  # both become discs
+        u, v = np.rint(one.true.project(one.board.place_mm(np.array([mark]) + 0.5))[0]).astype(int)
+        cv2.circle(image, (int(u), int(v)), 5, float(image[v, u]), -1)
+    with pytest.raises(TargetNotFound, match=r"hide which mark of the board is the triangle.*give a prediction"):
+        find_board(image, one.board)
+    found, off = replace(one, image=image).find()
+    assert np.median(off) < 0.1
+    assert len(found) > 200
