@@ -171,8 +171,18 @@ style: $(STAMP)
 types: $(STAMP)
 	nice $(BIN)/mypy
 
-# The picture in the README: the demo's report in a headless browser (needs chromium).
+# The pictures in the README: a bed of 22 balls on its simulated bench, and the demo's report in a headless browser
+# (needs chromium).
+BENCH_RUN = --simulate --home --operator me
 picture: demo
+	rm -rf demo/bed
+	$(BIN)/rtpiv init demo/bed --arrangement bcc --layers 3 --plane 1 --sensor-px 960 768 --pixel-pitch-um 4.8 \
+	  --lens-mm 25 --yes
+	cd demo/bed && $(CURDIR)/$(BIN)/rtpiv acquire plan-target.yaml --bench bench.yaml $(BENCH_RUN) --no-correct \
+	  && $(CURDIR)/$(BIN)/rtpiv calibrate runs/*plan-target -o bedfit \
+	  && $(CURDIR)/$(BIN)/rtpiv acquire plan-flow.yaml --bench bench-flow.yaml $(BENCH_RUN) \
+	  && $(CURDIR)/$(BIN)/rtpiv mean runs/*plan-flow --scene bedfit/scene.yaml --final-window 16
+	cp demo/bed/runs/*plan-flow/series/mean.png docs/images/bed-mean.png
 	chromium --headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking \
 	  --hide-scrollbars --window-size=900,1130 --user-data-dir=demo/browser \
 	  --screenshot=docs/images/report.png "file://$(CURDIR)/demo/report/report.html"

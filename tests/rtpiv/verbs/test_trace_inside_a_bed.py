@@ -32,6 +32,18 @@ def test_by_hand_all_of_the_top_layer_and_nine_per_cent_below_it(name, low, high
     assert capsys.readouterr().out.startswith("inside a bed: ")
 
 
+@pytest.mark.slow
+def test_a_packed_tube_is_lit_along_its_axis():
+    """Twenty balls in rings of four: few gaps are seen, and what is left is right mirrored."""
+    gaps = trace(load_scene(EXAMPLES / "packed_tube.yaml"), pictures=False).gaps
+    assert 0.1 < gaps.share < 0.12
+    assert 0.06 < gaps.lit.both_mm2 / gaps.gas_mm2 < 0.075
+    sides = {side.name: side for side in gaps.lit.balls}
+    for right, left in (("b11", "b13"), ("b31", "b33"), ("b51", "b53")):
+        assert sides[right].lit == pytest.approx(sides[left].lit, abs=0.02)
+        assert abs(sides[right].height_mm) < 0.01
+
+
 def test_the_gaps_are_those_of_discs():
     """Nine discs of a square lattice, all in view: their hull less their areas, and lines of sight over it."""
     balls = [ball(f"b{i}{j}", i * CELL, j * CELL, 0.0, R) for i in (-1, 0, 1) for j in (-1, 0, 1)]
