@@ -181,7 +181,9 @@ picture: demo
 	cd demo/bed && $(CURDIR)/$(BIN)/rtpiv acquire plan-target.yaml --bench bench.yaml $(BENCH_RUN) --no-correct \
 	  && $(CURDIR)/$(BIN)/rtpiv calibrate runs/*plan-target -o bedfit \
 	  && $(CURDIR)/$(BIN)/rtpiv acquire plan-flow.yaml --bench bench-flow.yaml $(BENCH_RUN) \
-	  && $(CURDIR)/$(BIN)/rtpiv mean runs/*plan-flow --scene bedfit/scene.yaml --final-window 16
+	  && $(CURDIR)/$(BIN)/rtpiv mean runs/*plan-flow --scene bedfit/scene.yaml --final-window 16 \
+	  && $(CURDIR)/$(BIN)/rtpiv trace bedfit/scene.yaml --out light
+	cp demo/bed/light/light.png docs/images/bed-light.png
 	cp demo/bed/runs/*plan-flow/series/mean.png docs/images/bed-mean.png
 	chromium --headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking \
 	  --hide-scrollbars --window-size=900,1130 --user-data-dir=demo/browser \
