@@ -32,10 +32,13 @@ RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur
 MIN_VOTE_SHARE = 0.5  # of the votes
 AROUND_SQUARE, AROUND_DOT = ((0, 0), (1, 0), (1, 1), (0, 1)), ((1, 0), (0, 1), (-1, 0), (0, -1))  # in turn
 WITHIN_ROW = 0.8  # of the rings around a dot: walls stand closer between staggered rows of a plate
-MARK_EDGE = 0.35  # of the contrast, where a mark begins
-TRIANGULAR, CLEARLY_MORE = 0.15, 2.0  # of a triangle (`_triangularity`), and times that of the other marks
+# Of the contrast, where a mark begins
+MARK_EDGE = 0.35
+# Of a triangle (`_triangularity`), and times that of the other marks
+TRIANGULAR, CLEARLY_MORE = 0.15, 2.0
 WIDEST_MARK, CLEAR_OF_DOTS = 0.45, 0.3  # squares from the middle of a mark, and from the dots around it
-PRESENT, BRIGHTEST = 0.5, 1.8  # of the contrast of dots, in the middle of a mark
+# Of the contrast of dots, in the middle of a mark
+PRESENT, BRIGHTEST = 0.5, 1.8
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
 
 

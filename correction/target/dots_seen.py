@@ -15,18 +15,18 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.target.lattice_growth import Saddles
-from correction.target.two_levels import level_steps
+from correction.target.two_levels import RIGHT_ANGLE, level_steps
 from tracer.board import Dots
 
 MAX_DOT_RATIO = 4.0  # dots of the board as seen without glass, that the widest in the frame is at most
 NEARBY_PX = 9  # side of the window in which the darkest point counts
 FAINTEST = 0.12  # of the paper: what is less dark is noise
 SMALLEST_PX = 5  # pixels in a dot
-SPECK, SPECK_NEIGHBOURS = 0.2, 24  # of the usual area around: half of all area is in dots of at least that
+# Of the usual area around: half of all area is in dots of at least that
+SPECK, SPECK_NEIGHBOURS = 0.2, 24
 ELLIPSE = 0.8, 1.2  # area of a dot over that of an ellipse with its covariance
 NEAREST_DOTS = 9  # nearest dots that are asked for the grid's directions
 AROUND, NEARER_THAN_DOTS = 4, 0.82  # dots around a mark, 0.71 pitches away; of what dots are from four others
-RIGHT_ANGLE = 0.5  # cosine between both directions at most, in the frame in which the dot is a circle
 ALIKE = 0.6  # shorter over longer step, there
 USUAL_PX = 24.0  # a dot, if no width is known
 

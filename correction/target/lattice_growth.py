@@ -34,7 +34,8 @@ MIN_SHRUNK_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddle
 WORTH_IT = 1.25  # times that a frame is shrunk at least, or not at all
 NEAREST_PX = 3  # two corners are never closer
 MIN_SADDLE_STRENGTH = 0.06  # of the strength of the strongest corners
-TOLERANCE, TOLERANCE_ON_PLATE = 0.28, 0.18  # largest miss of a predicted corner, in squares
+# Largest miss of a predicted corner, in squares
+TOLERANCE, TOLERANCE_ON_PLATE = 0.28, 0.18
 COS_EDGE = 0.9  # edges of neighbours agree to 25 degrees
 MIN_PATCH_CORNERS = 9  # a patch smaller than this is chance
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
@@ -263,7 +264,8 @@ def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.
 
 def _kinds(saddles: Saddles, which: NDArray[np.intp], axes: NDArray[np.float64]) -> NDArray[np.int8]:
     """Kinds of some saddles (N,) in axes (N, 2, 2): columns; 0 where the edges disagree with these."""
-    if saddles.levels:  # large dots, and those beside marks or at the rim, show other directions or none
+    # Large dots, and those beside marks or at the rim of a plate, show other directions or none.
+    if saddles.levels:
         return np.ones(len(which), np.int8)
     signs = _signs(saddles.edges[which], axes)
     return np.abs(signs) if saddles.alike else signs

@@ -22,7 +22,8 @@ from correction.target.lattice_growth import MIN_PATCH_CORNERS, Patch, coarse_sa
 from correction.target.marks import find_marks, grow_marks
 
 COARSER_PX = 24.0, 48.0, 96.0  # squares for which copies of the frame are made
-COARSER_DOTS = 2, 4  # times that copies for dots are smaller
+# Times that copies for dots are smaller
+COARSER_DOTS = 2, 4
 COARSE_ERROR = 0.3  # of the shrinkage: how far corners of a copy may be off in the frame [px]
 COARSER_GAIN = 1.02  # of the corners of a finer scale that a coarser one must show at least
 KNOWN_SQUARES = 0.3  # from a known corner: the same corner

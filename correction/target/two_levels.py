@@ -16,18 +16,34 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.target.lattice_growth import MIN_PATCH_CORNERS, Patch, Saddles, grow_patches, lattice_axes
+from correction.target.lattice_growth import (
+    MIN_PATCH_CORNERS,
+    Patch,
+    Saddles,
+    grow_patches,
+    lattice_axes,
+)
 from tracer.board import Dots
 
-NEAREST_DOTS = 24  # nearest dots that are asked for the directions of a level
-RIGHT_ANGLE = 0.5  # cosine between both directions at most, in the frame in which the dot is a circle
-OPPOSITE = 0.25  # of a step: how far its partner on the other side of the dot is off
-DOT_SIZES = 1.0, 0.78, 1.25  # of a dot as it looks, over what it is
-MOST_OFF = 0.36  # logarithm of a distance over what the size of the dot says
+# Nearest dots that are asked for the directions of a level
+LEVEL_NEIGHBOURS = 24
+# Cosine between both directions at most, in the frame in which the dot is a circle
+RIGHT_ANGLE = 0.5
+# Of a step: how far its partner on the other side of the dot is off
+OPPOSITE = 0.25
+# Of a dot as it looks, over what it is
+DOT_SIZES = 1.0, 0.78, 1.25
+# Logarithm of a distance over what the size of the dot says
+MOST_OFF = 0.36
 SIGNS = np.array(((1, 1), (1, -1), (-1, 1), (-1, -1)))
-AROUND, MIN_AGREEING, MOST_UNLIKE = 8, 3, 0.2  # dots around, that show the same steps, of a step
-AMID = 0.75  # of the places amid four dots of one level, that show one of the other
-MOST_PARALLAX = 0.36  # of a step of one level, between both
+# Nearest dots, and how many of them show the same steps
+ASKED, MIN_AGREEING = 8, 3
+# How far these differ, of a step
+MOST_UNLIKE = 0.2
+# Of the places amid four dots of one level, that show one of the other
+AMID = 0.75
+# Of a step of one level, between both
+MOST_PARALLAX = 0.36
 QUARTERS = [np.linalg.matrix_power(np.array(((0, -1), (1, 0))), k) for k in range(4)]
 # Of a level: two steps of the lattice of both levels (columns), and the step to the other level.
 LATTICES = {
@@ -51,11 +67,11 @@ def level_steps(
         From dot to dot in the lattice of both levels.
     """
     out = np.full((len(mean), 2, 2), np.nan)
-    if len(mean) <= NEAREST_DOTS:
+    if len(mean) <= LEVEL_NEIGHBOURS:
         return out
     values, vectors = np.linalg.eigh(covariance)
     narrow = vectors / np.sqrt(values)[:, None, :] @ vectors.transpose(0, 2, 1)  # C^(-1/2)
-    near = scipy.spatial.cKDTree(mean).query(mean, k=NEAREST_DOTS + 1)[1][:, 1:]
+    near = scipy.spatial.cKDTree(mean).query(mean, k=LEVEL_NEIGHBOURS + 1)[1][:, 1:]
     step = mean[near] - mean[:, None]
     there = np.einsum("nij,nmj->nmi", narrow, step)
     # A disc of radius r has the covariance r^2 / 4: a circle of radius 2 there.
@@ -69,7 +85,7 @@ def level_steps(
     rows = np.arange(len(mean))
     for k, which in enumerate((first, second)):
         out[good, k] = step[rows, which][good]
-    out[_agreeing(out, near[:, :AROUND]) < MIN_AGREEING] = np.nan
+    out[_agreeing(out, near[:, :ASKED]) < MIN_AGREEING] = np.nan
     return out
 
 

@@ -12,6 +12,7 @@ ball: 1e-3 in n and 0.2 mm in z, with residuals as good as before and the sigmas
 must say one and the same.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,8 @@ from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of
 
 LEARNED = 1.0
+# Bodies that are named, of more their number
+LISTED = 3
 TIED = 0.97
 LOOSE = 0.05
 WALL_CURE = (
@@ -74,19 +77,28 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
         counted = "the map's sigma holds what the frames leave open of that"
         found.append(Weakness(held, f"{text}; {counted}; free them, or give their sigma in the fit section"))
     lost = {name for sphere in fit.unknowns.scene.spheres for name in _unseen(fit, sphere)}
-    for name in sorted({name.split(".")[0] for name in lost}):
-        text = f"no corner is seen through {name}: its place is what the scene file says"
+    if lost:
+        unseen = sorted({name.split(".")[0] for name in lost})
+        places = "its place is" if len(unseen) == 1 else "their places are"
+        text = f"no corner is seen through {', '.join(unseen)}: {places} what the scene file says"
         found.append(Weakness(tuple(n for n in fit.names if n in lost), f"{text}; smaller squares may show some"))
     values, vectors = np.linalg.eigh(fit.normal)
     of_walls = set(fit.unknowns.other_bodies.names)
     unknown: set[str] = set()
+    # of one cure and quantity: one sentence
+    open_: dict[tuple[str, str], tuple[str, ...]] = {}
     for value, vector in zip(values, vectors.T, strict=True):
         names = tuple(n for n, share in zip(fit.names, vector, strict=True) if abs(share) > NAMED_COMPONENT)
         if value < LEARNED and names and set(names) <= of_walls:
             unknown |= set(names)
         elif value < LEARNED and not set(names) <= lost:
-            text = f"{_list(fit, names)}: known no better than before, the frames do not show it"
-            found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
+            kind = _quantity(names) or ", ".join(names)
+            cure = _cure(fit, names)
+            open_[kind, cure] = (*open_.get((kind, cure), ()), *names)
+    for (_, cure), names in open_.items():
+        names = tuple(dict.fromkeys(names))  # a number may be in several directions
+        text = f"{describe_numbers(fit, names)}: known no better than before, the frames do not show it"
+        found.append(Weakness(names, f"{text}; {cure}"))
     found += _walls_unknown(fit, unknown)
     root = np.sqrt(np.diag(fit.covariance))
     tied = np.abs(fit.covariance / np.outer(root, root)) > TIED
@@ -95,7 +107,7 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
         members = group == number
         names = tuple(name for name, member in zip(fit.names, members, strict=True) if member)
         if len(names) > 1 and root[members].max() > LOOSE and not set(names) <= unknown:
-            text = f"{_list(fit, names)} are strongly correlated"
+            text = f"{describe_numbers(fit, names)} are strongly correlated"
             found.append(Weakness(names, f"{text}; {_cure(fit, names)}", together=True))
     return found
 
@@ -106,7 +118,7 @@ def _walls_unknown(fit: SceneFit, unknown: set[str]) -> list[Weakness]:
     for body, _ in fit.unknowns.other_bodies.bodies:
         names = tuple(name for name in fit.names if name in unknown and name.startswith(f"{body.name}."))
         if names:
-            text = f"{body.kind} {body.name}: {_list(fit, names)} known no better than before"
+            text = f"{body.kind} {body.name}: {describe_numbers(fit, names)} known no better than before"
             why = "a camera a little elsewhere shows the same, and the map hardly depends on which"
             still = f" ({body.moves_no_ray})" if body.moves_no_ray else ""
             found.append(Weakness(names, f"{text}: {why}; its sigma holds the rest{still}; {WALL_CURE}"))
@@ -120,9 +132,29 @@ def _unseen(fit: SceneFit, sphere: Sphere) -> tuple[str, ...]:
     return tuple(name for name in fit.names if name.startswith(f"{sphere.name}."))
 
 
-def _list(fit: SceneFit, names: tuple[str, ...]) -> str:
+def _quantity(names: tuple[str, ...]) -> str:
+    """Quantity of which all names are, as radius_mm of several balls; "" where they differ."""
+    parts = {name.rpartition(".")[2] for name in names}
+    return parts.pop() if len(parts) == 1 else ""
+
+
+def list_names(names: Sequence[str]) -> str:
+    """Names in a row of words; of many, their number and the first of them."""
+    if len(names) > LISTED:
+        return f"{len(names)} bodies ({', '.join(names[: LISTED - 1])} and others)"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def describe_numbers(fit: SceneFit, names: tuple[str, ...]) -> str:
     """Names in a row of words, each with its sigma."""
     sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
+    quantity = _quantity(names)
+    if len(names) > LISTED and quantity:
+        unit, factor = unit_of(names[0])
+        wide = [sigma[name] * factor for name in names]
+        ends = dict.fromkeys(f"{end:.2g}" for end in (min(wide), max(wide)))
+        bodies = list_names([name.rpartition(".")[0] for name in names])
+        return f"{quantity} of {bodies}: +-{' to '.join(ends)}{f' {unit}' if unit else ''}"
     words = []
     for name in names:
         unit, factor = unit_of(name)
