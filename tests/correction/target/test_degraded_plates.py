@@ -1,5 +1,6 @@
 """Plates on two levels in frames as cameras give them: with specks, and partly covered."""
 
+from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
 
@@ -10,6 +11,7 @@ import pytest
 from correction.errors import TargetNotFound
 from correction.target.board_search import find_board
 from tests.correction.target.drawn_plates import drawn
+from tests.correction.target.photographed_plates import photograph
 
 SEED = 13  # staggered rows on two levels, a square and a triangle
 
@@ -56,3 +58,19 @@ def test_a_triangle_that_light_hides_is_told_by_the_camera_and_else_refused():
     found, off = replace(one, image=image).find()
     assert np.median(off) < 0.1
     assert len(found) > 200
+
+
+@pytest.mark.slow
+def test_of_18_photographed_plates_none_is_wrong_and_15_are_found():
+    verdicts = Counter()
+    for seed in range(300, 318):
+        image, made, view, _ = photograph(seed)
+        try:
+            found = find_board(image, made.board)
+        except TargetNotFound:
+            verdicts["refused"] += 1
+            continue
+        off = np.linalg.norm(found.position_px - view.project(found.board.place_mm(found.index)), axis=-1)
+        verdicts["right" if np.median(off) < 1.0 else "wrong"] += 1
+    assert not verdicts["wrong"], verdicts
+    assert verdicts["right"] >= 15, verdicts

@@ -185,7 +185,7 @@ def test_the_map_behind_two_balls_is_right_by_staggered_rows(levels, discs, mark
     error, _, compared = errors_behind(fit, truth)
     assert not fit.verdict.unlisted
     assert compared > 0.99
-    assert np.sqrt(np.mean(error**2)) < 0.1  # upright rows: 0.04 to 0.13 px, from frames of this size
+    assert np.sqrt(np.mean(error**2)) < 0.1  # seeds 3 and 4: 0.041 to 0.091 px, from frames of this size
     assert fit.board.scale == pytest.approx(scale, abs=1.5e-3)
 
 
